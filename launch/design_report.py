@@ -30,7 +30,7 @@ from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK
 from manyhands.launch.plan.prepare import certify, haptic_loop, with_delay_of
 from manyhands.launch.plan.sites import differences_from
 from manyhands.launch.run.display import energy_line, printable, say, status
-from manyhands.launch.run.outcome import lateness_sentence
+from manyhands.launch.run.outcome import lateness_sentence, wave_link_sentences
 from manyhands.launch.session import Session
 from manyhands.nodes import telemetry as names
 
@@ -186,6 +186,8 @@ def print_report(console: Console, report: Mapping[str, Any]) -> None:
         late = str(node.get("late", ""))
         table.add_row(name, str(node["ticks"]), late, *percentiles, ledger, _account(node, report), speeds)
     console.print(table)
+    for felt in wave_link_sentences(report):
+        console.print(felt, markup=False, soft_wrap=True)
     if sentence := lateness_sentence(report):
         console.print(sentence, markup=False, soft_wrap=True)
     for node in report["nodes"].values():

@@ -30,6 +30,8 @@ from manyhands.nodes.environment.core import environment_core
 from manyhands.nodes.environment.enforced import EnforcedCore
 from manyhands.nodes.environment.model import ModelFailure
 from manyhands.nodes.passivity import Ledger
+from manyhands.nodes.peer_link import WaveRow
+from manyhands.nodes.telemetry import wave_traces, world_traces
 from manyhands.nodes.wave_link.ends import user_face, world_face
 from manyhands.nodes.wave_link.faces import UserFace, WorldFace
 from manyhands.protocol.clock import Instant, from_seconds
@@ -163,6 +165,10 @@ class Simulation:
         x, f_v = np.zeros((ticks, m)), np.zeros((ticks, m))
         reported, p, tool = np.zeros(m), np.zeros(m), np.zeros(m)
         through_waves: dict[str, Floats] = {}
+        at_user: dict[str, WaveRow] = {}
+        at_world = {
+            name: WaveRow(world.wave, world.tank.row(), *world.signals) for name, world in self.world_faces.items()
+        }
         devices = list(zip(self._drivers, self.devices.values(), self.guards.values(), self._device_ports, strict=True))
         couplings, linked = self._active(()), self._linked(())
         silent: set[str] = set()
@@ -178,6 +184,10 @@ class Simulation:
                 for name in begins.get(k, ()):
                     silent.add(name)
                     self.environment.clutches.freeze(blocks[name])
+                    if name in at_world:
+                        nothing = [0.0] * len(self._coupling_ports[name])
+                        row = at_world[name]
+                        at_world[name] = WaveRow(nothing, row.tank, self.world_faces[name].tool_position, nothing)
                 couplings, linked = self._active(silent), self._linked(silent)
             for driver, device, guard, ports in devices:
                 displacement = list(map(float, driver.sample(k, now)))
@@ -199,14 +209,20 @@ class Simulation:
                 traces.keep(ENVIRONMENT, k, self.environment.tools, self.environment.masses)
             for name, user, world, ports in linked:
                 world.step(f_v[k, ports].tolist())
+                at_user[name] = WaveRow(user.wave, user.tank.row())
+                at_world[name] = WaveRow(world.wave, world.tank.row(), *world.signals)
                 wave = world.message()
                 user.hear(wave.n, wave.U, wave.G)
                 f_v[k, ports] = through_waves[name]
+            if traces is not None and at_world:
+                traces.keep_waves(ENVIRONMENT, k, world_traces([[*at_world.values()]]))
             for name, coupling, ports in couplings:
                 f_v[k, ports] = applied = coupling.limited(f_v[k, ports].tolist())
                 coupling.absorb(applied)
                 if traces is not None:
                     traces.keep(name, k, p[ports].tolist(), applied)
+                    if name in at_user:
+                        traces.keep_waves(name, k, wave_traces([at_user[name]]))
             for (driver, device, guard, ports), name in zip(devices, self.devices, strict=True):
                 f_v[k, ports] = force = guard.clip(f_v[k, ports].tolist())
                 driver.apply(force, now)

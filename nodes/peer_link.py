@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from enum import Enum
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +58,24 @@ class Listener(Protocol):
     def flooded(self, text: str) -> None:
         """End the node, for the reason ``text``: a peer sends more stray frames than any honest peer does."""
         ...
+
+
+class WaveRow(NamedTuple):
+    """One tick of an end of a wave link, as telemetry reports it.
+
+    Attributes:
+        c: the incoming wave, W^(1/2).
+        tank: the energy in the tank, what it has shipped, and what it has heard, J.
+        p: the free position of the tool at a world's end, m; empty at a user's, whose block reports it.
+        f: the force on it behind its clutch, N; likewise.
+        begins: whether a world's end took its position from the first wave of a life in this tick.
+    """
+
+    c: Floats
+    tank: Floats
+    p: Floats = []  # noqa: RUF012  # never changed
+    f: Floats = []  # noqa: RUF012
+    begins: bool = False
 
 
 class PeerLink:
@@ -232,6 +250,16 @@ class PeerLink:
 
     def settle(self, tick: int) -> None:
         """Finish ``tick``, once its force is applied; a peer in a process of its own needs nothing more."""
+
+    def finished(self, tick: int) -> WaveRow | None:
+        """Finish ``tick``, and return the :attr:`row`."""
+        self.settle(tick)
+        return self.row
+
+    @property
+    def row(self) -> WaveRow | None:
+        """What telemetry reports of the end of a wave link in the last tick; None for every other link."""
+        return None
 
     def lose(self) -> None:
         """Close the link to a peer that is gone."""

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from manyhands.nodes.environment.energy import Energy
 from manyhands.nodes.passivity import Ledger, PassivityController
-from manyhands.nodes.peer_link import PeerLink
+from manyhands.nodes.peer_link import PeerLink, WaveRow
 from manyhands.protocol.channels import (
     APPLIED,
     DISPLACEMENT,
@@ -28,8 +28,10 @@ from manyhands.protocol.channels import (
     INTERFACE,
     LEDGER,
     MASS_POSITION,
+    TANK,
     TAU,
     TOOL_POSITION,
+    WAVE,
 )
 from manyhands.protocol.messages import Telemetry
 
@@ -42,8 +44,10 @@ __all__ = [
     "INTERFACE",
     "LEDGER",
     "MASS_POSITION",
+    "TANK",
     "TAU",
     "TOOL_POSITION",
+    "WAVE",
 ]
 
 
@@ -103,6 +107,7 @@ WAVE_LEDGER = (
 WAVE_TANK = "wave_tank"  # J in the tank of this end
 WAVE_CLIPPED = "wave_clipped"  # ticks in which the tank limited a wave
 WAVE_DEAF = "wave_deaf"  # 1 while no wave has come for so long that this end holds the tool
+WAVE_SILENCES = "wave_silences"  # times that this began, after the first wave
 WAVE_LATENCY = "wave_latency_us"  # what the play-out of this end adds to the round trip
 ENFORCED_TICKS = "enforced_ticks"  # ticks in which a passivity controller kept a force back
 ENFORCED_ENERGY = "enforced_energy"  # J that it kept back
@@ -123,6 +128,26 @@ def ledger_figures(ledger: Ledger | None) -> dict[str, float]:
 def ledger_trace(ledger: Ledger | None, totals: Sequence[float]) -> dict[str, NDArray[np.float64]]:
     """The ledger's ``totals`` by tick, J, as a trace of one column; empty where no level is promised."""
     return {} if ledger is None else {LEDGER: np.array(totals)[:, None]}
+
+
+def wave_traces(rows: Sequence[WaveRow]) -> dict[str, NDArray[np.float64]]:
+    """The waves and the tank of a user's end by tick, as traces; empty without a wave link."""
+    if not rows:
+        return {}
+    return {WAVE: np.array([row.c for row in rows]), TANK: np.array([row.tank for row in rows])}
+
+
+def world_traces(rows: Sequence[Sequence[WaveRow]]) -> dict[str, NDArray[np.float64]]:
+    """The traces of all world's ends, by tick and end: positions, forces, waves and tanks; empty without wave links."""
+    if not rows or not rows[0]:
+        return {}
+    values = {
+        FREE_POSITION: [[at for end in ends for at in end.p] for ends in rows],
+        FORCE: [[force for end in ends for force in end.f] for ends in rows],
+        WAVE: [[wave for end in ends for wave in end.c] for ends in rows],
+        TANK: [[energy for end in ends for energy in end.tank] for ends in rows],
+    }
+    return {name: np.array(value) for name, value in values.items()}
 
 
 def enforcement_figures(controller: PassivityController | None) -> dict[str, float]:

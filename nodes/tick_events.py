@@ -8,6 +8,7 @@
 | ``rung@k`` | device, coupling | the rung to which the node changed in tick k, at rest |
 | ``frozen:cx@k`` | environment | 1: from tick k on the coupling cx was sent no force |
 | ``returned:cx@k`` | environment | 1: from tick k on it was again |
+| ``linked:cx@k`` | environment | 1: in tick k the tool took its place from the first wave of a life of cx's wave link |
 
 Rows and events travel in one telemetry message, so a recording that has the rows has the events as well. An audit
 computes the node again from its rows and events alone. A tick without an event costs nothing. An environment records
@@ -24,7 +25,7 @@ from typing import Final, NamedTuple
 MOST_EVENTS: Final = 512
 """The most events of one telemetry; further releases are only counted in the figure of all releases, which shows it."""
 
-_FIGURE: Final = re.compile(r"(?:(began|jumped|released|rung)|(frozen|returned):(.+))@([0-9]{1,15})")
+_FIGURE: Final = re.compile(r"(?:(began|jumped|released|rung)|(frozen|returned|linked):(.+))@([0-9]{1,15})")
 _MOST_VALUE: Final = 2.0**53
 
 
@@ -37,6 +38,7 @@ class Kind(StrEnum):
     RUNG = "rung"
     FROZEN = "frozen"
     RETURNED = "returned"
+    LINKED = "linked"
 
 
 class TickEvent(NamedTuple):
@@ -76,6 +78,10 @@ class TickEvents:
     def activate(self, tick: int, coupling: str) -> None:
         """Record that the environment sends ``coupling`` its force again from ``tick`` on."""
         self._figures[f"{Kind.RETURNED}:{coupling}@{tick}"] = 1.0
+
+    def link(self, tick: int, coupling: str) -> None:
+        """Record that a life of the wave link of ``coupling`` begins with the tool's place in ``tick``."""
+        self._figures[f"{Kind.LINKED}:{coupling}@{tick}"] = 1.0
 
     def take(self, first: int, end: int) -> dict[str, float]:
         """The events as figures of the telemetry whose rows are ``first`` to ``end - 1``; each is returned once."""

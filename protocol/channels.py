@@ -8,7 +8,7 @@ permissions, documentation and displays are derived from it; there is no other l
 findings of the node itself. Recordings, live plots and printed lines are derived from it; there is no other list.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from types import MappingProxyType
@@ -141,9 +141,15 @@ TAU: Final = "tau_us"
 INTERFACE: Final = "interface"
 INSTANTS: Final = "instants"
 APPLIED: Final = "x_a"
+WAVE: Final = "c"
+TANK: Final = "tank"
 
 INSTANT_NAMES: Final = ("sampled", "applied", "ended")
 """The columns of the trace of instants: when x was sampled, when f was applied, and when the force before had ended."""
+
+TANK_NAMES: Final = ("L", "G", "H")
+"""The columns of the trace of a tank, for each wave link: the energy in it, what it has shipped in the present life of
+the link, and what it has heard of the other end's, J."""
 
 TELEMETRY: Final = "telemetry"
 """The topic of a node's figures, ten times a second, which every node has besides the topics of its role."""
@@ -153,12 +159,19 @@ CONDITION: Final = "condition"
 
 
 class Columns(StrEnum):
-    """The columns of a trace: one for each port, one for each mass, a single one, or the three instants of a tick."""
+    """The columns of a trace: one for each port, each mass, or each port with a wave link; a single one; the three
+    instants of a tick; or the three figures of a tank for each wave link.
+    """
 
     PORTS = "ports"
     MASSES = "masses"
     ONE = "one"
     INSTANTS = "instants"
+    LINKED = "linked ports"
+    TANKS = "tanks"
+
+
+_NO_LINKS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,6 +185,7 @@ class Topic:
         unit: SI unit (of a translational port); delays are in microseconds.
         columns: the columns of the trace.
         wall: whether only devices in wall time have it, which the realtime clock alone has.
+        linked: whether only the ends of wave links have it.
     """
 
     name: str
@@ -180,18 +194,30 @@ class Topic:
     unit: str
     columns: Columns
     wall: bool = False
+    linked: bool = False
 
-    def columns_of(self, ports: tuple[str, ...], masses: tuple[str, ...]) -> tuple[str, ...]:
-        """The names of the columns for a node with these ports; ``masses`` are those of the environment."""
+    def columns_of(
+        self, ports: tuple[str, ...], masses: tuple[str, ...], links: Mapping[str, tuple[str, ...]] = _NO_LINKS
+    ) -> tuple[str, ...]:
+        """The names of the columns.
+
+        Args:
+            ports: of the node.
+            masses: of the environment.
+            links: the ports of each wave link that ends at the node, by its coupling.
+        """
         return {
             Columns.PORTS: ports,
             Columns.MASSES: masses,
             Columns.ONE: (self.symbol,),
             Columns.INSTANTS: INSTANT_NAMES,
+            Columns.LINKED: tuple(port for own in links.values() for port in own),
+            Columns.TANKS: tuple(f"{coupling}.{figure}" for coupling in links for figure in TANK_NAMES),
         }[self.columns]
 
 
 _LEDGER: Final = Topic("ledger", LEDGER, "E", "J", Columns.ONE)
+_TANK: Final = Topic("tank", TANK, "L, G, H", "J", Columns.TANKS, linked=True)
 
 TOPICS: Final[Mapping[Role, tuple[Topic, ...]]] = MappingProxyType(
     {
@@ -208,30 +234,51 @@ TOPICS: Final[Mapping[Role, tuple[Topic, ...]]] = MappingProxyType(
             Topic("tool", FREE_POSITION, "p", "m", Columns.PORTS),
             Topic("reaction", FORCE, "f_v", "N", Columns.PORTS),
             _LEDGER,
+            Topic("wave", WAVE, "c", "√W", Columns.LINKED, linked=True),
+            _TANK,
         ),
         Role.ENVIRONMENT: (
             Topic("tools", TOOL_POSITION, "x_e", "m", Columns.PORTS),
             Topic("masses", MASS_POSITION, "q", "m", Columns.MASSES),
             _LEDGER,
+            Topic("tool", FREE_POSITION, "p", "m", Columns.LINKED, linked=True),
+            Topic("reaction", FORCE, "f_v", "N", Columns.LINKED, linked=True),
+            Topic("wave", WAVE, "c", "√W", Columns.LINKED, linked=True),
+            _TANK,
         ),
     }
 )
 """The topics of each role, in the order in which they are shown."""
 
 
-def topics_of(role: Role, masses: tuple[str, ...] = (), wall: bool = False) -> tuple[Topic, ...]:
+def topics_of(role: Role, masses: tuple[str, ...] = (), wall: bool = False, linked: bool = False) -> tuple[Topic, ...]:
     """The topics of a node of this role.
 
     Args:
         role: of the node.
         masses: of the environment; without them its topic of masses is left out.
         wall: whether it is, or may be, a device in wall time; the topics of these are left out otherwise.
+        linked: whether a wave link ends at it; the topics of such ends are left out otherwise.
     """
     return tuple(
         topic
         for topic in TOPICS.get(role, ())
-        if (masses or topic.columns is not Columns.MASSES) and (wall or not topic.wall)
+        if (masses or topic.columns is not Columns.MASSES) and (wall or not topic.wall) and (linked or not topic.linked)
     )
+
+
+def links_at(
+    node: str, role: Role, ports: Mapping[str, tuple[str, ...]], linked: Collection[str]
+) -> dict[str, tuple[str, ...]]:
+    """The wave links that end at a node: the ports of each, by its coupling.
+
+    Args:
+        node: its name.
+        role: its role.
+        ports: of every node.
+        linked: the couplings that have a wave link, in the session's order.
+    """
+    return {name: ports[name] for name in linked if role is Role.ENVIRONMENT or node == name}
 
 
 def topic_name(session: str, node: str, topic: str) -> str:

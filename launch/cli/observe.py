@@ -62,7 +62,8 @@ def echo(
         from manyhands.protocol.clock import RealtimeClock
 
         running = find_session(session or session_of(topic))
-        lines = EchoLines(find_topic(running.about, topic), running.about.period, count, every)
+        named = find_topic(running.about, topic)
+        lines = EchoLines(named, running.about.period_of(named.node), count, every)
         with visiting(running, RealtimeClock()) as (scene, seeing):
             for seen in seeing:
                 text = "\n".join(lines.lines(seen.message, scene.tick))

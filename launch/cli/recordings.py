@@ -135,6 +135,9 @@ def _print(found: Info, damages: list[Damage]) -> None:
         f"{found.ticks - (found.first or 0)} ticks of {recorded.period:g} s{begin}: {found.duration:g} s; "
         f"{recorded.clock} clock; {found.size} bytes",
     )
+    for period in sorted(set(recorded.periods.values())):
+        own = ", ".join(name for name, one in recorded.periods.items() if one == period)
+        say(out, f"ticks of {period:g} s: {own}")
     table = Table("channel", box=None)
     table.add_column("messages", justify="right")
     table.add_column("rate [Hz]", justify="right")
@@ -175,7 +178,10 @@ def export(
         ),
     ] = [],  # noqa: B006
 ) -> None:
-    """Write a recording as a table, one row a tick, every number exact."""
+    """Write a recording as a table, one row a tick, every number exact.
+
+    Where a node has a period of its own, each row has the newest of its ticks.
+    """
     with errors():
         from manyhands.launch.recordings.run import read_run
         from manyhands.launch.recordings.tables import FORMATS

@@ -191,13 +191,14 @@ _MOST_SENTENCES: Final = 8  # shown of each kind, the latest ones
 
 def top_object(scene: Scene) -> dict[str, Any]:
     """The object that ``--json`` prints: that of :func:`session_object`, with figures, links, notices and faults."""
-    found = session_object(scene)
+    found, links = session_object(scene), scene.felt_links
     for name, node in scene.nodes.items():
         keys = {column.figure for column in COLUMNS} & node.figures.keys()
         found["nodes"][name]["figures"] = {key: json_number(node.figures[key]) for key in sorted(keys)}
     found["links"] = [
         {"between": list(link.ends), "health": scene.link_health(link).value} for link in scene.about.links
     ]
+    found |= {"wave_links": {name: felt.as_plain() for name, felt in links.items()}} if links else {}
     condition = scene.condition
     for kind in ("notices", "incidents", "faults"):
         found[kind] = [] if condition is None else list(getattr(condition, kind))
@@ -234,6 +235,8 @@ def sentences(scene: Scene) -> Iterator[tuple[str, str]]:
     for node in scene.nodes.values():
         if line := energy_line(node.figures):
             yield line, ""
+    for name, felt in scene.felt_links.items():
+        yield felt.sentence(name), "yellow" if felt.deaf else ""
     condition = scene.condition
     if condition is None:
         return

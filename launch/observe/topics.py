@@ -24,7 +24,7 @@ from manyhands.launch.session import SUPERVISOR
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.json_number import json_number
 from manyhands.nodes.observer.scene import About
-from manyhands.protocol.channels import CONDITION, LEDGER, TAU, TELEMETRY, Columns, Topic, topic_name, topics_of
+from manyhands.protocol.channels import CONDITION, LEDGER, TAU, TELEMETRY, Columns, Topic, topic_name
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Condition, Observation
 
@@ -61,12 +61,11 @@ class Named:
 
 def named_topics(about: About) -> dict[str, Named]:
     """Every topic of a session by ``NODE/TOPIC``, in the session's order; an uncertified session has no ledgers."""
-    masses = tuple(about.masses)
     found = []
-    for name, node in about.nodes.items():
+    for name in about.nodes:
         found += [
-            Named(about.session, name, topic.name, topic, topic.columns_of(node.ports, masses))
-            for topic in topics_of(node.role, masses, node.wall)
+            Named(about.session, name, topic.name, topic, columns)
+            for topic, columns in about.topics(name).items()
             if about.certificate is not None or topic.trace != LEDGER
         ]
         found.append(Named(about.session, name, TELEMETRY, None))
@@ -122,7 +121,7 @@ class EchoLines:
 
         Args:
             named: the topic.
-            period: T, s.
+            period: T of its node, s.
             count: lines to make; None for no limit.
             every: N; a topic with a value for each tick prints the ticks that are multiples of N, any other topic each
                 Nth message.

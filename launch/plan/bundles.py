@@ -59,7 +59,7 @@ from manyhands.nodes.bundle import (
 )
 from manyhands.nodes.environment.energy import EnergyBudget
 from manyhands.nodes.environment.model import ModelName
-from manyhands.protocol.channels import topics_of
+from manyhands.protocol.channels import links_at, topics_of
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Role
 
@@ -347,8 +347,9 @@ def _columns(session: Session, graph: Topology, name: str, clock: str) -> int:
     if name not in graph.nodes:
         return 0
     ports, masses = graph.ports[name], mass_names(session)
-    topics = topics_of(graph.nodes[name], masses, session.in_wall_time(name, clock))
-    return sum(len(topic.columns_of(ports, masses)) for topic in topics)
+    links = links_at(name, graph.nodes[name], graph.ports, session.wave_links)
+    topics = topics_of(graph.nodes[name], masses, session.in_wall_time(name, clock), bool(links))
+    return sum(len(topic.columns_of(ports, masses, links)) for topic in topics)
 
 
 def _telemetry_ticks(period: float, columns: int) -> int:

@@ -21,8 +21,9 @@ from manyhands.launch.observe.sessions import NoSession, Running
 from manyhands.launch.run.processes import Interrupt
 from manyhands.launch.run.states import SessionPhase
 from manyhands.nodes.observer.scene import ABOUT, About
+from manyhands.nodes.own_ticks import session_tick
 from manyhands.nodes.recorder.core import RecorderCore
-from manyhands.nodes.recorder.format import MEDIA_TYPES, Recorded
+from manyhands.nodes.recorder.format import Recorded, media_type
 from manyhands.nodes.recorder.mcap import RecordingFile
 from manyhands.nodes.recorder.node import FLUSH_EVERY
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
@@ -56,6 +57,8 @@ def recorded_of(about: About) -> Recorded:
         roles={name: node.role for name, node in about.nodes.items()},
         ports={name: node.ports for name, node in about.nodes.items()},
         masses=tuple(about.masses),
+        periods={name: node.period for name, node in about.nodes.items() if node.period is not None},
+        linked=about.linked,
     )
 
 
@@ -110,14 +113,14 @@ class AttachedCore:
 
     @property
     def tick(self) -> int:
-        """The tick after the last one of the recording."""
+        """The session's tick after the last one of the recording."""
         return self._core.tick
 
     @property
     def beginning(self) -> dict[str, int]:
-        """The first tick of each device that arrived."""
-        found = self._core.coverage.items()
-        return {device: coverage.first for device, coverage in found if coverage.first is not None}
+        """The session's tick in which the first tick of each device lies that arrived."""
+        rate_of, found = self._recorded.rate_of, self._core.coverage.items()
+        return {device: session_tick(one.first, rate_of(device)) for device, one in found if one.first is not None}
 
     @property
     def missing(self) -> dict[str, int]:
@@ -168,11 +171,11 @@ class AttachedRecording:
 def attachments_in(directory: Path) -> dict[str, bytes]:
     """The files of a session's directory that belong into its recording, as far as they exist."""
     found = {}
-    for name in MEDIA_TYPES:
+    for name in sorted(path.name for path in directory.iterdir() if media_type(path.name)):
         try:
             with open_regular(directory / name) as file:
                 data = file.read(MOST_ATTACHED_BYTES + 1)
-        except FileNotFoundError:  # an uncertified session has no certificate
+        except FileNotFoundError:  # the session has just ended
             continue
         if len(data) <= MOST_ATTACHED_BYTES:
             found[name] = data

@@ -10,6 +10,8 @@ the others sent it, by the arithmetic of the nodes. The result is compared with 
 | device in wall time | the forces of its couplings, its hand, s_k and a_k | the same, the exerted force, e_k |
 | coupling | x of its devices, f_v from the environment | p, its ledger |
 | environment | p of all couplings | x_e, q, f_v, its ledger |
+| wave link, user's end | p of the coupling, the wave c | f_v, its tank |
+| wave link, world's end | f_v behind the clutch, the wave c | p, its tank |
 
 Signals that two parties recorded are compared as well. So a number that was changed afterwards contradicts others at
 its own tick. What a recording does not hold is not claimed: each check lists the ticks that it does not cover, with the
@@ -20,7 +22,7 @@ Some checks need no state of a party (:mod:`manyhands.launch.recordings.checks`)
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -34,6 +36,14 @@ from manyhands.launch.recordings.audit_coupling import recompute_coupling
 from manyhands.launch.recordings.audit_device import ROUNDING as FREE_ROUNDING
 from manyhands.launch.recordings.audit_device import WallRows, recompute_device, recompute_in_wall_time
 from manyhands.launch.recordings.audit_environment import ROUNDING, Blocks, increments, recompute_environment
+from manyhands.launch.recordings.audit_wave_link import (
+    EndRows,
+    end_checks,
+    heard_from,
+    ledger_of_both,
+    user_end,
+    world_end,
+)
 from manyhands.launch.recordings.checks import (
     account_bounded,
     bounded,
@@ -53,10 +63,20 @@ from manyhands.launch.recordings.replay import hand_of
 from manyhands.launch.recordings.run import RecordedRun, changed_after, first_sign, grown_in, rows_of, there
 from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes import telemetry as names
-from manyhands.nodes.bundle import SIMULATED, WALL, CouplingBundle, DeviceBundle, EnvironmentBundle
+from manyhands.nodes.bundle import (
+    SIMULATED,
+    WALL,
+    CouplingBundle,
+    DeviceBundle,
+    EnvironmentBundle,
+    WaveEnd,
+    wave_feedthrough,
+)
 from manyhands.nodes.device.core import Guard
 from manyhands.nodes.environment.clutch import LET_GO
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
+from manyhands.nodes.tick_events import Kind, events_in
+from manyhands.protocol.channels import TANK_NAMES
 
 Array = NDArray[np.float64]
 
@@ -73,6 +93,9 @@ def let_go_source(offsets: int) -> str:
         text += f"; and in {offsets} ticks LET_GO = {LET_GO:g} m times the force, the offset that a clutch may drop"
     return text
 
+
+_WAVE_TRACES: Final = (names.FREE_POSITION, names.FORCE, names.WAVE, names.TANK)
+"""The traces of an end of a wave link, in the order of :class:`EndRows`."""
 
 TickProgress = Callable[[int], None]
 
@@ -179,38 +202,17 @@ class _AuditRun:
         of = self._bundles.items()
         devices = {name: bundle for name, bundle in of if isinstance(bundle, DeviceBundle)}
         couplings = {name: bundle for name, bundle in of if isinstance(bundle, CouplingBundle)}
-        x, f = (self._wide([*devices], trace) for trace in (names.DISPLACEMENT, names.FORCE))
-        blocks = Blocks(
-            couplings,
-            {name: self._ports[name] for name in couplings},
-            self._wide([*couplings], names.FREE_POSITION),
-            self._wide([*couplings], names.FORCE),
-            {name: self._course(name, coupling) for name, coupling in couplings.items()},
-        )
-        courses = {name: self._course(name, device) for name, device in devices.items()}
+        users: dict[str, DeviceBundle | CouplingBundle] = {**devices, **couplings}
+        courses = {name: self._course(name, bundle) for name, bundle in users.items()}
         out: list[Check] = []
-        for name, device in devices.items():
-            if device.time == WALL:
-                out += self._in_wall_time(name, device, x, f, blocks.f, courses[name])
-            else:
-                self._follow_guard(name, device, x, f, blocks.f)
-                out += self._device(name, device, courses[name])
-                jumped = np.array([k for k, happened in courses[name].before.items() if happened.jumped], dtype=np.intp)
-                sent_on = np.ix_(jumped, self._ports[name])
-                f[sent_on] = np.where(f[sent_on] == 0.0, np.nan, f[sent_on])  # a zero force is in no coupling's row
-            self._next()
-        for name, coupling in couplings.items():
-            own, course = self._ports[name], blocks.courses[name]
-            of_devices = [courses[device] for device in self._session.devices_of(name)]
-            again = recompute_coupling(
-                coupling, x[:, own], blocks.p[:, own], blocks.f[:, own], course, of_devices, self._report
+        for rate in sorted({self._run.recorded.rate_of(name) for name in courses}):
+            own = {name for name in courses if self._run.recorded.rate_of(name) == rate}
+            out += self._users(
+                {name: device for name, device in devices.items() if name in own},
+                {name: coupling for name, coupling in couplings.items() if name in own},
+                courses,
             )
-            out += self._compared(
-                name, names.FREE_POSITION, "p follows from x and f_v by the certificate's block", again
-            )
-            self._next()
-        out += forces_agree(self._run, blocks, f)
-        out += self._environment(blocks)
+        out += self._environment(couplings, courses)
         ledgers = [name for name in self._bundles if self._has_ledger(name)]
         out += [figures_agree(self._run, name) for name in ledgers]
         out += [bounded(self._run, name) for name in ledgers if name not in devices]
@@ -223,6 +225,50 @@ class _AuditRun:
             out += [*limits_kept(self._run, name, device, courses[name]), *assumed]
         order = {"session": -1} | {name: i for i, name in enumerate(self._bundles)}
         return sorted(out, key=lambda check: order[check.party])
+
+    def _users(
+        self,
+        devices: Mapping[str, DeviceBundle],
+        couplings: Mapping[str, CouplingBundle],
+        courses: Mapping[str, Course],
+    ) -> list[Check]:
+        """The checks of all devices and couplings of one period.
+
+        Args:
+            devices: by name.
+            couplings: by name.
+            courses: what happened between the rows of each.
+        """
+        x, f = (self._wide([*devices], trace) for trace in (names.DISPLACEMENT, names.FORCE))
+        blocks = Blocks(
+            couplings,
+            {name: self._ports[name] for name in couplings},
+            self._wide([*couplings], names.FREE_POSITION),
+            self._wide([*couplings], names.FORCE),
+            courses,
+        )
+        out: list[Check] = []
+        for name, device in devices.items():
+            if device.time == WALL:
+                out += self._in_wall_time(name, device, x, f, blocks.f, courses[name])
+            else:
+                self._follow_guard(name, device, x, f, blocks.f)
+                out += self._device(name, device, courses[name])
+                jumped = np.array([k for k, happened in courses[name].before.items() if happened.jumped], dtype=np.intp)
+                sent_on = np.ix_(jumped, self._ports[name])
+                f[sent_on] = np.where(f[sent_on] == 0.0, np.nan, f[sent_on])  # a zero force is in no coupling's row
+            self._next()
+        for name, coupling in couplings.items():
+            own, course = self._ports[name], courses[name]
+            of_devices = [courses[device] for device in self._session.devices_of(name)]
+            again = recompute_coupling(
+                coupling, x[:, own], blocks.p[:, own], blocks.f[:, own], course, of_devices, self._report
+            )
+            out += self._compared(
+                name, names.FREE_POSITION, "p follows from x and f_v by the certificate's block", again
+            )
+            self._next()
+        return out + forces_agree(self._run, blocks, f)
 
     def _assumed(self, name: str, bundle: DeviceBundle, course: Course) -> list[Check]:
         """What the certificate assumes of a device's delays and periods."""
@@ -251,12 +297,12 @@ class _AuditRun:
                 x[begin:, own] = f[begin:, own] = np.nan
             return
         guard: Guard | None = None
-        for k in range(run.ticks):
+        for k in range(len(x)):
             at = x[k, own].tolist()
             if not np.all(np.isfinite(at)):
                 guard = None  # a new process begins with a new guard
                 continue
-            guard = guard or Guard(bundle.limits, self._session.period, bundle.common.ports)
+            guard = guard or Guard(bundle.limits, bundle.common.period, bundle.common.ports)
             x[k, own] = guard.report(at)
             wanted = asked[k, own].tolist()
             if guard.let_go and guard.clip(wanted.copy()) == f[k, own].tolist():
@@ -296,7 +342,7 @@ class _AuditRun:
         instants, account = rows_of(run, name, names.INSTANTS), rows_of(run, name, names.INTERFACE)
         let_go = changed_after(figures, names.LET_GO)
         applied = rows_of(run, name, names.APPLIED)
-        stopped = grown_in(figures, names.SUSPENDED, run.ticks)
+        stopped = grown_in(figures, names.SUSPENDED, len(x))
         rows = WallRows(its_x, its_f, asked[:, own], instants, applied, let_go, stopped)
         again = recompute_in_wall_time(
             bundle, lambda: hand_of(bundle, self._session, run.recorded.clock), rows, course, self._report
@@ -304,7 +350,7 @@ class _AuditRun:
         counts = (names.LET_GO, names.INTERFACE_TICKS, names.INTERFACE_OFFSET)
         changed = [tick for count in counts if (tick := changed_after(figures, count)) is not None]
         known = there(again.sent)
-        unknown = ~known & (np.arange(run.ticks) >= min(changed, default=run.ticks))
+        unknown = ~known & (np.arange(len(x)) >= min(changed, default=len(x)))
         same = known & (again.exerted == its_f).all(axis=1)
         x[np.ix_(known, own)], x[np.ix_(unknown, own)] = again.sent[known], np.nan
         f[np.ix_(same, own)], f[np.ix_(unknown, own)] = asked[np.ix_(same, own)], np.nan
@@ -372,10 +418,18 @@ class _AuditRun:
         rows = there(rows_of(run, name, trace)) & there(rows_of(run, name, names.FORCE))
         return course_of(run.figures.get(name, ()), rows, len(bundle.rungs), couplings)
 
-    def _environment(self, blocks: Blocks) -> list[Check]:
+    def _environment(self, couplings: Mapping[str, CouplingBundle], courses: Mapping[str, Course]) -> list[Check]:
         run, bundle = self._run, self._bundles[ENVIRONMENT]
         if not isinstance(bundle, EnvironmentBundle):
             raise AssertionError("every session has an environment")
+        blocks = Blocks(
+            couplings,
+            {name: self._ports[name] for name in couplings},
+            self._at_the_world([*couplings], names.FREE_POSITION),
+            self._at_the_world([*couplings], names.FORCE),
+            courses,
+            {name: wave_feedthrough(wave.b, bundle.common.period) for name, wave in bundle.waves.items()},
+        )
         sign = first_sign(run, ENVIRONMENT)
         tools, ledger = rows_of(run, ENVIRONMENT, names.TOOL_POSITION), rows_of(run, ENVIRONMENT, names.LEDGER)
         again = recompute_environment(bundle, blocks, tools, ledger, sign, self._report)
@@ -405,8 +459,11 @@ class _AuditRun:
             figures = run.figures.get(ENVIRONMENT, ())
             silent = np.zeros(blocks.f.shape, dtype=np.bool_)
             for name, its in blocks.ports.items():
-                silent[:, its] = sent_no_force(figures, name, there(blocks.f[:, its]))[:, None]
-            own = increments(bundle.Phi_E, self._session.period, blocks, tools, ledger, sign[0], silent)
+                if name not in blocks.faces:
+                    silent[:, its] = sent_no_force(figures, name, there(blocks.f[:, its]))[:, None]
+            events = (event for _, values in figures for event in events_in(values))
+            begun = [event.tick for event in events if event.kind is Kind.BEGAN and 0 < event.tick < len(tools)]
+            own = increments(bundle.Phi_E, self._session.period, blocks, tools, ledger, sign[0], silent, begun)
             what = "its ledger gains in each tick the work at the couplings' ends and the dissipation by Phi_E"
             source = let_go_source(own.offsets)
             out.append(
@@ -422,7 +479,42 @@ class _AuditRun:
                     source=source,
                 )
             )
+        for name, wave in bundle.waves.items():
+            out += self._wave_link(name, couplings[name], bundle, wave, courses[name])
         return out
+
+    def _wave_link(
+        self, name: str, coupling: CouplingBundle, world: EnvironmentBundle, wave: WaveEnd, course: Course
+    ) -> list[Check]:
+        """The checks of a wave link: each end, what each has heard of the other, and the energy at both."""
+        run = self._run
+        if coupling.wave is None:
+            raise AssertionError("the world has the end of a wave link, and its coupling has none")
+        own, its = (
+            EndRows(*(self._of_link(node, name, trace) for trace in _WAVE_TRACES)) for node in (name, ENVIRONMENT)
+        )
+        user = user_end(coupling.common, coupling, coupling.wave, own, course)
+        other = world_end(world.common, wave, its, name, run.figures.get(ENVIRONMENT, ()))
+        ports = run.recorded.ports[name]
+        return [
+            *end_checks(name, name, ports, user, user=True),
+            *end_checks(ENVIRONMENT, name, ports, other, user=False),
+            heard_from(name, ENVIRONMENT, user, other),
+            heard_from(ENVIRONMENT, name, other, user),
+            ledger_of_both(name, user, other, run.recorded.rate_of(name)),
+        ]
+
+    def _of_link(self, node: str, coupling: str, trace: str) -> Array:
+        """The columns of a trace of ``node`` that belong to the wave link of ``coupling``."""
+        rows, links = rows_of(self._run, node, trace), self._run.recorded.links_of(node)
+        width = len(TANK_NAMES) if trace == names.TANK else 0
+        begin = 0
+        for name, ports in links.items():
+            end = begin + (width or len(ports))
+            if name == coupling:
+                return rows[:, begin:end]
+            begin = end
+        raise AssertionError("every coupling of the audit's bundles with a wave link is one of the recording's")
 
     def _compared(self, name: str, trace: str, what: str, again: Recomputed) -> list[Check]:
         """Compare a party's signal and its ledger."""
@@ -442,9 +534,19 @@ class _AuditRun:
 
     def _wide(self, nodes: list[str], trace: str) -> Array:
         """One trace of several nodes, in the order of the session's ports."""
-        out = np.full((self._run.ticks, len(self._session.ports)), np.nan)
+        ticks = max((self._run.ticks_of(name) for name in nodes), default=0)
+        out = np.full((ticks, len(self._session.ports)), np.nan)
         for name in nodes:
             out[:, self._ports[name]] = rows_of(self._run, name, trace)
+        return out
+
+    def _at_the_world(self, couplings: Sequence[str], trace: str) -> Array:
+        """One trace of all couplings at the environment: of those with a wave link, that of the world's end."""
+        linked = self._run.recorded.links_of(ENVIRONMENT)
+        out = np.full((self._run.ticks_of(ENVIRONMENT), len(self._session.ports)), np.nan)
+        for name in couplings:
+            at = self._of_link(ENVIRONMENT, name, trace) if name in linked else rows_of(self._run, name, trace)
+            out[:, self._ports[name]] = at
         return out
 
     def _report(self, tick: int) -> None:

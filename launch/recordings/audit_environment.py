@@ -16,8 +16,8 @@ are checked at every tick, to rounding. That holds for a user's own model as wel
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -51,6 +51,8 @@ class Blocks:
         p: ticks x m, m; NaN where a coupling has no row.
         f: the forces that they handed on, ticks x m, N; NaN where a coupling has no row.
         courses: what happened between each coupling's rows.
+        faces: D_V = T b^-1 of the couplings with a wave link, m/N, by coupling. Their p and f are those of the world's
+            end, which the environment records itself: it has no force limits, and no rungs.
     """
 
     bundles: Mapping[str, CouplingBundle]
@@ -58,6 +60,7 @@ class Blocks:
     p: Array
     f: Array
     courses: Mapping[str, Course]
+    faces: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def D_V(self) -> Array:
@@ -65,15 +68,21 @@ class Blocks:
         m = self.p.shape[1]
         out = np.zeros((m, m))
         for name, bundle in self.bundles.items():
-            out[np.ix_(self.ports[name], self.ports[name])] = bundle.block.D
+            own = np.ix_(self.ports[name], self.ports[name])
+            out[own] = self.faces.get(name, bundle.block.D)
         return out
+
+    @property
+    def limits(self) -> Mapping[str, Sequence[float]]:
+        """The greatest forces that each coupling in the tick hands on, N."""
+        return {name: bundle.limits.force for name, bundle in self.bundles.items() if name not in self.faces}
 
     @property
     def clipped(self) -> NDArray[np.bool_]:
         """The ticks in which some force is at its limit, so that the environment's own force may be a greater one."""
         out = np.zeros(len(self.f), dtype=np.bool_)
-        for name, bundle in self.bundles.items():
-            out |= (np.abs(self.f[:, self.ports[name]]) >= np.array(bundle.limits.force)).any(axis=1)
+        for name, most in self.limits.items():
+            out |= (np.abs(self.f[:, self.ports[name]]) >= np.array(most)).any(axis=1)
         return out
 
     def ends(self) -> tuple[Array, Array]:
@@ -85,6 +94,10 @@ class Blocks:
         for name, bundle in self.bundles.items():
             own = self.ports[name]
             f, p = self.f[:, own], self.p[:, own]
+            if name in self.faces:
+                D = self.faces[name]
+                out[:, own], size[:, own] = p + f @ D.T, np.abs(p) + np.abs(f) @ np.abs(D).T
+                continue
             steps = [(0, 0), *self.courses[name].in_force, (len(f), 0)]
             for (begin, rung), (end, _) in pairwise(steps):
                 D = bundle.rungs[rung].block.D
@@ -145,7 +158,7 @@ def recompute_environment(
         out.gaps.append(UncheckedTicks(0, ticks, why))
         return out
     core = environment_core(bundle, blocks.D_V, tuple(blocks.ports.values()))
-    limits = [(blocks.ports[name], Saturation(of.limits.force)) for name, of in blocks.bundles.items()]
+    limits = [(blocks.ports[name], Saturation(most)) for name, most in blocks.limits.items()]
     complete, begin, why = there(blocks.p), *sign
     for k in range(ticks):
         if not complete[k]:
@@ -170,8 +183,8 @@ def recompute_environment(
 
 
 def _forces(f: list[float], limits: list[tuple[NDArray[np.intp], Saturation]], m: int) -> list[float]:
-    """The forces that the couplings hand on: those of the environment, clipped to the limits."""
-    out = [0.0] * m
+    """The forces that the couplings hand on: those of the environment, clipped to the limits of those in the tick."""
+    out = f[:m]
     for ports, saturation in limits:
         for port, force in zip(ports.tolist(), saturation.clip([f[port] for port in ports]), strict=True):
             out[port] = force
@@ -198,7 +211,14 @@ class Increments:
 
 
 def increments(
-    Phi: Array, T: float, blocks: Blocks, tools: Array, ledger: Array, sign: int, silent: NDArray[np.bool_]
+    Phi: Array,
+    T: float,
+    blocks: Blocks,
+    tools: Array,
+    ledger: Array,
+    sign: int,
+    silent: NDArray[np.bool_],
+    begun: Sequence[int] = (),
 ) -> Increments:
     """The increments of the environment's ledger, from tools and couplings alone.
 
@@ -210,6 +230,7 @@ def increments(
         ledger: recorded, ticks x 1, J.
         sign: the first tick at which a clutch may have moved.
         silent: ticks x m, true where a coupling has no row and was sent no force.
+        begun: the first ticks of processes that took the place of one, which begin at rest with a ledger of their own.
     """
     ends, size = blocks.ends()
     rest = np.zeros((1, tools.shape[1]))
@@ -223,7 +244,7 @@ def increments(
     totals = ledger[:, 0]
     recorded = np.diff(np.concatenate([[0.0], totals]))
     recomputed = dissipated - work.sum(axis=1)
-    recomputed[blocks.clipped] = np.nan
+    recomputed[blocks.clipped] = recomputed[list(begun)] = np.nan
     before = np.vstack([rest, size[:-1]])
     moved = np.where(still, 0.0, np.abs(f) * np.where(still, 0.0, size + before + np.abs(tools)))
     speeds = T * np.abs(w) + np.abs(tools)
@@ -244,4 +265,5 @@ def increments(
     tolerance[used] += most[used]
     why = "a coupling has no row there, and no event states that it was sent no force"
     gaps = gaps_of(np.asarray(np.isnan(f).any(axis=1), dtype=np.bool_), why)
+    gaps += [UncheckedTicks(k, k + 1, "a new process of the environment began there, at rest") for k in begun]
     return Increments(recorded[:, None], recomputed[:, None], tolerance[:, None], len(used), gaps)

@@ -186,7 +186,7 @@ def limits_kept(run: RecordedRun, node: str, bundle: DeviceBundle, course: Cours
     ]
     if run.recorded.clock == SIMULATED:
         step = np.abs(np.diff(x, axis=0, prepend=x[:1]))
-        found.append(("step", step, tuple(run.recorded.period * v for v in bundle.limits.speed), "m"))
+        found.append(("step", step, tuple(bundle.common.period * v for v in bundle.limits.speed), "m"))
     out = []
     exerted = np.any(f != 0.0, axis=1, keepdims=True)
     for name, values, limits, unit in found:

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from manyhands.nodes.own_ticks import own_span
+
 Array = NDArray[np.float64]
 
 COLUMNS = 1000
@@ -26,10 +28,17 @@ class Curve:
     Attributes:
         label: of the port or node.
         values: one a tick; NaN where it is not known.
+        rate: ticks of the node in one of the picture's.
     """
 
     label: str
     values: Array
+    rate: float = 1.0
+
+    def window(self, rows: range) -> Curve:
+        """The same curve for these ticks of the picture."""
+        own = own_span(rows, self.rate)
+        return Curve(self.label, self.values[own.start : own.stop], self.rate)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +49,7 @@ class Panel:
         name: of the topic, by which the panel is asked for.
         title: what it shows.
         axis: the quantity, with its unit.
-        curves: of one length.
+        curves: all over the same time.
         zero: whether to draw a line at zero.
     """
 
@@ -52,8 +61,16 @@ class Panel:
 
     def window(self, first: int, beyond: int) -> Panel:
         """The same panel for the ticks ``first`` to ``beyond - 1``."""
-        curves = tuple(Curve(curve.label, curve.values[first:beyond]) for curve in self.curves)
+        curves = tuple(curve.window(range(first, beyond)) for curve in self.curves)
         return Panel(self.name, self.title, self.axis, curves, self.zero)
+
+
+def by_rate(curves: Sequence[Curve]) -> dict[float, list[Curve]]:
+    """The curves by their rate; those of one rate have one length."""
+    out: dict[float, list[Curve]] = {}
+    for curve in curves:
+        out.setdefault(curve.rate, []).append(curve)
+    return out
 
 
 def backward_difference(x: Array, period: float, sampled: Array | None = None) -> Array:

@@ -17,7 +17,8 @@ from manyhands.launch.recordings.mcap import End, Message, Messages, parts
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.run import cut_at, fitting, objects
 from manyhands.nodes import telemetry as names
-from manyhands.nodes.recorder.coverage import Coverage, missing_by_party
+from manyhands.nodes.own_ticks import session_tick
+from manyhands.nodes.recorder.coverage import Coverage, missing_by_party, spans_by_party
 from manyhands.nodes.recorder.coverage import Gap as MissingTicks
 from manyhands.nodes.recorder.format import METADATA, SUPERVISOR, Recorded, decode_figures
 from manyhands.protocol.channels import DISPLACEMENT, TELEMETRY, topic_name, topics_of
@@ -53,11 +54,11 @@ class Info:
     Attributes:
         recorded: the session.
         size: of the file, bytes.
-        first: the first tick of any device; None where there is none.
-        ticks: one more than the last tick.
+        first: the session's first tick of any device; None where there is none.
+        ticks: one more than the session's last tick.
         channels: by node, in the session's order.
         attachments: size in bytes by name.
-        missing: number of ticks that are missing between first and last, by device, for devices that miss some.
+        missing: number of its own ticks that are missing between first and last, by device, for devices that miss some.
         gaps: the missing ticks by device; the first :data:`MOST_GAPS`.
         accounts: the least interface account of each device that reported one, J.
         cut: why the file cannot be read to its end, and up to which tick it can; None for a whole file.
@@ -88,6 +89,7 @@ class Info:
             "version": recorded.version,
             "clock": recorded.clock,
             "period": recorded.period,
+            "periods": dict(recorded.periods),
             "bytes": self.size,
             "first": self.first,
             "ticks": self.ticks,
@@ -191,19 +193,21 @@ class _InfoReader:
                 f"{self._path}: found no metadata of a session ({self._why or 'another file'}); expected a recording"
             )
         devices = dict(self._devices.values())
-        first = min((ticks.first for ticks in devices.values() if ticks.first is not None), default=None)
-        begin, end = first or 0, max((ticks.next for ticks in devices.values()), default=0)
-        missing = missing_by_party(devices, begin, end)
+        rate_of = self._recorded.rate_of
+        begun = [session_tick(own.first, rate_of(name)) for name, own in devices.items() if own.first is not None]
+        end = max((session_tick(own.next - 1, rate_of(name)) + 1 for name, own in devices.items()), default=0)
+        spans = spans_by_party(devices, rate_of)
+        missing = missing_by_party(devices, spans)
         order = {node: place for place, node in enumerate([*self._recorded.roles, SUPERVISOR])}
         return Info(
             recorded=self._recorded,
             size=self._path.stat().st_size,
-            first=first,
+            first=min(begun, default=None),
             ticks=end,
             channels=tuple(sorted(self._channels.values(), key=lambda channel: order.get(_node_of(channel.topic), 0))),
             attachments=self._attachments,
             missing=missing,
-            gaps={device: devices[device].gaps_in(begin, end) for device in missing},
+            gaps={device: devices[device].gaps_in(spans[device].start, spans[device].stop) for device in missing},
             accounts={device: self._accounts[device] for device in devices if device in self._accounts},
             cut=None if self._why is None else cut_at(self._why, end),
         )

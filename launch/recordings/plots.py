@@ -32,12 +32,23 @@ from rich.progress import Progress
 
 from manyhands.design.files import replacing
 from manyhands.launch.files import TargetError, require_target
-from manyhands.launch.recordings.curves import Array, Curve, Panel, alone, backward_difference, band, gaps, thinned
+from manyhands.launch.recordings.curves import (
+    Array,
+    Curve,
+    Panel,
+    alone,
+    backward_difference,
+    band,
+    by_rate,
+    gaps,
+    thinned,
+)
 from manyhands.launch.recordings.recording import RUN_SUFFIXES, STREAMED, Recording, RecordingError, require_format
 from manyhands.launch.recordings.run import RecordedRun, RecordedTrace, read_run
 from manyhands.launch.recordings.tables import read_saved
 from manyhands.launch.run.states import is_summary
 from manyhands.nodes.bundle import REALTIME
+from manyhands.nodes.own_ticks import own_tick
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
 from manyhands.protocol.channels import INSTANTS, INTERFACE, LEDGER, TAU, TOPICS
 from manyhands.protocol.messages import Condition, Role, presentable
@@ -56,6 +67,8 @@ _TITLES: Final[Mapping[str, str]] = MappingProxyType(
         "ledger": "energy ledgers: below zero a promise is broken",
         "tau": "delays inside the tick",
         "interface": "energy accounts of the devices' interfaces",
+        "wave": "waves that come in over wave links",
+        "tank": "energy of the ends of wave links: in the tank (L), shipped (G), heard (H)",
     }
 )
 """Titles by quantity, in the order in which they are shown."""
@@ -93,12 +106,12 @@ class Delays:
     Attributes:
         curves: tau of each device, us.
         certified: tau of the certificate, us; None where the file has none.
-        period: T, us.
+        periods: T of the devices, us, each once.
     """
 
     curves: tuple[Curve, ...]
     certified: float | None
-    period: float
+    periods: tuple[float, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +120,7 @@ class Picture:
 
     Attributes:
         title: of the picture.
-        period: T, s.
+        period: T, s; a node with a period of its own has curves of another rate.
         first: the first tick shown.
         ticks: number of ticks shown.
         panels: over time, from the top.
@@ -143,7 +156,7 @@ def picture_of_run(run: RecordedRun, quantities: Sequence[str] | None = None) ->
     """
     recorded, ticks = run.recorded, run.ticks
     realtime = recorded.clock == REALTIME
-    there = {panel.name: panel for panel in _panels(run.traces, recorded.period, ticks)}
+    there = {panel.name: panel for panel in _panels(run.traces, recorded.period, run.ticks_of, recorded.rate_of)}
     delays = there.pop("tau", None)
     wanted = _wanted(quantities, [*there, *(["tau"] if delays and realtime else [])], realtime)
     name = f"{recorded.session}, {recorded.clock} clock, certificate {recorded.certificate:.12}"
@@ -153,7 +166,11 @@ def picture_of_run(run: RecordedRun, quantities: Sequence[str] | None = None) ->
         first=run.first,
         ticks=ticks,
         panels=tuple(there[name] for name in wanted if name in there),
-        delays=Delays(delays.curves, _certified_tau(run.attachments), recorded.period * 1e6)
+        delays=Delays(
+            delays.curves,
+            _certified_tau(run.attachments),
+            tuple(sorted({recorded.period_of(device) * 1e6 for device in recorded.devices})),
+        )
         if delays is not None and "tau" in wanted
         else None,
         marks=marks_of(run.conditions, recorded.period),
@@ -173,7 +190,7 @@ def picture_of_recording(recording: Recording, quantities: Sequence[str] | None 
         for name, values in (("sample", recording.x), ("force", recording.f_v))
     }
     ticks = len(recording.x)
-    there = {panel.name: panel for panel in _panels(traces, recording.period, ticks)}
+    there = {panel.name: panel for panel in _panels(traces, recording.period, lambda _node: ticks, lambda _node: 1.0)}
     wanted = _wanted(quantities, list(there), realtime=True)
     certificate = f", certificate {recording.certificate:.12}" if recording.certificate else ""
     title = f"{recording.session}{certificate}, {ticks} ticks, {ticks * recording.period:g} s"
@@ -200,7 +217,7 @@ def between(picture: Picture, start: float | None, end: float | None) -> Picture
         raise NotDrawable(f"--until: found {end:g} s; expected more than --from, {start or 0.0:g} s")
     delays, rows = picture.delays, (first - picture.first, beyond - picture.first)
     if delays is not None:
-        curves = tuple(Curve(curve.label, curve.values[slice(*rows)]) for curve in delays.curves)
+        curves = tuple(curve.window(range(*rows)) for curve in delays.curves)
         delays = replace(delays, curves=curves)
     return replace(
         picture,
@@ -240,8 +257,20 @@ def _wanted(quantities: Sequence[str] | None, there: Collection[str], realtime: 
     return out
 
 
-def _panels(traces: Mapping[tuple[str, str], RecordedTrace], period: float, ticks: int) -> list[Panel]:
-    """A panel for every recorded quantity, in the order of the table; a node with fewer ticks than others has a gap."""
+def _panels(
+    traces: Mapping[tuple[str, str], RecordedTrace],
+    period: float,
+    ticks_of: Callable[[str], int],
+    rate_of: Callable[[str], float],
+) -> list[Panel]:
+    """A panel for every recorded quantity, in the order of the table; a node with fewer rows than ticks has a gap.
+
+    Args:
+        traces: by node and topic name.
+        period: T of the picture, s.
+        ticks_of: the number of a node's ticks.
+        rate_of: ticks of a node in one of the picture's.
+    """
     found: dict[str, list[RecordedTrace]] = {}
     nodes: dict[str, list[str]] = {}
     recorded = {name for (_, name), trace in traces.items() if not np.all(np.isnan(trace.values))}
@@ -258,13 +287,16 @@ def _panels(traces: Mapping[tuple[str, str], RecordedTrace], period: float, tick
         curves: list[Curve] = []
         for node, trace in zip(nodes[source], found[source], strict=True):
             labels = (node,) if topic.trace in (LEDGER, TAU, INTERFACE) else trace.columns
+            ticks, rate = ticks_of(node), rate_of(node)
+            used = {curve.label for curve in curves}
+            labels = tuple(f"{node} {label}" if label in used else label for label in labels)
             values = _of_length(trace.values, ticks)
             if name == VELOCITY:
                 instants = traces.get((node, _INSTANTS))
                 values = backward_difference(
-                    values, period, None if instants is None else _of_length(instants.values[:, :1], ticks)
+                    values, period / rate, None if instants is None else _of_length(instants.values[:, :1], ticks)
                 )
-            curves += [Curve(label, column) for label, column in zip(labels, values.T, strict=True)]
+            curves += [Curve(label, column, rate) for label, column in zip(labels, values.T, strict=True)]
         axis = f"velocity [{topic.unit}/s]" if name == VELOCITY else f"{topic.symbol} [{topic.unit}]"
         panels.append(Panel(name, title, axis, tuple(curves), zero=topic.trace in (LEDGER, INTERFACE)))
     return panels
@@ -382,21 +414,36 @@ def draw_panel(axes: Axes, time: Array, panel: Panel) -> None:
     axes.margins(x=0.0)
     if panel.zero:
         axes.axhline(0.0, color=_BAD, linewidth=0.8, linestyle=":")
-    missing = gaps(panel.curves)
-    period = time[1] - time[0] if len(time) > 1 else 0.0
-    if missing:
-        spans = [(time[first], (beyond - first) * period) for first, beyond in missing]
+    groups = by_rate(panel.curves)
+    times = {rate: _time_of(curves[0], time) for rate, curves in groups.items()}
+    spans = []
+    for rate, curves in groups.items():
+        own = times[rate]
+        period = own[1] - own[0] if len(own) > 1 else 0.0
+        spans += [(own[first], (beyond - first) * period) for first, beyond in gaps(curves)]
+    if spans:
         axes.broken_barh(spans, (0.0, 1.0), transform=axes.get_xaxis_transform(), facecolor=_GAP,
                          edgecolor=_GAP, linewidth=0.5, zorder=0.5, label="not recorded")  # fmt: skip
     if len(panel.curves) > MOST_LINES:
-        _draw_band(axes, time, panel.curves)
+        for rate, curves in groups.items():
+            _draw_band(axes, times[rate], curves)
     else:
         for number, curve in enumerate(panel.curves):
-            _draw_line(axes, time, curve, number)
+            _draw_line(axes, times[curve.rate], curve, number)
     handles, labels = axes.get_legend_handles_labels()
     axes.legend(handles, labels, loc="upper left", bbox_to_anchor=(1.0, 1.02), fontsize="x-small", frameon=False)
     if len(time) > 1:
         axes.set_xlim(time[0], time[-1])
+
+
+def _time_of(curve: Curve, time: Array) -> Array:
+    """The instants of a curve's ticks, s, where those of the picture's ticks are ``time``."""
+    if curve.rate == 1.0 or len(time) < 2:
+        return time
+    period = time[1] - time[0]
+    first = own_tick(round(time[0] / period), curve.rate)
+    ticks: Array = np.arange(first, first + len(curve.values), dtype=np.float64)
+    return ticks * float(period / curve.rate)
 
 
 def _draw_line(axes: Axes, time: Array, curve: Curve, number: int) -> None:
@@ -432,7 +479,7 @@ def draw_delays(axes: Axes, delays: Delays) -> None:
     percentiles = "   ".join(f"{name} {np.percentile(every, share):.0f}" for name, share in
                       (("p50", 50.0), ("p99", 99.0), ("p99.9", 99.9), ("greatest", 100.0)))  # fmt: skip
     axes.set_title(f"delays inside the tick, µs:   {percentiles}", loc="left", fontsize="small")
-    limits = [limit for limit in (delays.certified, delays.period) if limit]
+    limits = [limit for limit in (delays.certified, *delays.periods) if limit]
     least, most = min(float(every.min()), *limits) * 0.9, max(float(every.max()), *limits) * 1.1
     edges = np.geomspace(least, most, _BINS + 1)
     shown = known if len(known) <= MOST_LINES else [Curve(f"all {len(known)} devices", every)]
@@ -440,7 +487,8 @@ def draw_delays(axes: Axes, delays: Delays) -> None:
         counts, _ = np.histogram(curve.values, edges)
         axes.stairs(counts, edges, color=_COLOURS[number % len(_COLOURS)], linewidth=1.0, label=label(curve.label),
                     linestyle="-" if number < len(_COLOURS) else "--")  # fmt: skip
-    for limit, name, style in ((delays.certified, "τ of the certificate", "--"), (delays.period, "period T", "-")):
+    periods = ((period, "period T", "-") for period in delays.periods)
+    for limit, name, style in ((delays.certified, "τ of the certificate", "--"), *periods):
         if limit:
             above = np.count_nonzero(every > limit) / len(every)
             text = f"{name}, {limit:.4g} µs:\n{above:.2%} above"

@@ -15,7 +15,7 @@ from manyhands.launch.plan.prepare import UNCERTIFIED, NotCertified, Prepared, p
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.run import RecordedRun
 from manyhands.launch.session import Session, SessionError, load_session
-from manyhands.nodes.recorder.format import CERTIFICATE_FILE, SESSION_FILE
+from manyhands.nodes.recorder.format import CERTIFICATE_FILE, SESSION_FILE, media_type
 
 StepProgress = Callable[[str], None]
 
@@ -58,14 +58,14 @@ def prepared_of(path: Path, run: RecordedRun, progress: StepProgress | None = No
 
 @contextmanager
 def _unpacked(path: Path, run: RecordedRun) -> Iterator[Path]:
-    """A temporary folder with the recording's session, and with its certificate if there is one."""
+    """A temporary folder with the recording's session, and with its certificates if there are any."""
     if SESSION_FILE not in run.attachments:
         raise RecordingError(f"{path}: found no session in it; expected the attachment {SESSION_FILE}")
-    with tempfile.TemporaryDirectory(prefix="recorded-") as name:
-        folder = Path(name)
-        for attachment in (SESSION_FILE, CERTIFICATE_FILE):
-            if attachment in run.attachments:
-                (folder / attachment).write_bytes(run.attachments[attachment])
+    with tempfile.TemporaryDirectory(prefix="recorded-") as temporary:
+        folder = Path(temporary)
+        for name, data in run.attachments.items():
+            if media_type(name):
+                (folder / name).write_bytes(data)
         yield folder
 
 
@@ -78,6 +78,8 @@ def _session(path: Path, run: RecordedRun, folder: Path) -> Session:
     for what, found, expected in (
         ("name", session.name, recorded.session),
         ("period", session.period, recorded.period),
+        ("periods of sites", session.own_periods, dict(recorded.periods)),
+        ("wave links", tuple(session.wave_links), recorded.linked),
         ("nodes", dict(graph.nodes), dict(recorded.roles)),
         ("ports", {name: graph.ports[name] for name in graph.nodes}, dict(recorded.ports)),
         ("masses", mass_names(session), tuple(recorded.masses)),

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from manyhands.design.files import replacing
 from manyhands.launch.files import require_target
 from manyhands.launch.recordings.curves import backward_difference
-from manyhands.nodes.recorder.coverage import Coverage, missing_by_party
+from manyhands.nodes.recorder.coverage import Coverage, missing_by_party, spans_by_party
 
 Array = NDArray[np.float64]
 
@@ -126,6 +126,27 @@ def require_format(path: Path, suffixes: tuple[str, ...]) -> None:
         raise RecordingError(f"{path}: found the suffix {path.suffix!r}; expected one of {', '.join(suffixes)}")
 
 
+def one_period(periods: Mapping[str, float], path: Path | None = None) -> float:
+    """The period that all of these devices have, s: a table with a row a tick has one for all.
+
+    Args:
+        periods: T of each device, s.
+        path: the file, for the message.
+
+    Raises:
+        RecordingError: two devices have different periods.
+    """
+    (first, period), *others = periods.items()
+    for device, other in others:
+        if other != period:
+            raise RecordingError(
+                f"{'' if path is None else f'{path}: '}found the period {period:g} s of {first} and {other:g} s of "
+                f"{device}; expected devices of one period, since this file has one row a tick: record a {STREAMED}, "
+                "which keeps the ticks of every node"
+            )
+    return period
+
+
 class Collector:
     """Joins the traces of the devices' telemetry, for each device separately.
 
@@ -179,7 +200,7 @@ class Collector:
         A realtime run may lose telemetry, so that no tick is disturbed. A device may also stop reporting, or never
         begin.
         """
-        return missing_by_party(self._coverage, 0, self.tick)
+        return missing_by_party(self._coverage, spans_by_party(self._coverage, lambda _device: 1.0, 0))
 
     def recording(self, session: str, certificate: str, period: float) -> Recording:
         """The whole run; ticks that a device did not report are NaN, up to the last tick of any device."""

@@ -171,11 +171,17 @@ class Replayed:
 
 
 def require_simulated(path: Path, run: RecordedRun) -> None:
-    """Refuse a recording of a session that kept real time.
+    """Refuse a recording of a session that kept real time, or whose nodes have different periods.
 
     Raises:
-        RecordingError: the recording has the realtime clock.
+        RecordingError: the recording has the realtime clock, or a site with a period of its own.
     """
+    if run.recorded.periods:
+        raise RecordingError(
+            f"{path}: found the period {next(iter(run.recorded.periods.values())):g} s of "
+            f"{next(iter(run.recorded.periods))}; expected the session's, {run.recorded.period:g} s, for every node, "
+            f"since a simulation has one. manyhands audit {path} checks a recording of either kind"
+        )
     if run.recorded.clock != SIMULATED:
         raise RecordingError(
             f"{path}: found a session in real time ({run.recorded.clock}), where late ticks and frozen couplings "

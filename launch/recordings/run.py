@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import chain
 from pathlib import Path
 from types import NoneType
@@ -22,7 +23,9 @@ from numpy.typing import NDArray
 from manyhands.launch.recordings.mcap import End, Messages, parts
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.nodes import telemetry as names
+from manyhands.nodes.own_ticks import own_span, own_tick, own_ticks_before, session_tick
 from manyhands.nodes.recorder.format import METADATA, SUPERVISOR, TICK, Recorded, decode_condition, decode_figures
+from manyhands.nodes.tick_events import Kind, events_in
 from manyhands.protocol.channels import CONDITION, LEDGER, TELEMETRY, Columns, Topic, topic_name
 from manyhands.protocol.messages import Condition, Role
 
@@ -121,7 +124,7 @@ class Gatherer:
         return max((int(at[at < most].max(initial=-1)) + 1 for at, _ in self._pieces), default=0)
 
     def rows(self, span: range) -> tuple[Array, NDArray[np.bool_]]:
-        """The rows of the ticks of ``span``, NaN where there are none, and which ticks have one."""
+        """The rows of the node's ticks in ``span``, NaN where there are none, and which ticks have one."""
         values = np.full((len(span), len(self.columns)), np.nan)
         present = np.zeros(len(span), dtype=np.bool_)
         for at, piece in self._pieces:
@@ -131,19 +134,27 @@ class Gatherer:
         return values, present
 
 
-def span_of(gatherers: Sequence[Gatherer], most_missing: int) -> range:
-    """The ticks of a recording, up to the latest with a row, such that at most ``most_missing`` numbers are missing.
+def span_of(gatherers: Mapping[tuple[str, str], Gatherer], recorded: Recorded, most_missing: int) -> range:
+    """The session's ticks in a recording, up to the latest with a row, of which few numbers are missing.
 
-    The span begins at tick 0. It begins at the first tick with a row if more than that is missing before, in a
-    recording of a session's later hours. Without the limit, a single message with an absurd tick would cost memory for
-    all ticks before it.
+    The span begins at tick 0. It begins at the first tick with a row if too much is missing before, in a recording of a
+    session's later hours. Without the limit, a single message with an absurd tick would cost memory for all ticks
+    before it.
+
+    Args:
+        gatherers: the rows, by node and topic name.
+        recorded: the session.
+        most_missing: the most numbers that may be missing.
     """
-    found = sum(gatherer.count * len(gatherer.columns) for gatherer in gatherers)
-    width = sum(len(gatherer.columns) for gatherer in gatherers)
-    room = (found + most_missing) // max(1, width)
-    earliest = min((gatherer.first for gatherer in gatherers if gatherer.first is not None), default=0)
+    by_rate = [(gatherer, recorded.rate_of(node)) for (node, _), gatherer in gatherers.items()]
+    found = sum(gatherer.count * len(gatherer.columns) for gatherer, _ in by_rate)
+    width = sum(len(gatherer.columns) * rate for gatherer, rate in by_rate)
+    room = int((found + most_missing) // max(1.0, width))
+    starts = [session_tick(gatherer.first, rate) for gatherer, rate in by_rate if gatherer.first is not None]
+    earliest = min(starts, default=0)
     first = earliest if earliest >= room else 0
-    return range(first, max((gatherer.end(first + room) for gatherer in gatherers), default=first))
+    ends = [(gatherer.end(own_tick(first + room, rate)), rate) for gatherer, rate in by_rate]
+    return range(first, max((session_tick(end - 1, rate) + 1 for end, rate in ends), default=first))
 
 
 MOST_VALUES: Final = 500_000_000
@@ -166,7 +177,7 @@ class RecordedTrace:
     Attributes:
         topic: the topic.
         columns: names of its columns.
-        values: ticks x columns; row k is tick ``first + k`` of the session (see :class:`RecordedRun`); NaN where
+        values: ticks x columns; row k is the node's tick ``first_of(node) + k`` (see :class:`RecordedRun`); NaN where
             nothing was recorded.
     """
 
@@ -181,15 +192,15 @@ class RecordedRun:
 
     Attributes:
         recorded: the session.
-        traces: by node and topic name, in the table's order, all of the same length. A topic without any record is all
-            NaN. Without any record, a ledger is absent, since not every node keeps one, and so is a topic that only
-            devices in wall time have.
-        figures: by node, tick and figures of each telemetry message.
+        traces: by node and topic name, in the table's order, over the same time: all of one node have the same length.
+            A topic without any record is all NaN. Without any record, a ledger is absent, since not every node keeps
+            one, and so is a topic that only devices in wall time have.
+        figures: by node, its tick and figures of each telemetry message.
         conditions: the session's conditions, each with the latest tick at that time.
         attachments: contents by name, of the session file and the certificate.
         cut: why the file is not whole, and up to which tick it is; None for a whole file.
-        first: the tick of the first row: 0, unless the recording begins so late that there is no room for the ticks
-            before.
+        first: the session's tick of the first row: 0, unless the recording begins so late that there is no room for the
+            ticks before.
     """
 
     recorded: Recorded
@@ -200,15 +211,30 @@ class RecordedRun:
     cut: str | None = None
     first: int = 0
 
-    @property
+    @cached_property
     def ticks(self) -> int:
-        """Number of rows of the longest trace."""
-        return max((len(trace.values) for trace in self.traces.values()), default=0)
+        """Number of the session's ticks, up to the end of the longest trace."""
+        ends = [(len(trace.values), node) for (node, _), trace in self.traces.items()]
+        last = [session_tick(self.first_of(node) + rows - 1, self.recorded.rate_of(node)) for rows, node in ends]
+        return max(last, default=self.first - 1) + 1 - self.first
+
+    def first_of(self, node: str) -> int:
+        """A node's tick of the first row."""
+        return own_tick(self.first, self.recorded.rate_of(node))
+
+    def ticks_of(self, node: str) -> int:
+        """Number of a node's rows."""
+        return own_tick(self.first + self.ticks, self.recorded.rate_of(node)) - self.first_of(node)
 
     @property
     def time(self) -> Array:
-        """The instants kT, s."""
+        """The instants kT of the session's ticks, s."""
         return np.arange(self.first, self.first + self.ticks, dtype=np.float64) * self.recorded.period
+
+    def at_session_ticks(self, node: str) -> NDArray[np.intp]:
+        """For each of the session's ticks, the row of the node's newest tick."""
+        own = own_ticks_before(np.arange(self.first, self.first + self.ticks), self.recorded.rate_of(node))
+        return np.maximum(own - self.first_of(node), 0)
 
     def require_beginning(self, path: Path) -> RecordedRun:
         """This run, checked to begin at tick 0, so that row k is tick k.
@@ -231,16 +257,16 @@ def read_run(path: Path, progress: Callable[[float], None] | None = None) -> Rec
         RecordingError: the file cannot be read, is no recording, is too large, or is cut before its metadata.
     """
     reading = read_topics(path, lambda node, topic: True, progress)
-    span = span_of([*reading.gatherers.values()], MOST_MISSING)
+    recorded = reading.recorded
+    span = span_of(reading.gatherers, recorded, MOST_MISSING)
+    spans = {node: own_span(span, recorded.rate_of(node)) for node in recorded.roles}
     traces = {
-        key: RecordedTrace(gatherer.topic, gatherer.columns, gatherer.rows(span)[0])
+        key: RecordedTrace(gatherer.topic, gatherer.columns, gatherer.rows(spans[key[0]])[0])
         for key, gatherer in reading.gatherers.items()
         if gatherer.count or not (gatherer.topic.trace == LEDGER or gatherer.topic.wall)
     }
     cut = None if reading.why is None else cut_at(reading.why, span.stop)
-    return RecordedRun(
-        reading.recorded, traces, reading.figures, reading.conditions, reading.attachments, cut, span.start
-    )
+    return RecordedRun(recorded, traces, reading.figures, reading.conditions, reading.attachments, cut, span.start)
 
 
 def cut_at(why: str, ticks: int) -> str:
@@ -379,22 +405,23 @@ Figures = Sequence[tuple[int, Mapping[str, float]]]
 
 
 def rows_of(run: RecordedRun, node: str, trace: str) -> Array:
-    """The rows of one trace of a node, ticks x columns; NaN in ticks without a row.
+    """The rows of one trace of a node, its ticks x columns; NaN in ticks without a row.
 
     Args:
         run: the recording.
         node: its name.
         trace: its name in telemetry, such as ``x``.
     """
+    ticks = run.ticks_of(node)
     for (of, _), kept in run.traces.items():
         if of == node and kept.topic.trace == trace:
             values = kept.values
-            if len(values) == run.ticks:
+            if len(values) == ticks:
                 return values
-            missing = np.full((run.ticks - len(values), values.shape[1]), np.nan)
+            missing = np.full((ticks - len(values), values.shape[1]), np.nan)
             return np.vstack([values, missing])
     topic = next(topic for topic in run.recorded.topics(node) if topic.trace == trace)
-    return np.full((run.ticks, len(run.recorded.columns(node, topic))), np.nan)
+    return np.full((ticks, len(run.recorded.columns(node, topic))), np.nan)
 
 
 def there(rows: Array) -> NDArray[np.bool_]:
@@ -428,7 +455,7 @@ def first_sign(run: RecordedRun, environment: str) -> tuple[int, str]:
 
     A clutch moves when a coupling is frozen, comes back, changes its rung, or is held to its energy budget. It also
     moves when the devices have waited so long that they have let go. The devices count how often they let go; the
-    environment counts all the rest.
+    environment counts all the rest. Behind a wave link nothing that happens to a user moves a clutch.
     """
     counts, signs = run.figures.get(environment, ()), [(run.ticks, "")]
 
@@ -440,18 +467,25 @@ def first_sign(run: RecordedRun, environment: str) -> tuple[int, str]:
     look(counts, names.FROZEN, "a coupling was frozen")
     look(counts, names.FROZEN_TICKS, "a coupling was frozen")
     look(counts, names.CHANGING, "a coupling was to change its rung")  # its clutch opens before it does
+    signs += [
+        (event.tick, f"{event.peer} was frozen")
+        for _, values in counts
+        for event in events_in(values)
+        if event.kind is Kind.FROZEN and event.peer in run.recorded.linked
+    ]
     own = there(rows_of(run, environment, names.TOOL_POSITION))
     for node in run.recorded.roles:
         figures = run.figures.get(node, ())
-        look(figures, names.RELEASED, f"{node} ran free")
-        look(figures, names.JUMPS, f"{node} went on at a later tick")
-        look(figures, names.RUNG, f"{node} changed its rung")
+        if not run.recorded.behind_wave_link(node):
+            look(figures, names.RELEASED, f"{node} ran free")
+            look(figures, names.JUMPS, f"{node} went on at a later tick")
+            look(figures, names.RUNG, f"{node} changed its rung")
         look(counts, f"{names.RUNG}_{node}", f"{node} changed its rung")
         look(counts, f"{names.SCALED}{node}", f"{node} was held to its budget")
     holes = np.flatnonzero(~own)
     signs += [(int(holes[0]), "the environment has no row there")] if len(holes) else []
     for node, role in run.recorded.roles.items():
-        if role is Role.COUPLING:
+        if role is Role.COUPLING and not run.recorded.behind_wave_link(node):
             holes = np.flatnonzero(own & ~there(rows_of(run, node, names.FREE_POSITION)))
             signs += [(int(holes[0]), f"{node} has no row there")] if len(holes) else []
     return min(signs)

@@ -6,7 +6,8 @@ them is executed (no pickles), and their size is checked before they are read.
 
 :func:`export` writes one row a tick and one column for each of a topic's columns, for a spreadsheet, numpy or a data
 frame. A column is named ``NODE.TOPIC[COLUMN]_UNIT``, such as ``dx.sample[x]_m``. Every number is exact, and NaN where
-the recording has none.
+the recording has none. The rows are at the session's ticks: where a node has a period of its own, each has the newest
+of that node's rows.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.design.files import open_regular, replacing
-from manyhands.launch.recordings.recording import Array, Recording, RecordingError, require_format
+from manyhands.launch.recordings.recording import Array, Recording, RecordingError, one_period, require_format
 from manyhands.launch.recordings.run import (
     MOST_MISSING,
     Gatherer,
@@ -38,6 +39,7 @@ from manyhands.launch.recordings.run import (
     span_of,
 )
 from manyhands.launch.session.motion import read_arrays
+from manyhands.nodes.own_ticks import own_span
 from manyhands.nodes.recorder.coverage import Coverage, missing_by_party
 from manyhands.nodes.recorder.format import Recorded
 from manyhands.protocol.channels import DISPLACEMENT, FORCE, topic_name, topics_of
@@ -136,13 +138,16 @@ def read_recording(path: Path) -> Recording:
     f_v are.
 
     Raises:
-        RecordingError: the file cannot be read, is no recording, is too large, or is cut before its metadata.
+        RecordingError: the file cannot be read, is no recording, is too large, or is cut before its metadata; or its
+            devices have different periods.
     """
     sample, force = (next(t.name for t in topics_of(Role.DEVICE) if t.trace == signal) for signal in _SIGNALS)
     reading = read_topics(path, lambda node, topic: topic.name in (sample, force))
     recorded, gatherers = reading.recorded, reading.gatherers
-    span = span_of([*gatherers.values()], MOST_MISSING)
-    require_beginning(path, span.start)
+    session = span_of(gatherers, recorded, MOST_MISSING)
+    require_beginning(path, session.start)
+    period = one_period({device: recorded.period_of(device) for device in recorded.devices}, path)
+    span = own_span(session, recorded.period / period)
     columns = [
         _signal_columns(gatherers[device, sample], gatherers[device, force], span) for device in recorded.devices
     ]
@@ -153,11 +158,11 @@ def read_recording(path: Path) -> Recording:
     return Recording(
         recorded.session,
         recorded.certificate,
-        recorded.period,
+        period,
         tuple(port for ports in recorded.devices.values() for port in ports),
         np.hstack([x[:ticks] for x, _, _ in columns]),
         np.hstack([f_v[:ticks] for _, f_v, _ in columns]),
-        missing_by_party(coverages, 0, ticks),
+        missing_by_party(coverages, dict.fromkeys(coverages, range(ticks))),
         None if reading.why is None else cut_at(reading.why, ticks),
     )
 
@@ -246,12 +251,13 @@ Traces = Mapping[tuple[str, str], RecordedTrace]
 
 def _save_csv(run: RecordedRun, traces: Traces, file: BinaryIO, progress: Progress) -> None:
     time, ticks = run.time, run.ticks
+    rows = [_at_session_ticks(run, node, trace) for (node, _), trace in traces.items()]
     text = TextIOWrapper(file, encoding="utf-8", newline="")
     writer = csv.writer(text)
     writer.writerow([TICK, TIME, *(name for key, trace in traces.items() for name in column_names(key[0], trace))])
     for begin in range(0, ticks, _ROWS):
         end = min(begin + _ROWS, ticks)
-        block = np.hstack([time[begin:end, None], *(trace.values[begin:end] for trace in traces.values())])
+        block = np.hstack([time[begin:end, None], *(values[begin:end] for values in rows)])
         writer.writerows([tick, *map(repr, row)] for tick, row in enumerate(block.tolist(), run.first + begin))
         progress(end / ticks)
     text.detach()  # flushes it, and leaves the file open
@@ -260,8 +266,13 @@ def _save_csv(run: RecordedRun, traces: Traces, file: BinaryIO, progress: Progre
 def _table_columns(run: RecordedRun, traces: Traces) -> dict[str, NDArray[Any]]:
     out: dict[str, NDArray[Any]] = {TICK: np.arange(run.first, run.first + run.ticks, dtype=np.int64), TIME: run.time}
     for key, trace in traces.items():
-        out |= dict(zip(column_names(key[0], trace), trace.values.T, strict=True))
+        out |= dict(zip(column_names(key[0], trace), _at_session_ticks(run, key[0], trace).T, strict=True))
     return out
+
+
+def _at_session_ticks(run: RecordedRun, node: str, trace: RecordedTrace) -> Array:
+    """The rows of a trace at the session's ticks, each the node's newest one."""
+    return trace.values if node not in run.recorded.periods else trace.values[run.at_session_ticks(node)]
 
 
 def _save_npz(run: RecordedRun, traces: Traces, file: BinaryIO, progress: Progress) -> None:
@@ -269,7 +280,11 @@ def _save_npz(run: RecordedRun, traces: Traces, file: BinaryIO, progress: Progre
     ports = [port for own in recorded.devices.values() for port in own]
     arrays: dict[str, Any] = {**about(recorded), "period": recorded.period, "ports": np.array(ports)}
     for name in (DISPLACEMENT, FORCE):  # under the names of a simulation's file, so that one reader suits both
-        every = [t.values for (node, _), t in traces.items() if node in recorded.devices and t.topic.trace == name]
+        every = [
+            _at_session_ticks(run, node, trace)
+            for (node, _), trace in traces.items()
+            if node in recorded.devices and trace.topic.trace == name
+        ]
         if len(every) == len(recorded.devices):
             arrays[name] = np.hstack(every)
     np.savez(file, **arrays | _table_columns(run, traces))

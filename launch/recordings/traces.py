@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from manyhands.launch.plan.bundles import mass_names
 from manyhands.launch.plan.plan import Plan
 from manyhands.nodes.passivity import Ledger
-from manyhands.protocol.channels import LEDGER, TAU, Topic, topics_of
+from manyhands.protocol.channels import LEDGER, TAU, Topic, links_at, topics_of
 
 Array = NDArray[np.float64]
 
@@ -53,19 +53,27 @@ class Traces:
         graph, masses = plan.graph, mass_names(plan.session)
         self.by_node: dict[str, tuple[Kept, ...]] = {}
         for name, role in graph.nodes.items():
+            links = links_at(name, role, graph.ports, plan.session.wave_links)
             topics = [
                 topic
-                for topic in topics_of(role, masses)
+                for topic in topics_of(role, masses, linked=bool(links))
                 if topic.trace != TAU and (topic.trace != LEDGER or name in ledgers)
             ]
-            columns = [topic.columns_of(graph.ports[name], masses) for topic in topics]
+            columns = [topic.columns_of(graph.ports[name], masses, links) for topic in topics]
             self.by_node[name] = tuple(
                 Kept(topic, own, np.full((ticks, len(own)), np.nan)) for topic, own in zip(topics, columns, strict=True)
             )
         self._signals = {
-            name: [kept for kept in own if kept.topic.trace != LEDGER] for name, own in self.by_node.items()
+            name: [kept for kept in own if kept.topic.trace != LEDGER and not kept.topic.linked]
+            for name, own in self.by_node.items()
         }
         self._ledgers = ledgers
+
+    def keep_waves(self, node: str, tick: int, traces: Mapping[str, Array]) -> None:
+        """Keep what the ends of wave links at ``node`` report of a tick, by the names of the traces."""
+        for one in self.by_node[node]:
+            if one.topic.linked:
+                one.values[tick] = traces[one.topic.trace][0]
 
     def keep(self, node: str, tick: int, *signals: Sequence[float]) -> None:
         """Keep a tick that ``node`` has done.
@@ -73,9 +81,12 @@ class Traces:
         Args:
             node: its name.
             tick: the tick.
-            signals: in the order of its topics, without the ledger, which is read from ``ledgers``.
+            signals: in the order of its topics, without the ledger, which is read from ``ledgers``, and without those
+                of wave links.
         """
         for one, row in zip(self._signals[node], signals, strict=False):  # without masses, q has no topic
             one.values[tick] = row
         if node in self._ledgers:
-            self.by_node[node][-1].values[tick] = self._ledgers[node].total
+            next(one for one in self.by_node[node] if one.topic.trace == LEDGER).values[tick] = self._ledgers[
+                node
+            ].total

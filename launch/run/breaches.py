@@ -32,6 +32,7 @@ from collections import deque
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from types import MappingProxyType
 from typing import Final, Protocol
 
 import numpy as np
@@ -41,6 +42,7 @@ from manyhands.launch.plan.topology import Topology
 from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import REALTIME
+from manyhands.nodes.own_ticks import session_tick
 from manyhands.protocol.messages import Role, Telemetry
 
 SHARE: Final = 0.05
@@ -168,6 +170,28 @@ Decision = Notice | ShiftCoupling | EndSession
 
 
 @dataclass(frozen=True)
+class Covered:
+    """What the certificate of a device covers.
+
+    Attributes:
+        tau: the longest delay inside the tick, s.
+        period: T of the device, s.
+        period_tolerance: rho; periods up to (1 + rho) T are covered.
+        in_tick: whether the device waits for the other users within its tick; behind a wave link it waits for nobody.
+    """
+
+    tau: float
+    period: float
+    period_tolerance: float = 0.0
+    in_tick: bool = True
+
+    @property
+    def longest_period(self) -> float:
+        """(1 + rho) T, s."""
+        return self.period * (1.0 + self.period_tolerance)
+
+
+@dataclass(frozen=True)
 class _DeviceTelemetry:
     """One telemetry message of a device.
 
@@ -215,26 +239,21 @@ class BreachPolicy:
         self,
         policy: Policy,
         chains: Mapping[str, tuple[str, ...]],
-        tau: float,
-        period: float,
+        covered: Mapping[str, Covered],
         ladder: CertifiedLadder | None,
         rungs: Mapping[str, int],
-        period_tolerance: float = 0.0,
     ) -> None:
         """Begin without any telemetry.
 
         Args:
             policy: the session's wish.
             chains: the couplings of each device.
-            tau: the delay that the certificate allows, s.
-            period: T, s.
+            covered: what the certificate of each device covers.
             ladder: softer couplings; None where there are none.
             rungs: the rung that each coupling was changed to; the caller, which carries out decisions, updates it.
-            period_tolerance: rho; the certificate allows periods up to (1 + rho) T.
         """
-        self._policy, self._chains, self._tau, self._period = policy, chains, tau, period
-        self._ladder, self._longest_period = ladder, period * (1.0 + period_tolerance)
-        self._rungs = rungs
+        self._policy, self._chains, self._covered = policy, chains, covered
+        self._ladder, self._rungs = ladder, rungs
         self._late: dict[Breach, dict[str, _LateTicks]] = {breach: {} for breach in Breach}
         self._named: dict[Breach, list[str]] = {breach: [] for breach in Breach}  # devices that a notice names
         self._softened: dict[str, float] = {}  # couplings, and the delay that each was softened for, s
@@ -263,7 +282,7 @@ class BreachPolicy:
         if device not in self._chains or not all(math.isfinite(count) and count >= 0.0 for count in counts.values()):
             return []
         message = _DeviceTelemetry(tick, counts, figures, taus)
-        if not self._waits or tick <= self._waits[-1][0]:
+        if not self._waits or tick <= self._waits[-1][0] or not self._covered[device].in_tick:
             return self._judge(device, message)
         held = self._held.setdefault(device, deque())
         held.append(message)
@@ -315,6 +334,8 @@ class BreachPolicy:
 
     def _waited_for_others(self, device: str, begin: int, end: int) -> set[int]:
         """The ticks in ``begin <= tick < end`` in which a coupling was late that does not belong to ``device``."""
+        if not self._covered[device].in_tick:
+            return set()
         chain = self._chains[device]
         late = (
             ticks for _, by_coupling in self._waits for coupling, ticks in by_coupling.items() if coupling not in chain
@@ -352,9 +373,8 @@ class BreachPolicy:
     def _calm(self, group: Sequence[str], rung: int) -> Iterator[bool]:
         """Whether each device of these couplings has needed no more than ``rung`` for long enough."""
         doublings = max(self._doublings.get(coupling, 0) for coupling in group)
-        wanted = CALM / self._period * 2.0**doublings
         for device in self._devices_of(group):
-            watched = self._watched.get(device)
+            watched, wanted = self._watched.get(device), CALM / self._covered[device].period * 2.0**doublings
             yield watched is not None and watched.calm[rung] >= wanted
 
     def _devices_of(self, group: Sequence[str]) -> list[str]:
@@ -370,10 +390,11 @@ class BreachPolicy:
         """
         match REMEDIES[self._policy, breach]:
             case Remedy.END:
+                covered = self._covered[device]
                 if breach is Breach.DELAY:
-                    found, allowed = f"a delay of {_ms(measured)}", _ms(self._tau)
+                    found, allowed = f"a delay of {_ms(measured)}", _ms(covered.tau)
                 else:
-                    found, allowed = "a period", f"at most {_ms(self._longest_period)}, more after an early force"
+                    found, allowed = "a period", f"at most {_ms(covered.longest_period)}, more after an early force"
                 what = f"{device}: {found} again and again that the certificate does not cover (it assumes {allowed})"
                 return [EndSession(f"{what}; the session's faults.breach is stop")]
             case Remedy.SOFTEN:
@@ -420,26 +441,27 @@ class BreachPolicy:
         if device not in named:
             named.append(device)
         late = self._late[breach]
+        whole = all(self._covered[name].tau >= self._covered[name].period for name in named)
+        next_ = _AT_MOST if whole else _NEXT
         if breach is Breach.PERIOD:
-            who = ", ".join(f"{name} in {_part(late[name])} of its ticks" for name in named)
-            covered = f"{_ms(self._longest_period)}, more after an early force"
-            text = f"samples came later after the one before than the certificate covers ({covered}): {who} so far"
-            return [Notice(Cause.PERIOD, f"{text}; {self._next}")]
-        delays = (f"{name} in {_part(late[name])} of its ticks, up to {_ms(late[name].longest)}" for name in named)
-        text = f"forces came later than the certificate covers ({_ms(self._tau)}): {', '.join(delays)} so far"
-        return [Notice(Cause.DELAY, f"{text}{self._reaction()}; {self._next}")]
+            who = {name: f"{name} in {_part(late[name])} of its ticks" for name in named}
+            periods = {name: _ms(self._covered[name].longest_period) for name in named}
+            found = _beyond(who, periods, "more after an early force")
+            text = f"samples came later after the one before than the certificate covers {found} so far"
+            return [Notice(Cause.PERIOD, f"{text}; {next_}")]
+        delays = {
+            name: f"{name} in {_part(late[name])} of its ticks, up to {_ms(late[name].longest)}" for name in named
+        }
+        found = _beyond(delays, {name: _ms(self._covered[name].tau) for name in named})
+        text = f"forces came later than the certificate covers {found} so far"
+        return [Notice(Cause.DELAY, f"{text}{self._reaction(whole)}; {next_}")]
 
-    @property
-    def _next(self) -> str:
-        """What people can do, as the end of a notice."""
-        return _AT_MOST if self._tau >= self._period else _NEXT
-
-    def _reaction(self) -> str:
-        """What was done about the delays so far, as a part of the notice."""
+    def _reaction(self, whole: bool) -> str:
+        """What was done about the delays so far, as a part of the notice; ``whole`` where a whole period is covered."""
         if self._policy is not Policy.SOFTEN:
             return ""
         if self._ladder is None:  # above a whole period there is nothing to design
-            return "" if self._tau >= self._period else "; no softer coupling was designed beforehand (design.ladder)"
+            return "" if whole else "; no softer coupling was designed beforehand (design.ladder)"
         if not self._softened:
             return ""
         most = self._ladder.taus[-1]
@@ -453,6 +475,15 @@ _NEXT: Final = (
     "close other programs, design for what this machine needs (design.tau=auto), or compare rates (manyhands doctor)"
 )
 _AT_MOST: Final = "close other programs, or use a longer period or colocate=true (manyhands doctor compares them)"
+
+
+def _beyond(found: Mapping[str, str], covered: Mapping[str, str], *more: str) -> str:
+    """What was found of each device beyond what is covered, which is stated once where it is the same for all."""
+    first, *others = dict.fromkeys(covered.values())
+    if not others:
+        return f"({', '.join((first, *more))}): {', '.join(found.values())}"
+    each = ", ".join(f"{text} (covered {covered[device]})" for device, text in found.items())
+    return f"({', '.join(more)}): {each}" if more else f"for each device: {each}"
 
 
 def _ms(seconds: float) -> str:
@@ -488,17 +519,15 @@ class Assumptions:
             clock: "realtime" or "simulated"; nothing is late under the simulated one.
             rungs: the rung of the ladder that each coupling was changed to.
         """
-        session, certificate = prepared.session, prepared.certificate
+        session = prepared.session
         devices = [name for name, role in graph.nodes.items() if role is Role.DEVICE]
         chains = {device: tuple(link.binder for link in graph.links_of(device)) for device in devices}
         self._policy = BreachPolicy(
             Policy(session.faults.breach),
-            chains if certificate is not None and clock == REALTIME else {},
-            0.0 if certificate is None else certificate.tau,
-            session.period,
+            chains if prepared.certified and clock == REALTIME else {},
+            {device: _covered(prepared, device) for device in devices},
             prepared.ladder,
             rungs,
-            0.0 if certificate is None else certificate.period_tolerance,
         )
         self._couplings = [name for name, role in graph.nodes.items() if role is Role.COUPLING]
         self._chains, self._moved = chains, dict[str, float]()
@@ -561,8 +590,19 @@ class Assumptions:
         return {name: ticks.ravel().astype(int).tolist() for name, ticks in traces.items() if ticks is not None}
 
 
+def _covered(prepared: Prepared, device: str) -> Covered:
+    """What the certificate of a device covers; nothing is covered without one."""
+    session, certificate = prepared.session, prepared.certificate_of(device)
+    period, linked = session.period_of(device), any(device in session.devices_of(name) for name in session.wave_links)
+    if certificate is None:
+        return Covered(0.0, period, in_tick=not linked)
+    return Covered(certificate.tau, period, certificate.period_tolerance, in_tick=not linked)
+
+
 _NO_TAU: Final = np.empty((0, 1))
 
+
+_NO_PERIODS: Final[Mapping[str, float]] = MappingProxyType({})
 
 QUIET: Final = 10.0
 """Seconds between two incidents of the same party: a user that returns by a ramp may be beyond its limits again at
@@ -572,8 +612,15 @@ once."""
 class EnergyIncidents:
     """The energy incidents of one run: pure, telemetry goes in and sentences come out."""
 
-    def __init__(self, graph: Topology, period: float) -> None:
-        """Begin without any telemetry; ``period`` is T, s."""
+    def __init__(self, graph: Topology, period: float, periods: Mapping[str, float] = _NO_PERIODS) -> None:
+        """Begin without any telemetry.
+
+        Args:
+            graph: the nodes and links.
+            period: T of the session, s.
+            periods: T of the nodes that have one of their own, s.
+        """
+        self._rates = {node: period / own for node, own in periods.items()}
         devices = [name for name, role in graph.nodes.items() if role is Role.DEVICE]
         self._couplings = {device: tuple(link.binder for link in graph.links_of(device)) for device in devices}
         self._worlds = {name for name, role in graph.nodes.items() if role is Role.ENVIRONMENT}
@@ -594,14 +641,15 @@ class EnergyIncidents:
     def receive(self, node: str, telemetry: Telemetry) -> list[str]:
         """The incidents that follow from a node's telemetry."""
         figures = {name: value for name, value in telemetry.figures.items() if math.isfinite(value)}
+        tick = session_tick(telemetry.tick, self._rates.get(node, 1.0))
         if node in self._worlds:
-            out = list(self._budgets(telemetry.tick, figures))
-            for device in [device for device, tick in self._awaiting.items() if tick <= telemetry.tick]:
+            out = list(self._budgets(tick, figures))
+            for device in [device for device, awaited in self._awaiting.items() if awaited <= tick]:
                 del self._awaiting[device]
                 out.append(self._let_go(device))
             return out
-        if node in self._couplings and self._grown(node, figures.get(names.LET_GO, 0.0), telemetry.tick):
-            self._awaiting[node] = telemetry.tick
+        if node in self._couplings and self._grown(node, figures.get(names.LET_GO, 0.0), tick):
+            self._awaiting[node] = tick
         return []
 
     def _budgets(self, tick: int, figures: Mapping[str, float]) -> Iterator[str]:

@@ -16,7 +16,6 @@ from types import MappingProxyType
 
 import numpy as np
 
-from manyhands.design.certificate import Certificate
 from manyhands.design.files import open_new
 from manyhands.launch.plan.access import observed
 from manyhands.launch.plan.prepare import Prepared
@@ -79,6 +78,8 @@ def describe(
                 graph.ports[name],
                 graph.carriers.get(name),
                 session.in_wall_time(name, clock),
+                session.own_periods.get(name),
+                session.impedance_of(name),
             )
             for name, role in graph.nodes.items()
         },
@@ -91,7 +92,7 @@ def describe(
             for name, device in session.devices.items()
             for port, limit in zip(session.ports_of(name), device.limits.displacement, strict=True)
         },
-        certificate=None if prepared.certificate is None else _certificate(prepared, prepared.certificate),
+        certificate=_certificate(prepared) if prepared.certified else None,
         environment=session.environment.type,
         observers={name: tuple(observer.reads) for name, observer in session.observers.items()},
     )
@@ -104,18 +105,29 @@ def _grips(session: Session, clock: str, remote: Collection[str]) -> tuple[str, 
     return tuple(n for n, device in session.devices.items() if device.driver == "browser" and n not in remote)
 
 
-def _certificate(prepared: Prepared, certificate: Certificate) -> CertificateAbout:
-    session = prepared.session
+def _certificate(prepared: Prepared) -> CertificateAbout:
+    session, certificate = prepared.session, prepared.certificate
+    proofs = {device: proof for device in session.devices if (proof := prepared.certificate_of(device)) is not None}
+    transparency = None if certificate is None else certificate.transparency
     return CertificateAbout(
-        tau=certificate.tau,
-        margins=dict(certificate.margins),
-        gamma=None if certificate.transparency is None else certificate.transparency.gamma,
+        tau=min(proof.tau for proof in proofs.values()),
+        margins=dict(certificate.margins) if certificate is not None else _margins(prepared),
+        gamma=None if transparency is None else transparency.gamma,
         delta_D={name: float(np.linalg.eigvalsh(session.osp_level(name))[0]) for name in session.devices},
         ladder=() if prepared.ladder is None else tuple(prepared.ladder.taus[1:]),
         enforced=tuple(prepared.loop.enforced),
         tank=session.faults.tank,
         bounded=session.faults.enforced_tank is not None,
+        taus={} if prepared.world is None else {device: proof.tau for device, proof in proofs.items()},
     )
+
+
+def _margins(prepared: Prepared) -> dict[str, float]:
+    """The margins of a world, and of its parts, with the name of the part before each."""
+    of_parts = {
+        f"{name}: {what}": value for name, part in prepared.parts.items() for what, value in part.margins.items()
+    }
+    return of_parts if prepared.world is None else {**prepared.world.margins, **of_parts}
 
 
 def _world(session: Session) -> tuple[dict[str, float], tuple[SpringAbout, ...]]:

@@ -18,9 +18,11 @@ from rich.text import Text
 
 from manyhands.launch.output import has_room, lost_at
 from manyhands.launch.plan.topology import Topology
-from manyhands.launch.run.outcome import Progress
+from manyhands.launch.run.outcome import Progress, felt_links
 from manyhands.launch.run.states import NodeState, SessionPhase
+from manyhands.launch.session import Session
 from manyhands.nodes import telemetry as names
+from manyhands.nodes.own_ticks import session_tick
 from manyhands.protocol.messages import Telemetry
 
 
@@ -110,8 +112,19 @@ class LiveTable:
     It never waits for a console that takes no output now, since the session would wait as well.
     """
 
-    def __init__(self, console: Console, title: str, graph: Topology, ticks: int) -> None:
-        """Show the nodes of ``graph`` under ``title``; ``ticks`` of 0 has no end."""
+    def __init__(
+        self, console: Console, title: str, graph: Topology, ticks: int, session: Session | None = None
+    ) -> None:
+        """Show the nodes of ``graph`` under ``title``.
+
+        Args:
+            console: the console.
+            title: of the table.
+            graph: the nodes.
+            ticks: of the session; 0 for no end.
+            session: the session, whose wave links are shown below the table; None for none.
+        """
+        self._session = session
         self._console, self._title, self._graph, self._ticks = console, title, graph, ticks
         # the supervisor's loop refreshes it, so no second thread is needed
         self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
@@ -154,7 +167,8 @@ class LiveTable:
         self._printed = {*progress.incidents}
         if progress.elapsed - self._line_at >= _LINE_EVERY:
             self._line_at = progress.elapsed
-            done = max((t.tick for t in progress.telemetry.values()), default=0)
+            rates = {} if self._session is None else self._session.own_rates
+            done = max((session_tick(t.tick, rates.get(n, 1.0)) for n, t in progress.telemetry.items()), default=0)
             late = sum(t.figures.get(names.LATE, 0.0) for t in progress.telemetry.values())
             say(self._console, f"{progress.phase}: tick {done}{self._of()}, {late:.0f} late")
 
@@ -178,6 +192,9 @@ class LiveTable:
                           *(column.cell(telemetry.figures) for column in COLUMNS))  # fmt: skip
         notices = [*progress.notices, *progress.incidents[-_INCIDENTS_SHOWN:], *not_admitted(progress.refused)]
         energy = [Text(line) for latest in progress.telemetry.values() if (line := energy_line(latest.figures))]
+        figures = {name: latest.figures for name, latest in progress.telemetry.items()}
+        felt = {} if self._session is None else felt_links(self._session, figures)
+        energy += [Text(one.sentence(name)) for name, one in felt.items()]
         return Group(table, *energy, *(Text(f"! {notice}", style="yellow") for notice in notices))
 
     def _rate(self, name: str, telemetry: Telemetry, elapsed: float) -> str:

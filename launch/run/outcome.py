@@ -10,14 +10,18 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 from manyhands.design.files import replacing
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.run.states import Incidents, SessionPhase
+from manyhands.launch.session import Session
+from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.telemetry import PERCENTILES
+from manyhands.nodes.wave_link.felt import FeltLink, felt_link
 from manyhands.protocol.limits import MAX_COUNT
 from manyhands.protocol.messages import Report, Role, Telemetry
 
@@ -223,6 +227,32 @@ def lateness_sentence(report: Mapping[str, Any]) -> str | None:
     return f"{proved}, {beyond}; {lowest}, bound {joules(0.0 - promise['tank'])}"
 
 
+def felt_links(session: Session, figures: Mapping[str, Mapping[str, float]]) -> dict[str, FeltLink]:
+    """Every wave link of a session of which both ends have reported, by its coupling.
+
+    Args:
+        session: the session.
+        figures: of each node that has reported.
+    """
+    out: dict[str, FeltLink] = {}
+    for name in session.wave_links:
+        impedance = session.impedance_of(name)
+        if impedance is None or not {name, ENVIRONMENT} <= figures.keys():
+            continue
+        felt = felt_link(
+            name, impedance, (session.period_of(name), session.period), figures[name], figures[ENVIRONMENT]
+        )
+        if felt is not None:
+            out[name] = felt
+    return out
+
+
+def wave_link_sentences(report: Mapping[str, Any]) -> list[str]:
+    """A sentence about each wave link of a whole report."""
+    entries: Mapping[str, Mapping[str, Any]] = report.get("wave_links", {})
+    return [FeltLink.from_plain(entry).sentence(name, over=True) for name, entry in entries.items()]
+
+
 def joules(energy: float) -> str:
     """An energy for a sentence, in J, or in mJ below 1 J."""
     return f"{energy:.3g} J" if abs(energy) >= 1.0 else f"{1e3 * energy:.3g} mJ"
@@ -239,6 +269,7 @@ def run_report(
     incidents: Incidents,
     enforced: Sequence[str] = (),
     lateness: Mapping[str, Any] | None = None,
+    wave_links: Mapping[str, FeltLink] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """The whole report.
 
@@ -253,6 +284,7 @@ def run_report(
         incidents: the faults that the session survived.
         enforced: parties whose level is enforced at run time instead of proved.
         lateness: what is promised about lateness, as :func:`lateness_entry`.
+        wave_links: what is felt of each wave link at the end, by coupling.
     """
     restarts = incidents.restarts
     return {
@@ -265,6 +297,7 @@ def run_report(
         },
         **({"enforced": list(enforced)} if enforced else {}),
         **({} if lateness is None else {"lateness": dict(lateness)}),
+        **({"wave_links": {name: felt.as_plain() for name, felt in wave_links.items()}} if wave_links else {}),
         **({"refused": dict(refused)} if refused else {}),
         **({"incidents": list(incidents.sentences)} if incidents.total else {}),
     }

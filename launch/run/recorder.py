@@ -120,7 +120,15 @@ class RecorderProcess(Recorder):
         self.incident: str | None = None
         session, graph = prepared.session, prepared.graph
         self._recorded = Recorded(
-            session.name, prepared.id, session.period, clock_name, graph.nodes, graph.ports, mass_names(session)
+            session.name,
+            prepared.id,
+            session.period,
+            clock_name,
+            graph.nodes,
+            graph.ports,
+            mass_names(session),
+            periods=session.own_periods,
+            linked=tuple(session.wave_links),
         )
         self._attachments = kept_files(prepared)
         self._lossless = clock_name == SIMULATED

@@ -11,7 +11,7 @@ from rich.console import Console
 from manyhands.launch.files import TargetError
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.reach import Reach
-from manyhands.launch.recordings.recording import STREAMED, RecordingError
+from manyhands.launch.recordings.recording import STREAMED, RecordingError, one_period
 from manyhands.launch.run.directory import SessionDirectory
 from manyhands.launch.run.display import LiveTable, not_admitted, say
 from manyhands.launch.run.outcome import Outcome, save_json
@@ -50,10 +50,12 @@ def run_session(
         RecordingError, TargetError, OSError: a file cannot be written.
     """
     streamed = record is not None and record.suffix == STREAMED
+    if keep or (record is not None and not streamed):
+        one_period({device: prepared.session.period_of(device) for device in prepared.session.devices}, record)
     if directory is not None:
         directory.keep_session(prepared)
     title = f"{prepared.session.name} ({clock}, {reach.transport}), certificate {prepared.id[:16]}"
-    with LiveTable(console, title, prepared.graph, ticks) as table:
+    with LiveTable(console, title, prepared.graph, ticks, prepared.session) as table:
         outcome = Supervisor(
             prepared,
             clock=clock,

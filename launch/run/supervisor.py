@@ -22,12 +22,12 @@ from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.reach import HUB_NAME, Reach
 from manyhands.launch.plan.topology import usual_placement
-from manyhands.launch.recordings.recording import Collector
+from manyhands.launch.recordings.recording import Collector, one_period
 from manyhands.launch.run.breaches import Assumptions, EndSession, EnergyIncidents, ShiftCoupling
 from manyhands.launch.run.broadcast import ObserverBroadcast, Showing, condition_frame, describe, observation_frame
 from manyhands.launch.run.conductor import Conductor
 from manyhands.launch.run.directory import kept_files, run_directory
-from manyhands.launch.run.outcome import Outcome, Progress, lateness_entry, run_report
+from manyhands.launch.run.outcome import Outcome, Progress, felt_links, lateness_entry, run_report
 from manyhands.launch.run.processes import Interrupt, Processes
 from manyhands.launch.run.recorder import Recorder
 from manyhands.launch.run.recovery import RestartBudget
@@ -175,7 +175,7 @@ class Supervisor:
             self._graph, prepared.id, session.name, ticks, reach.remote, budget=budget, together=together
         )
         self._assumptions = Assumptions(prepared, self._graph, clock, self.conductor.rungs)
-        self._energy = EnergyIncidents(self._graph, session.period)
+        self._energy = EnergyIncidents(self._graph, session.period, session.own_periods)
         self._clock = RealtimeClock()
         self._log = Log(None, session.name, SUPERVISOR, self._clock)
         self._observer_broadcast = ObserverBroadcast(session)
@@ -450,7 +450,8 @@ class Supervisor:
         )
         recording = None
         if self._record:
-            recording = self._collector.recording(self._session.name, conductor.certificate, self._session.period)
+            period = one_period({device: self._session.period_of(device) for device in self._session.devices})
+            recording = self._collector.recording(self._session.name, conductor.certificate, period)
         return Outcome(
             code,
             tuple(conductor.faults),
@@ -466,6 +467,10 @@ class Supervisor:
                 conductor.incidents,
                 self._prepared.loop.enforced,
                 lateness_entry(self._prepared, self._clock_name),
+                felt_links(
+                    self._session,
+                    {node: report.figures for node, report in {**conductor.left, **conductor.reports}.items()},
+                ),
             )
             | recorder.as_plain(),
             recording,

@@ -368,6 +368,20 @@ class Session(SessionModel):
                 return link.period_in(self.period)
         return self.period
 
+    def impedance_of(self, node: str) -> tuple[float, float] | None:
+        """The least and the greatest eigenvalue of b, N·s/m, of a coupling with a wave link; None for another node."""
+        link = self.wave_links.get(node)
+        if link is None:
+            return None
+        eigenvalues = np.linalg.eigvalsh(link.impedance(len(self.blocks_by_name[node])))
+        return float(eigenvalues[0]), float(eigenvalues[-1])
+
+    @property
+    def own_periods(self) -> dict[str, float]:
+        """T of the nodes whose period is not the session's, s."""
+        nodes = (node for name in self.wave_links for node in (*self.devices_of(name), name))
+        return {node: period for node in nodes if (period := self.period_of(node)) != self.period}
+
     @property
     def device_period(self) -> float:
         """T of the devices whose delays a design is for, s: the session's; where all users have wave links, the
@@ -376,6 +390,11 @@ class Session(SessionModel):
         if len(self.wave_links) < len(self.couplings):
             return self.period
         return min(link.period_in(self.period) for link in self.wave_links.values())
+
+    @property
+    def own_rates(self) -> dict[str, float]:
+        """Ticks in one of the session's, of the nodes whose period is not the session's."""
+        return {node: self.period / period for node, period in self.own_periods.items()}
 
     def devices_of(self, coupling: str) -> tuple[str, ...]:
         """The devices that have a port in a coupling, in the session's order."""

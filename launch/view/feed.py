@@ -78,6 +78,7 @@ class Feed:
 
     def session(self) -> str:
         """The first message of a page, with what does not change (JSON)."""
+        about = self.scene.about
         tracks = {
             key.name: {
                 "node": key.node,
@@ -85,12 +86,12 @@ class Feed:
                 "symbol": key.topic.symbol,
                 "unit": key.topic.unit,
                 "columns": columns,
+                "seconds": self._tracks.sizes[key.node] * about.period_of(key.node),
             }
             for key, columns in self._tracks.columns.items()
         }
-        about = self.scene.about.as_plain()
         seen = {"bucket": self._tracks.size, "buckets": BUCKETS, "window": WINDOW, "tracks": tracks}
-        return json.dumps({"type": "session", **about, **seen})
+        return json.dumps({"type": "session", **about.as_plain(), **seen})
 
     def picture(self, cursor: Cursor, held: dict[str, str]) -> str:
         """The session's present state with what is new since ``cursor``, which is moved on (JSON)."""
@@ -105,6 +106,7 @@ class Feed:
             "rate": _rounded(scene.rate),
             "frozen": scene.frozen,
             "energy": "".join(energy_line(node.figures) for node in scene.nodes.values()),
+            "wave_links": [felt.sentence(name) for name, felt in scene.felt_links.items()],
             "nodes": self._nodes(cursor),
             "links": [scene.link_health(link) for link in scene.about.links],
             "tracks": self._new_buckets(cursor),

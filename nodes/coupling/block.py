@@ -13,7 +13,7 @@ from manyhands.nodes.arithmetic import Floats
 from manyhands.nodes.bundle import CouplingBundle
 from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.lifetime import Life
-from manyhands.nodes.peer_link import PeerLink, Received
+from manyhands.nodes.peer_link import PeerLink, Received, WaveRow
 from manyhands.nodes.supervisor_line import ControlLine
 from manyhands.nodes.tick_events import TickEvents
 from manyhands.protocol.clock import Duration
@@ -52,6 +52,7 @@ class Block:
         self._trace_p: list[Floats] = [self._p] * rows
         self._trace_f: list[Floats] = [self._p] * rows
         self._energy = [0.0] * rows
+        self._waves: list[WaveRow] = [] if environment.row is None else [environment.row] * rows
         self._filled = 0
         self._events = TickEvents()
 
@@ -113,6 +114,8 @@ class Block:
         row, ledger = self._filled, self.core.ledger
         self._trace_p[row], self._trace_f[row] = self._p, self.applied.copy()
         self._energy[row] = 0.0 if ledger is None else ledger.total
+        if (wave := self.environment.row) is not None:
+            self._waves[row] = wave
         self._filled += 1
 
     def on_other_tick(self, peer_link: PeerLink, other: int, awaited: int) -> bool:
@@ -153,6 +156,7 @@ class Block:
             names.FREE_POSITION: np.array(self._trace_p[:rows]),
             names.FORCE: np.array(self._trace_f[:rows]),
             **names.ledger_trace(self.core.ledger, self._energy[:rows]),
+            **names.wave_traces(self._waves[:rows]),
         }
         control.publish(Telemetry(self.ticks, figures, traces))
 

@@ -169,11 +169,13 @@ class DeviceTelemetry:
         self._longest = from_seconds(self._common.period * (1.0 + rung.period_tolerance))
 
     def _covers(self, between: Duration) -> bool:
-        """Whether the certificate covers a period beyond the rung's longest, after the delay of the force in it.
+        """Whether the certificate covers a time between two samples, after the delay of the force in it.
 
-        It covers the longest period after the longest delay, and a longer one after a shorter delay. Every shorter
-        period is covered, because the device then dissipates more.
+        It covers the rung's longest period after its longest delay, and a longer one after a shorter delay. Every
+        shorter period is covered, because the device then dissipates more.
         """
+        if between <= self._longest:
+            return True
         period = self._period
         return between <= period * self._share.longest_period(min(self._tau_before, self._assumed_tau) / period)
 
@@ -208,7 +210,7 @@ class DeviceTelemetry:
         if self._sampled is not None:
             between = Duration(sampled - self._sampled)
             self._true_period.add(between / 1e3)
-            if between > self._longest and not self._covers(between):
+            if not self._covers(between):
                 self._period_breaches += 1
         self._sampled, self._tau_before = sampled, tau
         if applied > due + self._period:

@@ -22,7 +22,7 @@ from manyhands.nodes.environment.deadline import Deadline, Step
 from manyhands.nodes.environment.late_arrivals import AT_ONCE, CROSSING, LateArrivals, allowance
 from manyhands.nodes.environment.membership import Member, Members, Membership
 from manyhands.nodes.lifetime import Life
-from manyhands.nodes.peer_link import PeerLink, Received, bounds_by_peer, establish
+from manyhands.nodes.peer_link import PeerLink, Received, WaveRow, bounds_by_peer, establish, peer_link_of
 from manyhands.nodes.realtime import way_giver
 from manyhands.nodes.supervisor_line import NOT_AT_ALL, ControlLine
 from manyhands.nodes.tick_events import TickEvents
@@ -42,19 +42,23 @@ class EnvironmentTelemetry:
         ticks: the tick after the latest.
     """
 
-    def __init__(self, common: Common) -> None:
+    def __init__(self, common: Common, links: Sequence[str] = ()) -> None:
+        """No row yet; ``links`` are the couplings with a wave link."""
         rows = common.telemetry_ticks
+        self._links = links
         self._tools: list[Floats] = [[]] * rows
         self._masses: list[Floats] = [[]] * rows
         self._energy = [0.0] * rows
+        self._waves: list[Sequence[WaveRow]] = [()] * rows
         self._filled, self._rows, self._every = 0, common.telemetry_first, rows
         self.ticks = 0
 
-    def tick(self, tick: int, core: Core) -> None:
-        """Keep the row of ``tick``, which ``core`` has settled."""
+    def tick(self, tick: int, core: Core, waves: Sequence[WaveRow] = ()) -> None:
+        """Keep the row of ``tick``, which ``core`` has settled; ``waves`` are those of its wave links."""
         row, ledger = self._filled, core.ledger
         self._tools[row], self._masses[row] = core.tools, core.masses
         self._energy[row] = 0.0 if ledger is None else ledger.total
+        self._waves[row] = waves
         self._filled = row + 1
         self.ticks = tick + 1
 
@@ -87,8 +91,13 @@ class EnvironmentTelemetry:
             names.TOOL_POSITION: np.array(self._tools[:rows]),
             **({names.MASS_POSITION: np.array(self._masses[:rows])} if self._masses[0] else {}),
             **names.ledger_trace(core.ledger, self._energy[:rows]),
+            **names.world_traces(self._waves[:rows]),
             **{names.WAITED_IN + name: np.array(ticks, dtype=np.float64)[:, None] for name, ticks in late.items()},
         }
+        for tick, ends in enumerate(self._waves[:rows], self.ticks - rows):
+            for name, end in zip(self._links, ends, strict=True):
+                if end.begins:
+                    events.link(tick, name)
         happened = events.take(self.ticks - rows, self.ticks)
         control.publish(Telemetry(self.ticks, {**figures, **happened}, traces))
         return True
@@ -122,7 +131,7 @@ class EnvironmentNode:
         self.core: Core | None = None
         self.members: Members | None = None
         self._datagrams: DatagramSocket | None = None
-        self._account = EnvironmentTelemetry(bundle.common)
+        self._account = EnvironmentTelemetry(bundle.common, tuple(bundle.waves))
         self._frozen_ticks = 0
         self._passed: tuple[Member, ...] = ()  # the member that did not come at its turn in this tick
         # without a covered delay no certificate can be lost by a longer allowance, so the period serves
@@ -186,6 +195,7 @@ class EnvironmentNode:
                 peer_link.resume()
         members.last, members.log = start.ticks, control.log
         members.know(self._feedthrough, bundle.feedthrough)
+        ends = [one for name in bundle.waves if (one := peer_link_of(self.peer_links, name)) is not None]
         clock, account, late = self._clock, self._account, self._late
         stale, give_way = self._timeouts.stale, way_giver()
         p: Floats = [0.0] * len(self._common.ports)
@@ -237,7 +247,7 @@ class EnvironmentNode:
             give_way()  # ZeroMQ's thread sends the forces first; what does not depend on them is done after
             core.settle()
             self._frozen_ticks += members.anybody_out
-            account.tick(tick, core)
+            account.tick(tick, core, [row for end in ends if (row := end.finished(tick)) is not None])
             tick += 1
             if account.due:
                 self._publish(control, core, members)

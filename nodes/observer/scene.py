@@ -21,6 +21,9 @@ from typing import Any, Final
 
 from manyhands.design.files import read_regular, replacing
 from manyhands.nodes import telemetry as names
+from manyhands.nodes.own_ticks import session_tick
+from manyhands.nodes.wave_link.felt import FeltLink, felt_link
+from manyhands.protocol.channels import Topic, links_at, topics_of
 from manyhands.protocol.clock import Instant, from_seconds
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
@@ -47,12 +50,16 @@ class NodeAbout:
         ports: in the order of its traces.
         process: the node whose process it shares; None for a process of its own.
         wall: whether it is a device in wall time, which reports more topics than one in its own.
+        period: its T, s, where it has one of its own; None for the session's.
+        impedance: the least and the greatest eigenvalue of b, N*s/m, of a coupling with a wave link; None for others.
     """
 
     role: Role
     ports: tuple[str, ...]
     process: str | None = None
     wall: bool = False
+    period: float | None = None
+    impedance: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -85,6 +92,8 @@ class CertificateAbout:
         enforced: parties whose level is enforced at run time instead of proved.
         tank: E_0, what lateness may put in through each device in wall time, J.
         bounded: whether the devices keep to that bound; otherwise lateness is counted alone.
+        taus: the longest delay by device, s, in a session with wave links, whose sites have certificates of their own;
+            ``tau`` is then the shortest of them.
     """
 
     tau: float
@@ -95,6 +104,7 @@ class CertificateAbout:
     enforced: tuple[str, ...]
     tank: float
     bounded: bool
+    taus: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -138,6 +148,27 @@ class About:
     certificate: CertificateAbout | None
     environment: str
     observers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def period_of(self, node: str) -> float:
+        """T of a node, s; the session's for a name that is no node's."""
+        known = self.nodes.get(node)
+        return self.period if known is None or known.period is None else known.period
+
+    def rate_of(self, node: str) -> float:
+        """Ticks of a node in one of the session's."""
+        return self.period / self.period_of(node)
+
+    @property
+    def linked(self) -> tuple[str, ...]:
+        """The couplings that have a wave link."""
+        return tuple(name for name, node in self.nodes.items() if node.impedance is not None)
+
+    def topics(self, node: str) -> dict[Topic, tuple[str, ...]]:
+        """The topics of a node with the names of their columns, in the table's order."""
+        known, masses = self.nodes[node], tuple(self.masses)
+        links = links_at(node, known.role, {name: one.ports for name, one in self.nodes.items()}, self.linked)
+        topics = topics_of(known.role, masses, known.wall, bool(links))
+        return {topic: topic.columns_of(known.ports, masses, links) for topic in topics}
 
     def as_plain(self) -> dict[str, Any]:
         """As a JSON object."""
@@ -188,7 +219,12 @@ def _about(data: Any) -> About:
     certificate = data["certificate"]
     nodes = {
         _text(name): NodeAbout(
-            Role(node["role"]), _texts(node["ports"]), _known(node["process"], data["nodes"]), _flag(node["wall"])
+            Role(node["role"]),
+            _texts(node["ports"]),
+            _known(node["process"], data["nodes"]),
+            _flag(node["wall"]),
+            None if node["period"] is None else _number(node["period"]),
+            None if node["impedance"] is None else _pair(node["impedance"]),
         )
         for name, node in data["nodes"].items()
     }
@@ -211,8 +247,11 @@ def _about(data: Any) -> About:
     for name, kind in _SCALARS.items():
         if not isinstance(data[name], kind) or isinstance(data[name], bool):
             raise TypeError(f"{name}: found {data[name]!r}")
-    if not (0.0 < about.period < math.inf and 0 <= about.started < _LATEST and about.pid > 0 and about.ticks >= 0):
-        raise ValueError("found a period, an instant, a process id or a number of ticks out of range")
+    periods = [about.period_of(name) for name in about.nodes]
+    if not all(0.0 < period < math.inf for period in (about.period, *periods)):
+        raise ValueError("found a period out of range")
+    if not (0 <= about.started < _LATEST and about.pid > 0 and about.ticks >= 0):
+        raise ValueError("found an instant, a process id or a number of ticks out of range")
     for link in about.links:
         for name in link.ends:
             _known(name, nodes)
@@ -232,6 +271,7 @@ def _certificate(data: Any) -> CertificateAbout:
             "enforced": _texts(data["enforced"]),
             "tank": _number(data["tank"]),
             "bounded": _flag(data["bounded"]),
+            "taus": _numbers(data["taus"]),
         }
     )
 
@@ -269,6 +309,11 @@ def _known(name: Any, nodes: Mapping[str, Any]) -> Any:
     if name is not None and name not in nodes:
         raise ValueError(f"found {name!r}; expected a node")
     return name
+
+
+def _pair(values: Any) -> tuple[float, float]:
+    least, greatest = map(_number, values)
+    return least, greatest
 
 
 def _two(ends: Any) -> tuple[str, str]:
@@ -400,8 +445,8 @@ class Scene:
 
     @property
     def tick(self) -> int:
-        """The latest tick that any node reported."""
-        return max((node.tick for node in self.nodes.values()), default=0)
+        """The latest tick of the session that any node reported."""
+        return max((session_tick(node.tick, self.about.rate_of(name)) for name, node in self.nodes.items()), default=0)
 
     @property
     def rate(self) -> float | None:
@@ -429,11 +474,28 @@ class Scene:
         certificate = self.about.certificate
         if certificate is None:
             return 0.0
+        if device in certificate.taus:
+            return certificate.taus[device]
         taus = (certificate.tau, *certificate.ladder)
         ends = {end for link in self.about.links if device in link.ends for end in link.ends}
         couplings = [self.nodes[end] for end in ends if end in self.nodes and self.nodes[end].role is Role.COUPLING]
         rungs = (coupling.figures.get(names.RUNG, 0.0) for coupling in couplings)
         return min((taus[round(rung)] for rung in rungs if 0.0 <= rung <= len(taus) - 1), default=certificate.tau)
+
+    @property
+    def felt_links(self) -> dict[str, FeltLink]:
+        """Every wave link of which both ends have reported, by its coupling."""
+        worlds = [node for node in self.nodes.values() if node.role is Role.ENVIRONMENT]
+        out = {}
+        for name, node in self.about.nodes.items():
+            for world in worlds:
+                if node.impedance is None:
+                    continue
+                periods = self.about.period_of(name), self.about.period_of(world.name)
+                felt = felt_link(name, node.impedance, periods, self.nodes[name].figures, world.figures)
+                if felt is not None:
+                    out[name] = felt
+        return out
 
     @property
     def health(self) -> Health:

@@ -3,7 +3,7 @@
 Every trace of the table of topics is a track, except for the instants of ticks. So is each device's velocity: the
 difference of its displacement from sample to sample, taken before decimation.
 
-A bucket is a run of ticks of fixed length, counted from tick 0, so that the buckets of all traces of a session are
+A bucket is a run of ticks of fixed length, counted from tick 0, so that the buckets of all nodes of one period are
 aligned. Of each bucket two values are kept, its least and its greatest, in the order of time. A curve through them
 touches every extreme of the trace, however short; a curve through every n-th sample would not.
 """
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.nodes.observer.scene import About
-from manyhands.protocol.channels import DISPLACEMENT, INSTANT_NAMES, INSTANTS, LEDGER, Columns, Topic, topics_of
+from manyhands.protocol.channels import DISPLACEMENT, INSTANT_NAMES, INSTANTS, LEDGER, Columns, Topic
 from manyhands.protocol.messages import Observation, Role
 
 Floats = NDArray[np.float64]
@@ -176,7 +176,8 @@ class Tracks:
     """All tracks of a session.
 
     Attributes:
-        size: ticks per bucket.
+        size: the session's ticks per bucket.
+        sizes: by node, its own ticks per bucket.
         columns: names of each track's columns.
         unfit: number of traces that did not have this session's shape.
     """
@@ -184,10 +185,11 @@ class Tracks:
     def __init__(self, about: About, window: float = WINDOW, buckets: int = BUCKETS) -> None:
         """Begin without any tick."""
         self.size = max(1, round(window / about.period / buckets))
+        self.sizes = {name: max(1, round(self.size * about.rate_of(name))) for name in about.nodes}
         self._about, self._buckets = about, buckets
         self.columns = {key: _columns(key, about) for key in _keys(about)}
         self._tracks = {key: Track(len(columns), buckets) for key, columns in self.columns.items()}
-        self._decimators = {key: Decimator(self.size, len(columns)) for key, columns in self.columns.items()}
+        self._decimators = {key: Decimator(self.sizes[key.node], len(columns)) for key, columns in self.columns.items()}
         self._last: dict[str, tuple[int, Floats, Floats]] = {}  # each device's latest tick, with x and s then
         self.unfit = 0
 
@@ -223,7 +225,7 @@ class Tracks:
         """
         instants = observation.traces.get(INSTANTS)
         if instants is None or instants.shape != (len(x), len(INSTANT_NAMES)):
-            s = self._about.period * np.arange(first, first + len(x), dtype=np.float64)[:, None]
+            s = self._about.period_of(node) * np.arange(first, first + len(x), dtype=np.float64)[:, None]
         else:
             s = 1e-9 * instants[:, :1]
         tick, *before = self._last.get(node, (-1, x[:1], s[:1]))
@@ -236,7 +238,7 @@ class Tracks:
 
 def _keys(about: About) -> Iterator[TrackKey]:
     for name, node in about.nodes.items():
-        for topic in topics_of(node.role, tuple(about.masses), node.wall):
+        for topic in about.topics(name):
             if (topic.trace == LEDGER and about.certificate is None) or topic.columns is Columns.INSTANTS:
                 continue
             yield TrackKey(name, topic)
@@ -245,4 +247,4 @@ def _keys(about: About) -> Iterator[TrackKey]:
 
 
 def _columns(key: TrackKey, about: About) -> tuple[str, ...]:
-    return key.topic.columns_of(about.nodes[key.node].ports, tuple(about.masses))
+    return about.nodes[key.node].ports if key.topic is VELOCITY else about.topics(key.node)[key.topic]

@@ -21,10 +21,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.nodes.recorder.coverage import Coverage, missing_by_party
+from manyhands.nodes.own_ticks import session_tick
+from manyhands.nodes.recorder.coverage import Coverage, missing_by_party, spans_by_party
 from manyhands.nodes.recorder.format import (
     MAX_TIME_NS,
-    MEDIA_TYPES,
     MESSAGE_ENCODING,
     METADATA,
     OTHER_SCHEMAS,
@@ -36,6 +36,7 @@ from manyhands.nodes.recorder.format import (
     Recorded,
     encode_condition,
     encode_figures,
+    media_type,
     schema_of,
 )
 from manyhands.nodes.recorder.mcap import Tape
@@ -65,7 +66,7 @@ class Ticks:
 
     @classmethod
     def of(cls, first: int, count: int, start: int, tick_ns: float) -> Ticks:
-        """The ticks ``first`` to ``first + count - 1`` of a session whose tick 0 was at ``start``, ns since 1970."""
+        """The ticks ``first`` to ``first + count - 1`` of a node whose tick 0 was at ``start``, ns since 1970."""
         numbers = np.arange(first, first + count, dtype=np.uint64)
         beginnings = _beginnings(first, count, tick_ns)
         return cls(
@@ -82,8 +83,8 @@ def _since_start(first: int, count: int, tick_ns: float) -> NDArray[np.float64]:
 
 
 def _beginnings(first: int, count: int, tick_ns: float) -> tuple[bytes, ...]:
-    """The beginnings of these ticks' messages, from cached blocks: all nodes report the same ticks, one after the
-    other.
+    """The beginnings of these ticks' messages, from cached blocks: the nodes of one period report the same ticks, one
+    after the other.
     """
     out: list[bytes] = []
     for block in range(first // _BLOCK, (first + count - 1) // _BLOCK + 1):
@@ -126,13 +127,13 @@ CHUNK_BYTES: Final = 1024 * 1024
 class RecorderCore:
     """Turns observations into a file.
 
-    Times in the file follow the session's own clock: tick k was at the start plus kT. The start is computed back from
-    the arrival of the first observation. So it is the time of day as well, as long as ticks keep pace with the wall
-    clock.
+    Times in the file follow the session's own clock: tick k was at the start plus kT, with the node's T. The start is
+    computed back from the arrival of the first observation. So it is the time of day as well, as long as ticks keep
+    pace with the wall clock.
 
     Attributes:
         over: becomes true when the session has reported that nothing more will come.
-        tick: the latest tick of any device that was taken.
+        tick: the session's tick after the latest of any device that was taken.
         refused: number of frames that were no observation, named no node, or did not fit their node's columns and
             ticks.
     """
@@ -149,7 +150,7 @@ class RecorderCore:
         self._tape = Tape(f"manyhands {recorded.version}")
         self._tape.metadata(METADATA, recorded.as_metadata())
         for name, data in (attachments or {}).items():
-            self._tape.attach(name, MEDIA_TYPES.get(name, "application/octet-stream"), data, started)
+            self._tape.attach(name, media_type(name) or "application/octet-stream", data, started)
         self._topics = {node: {topic.trace: topic for topic in recorded.topics(node)} for node in recorded.roles}
         self._schemas: dict[str, int] = {}
         self._channels: dict[tuple[str, str], int] = {}
@@ -169,14 +170,14 @@ class RecorderCore:
             self._note(message, time)
         elif isinstance(message, Observation) and self._fits(message):
             if self._start is None:
-                self._start = max(0, time - self._since_start(message.tick))
+                self._start = max(0, time - self._since_start(message.node, message.tick))
             self._write(message)
         else:
             self.refused += 1
 
-    def _since_start(self, tick: int) -> int:
-        """Time from tick 0 to ``tick``, ns."""
-        return round(tick * self._recorded.tick_ns)
+    def _since_start(self, node: str, tick: int) -> int:
+        """Time from tick 0 to a node's ``tick``, ns."""
+        return round(tick * self._recorded.tick_ns(node))
 
     def _fits(self, observation: Observation) -> bool:
         topics, rows = self._topics.get(observation.node), {trace.shape[0] for trace in observation.traces.values()}
@@ -186,7 +187,7 @@ class RecorderCore:
         return (
             len(rows) <= 1
             and first >= (self._coverage[observation.node].next if rows else 0)
-            and (self._start or 0) + self._since_start(observation.tick) <= MAX_TIME_NS
+            and (self._start or 0) + self._since_start(observation.node, observation.tick) <= MAX_TIME_NS
             and all(
                 self._width(observation.node, topics[name]) == trace.shape[1]
                 for name, trace in observation.traces.items()
@@ -198,17 +199,19 @@ class RecorderCore:
 
     def _write(self, observation: Observation) -> None:
         start, rows = self._start or 0, max((trace.shape[0] for trace in observation.traces.values()), default=0)
+        node, tick = observation.node, observation.tick
         if rows:
-            ticks = Ticks.of(observation.tick - rows, rows, start, self._recorded.tick_ns)
-            for topic in self._topics[observation.node].values():
+            ticks = Ticks.of(tick - rows, rows, start, self._recorded.tick_ns(node))
+            for topic in self._topics[node].values():
                 if topic.trace in observation.traces:
-                    self._write_trace(observation.node, topic, ticks, observation.traces[topic.trace])
-            self._coverage[observation.node].take(observation.tick - rows, observation.tick)
-            if observation.node in self._recorded.devices:
-                self.tick = max(self.tick, observation.tick)
+                    self._write_trace(node, topic, ticks, observation.traces[topic.trace])
+            self._coverage[node].take(tick - rows, tick)
+            if node in self._recorded.devices:
+                self.tick = max(self.tick, session_tick(tick - 1, self._recorded.rate_of(node)) + 1)
         if observation.figures:
-            channel = self._channel(observation.node, TELEMETRY, None)
-            self._add(channel, observation.tick, start, encode_figures(observation.tick, observation.figures))
+            channel = self._channel(node, TELEMETRY, None)
+            time = start + self._since_start(node, tick)
+            self._tape.message(channel, time, tick % SEQUENCES, encode_figures(tick, observation.figures))
 
     def _write_trace(self, node: str, topic: Topic, ticks: Ticks, values: Values) -> None:
         one = topic.columns is Columns.ONE
@@ -234,9 +237,6 @@ class RecorderCore:
             self._channels[node, name] = number
         return number
 
-    def _add(self, channel: int, tick: int, start: int, data: bytes) -> None:
-        self._tape.message(channel, start + self._since_start(tick), tick % SEQUENCES, data)
-
     def _note(self, condition: Condition, time: int) -> None:
         """Write the session's condition, unless nothing but the time has changed."""
         before, self._condition = self._condition, condition
@@ -244,17 +244,17 @@ class RecorderCore:
             return
         channel = self._channel(SUPERVISOR, CONDITION, None)
         data = encode_condition(self.tick, condition)
-        if self._start is None:  # the time of tick 0 is not known yet
-            self._tape.message(channel, time, self.tick % SEQUENCES, data)
-        else:
-            self._add(channel, self.tick, self._start, data)
+        if self._start is not None:  # before that the time of tick 0 is not known
+            time = self._start + self._since_start(SUPERVISOR, self.tick)
+        self._tape.message(channel, time, self.tick % SEQUENCES, data)
 
     @property
     def missing_in_all(self) -> dict[str, int]:
         """Number of ticks that were never reported, up to the latest of any device, by device, for devices that miss
         some.
         """
-        return missing_by_party(self.coverage, 0, self.tick)
+        coverage = self.coverage
+        return missing_by_party(coverage, spans_by_party(coverage, self._recorded.rate_of, 0))
 
     @property
     def coverage(self) -> dict[str, Coverage]:

@@ -1,13 +1,18 @@
-"""The ticks of a party that a recording holds, and how many are missing: one count for writer and readers."""
+"""The ticks of a party that a recording holds, and how many are missing: one count for writer and readers.
+
+A party's ticks are its own (:mod:`manyhands.nodes.own_ticks`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from manyhands.nodes.own_ticks import own_tick, own_tick_before, session_tick
 
 MOST_GAPS: Final = 1000
 """The most gaps of one party that are kept one by one; the count includes all."""
@@ -70,7 +75,29 @@ class Coverage:
         return tuple(gap for gap in found if gap.begin < gap.end)[:MOST_GAPS]
 
 
-def missing_by_party(coverages: Mapping[str, Coverage], begin: int, end: int) -> dict[str, int]:
-    """Number of missing ticks in ``begin <= tick < end`` by party, for the parties that miss some."""
-    counts = {name: coverage.missing_in(begin, end) for name, coverage in coverages.items()}
+def spans_by_party(
+    coverages: Mapping[str, Coverage], rate_of: Callable[[str], float], begin: int | None = None
+) -> dict[str, range]:
+    """By party, its own ticks up to the end of the latest tick of any party.
+
+    Args:
+        coverages: of each party.
+        rate_of: the rate of a party.
+        begin: the session's tick from which on they count; None for the first tick of any party.
+    """
+    first = [session_tick(one.first, rate_of(name)) for name, one in coverages.items() if one.first is not None]
+    begin = min(first, default=0) if begin is None else begin
+    latest = max((one.next / rate_of(name) for name, one in coverages.items()), default=0.0)
+    return {
+        name: range(
+            own_tick(begin, rate_of(name)) if one.first is None else min(one.first, own_tick(begin, rate_of(name))),
+            max(one.next, own_tick_before(latest, rate_of(name))),
+        )
+        for name, one in coverages.items()
+    }
+
+
+def missing_by_party(coverages: Mapping[str, Coverage], spans: Mapping[str, range]) -> dict[str, int]:
+    """Number of missing ticks in the span of each party, for the parties that miss some."""
+    counts = {name: one.missing_in(spans[name].start, spans[name].stop) for name, one in coverages.items()}
     return {name: count for name, count in counts.items() if count > 0}

@@ -10,14 +10,14 @@ import json
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain
 from typing import Any, Final
 
 from manyhands import __version__
 from manyhands.nodes.bundle import REALTIME
 from manyhands.nodes.json_number import json_number
-from manyhands.protocol.channels import CONDITION, TELEMETRY, Columns, Topic, topics_of
+from manyhands.protocol.channels import CONDITION, TELEMETRY, Columns, Topic, links_at, topics_of
 from manyhands.protocol.messages import Condition, Role
 
 FORMAT: Final = "manyhands-recording"
@@ -29,6 +29,15 @@ SESSION_FILE: Final = "session.yaml"
 CERTIFICATE_FILE: Final = "certificate.json"
 MEDIA_TYPES: Final[Mapping[str, str]] = {SESSION_FILE: "application/yaml", CERTIFICATE_FILE: "application/json"}
 """The attachments: the session as it ran, and the certificate it ran under, if it had one."""
+
+_PART: Final = re.compile(r"certificate\.\w[\w.-]{0,199}\.json")
+"""The certificate of one part of a session with wave links; :data:`CERTIFICATE_FILE` is then that of its world."""
+
+
+def media_type(name: str) -> str | None:
+    """The media type of an attachment; None for a name that no recording's attachment has."""
+    return "application/json" if _PART.fullmatch(name) else MEDIA_TYPES.get(name)
+
 
 SUPERVISOR: Final = "supervisor"
 """The node name under which the session's condition is recorded."""
@@ -166,6 +175,8 @@ class Recorded:
         ports: the ports of each node, in the order of its traces' columns.
         masses: the environment's masses, in the order of its traces' columns; empty where they are not known.
         version: of the program that recorded it.
+        periods: T of the nodes that have a period of their own, s: those at the site of a wave link with one.
+        linked: the couplings that have a wave link, in the session's order.
     """
 
     session: str
@@ -176,6 +187,8 @@ class Recorded:
     ports: Mapping[str, tuple[str, ...]]
     masses: tuple[str, ...] = ()
     version: str = __version__
+    periods: Mapping[str, float] = field(default_factory=dict)
+    linked: tuple[str, ...] = ()
 
     @property
     def devices(self) -> dict[str, tuple[str, ...]]:
@@ -185,16 +198,33 @@ class Recorded:
     def topics(self, node: str) -> tuple[Topic, ...]:
         """The topics of a node, in the table's order; empty for an unknown node."""
         role = self.roles.get(node)
-        return () if role is None else topics_of(role, self.masses, self.clock == REALTIME)
+        wall = self.clock == REALTIME
+        return () if role is None else topics_of(role, self.masses, wall, bool(self.links_of(node)))
 
     def columns(self, node: str, topic: Topic) -> tuple[str, ...]:
         """Names of the columns of a node's topic."""
-        return topic.columns_of(self.ports[node], self.masses)
+        return topic.columns_of(self.ports[node], self.masses, self.links_of(node))
 
-    @property
-    def tick_ns(self) -> float:
-        """T, ns. It is a whole number if it differs from one only by the rounding of its decimals."""
-        exact = self.period * 1e9
+    def behind_wave_link(self, node: str) -> bool:
+        """Whether a wave link stands between a device or coupling and the environment."""
+        linked = {port for name in self.linked for port in self.ports[name]}
+        return self.roles[node] is not Role.ENVIRONMENT and bool(linked & {*self.ports[node]})
+
+    def links_of(self, node: str) -> dict[str, tuple[str, ...]]:
+        """The ports of each wave link that ends at a node, by its coupling."""
+        return links_at(node, self.roles[node], self.ports, self.linked)
+
+    def period_of(self, node: str) -> float:
+        """T of a node, s."""
+        return self.periods.get(node, self.period)
+
+    def rate_of(self, node: str) -> float:
+        """Ticks of a node in one of the session's."""
+        return self.period / self.period_of(node)
+
+    def tick_ns(self, node: str) -> float:
+        """T of a node, ns. It is a whole number if it differs from one only by the rounding of its decimals."""
+        exact = self.period_of(node) * 1e9
         return float(round(exact)) if math.isclose(exact, round(exact), rel_tol=1e-12) else exact
 
     def as_metadata(self) -> dict[str, str]:
@@ -210,6 +240,8 @@ class Recorded:
             "roles": json.dumps(dict(self.roles)),
             "ports": json.dumps(dict(self.ports)),
             "masses": json.dumps(self.masses),
+            **({"periods": json.dumps(dict(self.periods))} if self.periods else {}),
+            **({"wave_links": json.dumps(self.linked)} if self.linked else {}),
         }
 
     @classmethod
@@ -233,11 +265,17 @@ class Recorded:
                 {name: tuple(own) for name, own in ports.items()},
                 tuple(json.loads(texts["masses"])),
                 texts["manyhands"],
+                {name: _number(own) for name, own in json.loads(texts.get("periods", "{}")).items()},
+                tuple(json.loads(texts.get("wave_links", "[]"))),
             )
         except (KeyError, TypeError, AttributeError, RecursionError) as error:
             raise ValueError(f"found metadata without {error}; expected that of a recording") from error
         if not (0.0 < out.period < math.inf and out.roles.keys() == out.ports.keys() and out.devices):
             raise ValueError("found metadata without a period, or without the ports of every node; expected both")
+        if not (out.periods.keys() <= out.roles.keys() and all(0.0 < own < math.inf for own in out.periods.values())):
+            raise ValueError("found the period of an unknown node, or one that is not positive, in the metadata")
+        if not all(type(name) is str and out.roles.get(name) is Role.COUPLING for name in out.linked):
+            raise ValueError("found a wave link of another node than a coupling in the metadata; expected couplings")
         if any(type(name) is not str for names in (*out.ports.values(), out.masses) for name in names):
             raise ValueError("found a port or a mass that is no text in the metadata; expected names")
         names = (out.session, *out.roles, *out.masses, *chain.from_iterable(out.ports.values()))

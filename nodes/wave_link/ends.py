@@ -32,7 +32,7 @@ from typing import Final
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.arithmetic import Floats
 from manyhands.nodes.bundle import SIMULATED, Common, CouplingBundle, EnvironmentBundle, Peer, WaveEnd, wave_feedthrough
-from manyhands.nodes.peer_link import Listener, PeerLink, Received, hello_to, positions
+from manyhands.nodes.peer_link import Listener, PeerLink, Received, WaveRow, hello_to, positions
 from manyhands.nodes.supervisor_line import NOT_AT_ALL
 from manyhands.nodes.wave_link.faces import UserFace, WorldFace
 from manyhands.nodes.wave_link.play_out import DEAF
@@ -104,9 +104,11 @@ class _End(PeerLink):
         self._deepest = DEAF / wave.peer_period
         self._ticks = 0  # of the present window
         self._strays = 0
+        self._silences, self._deaf = 0, True  # a face hears nothing before its first wave
         self._path: DatagramPath | None = None
         self._encrypted = common.transport == "tcp" and bool(common.public) and not self._waits
         self._zeros: Floats = [0.0] * len(peer.ports)
+        self._row = WaveRow(self._zeros, [wave.tank, 0.0, 0.0], self._zeros, self._zeros)
 
     @property
     def dropped(self) -> Mapping[str, int]:
@@ -134,6 +136,11 @@ class _End(PeerLink):
     def notify(self, message: Rung | Absent) -> None:
         """Do nothing: rungs end at the site, and the other end notices itself that waves are missing."""
 
+    @property
+    def row(self) -> WaveRow:
+        """The row of the last tick."""
+        return self._row
+
     def lose(self) -> None:
         """Close the link to a peer that is gone, and begin a new life."""
         super().lose()
@@ -147,6 +154,7 @@ class _End(PeerLink):
             names.WAVE_TANK: face.tank.level,
             names.WAVE_CLIPPED: float(face.tank.clipped),
             names.WAVE_DEAF: float(face.deaf),
+            names.WAVE_SILENCES: float(self._silences),
             names.WAVE_LATENCY: face.latency * 1e6,
         }
 
@@ -163,6 +171,13 @@ class _End(PeerLink):
     def _new_gate(self) -> WaveGate:
         width = len(self.peer.ports)
         return WaveGate(width) if self._waits else WaveGate(width, self._peer_period, self._clock)
+
+    def _note_silence(self) -> None:
+        """Count a silence when it begins."""
+        deaf = self.face.deaf
+        if deaf is not self._deaf:
+            self._deaf = deaf
+            self._silences += deaf
 
     def _take_waves(self) -> bool:
         """Take in all waves that are there, of which the newest counts; returns whether a handshake has finished."""
@@ -260,6 +275,8 @@ class UserEnd(_End):
         if not self._waits:
             self._take_waves()
         self._f = self._face.step(self.share(values))
+        self._row = WaveRow(self._face.wave, self._face.tank.row())
+        self._note_silence()
         if self._waits:  # the world waits for the wave before it answers with one
             self._send_wave()
         return True
@@ -323,6 +340,7 @@ class WorldEnd(_End):
         self.face = self._face = world_face(common, wave)
         self._answered = True  # whether the face has the force of its last tick
         self._asked = -1  # the tick in which the face moved last
+        self._began = False  # whether a life of the link begins in the present tick
 
     def hear(self, values: Floats, tick: int, timeout: Duration, listener: Listener) -> Received:
         """Put p(k), which the face gives, into the node's ``values``; NOTHING before the first wave and while joining.
@@ -340,11 +358,10 @@ class WorldEnd(_End):
             if self._take_waves():
                 return Received.RECONNECTED
         self._asked = tick
-        if not self._answered:  # the coupling was not active: its clutch is open, and no force acts on the face
-            self._face.step(self._zeros)
-            self._answered = True
+        self.settle(tick)
         if self._gate.newest is None:
             return Received.NOTHING
+        self._began = not self._face.aligned
         p = self._face.tool()
         self._answered = False
         if not self._measure():
@@ -355,13 +372,26 @@ class WorldEnd(_End):
 
     def send(self, kind: type[SignalMessage], tick: int, stamp: int, values: Floats) -> bool:
         """Give the face f_e(k) behind the clutch, and send the user a wave."""
-        self._face.step(self.share(values))
-        self._answered = True
+        self._take_force(self.share(values))
         return self._send_wave()
+
+    def settle(self, tick: int) -> None:
+        """Finish the face's tick: on a coupling that is not active no force acts, for its clutch is open."""
+        if not self._answered:
+            self._take_force(self._zeros)
+
+    def _take_force(self, f: Floats) -> None:
+        face = self._face
+        face.step(f)
+        self._answered = True
+        self._row = WaveRow(face.wave, face.tank.row(), *face.signals, self._began)
+        self._note_silence()
+        self._began = False
 
     def _begin_life(self) -> None:
         super()._begin_life()
         self._answered = True
+        self._row = WaveRow(self._zeros, self.face.tank.row(), self._face.tool_position, self._zeros)
 
     def _offer_path(self) -> None:
         """Offer the coupling a path for its datagrams, once in a life."""

@@ -178,6 +178,11 @@ class _Face(ABC):
         return Sums(self.n, tuple(self._U), self.tank.shipped, self.life)
 
     @property
+    def wave(self) -> Floats:
+        """The incoming wave c of the tick that was stepped last, W^(1/2)."""
+        return self._c
+
+    @property
     def deaf(self) -> bool:
         """Whether no message came for so long that this face holds the tool; so it is before the first one."""
         return self._play.deaf
@@ -398,6 +403,7 @@ class UserFace(_Face):
                 self._played = self._U = self._sum_at(before)
             elif self._hold == 0.0:  # a free end: both waves are h^-1 b w_c, and no energy passes
                 self._x, self._U, self._f = p, self._sum_at(p), self._zero
+                self._c = self.free_wave([to - at for to, at in zip(p, before, strict=True)])
                 self.n += 1
                 self.silent += 1
                 return self._zero
@@ -405,8 +411,8 @@ class UserFace(_Face):
                 self._hold = max(0.0, self._hold - self._T / RAMP)
         moved = minus(p, before)
         c = self._incoming(moved)
-        self._f = f = minus(self._driven(c), self._damped(moved))
-        self._x = x = plus(p, self._deflection(f))
+        self._f = f = self.force(c, moved)
+        self._x = x = self.position(p, f)
         self._leave([-force for force in f], x, before, harvests=True)
         if not self.aligned:
             self._U = self._sum_at(x)
@@ -420,6 +426,18 @@ class UserFace(_Face):
         f, T = [hold * force for force in self._let_go], self._T
         w = [(by + bent) / T for by, bent in zip(moved, self._deflection(f), strict=True)]
         return [motion + force for motion, force in zip(self._sum_at(w), self._held(f), strict=True)]
+
+    def force(self, c: Floats, moved: Floats) -> Floats:
+        """f_c(k), N, for the wave c(k) and p(k) - x_c(k-1), m."""
+        return minus(self._driven(c), self._damped(moved))
+
+    def position(self, p: Floats, f: Floats) -> Floats:
+        """x_c(k) = p(k) + D_V f_c(k), m."""
+        return plus(p, self._deflection(f))
+
+    def free_wave(self, moved: Floats) -> Floats:
+        """The wave h^-1 b w_c of a free end, for p(k) - x_c(k-1), m."""
+        return [by / self._T for by in self._sum_at(moved)]
 
 
 class WorldFace(_Face):
@@ -474,8 +492,7 @@ class WorldFace(_Face):
             self.aligned = True
             self._played = self._U = self._play.first
             self._x, self._f = self._place(self._U), self._zero
-        c = self._incoming(self._zero)
-        self._p = plus(self._x, self._driven(c))
+        self._p = self.free_position(self._x, self._incoming(self._zero))
         return self._p
 
     def step(self, f: Floats, harvests: bool = True) -> None:
@@ -486,8 +503,26 @@ class WorldFace(_Face):
             harvests: whether theta_e is earned; not in a tick in which the block's clutch has s < 1.
         """
         before, self._f = self._x, f
-        self._x = x = plus(self._p, self._deflection(f))
+        self._x = x = self.position(self._p, f)
         self._leave(f, x, before, harvests)
+
+    def free_position(self, before: Floats, c: Floats) -> Floats:
+        """p(k) = x_e(k-1) + T b^-1 h c(k), m."""
+        return plus(before, self._driven(c))
+
+    def position(self, p: Floats, f: Floats) -> Floats:
+        """x_e(k) = p(k) + T b^-1 f_e(k), m."""
+        return plus(p, self._deflection(f))
+
+    @property
+    def signals(self) -> tuple[Floats, Floats]:
+        """p(k), m, and f_e(k), N, of the tick that was stepped last."""
+        return self._p, self._f
+
+    @property
+    def tool_position(self) -> Floats:
+        """x_e of the tick that was stepped last, m."""
+        return self._x
 
     def _idle(self, moved: Floats) -> Floats:
         """-h^-1 f_e(k-1), which holds the tool."""

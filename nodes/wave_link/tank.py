@@ -43,6 +43,10 @@ class Tank:
         self.shipped = self.heard = self.cost = 0.0
         self.clipped = 0
 
+    def row(self) -> Floats:
+        """L, G and the G heard, J: the tank's row in telemetry."""
+        return [self.level, self.shipped, self.heard]
+
     def renew(self) -> None:
         """Start a new life with the energy that is in the tank; what is in transit is lost, on both ways."""
         self.shipped = self.heard = 0.0

@@ -6,19 +6,18 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-import yaml
 
-from manyhands.design.certificate import to_json
 from manyhands.design.models.coupling import SpringDamper
 from manyhands.launch.plan.bundles import mass_names
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.topology import topology
 from manyhands.launch.recordings.run import RecordedRun
 from manyhands.launch.recordings.traces import Traces
+from manyhands.launch.run.directory import kept_files
 from manyhands.launch.session import Session, load_session
 from manyhands.launch.simulation import Silence, Simulation
 from manyhands.nodes.recorder.core import RecorderCore
-from manyhands.nodes.recorder.format import CERTIFICATE_FILE, SESSION_FILE, Recorded
+from manyhands.nodes.recorder.format import Recorded
 from manyhands.nodes.tick_events import TickEvents
 from manyhands.protocol.channels import LEDGER, TAU
 from manyhands.protocol.codec import encode
@@ -42,17 +41,23 @@ def simulated(prepared: Prepared, ticks: int, faults: Sequence[Silence] = ()) ->
 
 
 def attachments_of(prepared: Prepared) -> dict[str, bytes]:
-    session = yaml.safe_dump(prepared.session.as_plain(), sort_keys=False, allow_unicode=True).encode()
-    out = {SESSION_FILE: session}
-    if prepared.certificate is not None:
-        out[CERTIFICATE_FILE] = to_json(prepared.certificate).encode()
-    return out
+    return kept_files(prepared)
 
 
 def recorded_of(prepared: Prepared, clock: str = "simulated") -> Recorded:
     session, graph = prepared.session, topology(prepared.session)
     ports = {name: graph.ports[name] for name in graph.nodes}
-    return Recorded(session.name, prepared.id, session.period, clock, dict(graph.nodes), ports, mass_names(session))
+    return Recorded(
+        session.name,
+        prepared.id,
+        session.period,
+        clock,
+        dict(graph.nodes),
+        ports,
+        mass_names(session),
+        periods=session.own_periods,
+        linked=tuple(session.wave_links),
+    )
 
 
 def written(
@@ -90,6 +95,8 @@ def written(
                     figures |= _frozen(rows, recorded, int(ticks[0]), until)
                 if ticks[0] == 0 or not there[ticks[0] - 1]:  # a process begins, and reports it
                     figures |= TickEvents().take(int(ticks[0]), until)
+                if role is Role.ENVIRONMENT:
+                    figures |= _lives(rows, recorded, int(ticks[0]), until)
                 figures |= {"period_breaches": 0.0} if role is Role.DEVICE else {}
                 core.take(encode(Observation(node, until, figures | more(node, until), told)), START + until * 10**6)
     assert core.refused == 0
@@ -106,6 +113,17 @@ def _frozen(rows: Rows, recorded: Recorded, begin: int, end: int) -> dict[str, f
             for tick in (np.flatnonzero(np.diff(there)) + 1).tolist():
                 if begin <= tick < end:
                     (events.activate if there[tick] else events.freeze)(tick, node)
+    return {name: value for name, value in events.take(0, 0).items() if ":" in name}
+
+
+def _lives(rows: Rows, recorded: Recorded, begin: int, end: int) -> dict[str, float]:
+    """An environment's figures about the lives of wave links that begin in these ticks: those of their couplings."""
+    events = TickEvents()
+    for node in recorded.linked:
+        there = np.concatenate([[False], np.isfinite(rows[node, "p"]).all(axis=1)])
+        for tick in np.flatnonzero(np.diff(there.astype(int)) == 1).tolist():
+            if begin <= tick < end:
+                events.link(tick, node)
     return {name: value for name, value in events.take(0, 0).items() if ":" in name}
 
 

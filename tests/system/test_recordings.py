@@ -20,7 +20,10 @@ from manyhands.launch.plan.keys import ephemeral
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.reach import reach
 from manyhands.launch.plan.topology import roster
+from manyhands.launch.recordings.audit import audit
+from manyhands.launch.recordings.findings import CheckVerdict
 from manyhands.launch.recordings.recording import Recording
+from manyhands.launch.recordings.replay import replay
 from manyhands.launch.recordings.run import read_run
 from manyhands.launch.recordings.tables import read_recording
 from manyhands.launch.run import recorder as recorder_process
@@ -83,6 +86,21 @@ def test_under_the_simulated_clock_the_file_holds_the_simulations_numbers(
     phases = [condition.phase for _, condition in whole.conditions]
     assert phases == sorted(phases, key=[phase.value for phase in SessionPhase].index)
     assert (phases[-1], whole.conditions[-1][0]) == ("over", TICKS)
+
+
+@pytest.mark.parametrize("own", ["", ", period: 0.0005"], ids=["one period", "a site of 2 kHz"])
+def test_both_ends_of_a_wave_link_are_recorded_as_an_audit_computes_them(own: str, tmp_path: Path) -> None:
+    link = f"couplings.cx.wave_link={{b: 20, depth: 2{own}}}"
+    linked, path = prepare(load_session(SESSIONS / "example1.yaml", [link, "design.ladder=[]"])), tmp_path / "r.mcap"
+    outcome = recorded(linked, RecorderProcess(linked, "simulated", path), "simulated", 400)
+    assert (outcome.code, outcome.faults, outcome.incidents) == (0, (), ())
+    assert outcome.report["wave_links"].keys() == {"cx"}
+    run = read_run(path)
+    done = audit(path, run, lambda text: None, lambda tick: None)
+    assert [check for check in done.checks if check.verdict is not CheckVerdict.HOLDS] == []
+    assert (run.ticks, run.ticks_of("dx"), run.ticks_of("dy")) == (400, 800 if own else 400, 400)
+    if not own:
+        assert replay(linked, run).identical
 
 
 @pytest.mark.parametrize(("clock", "code"), [("realtime", 0), ("simulated", 1)])

@@ -51,6 +51,7 @@ export class Certificate {
 
   show(session) {
     say(byId("energy"), session.picture?.energy ?? "");
+    say(byId("wave-links"), (session.picture?.wave_links ?? []).map((text) => `${text}.`).join(" "));
     if (this.about.certificate === null) return;
     let [worst, most, late] = [0, 0, false];
     for (const { figures, covered } of session.nodes.values()) {

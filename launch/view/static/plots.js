@@ -10,6 +10,7 @@ const QUANTITIES = [
   { id: "E", label: "Ledgers", topics: ["ledger"] },
   { id: "account", label: "Accounts", topics: ["interface"] },
   { id: "tau", label: "Delay", topics: ["tau"] },
+  { id: "tank", label: "Tanks", topics: ["tank"] },
 ];
 const DASHES = [[], [8, 4], [2, 3], [10, 3, 2, 3]];
 const COLOURS = 8;
@@ -167,9 +168,10 @@ export class Plots {
     const columns = this.traces.map(({ on, track, column }) => {
       const values = new Array(times.length).fill(null);
       if (!on) return values;
-      for (let b = Math.max(begin, track.begin), i = 2 * (b - begin); b < Math.min(end, track.end); b += 1) {
+      for (let b = begin, i = 0; b < end; b += 1) {
+        const own = Math.floor((b * step) / track.seconds + 1e-6); // a node may have a period of its own
         for (const half of [0, 1]) {
-          const value = track.value(column, b, half);
+          const value = track.value(column, own, half);
           values[i++] = Number.isNaN(value) ? null : value;
           if (!Number.isNaN(value)) {
             points += 1;

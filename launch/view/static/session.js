@@ -36,13 +36,14 @@ export class Session {
     this.head = Math.max(this.head, Math.min(this.head + rate * passed + share * (aim - this.head), this.picture.tick));
   }
 
-  /** The drawn instant in buckets. */
+  /** The drawn instant in buckets of the session's ticks. */
   get bucket() {
     return this.head === null ? 0 : this.head / this.about.bucket;
   }
 
   /** The value of a track's column at the drawn instant; NaN where it is not known. */
   now(key, column) {
-    return this.tracks.get(key)?.at(column, this.bucket) ?? NaN;
+    const track = this.tracks.get(key);
+    return track ? track.at(column, ((this.head ?? 0) * this.about.period) / track.seconds) : NaN;
   }
 }

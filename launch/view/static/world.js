@@ -109,9 +109,8 @@ export class World {
     if (now - this.looked < LOOK) return;
     this.looked = now;
     const { tracks, about } = this.session;
-    const recent = Math.ceil(3 / (about.period * about.bucket));
     const greatest = (topics) =>
-      Math.max(0, ...[...tracks.values()].filter((t) => topics.includes(t.topic)).flatMap((t) => t.columns.map((_, c) => t.most(c, recent))));
+      Math.max(0, ...[...tracks.values()].filter((t) => topics.includes(t.topic)).flatMap((t) => t.columns.map((_, c) => t.most(c, Math.ceil(3 / t.seconds)))));
     const fit = (before, most) => (most > before || most < 0.3 * before ? rounded(most) : before);
     // where a hand can move a device, its motion has room
     const gripped = about.grips.length ? Math.min(0.02, Math.max(...about.grips.map((d) => about.reach[about.nodes[d].ports[0]] ?? 0))) : 0;

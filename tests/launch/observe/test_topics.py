@@ -18,7 +18,7 @@ from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import Recorded
 from manyhands.protocol.channels import TOPICS
 from manyhands.protocol.clock import Instant
-from manyhands.protocol.messages import Condition, Observation
+from manyhands.protocol.messages import Condition, Observation, Role
 
 from ...support.observed_frames import ABOUT, MS, condition, telemetry
 
@@ -29,11 +29,30 @@ def read(frame: bytes) -> Observation | Condition | None:
 
 class TestNames:
     def test_every_topic_of_every_node_and_no_other(self) -> None:
-        expected = [f"{name}/{topic.name}" for name, node in ABOUT.nodes.items() for topic in TOPICS[node.role]] + [
-            f"{name}/telemetry" for name in ABOUT.nodes
+        expected = [
+            f"{name}/{topic.name}"
+            for name, node in ABOUT.nodes.items()
+            for topic in TOPICS[node.role]
+            if not topic.linked
         ]
+        expected += [f"{name}/telemetry" for name in ABOUT.nodes]
         assert sorted(named_topics(ABOUT)) == sorted([*expected, "supervisor/condition"])
         assert named_topics(ABOUT)["environment/masses"].columns == ("hub",)
+
+    def test_a_wave_link_adds_those_of_its_two_ends(self) -> None:
+        coupling = next(name for name, node in ABOUT.nodes.items() if node.role is Role.COUPLING)
+        linked = replace(ABOUT, nodes=ABOUT.nodes | {coupling: replace(ABOUT.nodes[coupling], impedance=(20.0, 20.0))})
+        found = named_topics(linked)
+        added = {name: found[name].columns for name in found.keys() - named_topics(ABOUT).keys()}
+        ports, tank = ABOUT.nodes[coupling].ports, tuple(f"{coupling}.{figure}" for figure in "LGH")
+        assert added == {
+            f"{coupling}/wave": ports,
+            f"{coupling}/tank": tank,
+            "environment/tool": ports,
+            "environment/reaction": ports,
+            "environment/wave": ports,
+            "environment/tank": tank,
+        }
 
     def test_uncertified_sessions_list_no_ledgers_and_massless_ones_no_masses(self) -> None:
         names = named_topics(replace(ABOUT, certificate=None, masses={}))

@@ -62,7 +62,8 @@ def test_gaps_are_the_ticks_that_are_not_there(there: set[int], each: int) -> No
     wider = {tick for gap in ticks.gaps_in(0, 70) for tick in range(gap.begin, gap.end)}
     assert wider == set(range(70)) - there
     assert ticks.missing_in(0, 70) == len(wider)
-    assert missing_by_party({"a": ticks, "nobody": Coverage()}, 0, 70) == {"a": len(wider), "nobody": 70}
+    coverages = {"a": ticks, "nobody": Coverage()}
+    assert missing_by_party(coverages, dict.fromkeys(coverages, range(70))) == {"a": len(wider), "nobody": 70}
 
 
 def test_a_cut_recording_is_described_up_to_its_cut(tmp_path: Path) -> None:

@@ -37,7 +37,7 @@ from manyhands.launch.recordings.run import RecordedRun, RecordedTrace
 from manyhands.launch.run.states import MOST_INCIDENTS, Incidents
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE, Recorded
-from manyhands.protocol.channels import TOPICS, topics_of
+from manyhands.protocol.channels import TOPICS, links_at, topics_of
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Condition, Observation, Role
 
@@ -46,24 +46,32 @@ Array = np.ndarray
 
 
 def of_users(
-    count: int, ticks: int, clock: str = "realtime", ledgers: bool = True, wall: bool = False, **more: object
+    count: int,
+    ticks: int,
+    clock: str = "realtime",
+    ledgers: bool = True,
+    wall: bool = False,
+    linked: bool = False,
+    **more: object,
 ) -> RecordedRun:
     """A run of ``count`` users, every trace its own wave."""
     names = [f"u{i}" for i in range(count)]
     roles = {**{f"d-{n}": Role.DEVICE for n in names}, **{f"c-{n}": Role.COUPLING for n in names}}
     roles["environment"] = Role.ENVIRONMENT
     ports = {node: (node[2:],) if node != "environment" else tuple(names) for node in roles}
+    couplings = tuple(f"c-{n}" for n in names) if linked else ()
     time = np.arange(ticks) * PERIOD
     traces = {}
     for number, (node, role) in enumerate(roles.items()):
-        for topic in topics_of(role, ("hub",), wall):
+        links = links_at(node, role, ports, couplings)
+        for topic in topics_of(role, ("hub",), wall, bool(links)):
             if (topic.name == "ledger" and not ledgers) or (topic.name == "tau" and clock != "realtime"):
                 continue
-            columns = topic.columns_of(ports[node], ("hub",))
+            columns = topic.columns_of(ports[node], ("hub",), links)
             waves = [np.sin((1 + number + 0.1 * i) * time) for i in range(len(columns))]
             values = np.stack(waves, axis=1) if topic.name != "tau" else 300.0 + 10.0 * waves[0][:, None]
             traces[node, topic.name] = RecordedTrace(topic, columns, values)
-    recorded = Recorded("study", "0123456789abcdef", PERIOD, clock, roles, ports)
+    recorded = Recorded("study", "0123456789abcdef", PERIOD, clock, roles, ports, linked=couplings)
     return RecordedRun(recorded, traces, **more)  # type: ignore[arg-type]  # as each test wants it
 
 
@@ -216,10 +224,13 @@ class TestPictures:
     def test_every_topic_of_the_table_can_be_asked_for(self) -> None:
         names = {topic.name for topics in TOPICS.values() for topic in topics}
         assert {*QUANTITIES} == names - {"instants", "applied"} | {"velocity"}  # these are for the audit
-        picture = picture_of_run(of_users(1, 50, wall=True), [*reversed(QUANTITIES)])
+        picture = picture_of_run(of_users(1, 50, wall=True, linked=True), [*reversed(QUANTITIES)])
         assert [panel.name for panel in picture.panels] == [name for name in QUANTITIES if name != "tau"]
         assert picture.delays is not None
-        assert next(panel for panel in picture.panels if panel.name == "masses").curves[0].label == "hub"
+        labels = {panel.name: [curve.label for curve in panel.curves] for panel in picture.panels}
+        assert labels["masses"] == ["hub"]
+        assert labels["tool"] == ["u0", "environment u0"]
+        assert labels["tank"] == ["c-u0.L", "c-u0.G", "c-u0.H", *(f"environment c-u0.{figure}" for figure in "LGH")]
 
     @pytest.mark.parametrize(
         ("wanted", "words"),

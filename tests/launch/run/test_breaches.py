@@ -22,6 +22,7 @@ from manyhands.launch.run.breaches import (
     Breach,
     BreachPolicy,
     Cause,
+    Covered,
     Decision,
     EndSession,
     Notice,
@@ -49,7 +50,8 @@ class Measured:
 
     def __init__(self, policy: Policy, ladder: Rungs | None = None, period_tolerance: float = 0.0) -> None:
         self.rungs: dict[str, int] = {}
-        self.policy = BreachPolicy(policy, CHAINS, 100e-6, 1e-3, ladder, self.rungs, period_tolerance)
+        covered = dict.fromkeys(CHAINS, Covered(100e-6, 1e-3, period_tolerance))
+        self.policy = BreachPolicy(policy, CHAINS, covered, ladder, self.rungs)
         self.notices: dict[Cause, str] = {}
         self._counts: dict[str, dict[str, float]] = {}
         self._ticks: dict[str, int] = {}
@@ -150,7 +152,7 @@ class Test_a_notice_of_late_ticks:
 
     def test_at_a_whole_period_advises_no_longer_delay(self) -> None:
         m = Measured(Policy.SOFTEN)
-        m.policy = BreachPolicy(Policy.SOFTEN, CHAINS, 1e-3, 1e-3, None, m.rungs)
+        m.policy = BreachPolicy(Policy.SOFTEN, CHAINS, dict.fromkeys(CHAINS, Covered(1e-3, 1e-3)), None, m.rungs)
         m.tell("dx", 60, 1500.0)
         assert m.notices[Cause.DELAY] == (
             "forces came later than the certificate covers (1 ms): dx in 60.0% of its ticks, up to 1.5 ms so far; "
@@ -445,6 +447,52 @@ def test_changes_grow_with_the_logarithm_of_time(stretches: list[tuple[int, floa
     doublings = math.log2(1.0 + ticks * 1e-3 / CALM)
     assert doublings < MOST_DOUBLINGS
     assert climbs <= (len(Rungs.taus) - 1) * (1.0 + doublings)
+
+
+class Test_devices_with_certificates_of_their_own:
+    """dx is behind a wave link, at 4 kHz; dz is in the tick."""
+
+    def measured(self, policy: Policy = Policy.WARN) -> Measured:
+        m = Measured(policy)
+        covered = dict.fromkeys(CHAINS, Covered(100e-6, 1e-3)) | {"dx": Covered(50e-6, 250e-6, in_tick=False)}
+        m.policy = BreachPolicy(policy, CHAINS, covered, None, m.rungs)
+        return m
+
+    def test_a_notice_names_what_each_covers(self) -> None:
+        m = self.measured()
+        m.tell("dx", 60, 90.0)
+        m.tell("dz", 70, 300.0)
+        assert m.notices == {
+            Cause.DELAY: "forces came later than the certificate covers for each device: dx in 60.0% of its ticks, up "
+            "to 0.09 ms (covered 0.05 ms), dz in 70.0% of its ticks, up to 0.3 ms (covered 0.1 ms) so far; " + NEXT
+        }
+
+    def test_so_does_one_of_periods(self) -> None:
+        m = self.measured()
+        m.tell("dx", 0, late_periods=60)
+        m.tell("dz", 0, late_periods=70)
+        assert m.notices == {
+            Cause.PERIOD: "samples came later after the one before than the certificate covers (more after an early "
+            "force): dx in 60.0% of its ticks (covered 0.25 ms), dz in 70.0% of its ticks (covered 1 ms) so far; "
+            + NEXT
+        }
+
+    def test_a_session_ends_for_what_the_device_itself_has_covered(self) -> None:
+        m = self.measured(Policy.STOP)
+        m.tell("dx", 1)
+        m.tell("dx", 90, 90.0)
+        (end,) = [d for d in m.tell("dx", 90, 90.0) if isinstance(d, EndSession)]
+        assert "dx: a delay of 0.09 ms" in end.reason
+        assert "(it assumes 0.05 ms)" in end.reason
+
+    def test_behind_a_wave_link_nobody_is_waited_for(self) -> None:
+        """It is judged at once, and no tick is excused in which a user in the tick was late."""
+        m = self.measured()
+        m.late(10, cz=range(10))
+        (notice,) = m.tell("dx", 60, 90.0)
+        assert isinstance(notice, Notice)
+        assert m.tell("dy", 60) == []  # held until the environment has reported its ticks
+        assert len(m.late(TICKS)) == 1
 
 
 def test_the_period_that_the_certificate_covers_is_named() -> None:

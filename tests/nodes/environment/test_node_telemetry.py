@@ -16,10 +16,12 @@ from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import EnvironmentBundle
 from manyhands.nodes.environment.core import environment_core
 from manyhands.nodes.environment.node import EnvironmentTelemetry
+from manyhands.nodes.peer_link import WaveRow
 from manyhands.nodes.tick_events import TickEvents
 
 SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 T = 0.001
+AB = ("ca", "cb")
 
 
 def environment(*overrides: str) -> EnvironmentBundle:
@@ -101,3 +103,36 @@ def test_late_ticks_are_for_the_supervisor_alone(new_line: Callable[[], Any]) ->
     assert others.traces.keys() == told.traces.keys() - {names.WAITED_IN + "cz"}
     assert (others.tick, others.figures) == (told.tick, told.figures)
     assert names.shown(others) is others
+
+
+def test_the_ends_of_wave_links_have_rows_and_a_life_that_begins_is_an_event(new_line: Callable[[], Any]) -> None:
+    bundle = environment()
+    core, account, line = (
+        environment_core(bundle, np.eye(3) * 1e-3),
+        EnvironmentTelemetry(bundle.common, AB),
+        new_line(),
+    )
+    for tick in range(4):
+        core.react([0.0] * 3)
+        core.settle()
+        a = WaveRow([1.0 + tick], [0.1, 0.2, 0.3], [2.0], [3.0], begins=tick == 2)
+        b = WaveRow([4.0, 5.0], [0.4, 0.5, 0.6], [6.0, 7.0], [8.0, 9.0], begins=tick == 0)
+        account.tick(tick, core, [a, b])
+    account.publish(line, core, {}, {}, TickEvents())
+    (told,) = line.telemetry
+    assert told.figures == {"began@0": 1.0, "linked:cb@0": 1.0, "linked:ca@2": 1.0}
+    assert told.traces["c"].tolist() == [[1.0 + tick, 4.0, 5.0] for tick in range(4)]
+    assert told.traces["p"].tolist() == [[2.0, 6.0, 7.0]] * 4
+    assert told.traces["f_v"].tolist() == [[3.0, 8.0, 9.0]] * 4
+    assert told.traces["tank"].tolist() == [[0.1, 0.2, 0.3, 0.4, 0.5, 0.6]] * 4
+
+
+def test_without_wave_links_there_are_no_such_rows(new_line: Callable[[], Any]) -> None:
+    bundle = environment()
+    core, account, line = environment_core(bundle, np.eye(3) * 1e-3), EnvironmentTelemetry(bundle.common), new_line()
+    core.react([0.0] * 3)
+    core.settle()
+    account.tick(0, core)
+    account.publish(line, core, {}, {}, TickEvents())
+    (told,) = line.telemetry
+    assert told.traces.keys() == {"x_e", "q", "ledger"}

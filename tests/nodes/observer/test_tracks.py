@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -123,3 +125,19 @@ def test_every_row_of_the_table_and_every_velocity_has_a_track() -> None:
     assert columns["right/velocity"] == ("right.x", "right.y")
     assert columns["environment/masses"] == ("ball",)
     assert isinstance(next(iter(Tracks(ABOUT).columns)), TrackKey)
+
+
+def test_a_node_with_a_period_of_its_own_has_as_many_buckets_a_second() -> None:
+    """Four ticks of the left device are one of the session's, and its velocity is by its own period."""
+    left = replace(ABOUT.nodes["left"], period=ABOUT.period / 4.0)
+    tracks = Tracks(replace(ABOUT, nodes=ABOUT.nodes | {"left": left}))
+    plain = Tracks(ABOUT)
+    ticks = 10 * plain.size
+    tracks.take(of_left(4 * ticks, np.arange(4.0 * ticks)))
+    plain.take(of_left(ticks, np.arange(float(ticks))))
+    assert (tracks.size, tracks.sizes["left"], tracks.sizes["right"]) == (plain.size, 4 * plain.size, plain.size)
+    first, values = drawn(track_of(tracks, "left/sample"))
+    assert (first, len(values)) == (0, 10)
+    assert values == [4.0 * value for value in drawn(track_of(plain, "left/sample"))[1]]
+    velocity = drawn(track_of(tracks, "left/velocity"))[1][1:]
+    assert velocity == pytest.approx([4.0 / ABOUT.period] * 9)

@@ -63,7 +63,7 @@ class Test_rows:
     @given(st.integers(0, 2**40), st.integers(1, 5), st.sampled_from([0.001, 1 / 3000, 2e-4, 0.0125]))
     def test_the_time_of_a_tick_is_exact_to_the_nanosecond(self, first: int, count: int, period: float) -> None:
         told = replace(RECORDED, period=period)
-        ticks = Ticks.of(first, count, 10**18, told.tick_ns)
+        ticks = Ticks.of(first, count, 10**18, told.tick_ns("a"))
         for k, (begin, time) in enumerate(zip(ticks.beginnings, ticks.times.tolist(), strict=True), first):
             plain = json.loads(begin + b'"x": 0}')
             assert plain["tick"] == k
@@ -72,7 +72,7 @@ class Test_rows:
         assert ticks.sequences.tolist() == [k % 2**32 for k in range(first, first + count)]
 
     def test_the_time_of_a_usual_period_has_no_tail(self) -> None:
-        ticks = Ticks.of(0, 5000, 0, RECORDED.tick_ns)
+        ticks = Ticks.of(0, 5000, 0, RECORDED.tick_ns("a"))
         assert max(ticks.lengths) == len(b'{"tick": 4999, "time": 4.999, ')
         assert ticks.times.tolist() == list(range(0, 5_000_000_000, 1_000_000))
 

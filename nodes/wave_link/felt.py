@@ -1,0 +1,95 @@
+"""What a user feels of a wave link, and how the link fares, from the figures that its two ends report."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from manyhands.nodes import telemetry as names
+
+
+@dataclass(frozen=True)
+class FeltLink:
+    """One wave link, as it is now.
+
+    Attributes:
+        round_trip: R, s: the play-out of both ends, and half a period of each end, for which a wave waits for a tick.
+            The way through a network adds to it, and is not known.
+        stiffness: K = 2 b/R, N/m, of the spring in series with the coupling that is felt while the tool is held; of
+            several ports, that of the softest direction.
+        mass: M = b R/2, kg, that is felt while the tool moves freely; of several ports, that of the heaviest direction.
+        tanks: the energy in the tanks of the user's and the world's end, J.
+        limited: ticks in which a tank limited a wave, at both ends.
+        silences: how often an end heard nothing for so long that it held the tool, at both ends.
+        deaf: whether an end does so now.
+    """
+
+    round_trip: float
+    stiffness: float
+    mass: float
+    tanks: tuple[float, float]
+    limited: int
+    silences: int
+    deaf: bool
+
+    def sentence(self, coupling: str, over: bool = False) -> str:
+        """The figures as a sentence about the link of ``coupling``.
+
+        Where the run is ``over``, it is no news that an end hears nothing: sites end one after the other.
+        """
+        tanks = " and ".join(f"{1e3 * tank:.3g}" for tank in self.tanks)
+        text = (
+            f"wave link of {coupling}: a round trip of {1e3 * self.round_trip:.3g} ms is felt as {self.stiffness:.4g} "
+            f"N/m in series with the coupling, and as {1e3 * self.mass:.3g} g; {tanks} mJ in its tanks"
+        )
+        if self.limited:
+            text += f"; waves limited by a tank in {self.limited} {'tick' if self.limited == 1 else 'ticks'}"
+        if self.silences:
+            text += f"; silent {self.silences} {'time' if self.silences == 1 else 'times'}"
+        return text + ("; an end hears nothing now, and holds the tool" if self.deaf and not over else "")
+
+    @classmethod
+    def from_plain(cls, entry: Mapping[str, Any]) -> FeltLink:
+        """The link of :meth:`as_plain`."""
+        first, second = entry["tanks"]
+        return cls(**{**entry, "tanks": (first, second)})
+
+    def as_plain(self) -> dict[str, Any]:
+        """As a JSON object."""
+        return {
+            "round_trip": self.round_trip,
+            "stiffness": self.stiffness,
+            "mass": self.mass,
+            "tanks": list(self.tanks),
+            "limited": self.limited,
+            "silences": self.silences,
+            "deaf": self.deaf,
+        }
+
+
+def felt_link(
+    coupling: str,
+    impedance: tuple[float, float],
+    periods: tuple[float, float],
+    user: Mapping[str, float],
+    world: Mapping[str, float],
+) -> FeltLink | None:
+    """The wave link of ``coupling``; None where an end has not reported, or figures make no sense.
+
+    Args:
+        coupling: its name.
+        impedance: the least and the greatest eigenvalue of b, N*s/m.
+        periods: T of the user's and of the world's end, s.
+        user: the figures of the coupling.
+        world: the figures of the environment.
+    """
+    figures = (names.WAVE_LATENCY, names.WAVE_TANK, names.WAVE_CLIPPED, names.WAVE_SILENCES, names.WAVE_DEAF)
+    found = [(user.get(one, math.nan), world.get(f"{one}_{coupling}", math.nan)) for one in figures]
+    if not all(0.0 <= value < math.inf for pair in found for value in pair):
+        return None
+    latency, tanks, limited, silences, deaf = found
+    R = 1e-6 * sum(latency) + 0.5 * sum(periods)
+    softest, heaviest = impedance
+    return FeltLink(R, 2.0 * softest / R, 0.5 * heaviest * R, tanks, int(sum(limited)), int(sum(silences)), any(deaf))

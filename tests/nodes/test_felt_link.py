@@ -1,0 +1,54 @@
+"""What is felt of a wave link follows from the figures of its two ends, and from nothing less."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from manyhands.nodes import telemetry as names
+from manyhands.nodes.wave_link.felt import FeltLink, felt_link
+
+USER = {
+    names.WAVE_LATENCY: 4000.0,
+    names.WAVE_TANK: 5e-3,
+    names.WAVE_CLIPPED: 2.0,
+    names.WAVE_SILENCES: 0.0,
+    names.WAVE_DEAF: 0.0,
+}
+WORLD = {f"{name}_cx": value for name, value in (USER | {names.WAVE_LATENCY: 1375.0, names.WAVE_TANK: 4e-3}).items()}
+
+
+def felt(user: dict[str, float] = USER, world: dict[str, float] = WORLD) -> FeltLink | None:
+    return felt_link("cx", (20.0, 60.0), (250e-6, 1e-3), user, world)
+
+
+def test_it_has_the_play_out_of_both_ends_and_half_a_period_of_each() -> None:
+    found = felt()
+    assert found is not None
+    assert found.round_trip == pytest.approx(6e-3)
+    assert found.stiffness == pytest.approx(2.0 * 20.0 / 6e-3)
+    assert found.mass == pytest.approx(0.5 * 60.0 * 6e-3)
+    assert (found.tanks, found.limited, found.silences, found.deaf) == ((5e-3, 4e-3), 4, 0, False)
+    assert FeltLink.from_plain(found.as_plain()) == found
+
+
+def test_the_sentence_names_what_a_user_wants_to_know() -> None:
+    found, silent = felt(), felt(USER | {names.WAVE_SILENCES: 1.0, names.WAVE_DEAF: 1.0})
+    assert found is not None
+    assert found.sentence("cx") == (
+        "wave link of cx: a round trip of 6 ms is felt as 6667 N/m in series with the coupling, and as 180 g; 5 and 4 "
+        "mJ in its tanks; waves limited by a tank in 4 ticks"
+    )
+    assert silent is not None
+    assert silent.sentence("cx").endswith("; silent 1 time; an end hears nothing now, and holds the tool")
+    assert silent.sentence("cx", over=True).endswith("; silent 1 time")
+
+
+@pytest.mark.parametrize("name", USER)
+@pytest.mark.parametrize("value", [None, math.nan, -1.0, math.inf])
+def test_without_sensible_figures_of_both_ends_nothing_is_claimed(name: str, value: float | None) -> None:
+    for end, key in ((USER, name), (WORLD, f"{name}_cx")):
+        changed = {other: old for other, old in end.items() if other != key}
+        changed |= {} if value is None else {key: value}
+        assert (felt(user=changed) if end is USER else felt(world=changed)) is None
