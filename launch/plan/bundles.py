@@ -205,7 +205,8 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
 
 def _wave_end(link: WaveLink, ports: int, peer_period: float, harvests: bool = False) -> WaveEnd:
     """One end of a wave link; the user's end alone harvests, from what its site's certificate leaves."""
-    theta = matrix(np.diag(link.harvest_of(ports))) if harvests else None
+    harvest = link.harvest_of(ports)
+    theta = matrix(np.diag(harvest)) if harvests and any(harvest) else None
     return WaveEnd(matrix(link.impedance(ports)), theta, link.tank, peer_period, link.depth)
 
 

@@ -129,9 +129,11 @@ def user_end(common: Common, bundle: CouplingBundle, wave: WaveEnd, rows: EndRow
             out.signal[k] = clipped
             applied = f if clipped is again else again  # where it was clipped the face goes on with its own force
         after = face.position(p, applied)
+        harvest = 0.0
         if before is not None:
-            _book(out, k, applied, before, after, wave, common.period, user=True)
-        _tank(out, k, k in begun, whole, (wave, common.period), applied, user=True)
+            harvests = None if free else wave.theta
+            harvest = _book(out, k, applied, before, after, harvests, common.period, user=True)
+        _tank(out, k, k in begun, whole, (wave, common.period), applied, harvest, user=True)
         if free:  # the wave of a free end goes back as it came, and nobody pays for it
             out.room[k, 1] = 0.0
         if k in course.rungs:
@@ -167,15 +169,15 @@ def world_end(common: Common, wave: WaveEnd, rows: EndRows, coupling: str, figur
         elif k == 0 or not whole[k - 1]:
             before = None
             out.gaps.append(UncheckedTicks(k, k + 1, _AFTER_GAP))
-        after = face.position(p, f)
+        after, harvest = face.position(p, f), 0.0
         if before is not None:
             out.signal[k] = face.free_position(before, c)
-            _book(out, k, f, before, after, wave, common.period, user=False)
+            harvest = _book(out, k, f, before, after, wave.theta, common.period, user=False)
         elif k in aligned:
             # the place before follows from the wave, to rounding; no force acts until the clutch has moved
             start = [at - by for at, by in zip(p, face.free_position([0.0] * len(p), c), strict=True)]
-            _book(out, k, f, start, after, wave, common.period, user=False)
-        _tank(out, k, k in begun, whole, (wave, common.period), f, user=False)
+            harvest = _book(out, k, f, start, after, wave.theta, common.period, user=False)
+        _tank(out, k, k in begun, whole, (wave, common.period), f, harvest, user=False)
         before = after
     out.gaps += gaps_of(~whole & _within(whole), "it has no whole row there")
     return out
@@ -198,18 +200,31 @@ def _nothing(rows: EndRows, tank: float) -> EndAgain:
 
 
 def _book(
-    out: EndAgain, k: int, f: Floats, before: Floats, after: Floats, wave: WaveEnd, T: float, *, user: bool
-) -> None:
-    """The energy that entered the link in tick k: -f_c^T (x(k) - x(k-1)) at a user's end, +f_e^T (...) at a world's."""
+    out: EndAgain, k: int, f: Floats, before: Floats, after: Floats, theta: Array | None, T: float, *, user: bool
+) -> float:
+    """Book what entered the link in tick k, J: -f_c^T (x(k) - x(k-1)) at a user's end, +f_e^T (...) at a world's.
+
+    Returns:
+        The harvest T w^T theta w, J, which is booked as well.
+    """
     moved = np.array(after) - np.array(before)
-    harvest = 0.0 if wave.theta is None else float(moved @ wave.theta @ moved) / T
+    harvest = 0.0 if theta is None else float(moved @ theta @ moved) / T
     out.entered[k] = (-1.0 if user else 1.0) * float(np.array(f) @ moved) + harvest
     size = float(np.abs(f) @ (np.abs(before) + np.abs(after))) + harvest
     out.tolerance[k, 0] += ROUNDING * _EPSILON * size
+    return harvest
 
 
 def _tank(
-    out: EndAgain, k: int, begun: bool, whole: Flags, of: tuple[WaveEnd, float], f: Floats, *, user: bool
+    out: EndAgain,
+    k: int,
+    begun: bool,
+    whole: Flags,
+    of: tuple[WaveEnd, float],
+    f: Floats,
+    harvest: float,
+    *,
+    user: bool,
 ) -> None:
     """L(k) and the cost of the wave, from the tank before; G and H count anew in a new life."""
     wave, T = of
@@ -226,8 +241,6 @@ def _tank(
     roots = _roots(wave)
     a = c + (-2.0 if user else 2.0) * np.linalg.solve(roots, np.array(f))
     paid, earned = 0.5 * T * float(c @ c), 0.5 * T * float(a @ a)
-    flow = out.entered[k] - (earned - paid)  # the harvest, and rounding
-    harvest = 0.0 if wave.theta is None or np.isnan(flow) else flow
     out.level[k] = before[0] + (heard - before[2]) - paid + earned + harvest - (shipped - before[1])
     sums = sum(map(abs, (*before, level, shipped, heard)))
     out.tolerance[k, 0] += ROUNDING * _EPSILON * (sums + paid + earned)

@@ -19,7 +19,10 @@ from manyhands.launch.simulation import Silence
 from ...support.simulated_recordings import SESSIONS, attachments_of, forged, recorded_of, simulated, written
 
 TICKS, AT = 330, 217
-LINKED = tuple(f"couplings.{name}.wave_link={{b: 20, depth: 2, tank: 0.02}}" for name in ("cx", "cy"))
+LINKED = tuple(
+    f"couplings.{name}.wave_link={{b: 20, depth: 2, tank: 0.02, harvest: {harvest}}}"
+    for name, harvest in (("cx", 0.1), ("cy", 0))
+)
 L, G, H = range(3)
 
 Rows = dict[tuple[str, str], np.ndarray]
@@ -92,9 +95,9 @@ def hidden_supply(rows: Rows) -> None:
 
 
 FORGED: Mapping[str, tuple[Change, dict[tuple[str, str], int]]] = {
-    "a wave at the user's end": (one("cx", "c", 1e-6), {("cx", "wave"): AT, ("cx", "tank"): AT}),
+    "a wave at the user's end": (one("cx", "c", 1e-9), {("cx", "wave"): AT, ("cx", "tank"): AT}),
     "a wave at the world's end": (
-        one("environment", "c", 1e-6, 1),
+        one("environment", "c", 1e-9, 1),
         {("environment", "wave"): AT, ("environment", "tank"): AT},
     ),
     "a user's tank in one tick": (one("cy", "tank", 1e-9, L), {("cy", "tank"): AT}),
