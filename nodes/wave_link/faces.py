@@ -183,6 +183,11 @@ class _Face(ABC):
         return self._c
 
     @property
+    def x(self) -> Floats:
+        """x_c or x_e of the tick that was stepped last, m."""
+        return self._x
+
+    @property
     def deaf(self) -> bool:
         """Whether no message came for so long that this face holds the tool; so it is before the first one."""
         return self._play.deaf
