@@ -187,7 +187,7 @@ class Simulation:
                     if name in at_world:
                         nothing = [0.0] * len(self._coupling_ports[name])
                         row = at_world[name]
-                        at_world[name] = WaveRow(nothing, row.tank, self.world_faces[name].tool_position, nothing)
+                        at_world[name] = WaveRow(nothing, row.tank, self.world_faces[name].x, nothing)
                 couplings, linked = self._active(silent), self._linked(silent)
             for driver, device, guard, ports in devices:
                 displacement = list(map(float, driver.sample(k, now)))

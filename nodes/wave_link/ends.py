@@ -391,7 +391,7 @@ class WorldEnd(_End):
     def _begin_life(self) -> None:
         super()._begin_life()
         self._answered = True
-        self._row = WaveRow(self._zeros, self.face.tank.row(), self._face.tool_position, self._zeros)
+        self._row = WaveRow(self._zeros, self.face.tank.row(), self._face.x, self._zeros)
 
     def _offer_path(self) -> None:
         """Offer the coupling a path for its datagrams, once in a life."""

@@ -524,11 +524,6 @@ class WorldFace(_Face):
         """p(k), m, and f_e(k), N, of the tick that was stepped last."""
         return self._p, self._f
 
-    @property
-    def tool_position(self) -> Floats:
-        """x_e of the tick that was stepped last, m."""
-        return self._x
-
     def _idle(self, moved: Floats) -> Floats:
         """-h^-1 f_e(k-1), which holds the tool."""
         return [-kept for kept in self._held(self._f)]
