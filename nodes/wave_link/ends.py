@@ -253,10 +253,9 @@ class _End(PeerLink):
         # what happened once in all these windows was an outage, for which no depth is worth its mass; and who hears
         # nothing for DEAF holds the tool anyway
         deepest = sorted(self._needed)[-2] if len(self._needed) > 1 else self._needed[-1]
-        if (
-            deepest > self.face.wanted_depth or len(self._needed) == CALM
-        ):  # a depth grows at once, and shrinks when calm
-            self.face.set_depth(deepest)
+        # a depth is settled by the first window, grows at once, and shrinks when calm
+        if deepest > self.face.wanted_depth or len(self._needed) in (1, CALM):
+            self.face.set_depth(min(deepest, self._deepest))
         return True
 
 

@@ -11,7 +11,8 @@ import pytest
 
 from manyhands.nodes.bundle import REALTIME, SIMULATED, Common, Peer, WaveEnd, own_start, wave_feedthrough
 from manyhands.nodes.peer_link import PeerLink, Received, handshake_of
-from manyhands.nodes.wave_link.ends import AT_ONCE, JOINING, UserEnd, WorldEnd
+from manyhands.nodes.wave_link.ends import AT_ONCE, CALM, JOINING, UserEnd, WorldEnd
+from manyhands.nodes.wave_link.play_out import DEAF
 from manyhands.protocol.clock import Duration, Instant
 from manyhands.protocol.limits import MAX_STRAY_FRAMES
 from manyhands.protocol.messages import Reaction, Ready, Role, Rung, Start, Tool, Wave
@@ -152,6 +153,31 @@ def test_an_end_that_measures_keeps_its_clutch_open_until_it_knows() -> None:
         assert received is (Received.NOTHING if k < wait - 1 else Received.SIGNAL), k
     # every wave came within its tick
     assert link.world.figures()["wave_latency_us"] <= 4000.0
+
+
+def test_a_depth_follows_what_comes_late_again_and_again_and_no_single_outage() -> None:
+    link = Link(depth=None)
+
+    def seconds(number: int, late: int) -> float:
+        """Seconds in which the waves of the first ``late`` ticks come together; the depth after them, ticks."""
+        for _ in range(number):
+            for k in range(1000):
+                tick = len(ticks)
+                ticks.append(tick)
+                link.user_tick(tick, 0.01)
+                if k >= late - 1:
+                    link.carry()
+                link.world_tick(tick, 1000.0)
+        return link.world.face.wanted_depth
+
+    ticks: list[int] = []
+    settled = seconds(3, 0)
+    assert settled <= 2.0
+    assert seconds(1, 20) == settled  # once is an outage
+    assert seconds(1, 20) > 15.0
+    seconds(1, 250)
+    assert seconds(1, 250) == DEAF / T  # who hears nothing for so long holds the tool
+    assert seconds(CALM + 1, 0) <= 2.0
 
 
 def test_a_second_call_in_a_tick_moves_nothing() -> None:
