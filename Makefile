@@ -98,7 +98,7 @@ hostile: $(VENV)/.installed
 	$(BIN)/python -m tests.deterministic.hostile --runs $(RUNS) --seed $(SEED)
 	$(BIN)/python -m tests.deterministic.hostile --runs 200 --seed $(SEED) --honest
 
-# a remote user over every kind of network, beside what others do, in simulated time: a quarter of an hour
+# a remote user over every kind of network, beside what others do, in simulated time: five minutes on two idle cores
 remote: $(VENV)/.installed
 	$(BIN)/python -m benchmarks.remote --json docs/remote.json --plot docs/images/remote.png --markdown docs/remote.md
 

@@ -291,7 +291,7 @@ class RemoteSession:
         for i, user in enumerate(self.users):
             if self._joining[i] and user.world.aligned:
                 self._joining[i] = False
-                user.x_e = user.world._x[0]
+                user.x_e = user.world.tool_position[0]
                 self.environment.clutches.engage(i)
         f = self.environment.react(p)
         self.environment.settle()

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from manyhands.nodes.wave_link import Sums, UserFace, WorldFace
-from manyhands.nodes.wave_link.faces import _Face
 
 Vector = np.ndarray
 
@@ -56,7 +55,7 @@ class HostileLine:
         self.smoothing = [None, float(rng.uniform(1, 20))]
         self.user, self.world = self.new_user(self.E_0), self.new_world(self.E_0)
         self.x_c: Vector | None = None
-        self.x_e = np.zeros(m)
+        self.x_e, self.f_c, self.f_e = np.zeros(m), np.zeros(m), np.zeros(m)
 
     def feedthrough(self) -> Vector:
         """D_V of some coupling, m/N."""
@@ -76,7 +75,7 @@ class HostileLine:
         )  # fmt: skip
 
     @property
-    def faces(self) -> tuple[_Face, _Face]:
+    def faces(self) -> tuple[UserFace, WorldFace]:
         return self.user, self.world
 
     @property
@@ -118,12 +117,12 @@ class HostileLine:
         if kind == 0:
             p = at + self.size(1e-3) * rng.normal(size=self.m)
         elif kind == 1:
-            p = at + self.size(1e-5) * np.array(self.user._f)
+            p = at + self.size(1e-5) * self.f_c
         elif kind == 2:
             p = at
         else:
             p = at + self.size(0.1 * T) * rng.normal(size=self.m)
-        f = np.array(self.user.step(p.tolist()))
+        self.f_c = f = np.array(self.user.step(p.tolist()))
         x = p + self.D_V @ f
         # a free face has no force, and leaves the harvest
         self.enter(-f, x - (p if self.x_c is None else self.x_c), 0, self.user.aligned or bool(np.any(f)))
@@ -136,7 +135,7 @@ class HostileLine:
         aligned = self.world.aligned
         p = np.array(self.world.tool())
         if not aligned and self.world.aligned:
-            self.x_e = np.array(self.world._x)  # the face has taken its place; nothing has moved
+            self.x_e = np.array(self.world.tool_position)  # the face has taken its place; nothing has moved
         kind = rng.integers(0, 4)
         if kind == 0:
             f = self.size(5.0) * rng.normal(size=self.m)
@@ -145,9 +144,10 @@ class HostileLine:
         elif kind == 2:
             f = np.zeros(self.m)
         else:
-            f = 2.0 * np.array(self.world._f)
+            f = 2.0 * self.f_e
             f *= min(1.0, 1e3 / (np.linalg.norm(f) + 1e-300))
         harvests = bool(rng.random() < 0.8)
+        self.f_e = f
         self.world.step(f.tolist(), harvests)
         x = p + self.world.D_V @ f
         self.enter(f, x - self.x_e, 1, harvests)
