@@ -14,7 +14,7 @@ from manyhands.nodes.environment.core import Core
 from manyhands.nodes.environment.node import EnvironmentNode, EnvironmentTelemetry
 from manyhands.nodes.lifetime import Sight, Stopped
 from manyhands.nodes.log import Log, LogEvent, Value
-from manyhands.nodes.peer_link import PeerLink
+from manyhands.nodes.peer_link import PeerLink, WaveRow
 from manyhands.nodes.process import HostedNode, run_members
 from manyhands.nodes.supervisor_line import ControlLine
 from manyhands.protocol.clock import Instant
@@ -130,9 +130,9 @@ class WitnessedAccount(EnvironmentTelemetry):
         super().__init__(common)
         self._witness, self._node = witness, node
 
-    def tick(self, tick: int, core: Core) -> None:
+    def tick(self, tick: int, core: Core, waves: Sequence[WaveRow] = ()) -> None:
         """``core`` has settled ``tick``."""
-        super().tick(tick, core)
+        super().tick(tick, core, waves)
         self._witness.settle(tick, core._f, core.tools, self._node)  # type: ignore[union-attr]
 
 

@@ -146,13 +146,21 @@ def test_a_world_and_a_part_are_compared_with_a_session(written: Path, tmp_path:
     assert result.exit_code == 3
 
 
-@pytest.mark.parametrize("command", [["launch"], ["simulate", "--duration", "1"]])
-def test_no_session_with_a_wave_link_is_run_yet(command: list[str]) -> None:
-    result = manyhands_command(command[0], "example1", *command[1:], *LINKED)
+def test_a_simulation_in_one_process_has_one_period() -> None:
+    result = manyhands_command("simulate", "example1", "--duration", "1", *LINKED)
     assert result.exit_code == 2
-    assert (
-        "example-1: couplings.cx.wave_link: found a wave link; expected couplings without wave links" in result.stderr
-    )
+    assert "couplings.cx.wave_link.period: found 0.00025 s; expected the session's 0.001 s" in result.stderr
+
+
+def test_a_session_runs_under_the_certificates_of_its_parts(tmp_path: Path) -> None:
+    options = ("--duration", "0.2", "--clock", "simulated", *LINKED)
+    folder = tmp_path / "run"
+    result = manyhands_command("launch", "example1", *options, "--directory", folder)
+    assert result.exit_code == 0, result.stderr
+    kept = {path.name for path in folder.glob("certificate*")}
+    assert kept == {"certificate.json", "certificate.cx.json", "certificate.cy.json", "certificate.in-tick.json"}
+    again = manyhands_command("launch", "example1", *options, "--certificate", folder / "certificate.json")
+    assert again.exit_code == 0, again.stderr
 
 
 def test_the_budget_of_a_session_with_wave_links(tmp_path: Path) -> None:
