@@ -195,7 +195,7 @@ class _End(PeerLink):
     def _await_wave(self, n: int, timeout: Duration) -> Received:
         """Wait for the wave ``n``, at most ``timeout``: SIGNAL, or RECONNECTED, or NOTHING."""
         due = Instant(self._clock.now() + timeout)
-        while self._gate.newest is None or self._gate.newest.tick < n:
+        while n and (self._gate.newest is None or self._gate.newest.tick < n):  # in a new life none may be due yet
             link = self.link
             frame = None if link is None else link.recv(Duration(max(0, due - self._clock.now())))
             if frame is None:
