@@ -94,6 +94,7 @@ class _End(PeerLink):
         super().__init__(hello, peer, link, Tool, positions(common.ports, peer.ports), clock)
         self._waits = common.clock == SIMULATED
         self._peer_period = from_seconds(wave.peer_period)
+        self._period, self._born = from_seconds(common.period), 0  # when this life's first tick was, ns; 0 before it
         self._ratio = common.period / wave.peer_period
         self._gate = self._new_gate()
         self._waves = WaveWriter(len(peer.ports))
@@ -166,7 +167,7 @@ class _End(PeerLink):
         before, self._gate = self._gate, self._new_gate()
         self._gate.dropped.update(before.dropped)
         self._needed.clear()
-        self._ticks, self.tick = 0, -1
+        self._ticks, self._born, self.tick = 0, 0, -1
 
     def _new_gate(self) -> WaveGate:
         width = len(self.peer.ports)
@@ -230,10 +231,22 @@ class _End(PeerLink):
         listener.flooded(self._flood(self.tick))
         return True
 
+    def _keep_time(self) -> None:
+        """Count the ticks that this process was too late for.
+
+        The other end plays by these numbers. If they fell behind, it would take a slow sender for late waves.
+        """
+        now = self._clock.now()
+        if not self._born:
+            self._born = now - self.face.n * self._period
+        self.face.n = max(self.face.n, (now - self._born) // self._period)
+
     def _send_wave(self) -> bool:
         link = self.link
         if link is None or self.handshake is not None:
             return False
+        if not self._waits:
+            self._keep_time()
         message = self.face.message()
         if self._path is not None:
             return self._path.send(Wave(message.n, message.U, message.G))
@@ -253,9 +266,11 @@ class _End(PeerLink):
         # what happened once in all these windows was an outage, for which no depth is worth its mass; and who hears
         # nothing for DEAF holds the tool anyway
         deepest = sorted(self._needed)[-2] if len(self._needed) > 1 else self._needed[-1]
-        # a depth is settled by the first window, grows at once, and shrinks when calm
-        if deepest > self.face.wanted_depth or len(self._needed) in (1, CALM):
-            self.face.set_depth(min(deepest, self._deepest))
+        deepest = min(deepest, self._deepest)
+        if len(self._needed) == 1:
+            self.face.set_depth(deepest)
+        elif deepest > self.face.wanted_depth or len(self._needed) == CALM:  # it grows at once, and shrinks when calm
+            self.face.approach_depth(deepest)
         return True
 
 

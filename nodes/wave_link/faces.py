@@ -214,6 +214,13 @@ class _Face(ABC):
         self._smoothing = max(1.0, 0.25 * depth * self._peer_T / self._T if given is None else given)
         self._gain = 1.0 / (self._smoothing * self._T)
 
+    def approach_depth(self, depth: float) -> None:
+        """Change the depth, ticks of the other face, while the tool is in use.
+
+        The play-out goes there by 2 % of its rate, and the smoothing stays what it is.
+        """
+        self._play.depth = depth
+
     def measure(self) -> None:
         """Begin to measure the depth that the messages need; do this while joining, at s = 0."""
         self._play.measure()
