@@ -21,17 +21,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from manyhands.design.certificate import describe_environment, pretty
+from manyhands.design.certificate import describe_environment, identity, matrices_by_block, pretty, storage_of
 from manyhands.design.files import replacing
 from manyhands.design.models.coupling import Partition
 from manyhands.design.models.environment import Environment
-from manyhands.design.models.statespace import Matrix
+from manyhands.design.models.statespace import Matrix, matrix
+from manyhands.design.wave_link import in_tick_id, promised_level, wave_link_id
 
 FORMAT = "manyhands-world"
 VERSION = 1
@@ -69,8 +70,8 @@ class InTickTerms:
 
 
 @dataclass(frozen=True, eq=False)
-class World:
-    """The claim that a world keeps its contracts, with its proof.
+class WorldTerms:
+    """What is asked of a world, by a session or in a certificate.
 
     Attributes:
         session: its name.
@@ -79,11 +80,6 @@ class World:
         environment: E, or its declared level.
         wave_links: by coupling, the terms of its wave link.
         in_tick: the terms with all other couplings; None if there are none.
-        Phi_E: m x m, N*s/m: E_hat is (-Phi_E)-ISP.
-        P_E: its storage matrix; or "energy"; or "enforced", where nothing is proved.
-        margins: "(A)", the least eigenvalue of (A), N*s/m. If it is 0, (A) holds and is not strict.
-        method: how the level was found.
-        id: SHA-256 (hex) over the content.
     """
 
     session: str
@@ -92,11 +88,6 @@ class World:
     environment: Environment
     wave_links: Mapping[str, FaceTerms]
     in_tick: InTickTerms | None
-    Phi_E: Matrix
-    P_E: Matrix | Literal["energy", "enforced"]
-    margins: Mapping[str, float]
-    method: Mapping[str, str | int]
-    id: str = ""
 
     @property
     def ports(self) -> tuple[str, ...]:
@@ -111,31 +102,125 @@ class World:
             out[np.ix_(at, at)] = self.in_tick.level
         return out
 
+    def kept(
+        self,
+        Phi_E: Matrix,
+        P_E: Matrix | Literal["energy", "enforced"],
+        margins: Mapping[str, float],
+        method: Mapping[str, str | int],
+    ) -> World:
+        """The claim that a world with this level keeps these terms, under its id."""
+        terms = {field.name: getattr(self, field.name) for field in fields(WorldTerms)}
+        claim = World(**terms, Phi_E=Phi_E, P_E=P_E, margins=margins, method=method)
+        return replace(claim, id=identity(world_content(claim)))
 
-def world_content(world: World) -> dict[str, Any]:
-    """The whole content of a world as JSON values, without its id."""
-    partition, ports = world.partition, world.ports
-    Phi_E: Any = world.Phi_E.tolist()
-    if partition.admits(world.Phi_E):
-        parts = zip(partition.names, partition.restrict(world.Phi_E), strict=True)
-        Phi_E = {name: part.tolist() for name, part in parts}
-    terms = world.in_tick
+
+@dataclass(frozen=True, eq=False)
+class World(WorldTerms):
+    """The claim that a world keeps its contracts, with its proof.
+
+    Attributes:
+        Phi_E: m x m, N*s/m: E_hat is (-Phi_E)-ISP.
+        P_E: its storage matrix; or "energy"; or "enforced", where nothing is proved.
+        margins: "(A)", the least eigenvalue of (A), N*s/m. If it is 0, (A) holds and is not strict.
+        method: how the level was found.
+        id: SHA-256 (hex) over the content.
+    """
+
+    Phi_E: Matrix
+    P_E: Matrix | Literal["energy", "enforced"]
+    margins: Mapping[str, float]
+    method: Mapping[str, str | int]
+    id: str = ""
+
+
+def world_terms(
+    session: str,
+    period: float,
+    environment: Environment,
+    partition: Partition,
+    links: Mapping[str, tuple[Matrix, float]],
+) -> WorldTerms:
+    """What a session asks of its world.
+
+    Args:
+        session: its name.
+        period: T, s.
+        environment: with the ports of all couplings.
+        partition: the couplings' ports.
+        links: b (N*s/m) and E_0 (J) of each coupling with a wave link.
+
+    Raises:
+        Infeasible: a declared level joins a port of a wave link with a different coupling.
+    """
+    ports = environment.ports
+    level = promised_level(environment, partition, frozenset(links))
+    faces = {}
+    others = set(ports)
+    for name, block in zip(partition.names, partition.blocks, strict=True):
+        if name in links:
+            b, tank = links[name]
+            own = [ports[p] for p in block]
+            others.difference_update(own)
+            faces[name] = FaceTerms(wave_link_id(session, name, own, b, tank), b, tank)
+    in_tick = tuple(port for port in ports if port in others)
+    owed = InTickTerms(in_tick_id(session, period, in_tick, level), in_tick, level) if in_tick else None
+    return WorldTerms(session, period, partition, environment, faces, owed)
+
+
+def world_from_content(data: Mapping[str, Any], terms: WorldTerms) -> World:
+    """The world that :func:`world_content` (with "id") describes, of a session that asks ``terms`` of it.
+
+    The level and its proof are those of the file, whoever found them.
+
+    Raises:
+        KeyError, TypeError, AttributeError, OverflowError: a key is missing, or its value has the wrong type or size.
+        ValueError: the same of a shape or a number; or a term differs; or the file is not written as
+            :func:`world_json` writes it.
+    """
+    m, Phi_E = len(terms.ports), data["levels"]["Phi_E"]
+    if isinstance(Phi_E, Mapping):
+        level = terms.partition.embed(matrices_by_block(Phi_E, terms.partition))
+    else:
+        level = matrix(Phi_E, m, m)
+    margins = {name: float(value) for name, value in data["margins"].items()}
+    world = terms.kept(level, storage_of(data["storage"]["E_hat"], terms.environment), margins, dict(data["method"]))
+    if world.id != data["id"]:
+        raise ValueError(
+            f"written again its id would be {world.id[:16]} instead of {str(data['id'])[:16]}: another order of keys, "
+            "other forms of numbers, or other terms"
+        )
+    return world
+
+
+def _terms_content(terms: WorldTerms) -> dict[str, Any]:
+    ports, partition, owed = terms.ports, terms.partition, terms.in_tick
     return {
-        "format": FORMAT,
-        "version": VERSION,
-        "session": world.session,
-        "period": world.period,
+        "session": terms.session,
+        "period": terms.period,
         "ports": list(ports),
         "structure": {
             name: [ports[p] for p in block] for name, block in zip(partition.names, partition.blocks, strict=True)
         },
-        "environment": describe_environment(world.environment),
+        "environment": describe_environment(terms.environment),
         "wave_links": {
-            name: {"id": link.id, "b": link.b.tolist(), "tank": link.tank} for name, link in world.wave_links.items()
+            name: {"id": link.id, "b": link.b.tolist(), "tank": link.tank} for name, link in terms.wave_links.items()
         },
-        "in_tick": None
-        if terms is None
-        else {"id": terms.id, "ports": list(terms.ports), "level": terms.level.tolist()},
+        "in_tick": None if owed is None else {"id": owed.id, "ports": list(owed.ports), "level": owed.level.tolist()},
+    }
+
+
+def world_content(world: World) -> dict[str, Any]:
+    """The whole content of a world as JSON values, without its id."""
+    partition = world.partition
+    Phi_E: Any = world.Phi_E.tolist()
+    if partition.admits(world.Phi_E):
+        parts = zip(partition.names, partition.restrict(world.Phi_E), strict=True)
+        Phi_E = {name: part.tolist() for name, part in parts}
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        **_terms_content(world),
         "levels": {"Phi_E": Phi_E},
         "storage": {"E_hat": world.P_E if isinstance(world.P_E, str) else world.P_E.tolist()},
         "margins": dict(world.margins),
@@ -143,19 +228,15 @@ def world_content(world: World) -> dict[str, Any]:
     }
 
 
-_TERMS = ("session", "period", "ports", "structure", "environment", "wave_links", "in_tick")
-
-
-def world_differences(data: Mapping[str, Any], world: World) -> list[str]:
-    """A sentence for each difference between plain data of a world and a session's own world; empty if they fit.
+def world_differences(data: Mapping[str, Any], terms: WorldTerms) -> list[str]:
+    """A sentence for each difference between plain data of a world and what a session asks; empty if they fit.
 
     The level Phi_E and its proof are not compared: any that is proved serves.
     """
-    own = world_content(world)
     return [
         f"the {key} differs from the session's"
-        for key in _TERMS
-        if json.dumps(data.get(key)) != json.dumps(own[key])  # the order of ports and couplings counts
+        for key, asked in _terms_content(terms).items()
+        if json.dumps(data.get(key)) != json.dumps(asked)  # the order of ports and couplings counts
     ]
 
 

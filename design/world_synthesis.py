@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
-from manyhands.design.certificate import identity
 from manyhands.design.errors import Infeasible, SolverFailure
 from manyhands.design.levels.contract import ENERGY, ENFORCED
 from manyhands.design.levels.environment import RESERVES, lack_of_passivity, storage
@@ -28,8 +26,7 @@ from manyhands.design.models.environment import (
 from manyhands.design.models.statespace import Matrix
 from manyhands.design.proof import prove_world
 from manyhands.design.statics import check_environment
-from manyhands.design.wave_link import in_tick_id, promised_level, wave_link_id
-from manyhands.design.world import CONDITION_A, FaceTerms, InTickTerms, World, world_content
+from manyhands.design.world import CONDITION_A, World, world_content, world_terms
 
 Progress = Callable[[str], None]
 
@@ -59,46 +56,21 @@ def design_world(
         SolverFailure: the level does not survive the proof.
     """
     check_environment(environment)
-    ports = environment.ports
-    level = promised_level(environment, partition, frozenset(links))
-    in_tick = tuple(
-        ports[p]
-        for p in range(partition.size)
-        if not any(p in block for name, block in zip(partition.names, partition.blocks, strict=True) if name in links)
-    )
-    terms = {}
-    for name, block in zip(partition.names, partition.blocks, strict=True):
-        if name in links:
-            b, tank = links[name]
-            own = [ports[p] for p in block]
-            terms[name] = FaceTerms(wave_link_id(session, name, own, b, tank), b, tank)
+    terms = world_terms(session, period, environment, partition, links)
     Phi_E, P_E, method = _level(environment, period, progress)
-    draft = World(
-        session,
-        period,
-        partition,
-        environment,
-        terms,
-        InTickTerms(in_tick_id(session, period, in_tick, level), in_tick, level) if in_tick else None,
-        Phi_E,
-        P_E,
-        {},
-        {"algorithm": method, "numpy": np.__version__},
-    )
-    margin = float(np.linalg.eigvalsh(draft.promised() - Phi_E)[0])
+    margin = float(np.linalg.eigvalsh(terms.promised() - Phi_E)[0])
     if margin < -_ROUNDING * float(np.max(np.abs(Phi_E))):
         raise _lacking(-margin, "so its declared level says", "a declared level of 0 or less at every such port")
-    draft = replace(draft, margins={CONDITION_A: max(margin, 0.0)})
-    data = world_content(draft)
-    data["id"] = identity(data)
+    found = terms.kept(Phi_E, P_E, {CONDITION_A: max(margin, 0.0)}, {"algorithm": method, "numpy": np.__version__})
     if progress is not None:
         progress("proving the world")
+    data = {"id": found.id, **world_content(found)}
     failing = [finding for finding in prove_world(data) if not finding.holds]
     if failing:
         raise SolverFailure(
             f"the world's level does not survive the proof: {failing[0].condition} ({failing[0].argument})"
         )
-    return replace(draft, id=data["id"])
+    return found
 
 
 def _level(

@@ -204,7 +204,7 @@ class Prepared(Plan):
         world: the certificate of the world of a session with wave links; None for every other run. Then
             ``certificate`` is None, and every party has one of its own.
         parts: the certificates of the parties of such a world, by part: a coupling with a wave link, or the users in
-            the tick (:data:`manyhands.launch.plan.sites.IN_TICK`).
+            the tick (:data:`IN_TICK`).
     """
 
     loop: HapticLoop
@@ -225,14 +225,11 @@ class Prepared(Plan):
         """The certificate that a device or a coupling runs under; None for an uncertified run."""
         if self.world is None:
             return self.certificate
-        session = self.session
-        couplings = (name for name in session.couplings if node == name or node in session.devices_of(name))
-        coupling = next(couplings)
-        return self.parts[coupling if coupling in session.wave_links else IN_TICK]
+        return self.parts[self.session.sites.get(node, IN_TICK)]
 
     @property
     def certificates(self) -> tuple[Certificate, ...]:
-        """All certificates of the run's parties; one, or with wave links one for each part."""
+        """All certificates of the run's parties: one, or with wave links one for each part; none if uncertified."""
         return tuple(self.parts.values()) if self.certificate is None else (self.certificate,)
 
 
@@ -338,8 +335,8 @@ def prepare(
         CertificateError: the certificate cannot be read.
         NotCertified: no certificate was found and ``uncertified`` is false, or there is no coupling to run.
     """
-    if session.wave_links and not uncertified:
-        return _prepare_parts(_settled(session), certificate, progress)
+    if session.wave_links:
+        return _prepare_parts(_settled(session), certificate, uncertified, progress)
     if certificate is not None:
         proof = read_certificate(certificate, session)
         session = with_delay_of(proof, session)
@@ -348,24 +345,24 @@ def prepare(
         try:
             proof = certify(session, progress).certificate
         except DesignError as error:
-            if not uncertified:
-                raise NotCertified(f"{session.name} is not certified: {error}") from error
-            return unproved(session, error)
+            return _uncertified(session, error, uncertified)
     ladder, notes = _ladder(session, proof, progress)
     return Prepared(session, haptic_loop(session), proof.blocks, proof, proof.id, ladder, notes)
 
 
-def _prepare_parts(session: Session, certificate: Path | None, progress: Progress | None) -> Prepared:
+def _prepare_parts(
+    session: Session, certificate: Path | None, uncertified: bool, progress: Progress | None
+) -> Prepared:
     """Settle each part of a session with wave links: the world, the sites, and the users in the tick.
 
     Args:
         session: the session, with its delay.
         certificate: the file of the world, with those of the parts beside it; None to design them.
+        uncertified: as for :func:`prepare`.
         progress: called with each step of the design, as a text.
 
     Raises:
-        CertificateError: a certificate cannot be read.
-        NotCertified: a part is not certified.
+        CertificateError, NotCertified: as :func:`prepare`.
     """
     from manyhands.launch.plan import sites  # it makes the parts' loops with this module's functions
 
@@ -376,14 +373,22 @@ def _prepare_parts(session: Session, certificate: Path | None, progress: Progres
             parts = {part.name: part.design(progress).certificate for part in sites.parts(session)}
             world = sites.world(session, progress)
         except DesignError as error:
-            raise NotCertified(f"{session.name} is not certified: {error}") from error
-    blocks = []
-    for name in session.couplings:
-        part = parts[name if name in session.wave_links else IN_TICK]
-        blocks.append(part.blocks[part.loop.partition.names.index(name)])
+            return _uncertified(session, error, uncertified)
+    of_parts = {
+        name: block
+        for part in parts.values()
+        for name, block in zip(part.loop.partition.names, part.blocks, strict=True)
+    }
+    blocks = tuple(of_parts[name] for name in session.couplings)
     every = json.dumps([world.id, *(part.id for part in parts.values())])
     id = hashlib.sha256(every.encode()).hexdigest()
-    return Prepared(session, haptic_loop(session), tuple(blocks), None, id, world=world, parts=parts)
+    return Prepared(session, haptic_loop(session), blocks, None, id, world=world, parts=parts)
+
+
+def _uncertified(session: Session, why: DesignError, allowed: bool) -> Prepared:
+    if not allowed:
+        raise NotCertified(f"{session.name} is not certified: {why}") from why
+    return unproved(session, why)
 
 
 def _settled(session: Session) -> Session:

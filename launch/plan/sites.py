@@ -24,7 +24,7 @@ from manyhands.design.problem import (
     SpringDamperGiven,
 )
 from manyhands.design.wave_link import WaveLinkFace, WorldPromise, in_tick_id, promised_level, wave_link_id
-from manyhands.design.world import is_world, world_differences
+from manyhands.design.world import is_world, world_differences, world_from_content, world_terms
 from manyhands.launch.plan.prepare import (
     IN_TICK,
     NotCertified,
@@ -38,6 +38,8 @@ from manyhands.launch.plan.prepare import (
 from manyhands.launch.session import ENVIRONMENT, Session
 
 if TYPE_CHECKING:
+    from manyhands.design.models.environment import Environment
+    from manyhands.design.models.statespace import Matrix
     from manyhands.design.synthesis import Designed
     from manyhands.design.world import World
 
@@ -113,12 +115,16 @@ def world(session: Session, progress: Progress | None = None) -> World:
     """
     from manyhands.design.world_synthesis import design_world  # the solver's modules take a second to import
 
+    return design_world(*_world_asked(session), progress)
+
+
+def _world_asked(session: Session) -> tuple[str, float, Environment, Partition, dict[str, tuple[Matrix, float]]]:
+    """What a session asks of its world: its name, T (s), the environment, the couplings' ports, and b and E_0."""
     links = {
         name: (link.impedance(len(session.blocks_by_name[name])), link.tank)
         for name, link in session.wave_links.items()
     }
-    environment = session_environment(session)
-    return design_world(session.name, session.period, environment, _partition(session), links, progress)
+    return session.name, session.period, session_environment(session), _partition(session), links
 
 
 def parts(session: Session) -> tuple[SessionPart, ...]:
@@ -165,17 +171,21 @@ def read_parts(path: Path, session: Session) -> tuple[World, dict[str, Certifica
         raise CertificateError(f"{path}: {error}") from error
     if failing:
         raise NotCertified(f"{path}: not proved: {failing[0].condition} ({failing[0].argument}); design it anew")
-    own = world(session)
-    if (found := world_differences(data, own)) or data["id"] != own.id:
-        different = found[0] if found else "its level differs from the one that is designed for the session"
-        raise NotCertified(f"{path}: a world of another session: {different}; design this session anew")
+    terms = world_terms(*_world_asked(session))
+    if found := world_differences(data, terms):
+        raise NotCertified(f"{path}: a world of another session: {found[0]}; design this session anew")
+    try:
+        proved = world_from_content(data, terms)
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        what = f"key {error} is missing" if isinstance(error, KeyError) else str(error)
+        raise CertificateError(f"{path}: not a world as manyhands writes it: {what}; design it anew") from error
     parts: dict[str, Certificate] = {}
     for name in part_names(session)[:-1]:
         file = part_file(path, name)
         certificate = parts[name] = read_certificate(file)
         if found := differences_from(certificate, session):
             raise NotCertified(f"{file}: a certificate of another session: {found[0]}; design this session anew")
-    return own, parts
+    return proved, parts
 
 
 def differences_from(certificate: Certificate, session: Session) -> list[str]:

@@ -21,7 +21,9 @@ import yaml
 
 from manyhands.design.certificate import to_json
 from manyhands.design.files import naming, replacing
+from manyhands.design.world import world_json
 from manyhands.launch.files import TargetError
+from manyhands.launch.plan.sites import part_file
 from manyhands.launch.run.outcome import save_json
 from manyhands.nodes.log import LOG_FOLDER
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE, SESSION_FILE
@@ -148,9 +150,6 @@ def kept_files(prepared: Prepared) -> dict[str, bytes]:
     if prepared.certificate is not None:
         out[CERTIFICATE_FILE] = to_json(prepared.certificate).encode()
     if prepared.world is not None:
-        from manyhands.design.world import world_json  # it loads the exact prover, which not every command needs
-        from manyhands.launch.plan.sites import part_file
-
         out[CERTIFICATE_FILE] = world_json(prepared.world).encode()
         for name, part in prepared.parts.items():
             out[part_file(Path(CERTIFICATE_FILE), name).name] = to_json(part).encode()

@@ -13,13 +13,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.design.certificate import content, from_content, to_json
+from manyhands.design.certificate import content, from_content, identity, to_json
 from manyhands.design.errors import CertificateError, Infeasible
 from manyhands.design.ladder import automatic_delays, design_ladder
 from manyhands.design.levels.contract import margin_of
 from manyhands.design.proof import prove, prove_together, prove_world
 from manyhands.design.wave_link import felt_mass
-from manyhands.design.world import World, world_content, world_differences
+from manyhands.design.world import World, save_world, world_content, world_differences
 from manyhands.launch.plan.sites import IN_TICK, SessionPart, differences_from, in_tick, site, world
 from manyhands.launch.session import Session, WaveLink, load_session
 
@@ -300,3 +300,45 @@ def test_certificates_of_a_run_are_read_from_its_folder_and_of_no_other(tmp_path
     (tmp_path / "certificate.cx.json").unlink()
     with pytest.raises(CertificateError, match=r"certificate\.cx\.json"):
         prepare(given, tmp_path / "certificate.json")
+
+
+def test_a_world_of_another_hand_keeps_its_own_level(tmp_path: Path) -> None:
+    """A level that is proved serves, whichever version of a library found it."""
+    from manyhands.launch.plan.prepare import prepare
+    from manyhands.launch.run.directory import kept_files
+
+    given = session(tmp_path)
+    prepared = prepare(given)
+    assert prepared.world is not None
+    for name, text in kept_files(prepared).items():
+        (tmp_path / name).write_bytes(text)
+    found = prepared.world
+    halved = {name: 0.5 * margin for name, margin in found.margins.items()}
+    other = found.kept(0.5 * found.Phi_E, found.P_E, halved, {"algorithm": "by hand"})
+    file = tmp_path / "certificate.json"
+    save_world(other, file)
+    again = prepare(given, file).world
+    assert again is not None
+    assert again.id == other.id != found.id
+    np.testing.assert_array_equal(again.Phi_E, other.Phi_E)
+    data = json.loads(file.read_text())
+    data["margins"] = data.pop("margins")  # now after the method: written again, its id would be another
+    data["id"] = identity(data)
+    file.write_text(json.dumps(data))
+    with pytest.raises(CertificateError, match=r"certificate\.json: not a world as manyhands writes it"):
+        prepare(given, file)
+
+
+def test_a_run_that_may_be_uncertified_still_has_the_parts_certificates(tmp_path: Path) -> None:
+    """Never that of all couplings in the tick, which says nothing of a session with wave links."""
+    from manyhands.launch.plan.prepare import prepare
+
+    given = session(tmp_path)
+    either = prepare(given, uncertified=True)
+    assert either.certificate is None
+    assert either.world is not None
+    assert either.id == prepare(given).id
+    stiff = ("design.coupling=given", "design.objective=feasible", "design.stiffness=9000", "design.damping=1")
+    unproved = prepare(session(tmp_path, None, *stiff), uncertified=True)
+    assert not unproved.certified
+    assert unproved.certificates == ()
