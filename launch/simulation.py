@@ -22,7 +22,7 @@ from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.recordings.traces import Traces
 from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes.arithmetic import Floats
-from manyhands.nodes.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle, wave_feedthrough
+from manyhands.nodes.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle
 from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.drivers import Driver, driver_of
@@ -33,7 +33,7 @@ from manyhands.nodes.passivity import Ledger
 from manyhands.nodes.peer_link import WaveRow
 from manyhands.nodes.telemetry import wave_traces, world_traces
 from manyhands.nodes.wave_link.ends import user_face, world_face
-from manyhands.nodes.wave_link.faces import UserFace, WorldFace
+from manyhands.nodes.wave_link.faces import UserFace, WorldFace, wave_feedthrough
 from manyhands.protocol.clock import Instant, from_seconds
 
 _PROGRESS_TICKS = 1000

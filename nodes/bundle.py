@@ -466,12 +466,6 @@ def own_start(common: Common, start: Start) -> Start:
     return Start(epoch, round(start.ticks * common.rate), round(start.tick * common.rate))
 
 
-def wave_feedthrough(b: Matrix, period: float) -> Matrix:
-    """D_V = T b^-1 of the world's end, m x m, m/N, with T the environment's ``period``, s."""
-    inverse = np.linalg.inv(b)
-    return matrix(0.5 * period * (inverse + inverse.T))
-
-
 @dataclass(frozen=True, eq=False)
 class CouplingBundle:
     """A coupling block's part of the session.

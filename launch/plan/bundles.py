@@ -55,10 +55,10 @@ from manyhands.nodes.bundle import (
     SimulatedHand,
     Source,
     WaveEnd,
-    wave_feedthrough,
 )
 from manyhands.nodes.environment.energy import EnergyBudget
 from manyhands.nodes.environment.model import ModelName
+from manyhands.nodes.wave_link.faces import wave_feedthrough
 from manyhands.protocol.channels import links_at, topics_of
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Role
@@ -158,16 +158,18 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
     """
     session = prepared.session
     commons = {name: _common(prepared, run, name) for name in prepared.graph.nodes}
-    rungs = {name: _rungs(prepared, name) for name in session.couplings}
+    rungs = _rungs(prepared)
+    # where several couplings share a device, the certificate is one
+    coupling_at = {port: name for name, ports in session.blocks_by_name.items() for port in ports}
     bundles: dict[str, Bundle] = {}
     tank = session.faults.enforced_tank if prepared.certified else None  # without a certificate, no promise
     for name in session.devices:
-        coupling = next(coupling for coupling in session.couplings if name in session.devices_of(coupling))
-        of_devices = tuple(DeviceRung(rung.tau, rung.period_tolerance, rung.share) for rung in rungs[coupling])
+        own_rungs = rungs[coupling_at[session.ports_of(name)[0]]]
+        of_device = tuple(DeviceRung(rung.tau, rung.period_tolerance, rung.share) for rung in own_rungs)
         limits = limits_at(session, commons[name].ports)
         osp = matrix(session.osp_level(name))
         time = WALL if session.in_wall_time(name, run.clock) else OWN
-        bundles[name] = DeviceBundle(commons[name], osp, of_devices, _source(session, name), limits, time, tank)
+        bundles[name] = DeviceBundle(commons[name], osp, of_device, _source(session, name), limits, time, tank)
     for name in session.couplings:
         own, *softer = (CouplingRung(rung.block, rung.K, rung.level) for rung in rungs[name])
         limits = limits_at(session, commons[name].ports)
@@ -255,19 +257,24 @@ class _Rung:
     level: Matrix | None
 
 
-def _rungs(prepared: Prepared, coupling: str) -> list[_Rung]:
-    """The rung in force at the start, then the softer rungs to which the coupling may change."""
-    at = list(prepared.session.couplings).index(coupling)
-    block, certificate, ladder = prepared.blocks[at], prepared.certificate_of(coupling), prepared.ladder
-    if certificate is None:
+def _rungs(prepared: Prepared) -> dict[str, list[_Rung]]:
+    """By coupling: the rung in force at the start, then the softer rungs to which the coupling may change."""
+    couplings = tuple(prepared.session.couplings)
+    if not prepared.certified:
         share = DeviceShare()
-        return [_Rung(0.0, 0.0, share, prepared.loop.loop_gain(share.kappa)[at], block, None)]
-    rungs = []
-    for proof in (certificate,) if ladder is None else ladder.rungs:
-        at, share = proof.loop.partition.names.index(coupling), proof.levels.device
-        K, level = proof.loop.loop_gain(share.kappa)[at], proof.levels.Delta_V[at]
-        rungs.append(_Rung(proof.tau, proof.period_tolerance, share, K, proof.blocks[at], level))
-    return [replace(rungs[0], block=block), *rungs[1:]]
+        gains = prepared.loop.loop_gain(share.kappa)
+        of_each = zip(couplings, gains, prepared.blocks, strict=True)
+        return {name: [_Rung(0.0, 0.0, share, K, block, None)] for name, K, block in of_each}
+    found: dict[str, list[_Rung]] = {name: [] for name in couplings}
+    for proof in prepared.certificates if prepared.ladder is None else prepared.ladder.rungs:
+        share = proof.levels.device
+        gains = proof.loop.loop_gain(share.kappa)
+        proved = zip(proof.loop.partition.names, gains, proof.blocks, proof.levels.Delta_V, strict=True)
+        for name, K, block, level in proved:
+            found[name].append(_Rung(proof.tau, proof.period_tolerance, share, K, block, level))
+    for of_one, block in zip(found.values(), prepared.blocks, strict=True):
+        of_one[0] = replace(of_one[0], block=block)
+    return found
 
 
 def _longest_tau(prepared: Prepared, rungs: Mapping[str, Sequence[_Rung]]) -> float:
@@ -329,12 +336,11 @@ def _common(prepared: Prepared, run: RunPlan, name: str) -> Common:
 
 def _phase(session: Session, node: str) -> float:
     """When the first tick of a node is, s: sites take turns, and then comes their world; all others begin at 0."""
-    sites = list(session.wave_links)
-    turn = session.period_of(node) / (len(sites) + 1)
+    linked = list(session.wave_links)
+    turn = session.period_of(node) / (len(linked) + 1)
     if node == ENVIRONMENT:
-        return turn * len(sites) if len(sites) == len(session.couplings) else 0.0
-    own = (i for i, name in enumerate(sites) if node == name or node in session.devices_of(name))
-    return turn * next(own, 0)
+        return turn * len(linked) if len(linked) == len(session.couplings) else 0.0
+    return turn * linked.index(session.sites[node]) if node in session.sites else 0.0
 
 
 def mass_names(session: Session) -> tuple[str, ...]:

@@ -70,12 +70,12 @@ from manyhands.nodes.bundle import (
     DeviceBundle,
     EnvironmentBundle,
     WaveEnd,
-    wave_feedthrough,
 )
 from manyhands.nodes.device.core import Guard
 from manyhands.nodes.environment.clutch import LET_GO
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
 from manyhands.nodes.tick_events import Kind, events_in
+from manyhands.nodes.wave_link.faces import wave_feedthrough
 from manyhands.protocol.channels import TANK_NAMES
 
 Array = NDArray[np.float64]

@@ -361,12 +361,15 @@ class Session(SessionModel):
         """The wave link of each coupling that has one, in the order of the couplings."""
         return {name: block.wave_link for name, block in self.couplings.items() if block.wave_link is not None}
 
+    @cached_property
+    def sites(self) -> Mapping[str, str]:
+        """By node at the site of a wave link, a device or the coupling itself: that coupling."""
+        return {node: name for name in self.wave_links for node in (*self.devices_of(name), name)}
+
     def period_of(self, node: str) -> float:
         """T of a node, s: that of its site where a wave link has one of its own, else the session's."""
-        for name, link in self.wave_links.items():
-            if node == name or node in self.devices_of(name):
-                return link.period_in(self.period)
-        return self.period
+        site = self.sites.get(node)
+        return self.period if site is None else self.wave_links[site].period_in(self.period)
 
     def impedance_of(self, node: str) -> tuple[float, float] | None:
         """The least and the greatest eigenvalue of b, N·s/m, of a coupling with a wave link; None for another node."""
@@ -376,11 +379,10 @@ class Session(SessionModel):
         eigenvalues = np.linalg.eigvalsh(link.impedance(len(self.blocks_by_name[node])))
         return float(eigenvalues[0]), float(eigenvalues[-1])
 
-    @property
-    def own_periods(self) -> dict[str, float]:
+    @cached_property
+    def own_periods(self) -> Mapping[str, float]:
         """T of the nodes whose period is not the session's, s."""
-        nodes = (node for name in self.wave_links for node in (*self.devices_of(name), name))
-        return {node: period for node in nodes if (period := self.period_of(node)) != self.period}
+        return {node: period for node in self.sites if (period := self.period_of(node)) != self.period}
 
     @property
     def device_period(self) -> float:

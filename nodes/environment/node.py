@@ -307,7 +307,9 @@ class EnvironmentNode:
         """Charge the members that were late, freeze those that are late again and again, and read the latest last."""
         late = self._late
         arrivals = [
-            (member.arrived, member.index) for member in members.order if member in members.active and not member.linked
+            (member.arrived, member.index)
+            for member in members.order
+            if member.membership.state is Membership.ACTIVE and not member.linked
         ]
         if not arrivals:
             return

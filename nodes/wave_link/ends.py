@@ -31,10 +31,10 @@ from typing import Final
 
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.arithmetic import Floats
-from manyhands.nodes.bundle import SIMULATED, Common, CouplingBundle, EnvironmentBundle, Peer, WaveEnd, wave_feedthrough
+from manyhands.nodes.bundle import SIMULATED, Common, CouplingBundle, EnvironmentBundle, Peer, WaveEnd
 from manyhands.nodes.peer_link import Listener, PeerLink, Received, WaveRow, hello_to, positions
 from manyhands.nodes.supervisor_line import NOT_AT_ALL
-from manyhands.nodes.wave_link.faces import UserFace, WorldFace
+from manyhands.nodes.wave_link.faces import UserFace, WorldFace, wave_feedthrough
 from manyhands.nodes.wave_link.play_out import DEAF
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
 from manyhands.protocol.codec import LAYOUTS, WaveWriter, decode, encode, type_of
@@ -107,7 +107,7 @@ class _End(PeerLink):
         self._strays = 0
         self._silences, self._deaf = 0, True  # a face hears nothing before its first wave
         self._path: DatagramPath | None = None
-        self._encrypted = common.transport == "tcp" and bool(common.public) and not self._waits
+        self._by_datagram = may_go_by_datagram(common)
         self._zeros: Floats = [0.0] * len(peer.ports)
         self._row = WaveRow(self._zeros, [wave.tank, 0.0, 0.0], self._zeros, self._zeros)
 
@@ -319,7 +319,7 @@ class UserEnd(_End):
 
     def _take_key(self, frame: bytes) -> bool:
         link = self.link
-        if link is None or not self._encrypted or self._path is not None:
+        if link is None or not self._by_datagram or self._path is not None:
             return False
         key = decode(frame, MAX_CONTROL_BYTES)
         if not isinstance(key, PathKey):
@@ -350,7 +350,7 @@ class WorldEnd(_End):
     ) -> None:
         """Begin a life; ``datagrams`` is the socket that all ends of the process share, None for none."""
         super().__init__(common, peer, link, clock, wave)
-        self._datagrams = datagrams if self._encrypted else None
+        self._datagrams = datagrams if self._by_datagram else None
         self.face = self._face = world_face(common, wave)
         self._answered = True  # whether the face has the force of its last tick
         self._asked = -1  # the tick in which the face moved last
@@ -447,6 +447,11 @@ def world_ends(
     return dict.fromkeys(bundle.waves, make)
 
 
+def may_go_by_datagram(common: Common) -> bool:
+    """Whether the waves of a node may leave ZeroMQ: with keys, over tcp, and with a clock that does not wait."""
+    return common.transport == "tcp" and bool(common.public) and common.clock != SIMULATED
+
+
 def datagram_socket(bundle: EnvironmentBundle, clock: Clock) -> DatagramSocket | None:
     """The environment's socket for the datagrams of all its wave links, which its couplings may reach from elsewhere.
 
@@ -455,7 +460,7 @@ def datagram_socket(bundle: EnvironmentBundle, clock: Clock) -> DatagramSocket |
     wave links, without keys, within one machine's ipc, and under the simulated clock.
     """
     common = bundle.common
-    if not bundle.waves or common.transport != "tcp" or not common.public or common.clock == SIMULATED:
+    if not bundle.waves or not may_go_by_datagram(common):
         return None
     address = next(peer.address for peer in common.peers if peer.name in bundle.waves)
     host, _, port = address.rpartition(":") if address else ("127.0.0.1", "", "0")

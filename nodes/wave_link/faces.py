@@ -492,10 +492,9 @@ class WorldFace(_Face):
         """
         super().__init__(b, T, peer_T, depth, E_0=E_0, theta=theta, smoothing=smoothing, life=life)
         self._hold = 1.0
-        inverse = np.linalg.inv(self._b)
-        self.D_V: Vector = T * (inverse + inverse.T) / 2.0
+        self.D_V = wave_feedthrough(self._b, T)
         self._deflection, self._driven = linear_map(self.D_V), linear_map(self.D_V @ self._h)
-        self._place = linear_map(inverse @ self._h)  # x of a face without force, from U
+        self._place = linear_map(np.linalg.inv(self._b) @ self._h)  # x of a face without force, from U
         self._p = self._zero
 
     def tool(self) -> Floats:
@@ -534,6 +533,13 @@ class WorldFace(_Face):
     def _idle(self, moved: Floats) -> Floats:
         """-h^-1 f_e(k-1), which holds the tool."""
         return [-kept for kept in self._held(self._f)]
+
+
+def wave_feedthrough(b: Vector, T: float) -> Vector:
+    """D_V = T b^-1 of the world's face, m x m, m/N, with T the environment's period, s."""
+    inverse = np.linalg.inv(b)
+    feedthrough: Vector = T * (inverse + inverse.T) / 2.0
+    return feedthrough
 
 
 def _eased(along: float) -> float:

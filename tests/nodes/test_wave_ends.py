@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from manyhands.nodes.bundle import REALTIME, SIMULATED, Common, Peer, WaveEnd, own_start, wave_feedthrough
+from manyhands.nodes.bundle import REALTIME, SIMULATED, Common, Peer, WaveEnd, own_start
 from manyhands.nodes.peer_link import PeerLink, Received, handshake_of
 from manyhands.nodes.wave_link.ends import AT_ONCE, CALM, JOINING, UserEnd, WorldEnd
+from manyhands.nodes.wave_link.faces import wave_feedthrough
 from manyhands.nodes.wave_link.play_out import DEAF
 from manyhands.protocol.clock import Duration, Instant
 from manyhands.protocol.limits import MAX_STRAY_FRAMES
