@@ -24,19 +24,21 @@ imports: $(VENV)/.installed
 
 # what judges sessions in real time runs alone; the rest in so many processes, 0 being none beside this one
 WORKERS ?= 2
+# the order is tests/conftest.py's; a test that waits for ever ends the run (pyproject.toml), and is not begun again
+SPREAD  := --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 # matrices of ten rows: more threads in BLAS only wait for each other, and for the other test process
 pytest test-long campaign: export OMP_NUM_THREADS = 1
 pytest test-long campaign: export OPENBLAS_NUM_THREADS = 1
 # where it is set, every process of every session that a test starts would compile the product and the tests anew
 pytest test-long campaign: export PYTHONDONTWRITEBYTECODE =
 pytest: $(VENV)/.installed
-	$(BIN)/pytest -n $(WORKERS) --dist loadfile -m "not alone and not long"
+	$(BIN)/pytest -n $(WORKERS) $(SPREAD) -m "not alone and not long"
 	$(BIN)/pytest -m "alone and not long"
 
 # what `make test` leaves out: further cases of its properties, and wider searches of random ones
 test-long campaign: export MANYHANDS_WIDE = 1
 test-long: $(VENV)/.installed
-	$(BIN)/pytest -n $(WORKERS) --dist loadfile -m "(long or wide) and not alone"
+	$(BIN)/pytest -n $(WORKERS) $(SPREAD) -m "(long or wide) and not alone"
 	$(BIN)/pytest -m "(long or wide) and alone"
 
 # properties of the mathematics, the codec and session files with new random cases in each round; not part of `make test`.
