@@ -51,6 +51,10 @@ WINDOW: Final = 1.0
 """The same later on, s: an end goes on to measure, for a machine or a network may become worse. A wave that comes later
 than the depth allows for costs energy of the tank, and where the tank is empty, the tool creeps."""
 
+OUTLIERS: Final = 0.01
+"""The part of a window's ticks that the depth need not cover. Beyond the newest wave the play-out goes on with the last
+slope, which is exact for a constant force; depth costs stiffness or felt mass all the time."""
+
 CALM: Final = 10
 """Windows that must have needed less before the depth becomes less."""
 
@@ -232,21 +236,22 @@ class _End(PeerLink):
         return True
 
     def _keep_time(self) -> None:
-        """Count the ticks that this process was too late for.
+        """Have the face skip the ticks that this process was too late for.
 
-        The other end plays by these numbers. If they fell behind, it would take a slow sender for late waves.
+        The other end plays by the numbers of ticks. If they fell behind the time, it would take a process that was
+        late for late waves.
         """
-        now = self._clock.now()
+        now, n = self._clock.now(), self.face.n
         if not self._born:
-            self._born = now - self.face.n * self._period
-        self.face.n = max(self.face.n, (now - self._born) // self._period)
+            self._born = now - n * self._period
+        missed = (now - self._born) // self._period - n
+        if missed > 0:
+            self.face.skip(missed)
 
     def _send_wave(self) -> bool:
         link = self.link
         if link is None or self.handshake is not None:
             return False
-        if not self._waits:
-            self._keep_time()
         message = self.face.message()
         if self._path is not None:
             return self._path.send(Wave(message.n, message.U, message.G))
@@ -256,10 +261,11 @@ class _End(PeerLink):
         """Count a tick in which waves come, and choose the depth; returns whether it is settled."""
         if not self._joining:
             return True
+        window = self._window if self._needed else self._joining
         if self._ticks == 0:
-            self.face.measure()
+            self.face.measure(int(OUTLIERS * window))
         self._ticks += 1
-        if self._ticks < (self._window if self._needed else self._joining):
+        if self._ticks < window:
             return bool(self._needed)
         self._ticks = 0
         self._needed.append(self.face.measured + MARGIN)
@@ -288,6 +294,7 @@ class UserEnd(_End):
         """Answer p(k) from the waves that have come; the world's wave leaves once the force is on its way."""
         if not self._waits:
             self._take_waves()
+            self._keep_time()
         self._f = self._face.step(self.share(values))
         self._row = WaveRow(self._face.wave, self._face.tank.row())
         self._note_silence()
@@ -375,6 +382,8 @@ class WorldEnd(_End):
         self.settle(tick)
         if self._gate.newest is None:
             return Received.NOTHING
+        if not self._waits:
+            self._keep_time()
         self._began = not self._face.aligned
         p = self._face.tool()
         self._answered = False

@@ -53,6 +53,9 @@ RAMP: Final = 0.1
 MAKE_UP: Final = 0.25
 """The greatest force of the wave that makes up for an outage, N."""
 
+LONGEST_SKIP: Final = 0.25
+"""Time without ticks beyond which a face plays nothing of it, and takes the time line up by the ramp, s."""
+
 _MAKE_UP_TIME: Final = 0.3  # time constant of the same, s
 _SPARE: Final = 1.0  # time constant with which spare energy goes to the other face, s
 _RESERVE: Final = 0.25  # part of E_0 that is no spare energy
@@ -127,6 +130,7 @@ class _Face(ABC):
         self._sum_at = linear_map(self._h_inverse @ b)  # U of a face that is at x without force
         self._theta = None if theta is None or not np.any(theta) else linear_map(np.array(theta, dtype=np.float64) / T)
         self._reserve, self._spare = _RESERVE * E_0, min(1.0, T / _SPARE)
+        self._longest_skip = math.ceil(LONGEST_SKIP / T)
         self._most, self._part = T * MAKE_UP / float(roots[-1]), T / _MAKE_UP_TIME
         self._given_smoothing, self._smoothing = smoothing, 1.0
         self._play = PlayOut(T, peer_T, depth)
@@ -172,6 +176,48 @@ class _Face(ABC):
         self._play.hear(n, sums)
         self.silent = 0
         return True
+
+    def skip(self, ticks: int) -> None:
+        """Go through ``ticks`` in which the process did not run: the tool was held, so that no energy passed.
+
+        Then n keeps to the time, and each of these ticks has the waves c = h^-1 f_c (-h^-1 f_e at the world) and
+        a = -c, with w = 0. Without them the other face would take a process that was late for a weaker force.
+        """
+        play = self._play
+        self.n += ticks
+        self.silent += ticks
+        if play.newest < 0:
+            return
+        played = min(ticks, self._longest_skip)
+        for _ in range(played):
+            self._reckoned = self._played
+            self._line = play.advance()
+            self._c = c = self._holding()
+            if play.jumped:  # the next tick goes over by the ramp
+                play.place(play.depth)
+            elif play.deaf:
+                self._go_deaf()
+                self._before = c
+                self._reckon(self._zero, deaf=True)
+            elif not self._away and self._along == 1.0:
+                self._stay(c)
+        if played < ticks:
+            play.run_on(ticks - played)
+            play.place(play.depth)
+
+    def _stay(self, c: Floats) -> None:
+        """Play the wave that holds the tool for a tick, where the tank has its energy meanwhile."""
+        T, tank = self._T, self.tank
+        cost = 0.5 * T * dot(c, c)
+        if cost > tank.level:
+            return
+        self._played = [at + T * wave for at, wave in zip(self._played, c, strict=True)]
+        self._U = [at - T * wave for at, wave in zip(self._U, c, strict=True)]
+        tank.ship(min(cost, max(0.0, tank.level - self._reserve)))
+
+    @abstractmethod
+    def _holding(self) -> Floats:
+        """The wave that holds the tool under the last force, W^(1/2)."""
 
     def message(self) -> Sums:
         """The sums up to the tick that was stepped last."""
@@ -221,13 +267,15 @@ class _Face(ABC):
         """
         self._play.depth = depth
 
-    def measure(self) -> None:
-        """Begin to measure the depth that the messages need; do this while joining, at s = 0."""
-        self._play.measure()
+    def measure(self, outliers: int = 0) -> None:
+        """Begin to measure the depth that the messages need, except in so many ticks."""
+        self._play.measure(outliers)
 
     @property
     def measured(self) -> float:
-        """The depth at which no message since :meth:`measure` would have come too late, ticks of the other face."""
+        """The depth at which no message since :meth:`measure` would have come too late, except in its outliers; ticks
+        of the other face.
+        """
         return self._play.measured()
 
     def _incoming(self, moved: Floats) -> Floats:
@@ -238,9 +286,7 @@ class _Face(ABC):
         line = play.advance()
         self._follows = not (play.deaf or self._away or play.jumped or self._along < 1.0)
         if play.deaf:
-            if self._along > 0.0:
-                self._hold, self._voice = 1.0, self._along
-            self._along, self._away = 0.0, True
+            self._go_deaf()
             self._before = c = self._idle(moved)
         elif not self._follows:
             c = self._taken_up(line, moved)
@@ -256,6 +302,12 @@ class _Face(ABC):
             missing = self._smoothing * self._T
             self._arrears = [late + missing * (to - at) for late, to, at in zip(self._arrears, c, paid, strict=True)]
         return paid
+
+    def _go_deaf(self) -> None:
+        """Hold the tool from the next wave on, where this face does not do so already."""
+        if self._along > 0.0:
+            self._hold, self._voice = 1.0, self._along
+        self._along, self._away = 0.0, True
 
     def _taken_up(self, line: Floats, moved: Floats) -> Floats:
         """c(k) on the way from the wave before a silence to that of the time line.
@@ -434,10 +486,14 @@ class UserFace(_Face):
         """h^-1 f_c(k-1), which holds the tool; at the beginning of a life that of a force that goes to 0."""
         hold = self._hold
         if hold == 1.0:
-            return self._held(self._f)
+            return self._holding()
         f, T = [hold * force for force in self._let_go], self._T
         w = [(by + bent) / T for by, bent in zip(moved, self._deflection(f), strict=True)]
         return [motion + force for motion, force in zip(self._sum_at(w), self._held(f), strict=True)]
+
+    def _holding(self) -> Floats:
+        """h^-1 f_c(k-1)."""
+        return self._held(self._f)
 
     def force(self, c: Floats, moved: Floats) -> Floats:
         """f_c(k), N, for the wave c(k) and p(k) - x_c(k-1), m."""
@@ -532,6 +588,10 @@ class WorldFace(_Face):
 
     def _idle(self, moved: Floats) -> Floats:
         """-h^-1 f_e(k-1), which holds the tool."""
+        return self._holding()
+
+    def _holding(self) -> Floats:
+        """-h^-1 f_e(k-1)."""
         return [-kept for kept in self._held(self._f)]
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from heapq import heapreplace
 from typing import Final, TypeAlias
 
 from manyhands.nodes.arithmetic import Floats, dot, minus
@@ -50,7 +51,7 @@ class PlayOut:
         "_deaf_after",
         "_fresh",
         "_gain",
-        "_lateness",
+        "_latest",
         "_mean",
         "_misplaced",
         "_nominal",
@@ -62,6 +63,7 @@ class PlayOut:
         "_span",
         "_start",
         "_ticks",
+        "_total",
         "_weight",
         "deaf",
         "depth",
@@ -99,7 +101,8 @@ class PlayOut:
         self._since = self._recent = self._passed  # the slope beyond the newest is the one from _since on
         self._ticks = 0  # since measure was called; 0 if it was not
         self._start = 0
-        self._lateness = (0.0, -math.inf)  # sum and greatest, ticks of the sender
+        self._total = 0.0  # of how late messages were since then, ticks of the sender
+        self._latest: list[float] = []  # the greatest of these, as a heap: the least of them comes first
 
     def hear(self, n: int, U: Floats) -> None:
         """Take the sum U of tick n, which is newer than all before; U is kept."""
@@ -145,6 +148,12 @@ class PlayOut:
             self._measure()
         return self._sum(nu)
 
+    def run_on(self, ticks: int) -> None:
+        """Move nu on by so many ticks of the receiver without playing them; a measurement begins again."""
+        self._nu += ticks * self._nominal
+        if self._ticks:
+            self.measure(len(self._latest) - 1)
+
     def place(self, depth: float) -> None:
         """Change the depth wanted; nu jumps there."""
         self.depth, self._misplaced = depth, True
@@ -153,20 +162,22 @@ class PlayOut:
         """How far nu is behind the newest message, ticks of the sender."""
         return self.newest - self._nu
 
-    def measure(self) -> None:
-        """Begin to measure how late messages are; :meth:`measured` has the result."""
-        self._ticks, self._lateness, self._start = 1, (0.0, -math.inf), self.newest
+    def measure(self, outliers: int = 0) -> None:
+        """Begin to measure how late messages are, except in so many ticks; :meth:`measured` has the result."""
+        self._ticks, self._start, self._total = 1, self.newest, 0.0
+        self._latest = [-math.inf] * (outliers + 1)
 
     def measured(self) -> float:
         """The depth, ticks of the sender, at which no message since :meth:`measure` would have come too late."""
-        total, greatest = self._lateness
-        return greatest - total / (self._ticks - 1) + 1.0 if self._ticks > 1 else 0.0
+        least = next((late for late in sorted(self._latest) if late > -math.inf), 0.0)
+        return least - self._total / (self._ticks - 1) + 1.0 if self._ticks > 1 else 0.0
 
     def _measure(self) -> None:
         late = self._ticks * self._nominal - (self.newest - self._start)
-        total, greatest = self._lateness
         self._ticks += 1
-        self._lateness = (total + late, max(greatest, late))
+        self._total += late
+        if late > self._latest[0]:
+            heapreplace(self._latest, late)
 
     def _sum(self, nu: float) -> Floats:
         """The sum at nu; nu does not fall."""

@@ -155,6 +155,13 @@ class HostileLine:
         if self.world.aligned:
             self.sent[1].append(self.world.message())
 
+    def skip(self, site: int) -> None:
+        """The process of ``site`` does not run for a while: nothing moves, and no energy passes."""
+        face = self.faces[site]
+        face.skip(int(self.rng.choice([1, 2, 5, 200])))
+        if self.rng.random() < 0.5:
+            self.sent[site].append(face.message())
+
     def deliver(self, site: int) -> None:
         """Any messages of the past come to ``site``, in any order, any number of times; most often the recent ones."""
         flown = self.sent[1 - site]

@@ -33,7 +33,10 @@ class Pair:
         self.x_e: list[float] = []
 
     def tick(self, x: float, wall: float = WALL) -> None:
-        self.x = x
+        self.tick_world(wall)
+        self.tick_user(x)
+
+    def tick_world(self, wall: float = WALL) -> None:
         if self.up:
             self.world.hear(*self.user.message())
         p = self.world.tool()[0]
@@ -41,6 +44,9 @@ class Pair:
         f = -wall * p / (1.0 + wall * D)
         self.world.step([f])
         self.x_e.append(p + D * f)
+
+    def tick_user(self, x: float) -> None:
+        self.x = x
         if self.down and self.world.aligned:
             self.user.hear(*self.world.message())
         f_c = self.user.step([x])[0]
@@ -131,6 +137,31 @@ def test_no_step_comes_with_the_end_of_a_silence_and_nothing_is_forgotten(cut: t
     assert steps(pair.f_c[since:]) < 3.0
     same = Pair(E_0=0.05).press(5e-3, 4000)
     assert pair.f_c[-1] == pytest.approx(same.f_c[-1], rel=0.01)
+
+
+@pytest.mark.parametrize("late", ["user", "world"])
+@pytest.mark.parametrize(("stop", "step"), [(0, 2e-3), (40, 0.1), (400, 0.3)])
+def test_a_process_that_misses_ticks_makes_no_step_of_the_force(late: str, stop: int, step: float) -> None:
+    """Three ticks in 50 are missed, and once ``stop`` more; those are a silence at the other face."""
+    pair = Pair(E_0=0.02).press(2e-3, 4000)
+    constant, first, missed = pair.f_c[-1], len(pair.f_c), 0
+    for k in range(4000):
+        runs = k % 50 >= 3 and not 2000 <= k < 2000 + stop
+        for face, tick in ((pair.world, pair.tick_world), (pair.user, lambda: pair.tick_user(pair.x))):
+            if face is not getattr(pair, late):
+                tick()
+            elif runs:
+                face.skip(missed)
+                missed = 0
+                tick()
+            else:
+                missed += 1
+    assert pair.user.n == pair.world.n == 8000
+    assert steps(pair.f_c[first:]) < step
+    # in the end the gap is that of the force over the mean depths, which are a little more than without missed ticks
+    R = (pair.user.depth + pair.world.depth + 1.0) * T
+    assert pair.x_c[-1] - pair.x_e[-1] == pytest.approx(-pair.f_c[-1] * R / (2.0 * B[0, 0]), rel=0.02)
+    assert pair.f_c[-1] == pytest.approx(constant, rel=0.02)
 
 
 def test_messages_of_another_life_are_not_heard_and_a_survivor_keeps_its_energy() -> None:

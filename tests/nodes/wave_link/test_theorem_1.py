@@ -32,7 +32,10 @@ DEATHS = st.lists(st.tuples(st.integers(0, 300), st.integers(0, 1)), max_size=3)
 def run(
     line: HostileLine, outages: list[tuple[int, int]], deaths: list[tuple[int, int]], check: Callable[[], None]
 ) -> None:
-    """300 steps: ticks of the two sites in any order, one of them for a while alone, with deliveries between them."""
+    """300 steps: ticks of the two sites in any order, one of them for a while alone, with deliveries between them.
+
+    Now and then a process misses ticks.
+    """
     rng = line.rng
     bias = 0.5
     for step in range(300):
@@ -42,6 +45,9 @@ def run(
         site = int(rng.random() < bias)
         if not silent:
             line.deliver(site)
+        if rng.random() < 0.1:
+            line.skip(site)
+            check()
         (line.tick_user, line.tick_world)[site]()
         check()
         for when, who in deaths:

@@ -157,7 +157,7 @@ def visitor(
 
 
 def knock(visiting: zmq.Socket[bytes], frame: bytes) -> None:
-    """Send, if the connection still lasts: one without a valid proof ends by itself, and nobody would take the frame."""
+    """Send if the connection still lasts: one without a valid proof ends, and send would wait for ever."""
     with suppress(zmq.Again):
         visiting.send(frame, zmq.DONTWAIT)
 
