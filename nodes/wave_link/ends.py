@@ -64,9 +64,6 @@ FIRST_DEPTH: Final = 0.004
 AT_ONCE: Final = 64
 """Frames that are read in one tick: a flood must not keep the loop from its other work."""
 
-MARGIN: Final = 0.5
-"""What is added to the depth that was measured, ticks of the sender."""
-
 ROUNDING: Final = 1e-9
 """Added to a number of ticks before it is rounded down, for it is a quotient of two periods."""
 
@@ -268,7 +265,7 @@ class _End(PeerLink):
         if self._ticks < window:
             return bool(self._needed)
         self._ticks = 0
-        self._needed.append(self.face.measured + MARGIN)
+        self._needed.append(self.face.measured)
         # what happened once in all these windows was an outage, for which no depth is worth its mass; and who hears
         # nothing for DEAF holds the tool anyway
         deepest = sorted(self._needed)[-2] if len(self._needed) > 1 else self._needed[-1]

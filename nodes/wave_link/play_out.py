@@ -170,7 +170,7 @@ class PlayOut:
     def measured(self) -> float:
         """The depth, ticks of the sender, at which no message since :meth:`measure` would have come too late."""
         least = next((late for late in sorted(self._latest) if late > -math.inf), 0.0)
-        return least - self._total / (self._ticks - 1) + 1.0 if self._ticks > 1 else 0.0
+        return max(0.0, least - self._total / (self._ticks - 1) + 1.0) if self._ticks > 1 else 0.0
 
     def _measure(self) -> None:
         late = self._ticks * self._nominal - (self.newest - self._start)
