@@ -37,6 +37,7 @@ class FormFigures:
         certified: supremum of the certified stiffness of the weakest device at the tau to design for, N/m; 0 where
             no coupling covers the measured delay, None where the environment has no such period, or nothing was
             measured.
+        at_worst: the same if the coupling covered the longest delay that was measured, too.
         no_delay: the same without any delay, N/m; None where the environment has no such period.
     """
 
@@ -44,6 +45,7 @@ class FormFigures:
     profile: Profile | None
     missing: str
     certified: float | None
+    at_worst: float | None
     no_delay: float | None
 
 
@@ -67,13 +69,15 @@ def form_figures(worth: Worth, found: Mapping[Form, Profile | str]) -> Iterator[
         at = worth.at(form.period)
         no_delay = None if at is None else at.weakest(0.0, 0.0)
         if isinstance(profile, str):
-            yield FormFigures(form, None, profile, None, no_delay)
+            yield FormFigures(form, None, profile, None, None, no_delay)
             continue
         chosen = allowance(profile, form.period)
-        certified = None if at is None else 0.0
+        certified = at_worst = None if at is None else 0.0
         if at is not None and chosen.covered:
             certified = at.weakest(chosen.tau, chosen.period_tolerance)
-        yield FormFigures(form, profile, "", certified, no_delay)
+        if at is not None and (worst := max(chosen.tau, profile.tau.max * 1e-6)) <= form.period:
+            at_worst = at.weakest(worst, chosen.period_tolerance)
+        yield FormFigures(form, profile, "", certified, at_worst, no_delay)
 
 
 def rates_object(figures: list[FormFigures]) -> list[dict[str, Any]]:
@@ -85,6 +89,7 @@ def rates_object(figures: list[FormFigures]) -> list[dict[str, Any]]:
             "colocate": one.form.colocated,
             "no_delay": one.no_delay,
             "certified": one.certified,
+            "at_worst": one.at_worst,
         }
         if one.profile is not None:
             chosen, tau = allowance(one.profile, one.form.period), one.profile.tau
@@ -107,7 +112,8 @@ def print_rates(console: Console, session: str, figures: list[FormFigures]) -> N
     table = Table(title=f"{session} on this machine", title_justify="left")
     table.add_column("rate")
     table.add_column("processes")
-    columns = ("τ p50 [µs]", "p99.5", "late", "designed for τ [ms]", "period [ms]", "certified below [N/m]", "no delay")
+    columns = ("τ p50 [µs]", "p99.5", "worst", "late", "designed for τ [ms]", "period [ms]", "certified below [N/m]",
+               "at the worst", "no delay")  # fmt: skip
     for column in columns:
         table.add_column(column, justify="right")
     for one in figures:
@@ -115,13 +121,14 @@ def print_rates(console: Console, session: str, figures: list[FormFigures]) -> N
         name = f"{1e-3 / form.period:g} kHz", "co-located" if form.colocated else "separate"
         no_delay = _newtons(one.no_delay)
         if profile is None:
-            table.add_row(*name, "", "", "", "", "", "", no_delay)
+            table.add_row(*name, *[""] * 8, no_delay)
             continue
         chosen = allowance(profile, form.period)
         table.add_row(
-            *name, f"{profile.tau.p50:.0f}", f"{profile.tau.p995:.0f}", f"{profile.late:.1%}",
+            *name, f"{profile.tau.p50:.0f}", f"{profile.tau.p995:.0f}", f"{profile.tau.max:.0f}", f"{profile.late:.1%}",
             f"{chosen.tau * 1e3:.4g}" if chosen.covered else "longer than a tick",
-            f"{(1.0 + chosen.period_tolerance) * form.period * 1e3:.4g}", _newtons(one.certified), no_delay,
+            f"{(1.0 + chosen.period_tolerance) * form.period * 1e3:.4g}", _newtons(one.certified),
+            _newtons(one.at_worst), no_delay,
         )  # fmt: skip
     console.print(table)
     for text in dict.fromkeys(one.missing for one in figures if one.missing):

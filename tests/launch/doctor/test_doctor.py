@@ -415,8 +415,8 @@ def test_each_form_is_measured_once(refused: bool, monkeypatch: pytest.MonkeyPat
     assert found.each == pytest.approx(10.0 * 0.85 / 7)
 
 
-def figures(worth: Worth, p995: float, period: float) -> FormFigures:
-    profile = Profile({}, Lateness(p995 / 2, p995, p995, p995), period * 1.05e6, 0.0, 2.0, 0.0)
+def figures(worth: Worth, p995: float, period: float, worst: float = 0.0) -> FormFigures:
+    profile = Profile({}, Lateness(p995 / 2, p995, p995, worst or p995), period * 1.05e6, 0.0, 2.0, 0.0)
     (found,) = form_figures(worth, {Form(period, False): profile})
     return found
 
@@ -426,6 +426,9 @@ def test_each_form_has_the_stiffness_of_its_own_period(worth: Worth) -> None:
     tau, longest = 0.325e-3, 1.1 * 0.5e-3  # 12 steps of 25 us and one; 1 step and one
     assert found.certified == pytest.approx(1.37 / (longest / 2 + 1.5 * tau))
     assert found.no_delay == pytest.approx(5480.0)
+    assert found.at_worst == found.certified  # the longest delay is within what is designed for
+    assert figures(worth, 280.0, 0.5e-3, 480.0).at_worst == pytest.approx(1.37 / (longest / 2 + 1.5 * 0.48e-3))
+    assert figures(worth, 280.0, 0.5e-3, 510.0).at_worst == 0.0
 
 
 def test_a_form_whose_ticks_are_longer_than_a_tick_has_none(worth: Worth) -> None:
@@ -446,13 +449,16 @@ def test_the_table_names_what_is_missing_and_what_is_too_slow(worth: Worth) -> N
     found = list(
         form_figures(worth, {Form(1e-3, False): NOT_MEASURED, Form(5e-4, True): slow, Form(2.5e-4, True): NOT_MEASURED})
     )
-    out = Console(file=StringIO(), width=140)
+    out = Console(file=StringIO(), width=160)
     print_rates(out, "example-1", found)
     text = out.file.getvalue()  # type: ignore[attr-defined]
-    assert re.search(r"2 kHz │ co-located │ +400 │ +900 │ 28.1% │ longer than a tick │ +0.55 │ +none │ +5480", text)
+    assert re.search(
+        r"2 kHz │ co-located │ +400 │ +900 │ +1100 │ 28.1% │ longer than a tick │ +0.55 │ +none │ +none │ +5480", text
+    )
     assert text.splitlines()[-1] == "1 kHz, 4 kHz co-located: not measured: manyhands doctor"
     first, second, _ = rates_object(found)
-    assert first == {"period": 1e-3, "colocate": False, "no_delay": pytest.approx(2740.0), "certified": None}
+    nothing = {"certified": None, "at_worst": None}
+    assert first == {"period": 1e-3, "colocate": False, "no_delay": pytest.approx(2740.0), **nothing}
     assert (second["tau"], second["covered"], second["tau_us"]["p995"], second["late"]) == (5e-4, False, 900.0, 0.281)
     assert json.loads(json.dumps([first | {"no_delay": 0.0}, second])) == [first | {"no_delay": 0.0}, second]
 
