@@ -110,10 +110,7 @@ def simulate(
                 say(err, f"warning: {name} was beyond its limits and let go (times: {guard.let_go}); last: {guard.why}")
 
 
-@commands.command(
-    epilog="Examples: manyhands launch example1.yaml --duration 10 --record run.npz --report run.json; "
-    "manyhands launch example1.yaml --listen 192.0.2.7:7400 --on dx=lab --on cx=lab"
-)
+@commands.command(epilog="Example: manyhands launch example1.yaml --duration 10 --record run.npz --report run.json")
 def launch(
     session: SessionPath,
     duration: Annotated[
@@ -141,7 +138,9 @@ def launch(
     on: Annotated[
         list[str],
         typer.Option(
-            "--on", metavar="NODE=HOST", help="Start this node on HOST by ssh, over tcp with keys; repeatable."
+            "--on",
+            metavar="NODE=HOST",
+            help="Start this node on HOST by ssh, over tcp with keys; repeatable: --on dx=lab --on cx=lab.",
         ),
     ] = [],  # noqa: B006
     program: Annotated[
