@@ -148,6 +148,7 @@ def test_one_command_starts_nodes_on_another_machine(home: Home, stand: Stand, t
     assert list(stand.machine.iterdir()) == [], "a bundle or a key is left on the other machine"
 
 
+@pytest.mark.long
 def test_the_same_by_hand(home: Home, tmp_path: Path) -> None:
     """The launch prints what is to be run on the other machine, which has bundles and keys and nothing else."""
     run("keys", EXAMPLE, *SET, "-o", home.folder / "keys")
