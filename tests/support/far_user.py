@@ -93,8 +93,8 @@ SET: Final = tuple(word for override in OVERRIDES for word in ("--set", override
 # --- the run
 
 
-def run_across(one: Wan, folder: Path, seconds: float) -> tuple[RecordedRun, dict[str, Any]]:
-    """Run the session, its far nodes by invitation; the recording, and the report."""
+def run_across(one: Wan, folder: Path, seconds: float) -> tuple[RecordedRun, dict[str, Any], list[str]]:
+    """Run the session, its far nodes by invitation; the recording, the report, and what was wrong with the run."""
     certificate, keys = folder / "c.json", folder / "keys"
     run("keys", EXAMPLE, *SET, "-o", keys)
     shared = ("--keys", str(keys), "--certificate", str(certificate), *SET)
@@ -116,11 +116,14 @@ def run_across(one: Wan, folder: Path, seconds: float) -> tuple[RecordedRun, dic
     with ExitStack() as stack:
         home = stack.enter_context(process(one, "near", launch))
         guests = [stack.enter_context(process(one, "far", nodes[name])) for name in FAR]
+        ended = []
         for name, of in zip(("launch", *FAR), (home, *guests), strict=True):
             _, error = of.communicate(timeout=seconds + PATIENCE)
             if of.returncode:
-                raise AssertionError(f"{name} ended with {of.returncode}; expected 0: {error}")
-    return read_run(folder / "run.mcap"), json.loads((folder / "run.json").read_text())
+                ended += [line for line in error.splitlines() if name != "launch" or line.startswith("error: ")]
+    if not (folder / "run.json").exists():
+        raise AssertionError(f"found no report; expected one: {'; '.join(ended)}")
+    return read_run(folder / "run.mcap"), json.loads((folder / "run.json").read_text()), ended
 
 
 @contextmanager
@@ -333,7 +336,7 @@ def in_real_time(wire: Wire, folder: Path, seconds: float) -> Found:
         Refused: the machine permits no namespaces.
     """
     with open_wan(wire) as one:
-        recorded, report = run_across(one, folder, seconds)
+        recorded, report, ended = run_across(one, folder, seconds)
     rows = {(node, kept.topic.trace): kept.values for (node, _), kept in recorded.traces.items()}
     session, nodes, link = far_session(folder).session, report["nodes"], report["wave_links"]["cx"]
     here = [name for name in ("dx", *LOCAL) if name in nodes]
@@ -347,6 +350,7 @@ def in_real_time(wire: Wire, folder: Path, seconds: float) -> Found:
     }
     close, common = compared(folder, rows)
     promised = bounds(recorded, report, (session.faults.tank, session.wave_links["cx"].tank))
+    promised.insert(0, Line("faults of the run", "; ".join(ended) or "none", "none", not ended))
     return Found(promised, close, [*common, *(Line(what, figure, "", True) for what, figure in besides.items())])
 
 

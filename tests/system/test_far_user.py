@@ -30,5 +30,5 @@ def test_every_bound_holds_across_a_wan(folder: Path) -> None:
     with wan(WIRE):
         pass  # skips where there is none
     found = in_real_time(WIRE, folder, 10.0)
-    assert len(found.bounds) == 12
+    assert len(found.bounds) == 13
     assert all(line.holds for line in found.bounds), found.bounds
