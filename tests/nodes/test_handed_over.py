@@ -23,7 +23,7 @@ from manyhands.protocol.keys import load_private
 from ..support.commands import MANYHANDS
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
-PATIENCE = 60.0  # s; a guest that nobody ends tries for a minute
+PATIENCE = 30.0  # s; a guest that nobody ends tries for a minute
 
 
 class Input:
@@ -67,23 +67,26 @@ def test_what_is_no_bundle_and_key_is_refused(content: bytes, monkeypatch: pytes
         raise AssertionError("it was entered")
 
 
-def node(name: str) -> subprocess.Popen[bytes]:
-    """A node that nobody's session awaits."""
+def ended(name: str, given: bytes) -> tuple[int, str]:
+    """The end of a node that nobody's session awaits, whose input ends after this."""
     words = ("node", name, "--session", "-", "--connect", "tcp://127.0.0.1:9")
-    return subprocess.Popen([*MANYHANDS, *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    with subprocess.Popen(
+        [*MANYHANDS, *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        try:
+            _, err = process.communicate(given, timeout=PATIENCE)
+        finally:
+            process.kill()
+    return process.returncode, err.decode()
 
 
 def test_the_end_of_its_input_ends_a_node(given: bytes) -> None:
-    with node("dx") as process:
-        _, err = process.communicate(given, timeout=PATIENCE / 2)
-    assert (process.returncode, err) == (128 + signal.SIGTERM, b"")
+    assert ended("dx", given) == (128 + signal.SIGTERM, "")
 
 
 def test_a_bundle_for_a_different_node_is_refused(given: bytes) -> None:
-    with node("dy") as process:
-        _, err = process.communicate(given, timeout=PATIENCE / 2)
-    assert process.returncode == EXIT_BAD_INPUT
-    assert err.decode().startswith("error: ")
-    assert "found the bundle of dx; expected that of dy" in err.decode()
-    secret = json.loads(given)["key"]["secret"]
-    assert secret not in err.decode()
+    code, err = ended("dy", given)
+    assert code == EXIT_BAD_INPUT
+    assert err.startswith("error: ")
+    assert "found the bundle of dx; expected that of dy" in err
+    assert json.loads(given)["key"]["secret"] not in err

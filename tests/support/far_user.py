@@ -38,7 +38,7 @@ from manyhands.launch.recordings.run import RecordedRun, read_run
 from manyhands.launch.session import load_session
 from manyhands.launch.simulation import Simulation
 from manyhands.nodes.telemetry import DISPLACEMENT, FORCE, INSTANTS, WAVE, WAVE_LEDGER
-from manyhands.nodes.wave_link.ends import JOINING, MARGIN
+from manyhands.nodes.wave_link.ends import JOINING, MARGIN, OUTLIERS
 from manyhands.nodes.wave_link.faces import UserFace, WorldFace
 
 from .commands import MANYHANDS, run
@@ -68,6 +68,9 @@ b: Final = 7.5
 
 PATIENCE: Final = 120.0
 """How much longer than the session a process may take, s: it joins, and the recording is written."""
+
+ROUNDING: Final = 1e-12
+"""J, of a ledger's sums."""
 
 CLOSE: Final = 0.01
 """The most that a local user's motion may differ by, relative."""
@@ -181,7 +184,7 @@ def _carry(face: UserFace | WorldFace, way: Way, wire: Wire) -> None:
         messages.append((n, U, G))
         news = [hear(*messages[int.from_bytes(packet, "big")], life) for packet in way.arrived(now * T)]
         if now == began:
-            face.measure()
+            face.measure(int(OUTLIERS * (settled - began)))
         if now == settled:
             face.set_depth(face.measured + MARGIN)
         return any(news)
@@ -263,29 +266,42 @@ class Line:
     holds: bool
 
 
-def bounds(run: RecordedRun, report: Mapping[str, Any], tanks: Sequence[float]) -> list[Line]:
-    """Every ledger and interface account, and the two-port; ``tanks`` are the session's and the wave link's, J."""
+def bounds(run: RecordedRun, rows: Rows, report: Mapping[str, Any], tanks: Sequence[float]) -> list[Line]:
+    """Every ledger and interface account, and the two-port; ``tanks`` are the session's and the wave link's, J.
+
+    What has entered the two-port at both ends is added up at the instants of the user's figures. The two clocks differ
+    by less than a wave needs, so neither end has heard of anything that the other had not done by then.
+    """
     nodes = report["nodes"]
     gone = run.recorded.roles.keys() - nodes.keys()
     lines = [Line("nodes that were given up", ", ".join(sorted(gone)) or "none", "none", not gone)]
     for name, node in nodes.items():
         if "ledger" in node:
             ledger = node["ledger"]
-            lines.append(_at_least(f"{name}: least ledger", ledger["min"], -ledger["margin"]))
+            lines.append(_at_least(f"{name}: least ledger", ledger["min"], ledger["min"] - ledger["margin"]))
         if "interface" in node:
             lines.append(_at_least(f"{name}: least interface account", node["interface"]["min"], -tanks[0]))
-    ends = [dict(run.figures[node]) for node in ("cx", "environment")]
-    entered = [
-        np.array([(at, figures[key]) for at, figures in of.items() if key in figures])
-        for of, key in zip(ends, (WAVE_LEDGER, f"{WAVE_LEDGER}_cx"), strict=True)
-    ]
-    both = entered[0][:, 1] + np.interp(entered[0][:, 0], *entered[1].T)
+    (t, at_user), (t_world, at_world) = (
+        (
+            _at(rows, node, [tick for tick, of in run.figures[node] if key in of]),
+            [of[key] for _, of in run.figures[node] if key in of],
+        )
+        for node, key in (("cx", WAVE_LEDGER), ("environment", f"{WAVE_LEDGER}_cx"))
+    )
+    both = np.array(at_user) + np.interp(t, t_world, at_world)
     lines.append(_at_least("wave link: least energy that has entered it", float(both.min()), -2.0 * tanks[1]))
     return lines
 
 
+def _at(rows: Rows, node: str, ticks: Sequence[int]) -> Array:
+    """When these ticks of a node were, s."""
+    t = instants(rows, node)
+    known = np.flatnonzero(np.isfinite(t))
+    return np.asarray(np.interp(ticks, known, t[known]))
+
+
 def _at_least(what: str, energy: float, bound: float) -> Line:
-    return Line(what, f"{1e3 * energy:.4g} mJ", f"at least {1e3 * bound:.4g} mJ", energy >= bound)
+    return Line(what, f"{1e3 * energy:.4g} mJ", f"at least {1e3 * bound:.4g} mJ", energy >= bound - ROUNDING)
 
 
 def motion(device: str, rows: Rows, expected_rows: Rows) -> float:
@@ -349,7 +365,7 @@ def in_real_time(wire: Wire, folder: Path, seconds: float) -> Found:
         "ticks of frozen users": str(nodes["environment"].get("incidents", {}).get("frozen", 0)),
     }
     close, common = compared(folder, rows)
-    promised = bounds(recorded, report, (session.faults.tank, session.wave_links["cx"].tank))
+    promised = bounds(recorded, rows, report, (session.faults.tank, session.wave_links["cx"].tank))
     promised.insert(0, Line("faults of the run", "; ".join(ended) or "none", "none", not ended))
     return Found(promised, close, [*common, *(Line(what, figure, "", True) for what, figure in besides.items())])
 
