@@ -38,7 +38,7 @@ from manyhands.launch.recordings.run import RecordedRun, read_run
 from manyhands.launch.session import load_session
 from manyhands.launch.simulation import Simulation
 from manyhands.nodes.telemetry import DISPLACEMENT, FORCE, INSTANTS, WAVE, WAVE_LEDGER
-from manyhands.nodes.wave_link.ends import JOINING, MARGIN, OUTLIERS
+from manyhands.nodes.wave_link.ends import JOINING, OUTLIERS
 from manyhands.nodes.wave_link.faces import UserFace, WorldFace
 
 from .commands import MANYHANDS, run
@@ -64,7 +64,7 @@ START: Final = 3.0
 T: Final = 1e-3  # s
 
 b: Final = 7.5
-"""Wave impedance, N·s/m: at R = 0.12 s it is felt as 0.45 kg, and as 125 N/m against a wall."""
+"""Wave impedance, N·s/m: at R = 0.09 s it is felt as 0.34 kg, and as 167 N/m against a wall."""
 
 PATIENCE: Final = 120.0
 """How much longer than the session a process may take, s: it joins, and the recording is written."""
@@ -186,7 +186,7 @@ def _carry(face: UserFace | WorldFace, way: Way, wire: Wire) -> None:
         if now == began:
             face.measure(int(OUTLIERS * (settled - began)))
         if now == settled:
-            face.set_depth(face.measured + MARGIN)
+            face.set_depth(face.measured)
         return any(news)
 
     face.hear = put  # type: ignore[method-assign]
