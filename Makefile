@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test test-long lint types imports pytest campaign fuzz datagrams wan flood loop watched soak users chaos faults lateness hostile remote pictures page benchmark curve clean
+.PHONY: demo test test-long lint types imports pytest campaign fuzz datagrams wan far-user flood loop watched soak users chaos faults lateness hostile remote pictures page benchmark curve clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -65,6 +65,11 @@ datagrams: $(VENV)/.installed
 # the age of the newest wave across a WAN of namespaces, with datagrams and with ZeroMQ alone: three minutes
 wan: $(VENV)/.installed
 	$(BIN)/python -m tests.support.path_ends 20
+
+# three users of Example 1, one across a WAN of namespaces, beside an ideal line; exits 1 when a bound is broken. On a
+# machine that does nothing else; four minutes
+far-user: $(VENV)/.installed
+	$(BIN)/python -m tests.support.far_user 60
 
 # what honest nodes feel of a rogue that sends as fast as it can: about ten minutes
 flood: $(VENV)/.installed

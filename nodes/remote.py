@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.environment.node import EnvironmentNode
+from manyhands.nodes.handed_over import STDIN, end_with_input, taken_over
 from manyhands.nodes.lifetime import Life, Stopped
 from manyhands.nodes.observer.node import observe
 from manyhands.nodes.process import EXIT_BAD_INPUT, EXIT_OK, Node, key_ring, run
@@ -45,7 +47,7 @@ def join(name: str, bundle_path: Path, private: Path | None, endpoint: str, host
 
     Args:
         name: the node's name, which must be the name in the bundle.
-        bundle_path: its bundle.
+        bundle_path: its bundle; :data:`manyhands.nodes.handed_over.STDIN` for bundle and key over standard input.
         private: its private key's file; by default the bundle's own name with the suffix ``.key``.
         endpoint: ``tcp://HOST:PORT`` of the supervisor (or an ``ipc://`` path).
         host: the address of this machine that others reach; needed only by a node that others connect to.
@@ -60,11 +62,14 @@ def join(name: str, bundle_path: Path, private: Path | None, endpoint: str, host
 
 def _join(life: Life, name: str, bundle_path: Path, private: Path | None, endpoint: str, host: str | None) -> int:
     try:
-        role = role_of(bundle_path)
-        kind, make = MAKERS.get(role, (ObserverBundle, None))
-        bundle = load(bundle_path, kind)
-        common = _placed(bundle.common, name, bundle_path, endpoint, host)
-        ring = key_ring(common, private or bundle_path.with_suffix(".key")) if common.public else None
+        with taken_over(name) if bundle_path == STDIN else nullcontext(bundle_path) as path:
+            role = role_of(path)
+            kind, make = MAKERS.get(role, (ObserverBundle, None))
+            bundle = load(path, kind)
+            common = _placed(bundle.common, name, path, endpoint, host)
+            ring = key_ring(common, private or path.with_suffix(".key")) if common.public else None
+        if bundle_path == STDIN:
+            end_with_input()
         bundle = dataclasses.replace(bundle, common=common)
         if make is None:
             return observe(bundle, life, ring)

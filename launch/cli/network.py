@@ -157,7 +157,14 @@ def invite(
 @commands.command(epilog="Example: manyhands node dx --session dx.bundle --key dx.key --connect tcp://192.0.2.7:7400")
 def node(
     name: NodeName,
-    bundle: Annotated[Path, typer.Option("--session", metavar="BUNDLE", help="The node's bundle (manyhands invite).")],
+    bundle: Annotated[
+        Path,
+        typer.Option(
+            "--session",
+            metavar="BUNDLE",
+            help="The node's bundle (manyhands invite); -: bundle and key come over standard input, from launch --on.",
+        ),
+    ],
     connect: Annotated[str, typer.Option("--connect", metavar="tcp://HOST:PORT", help="Where the session listens.")],
     key: Annotated[
         Path | None, typer.Option("--key", metavar="FILE", help="The private key; by default BUNDLE with suffix .key.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from contextlib import ExitStack
 from pathlib import Path
@@ -34,6 +35,7 @@ from manyhands.launch.cli.common import (
 )
 from manyhands.launch.design_report import print_report
 from manyhands.launch.files import claimed, load_named, require_target
+from manyhands.launch.plan.hosts import by_hand, hosts_of, require_hosts_alone
 from manyhands.launch.plan.keys import load_folder
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import NotCertified, must_measure
@@ -116,8 +118,12 @@ def launch(
     ] = None,
     clock: Clock = REALTIME,
     transport: Annotated[
-        str, typer.Option(metavar="|".join(SCHEMES), help="How the processes communicate; tcp is encrypted.")
-    ] = SCHEMES[0],
+        str | None,
+        typer.Option(
+            metavar="|".join(SCHEMES),
+            help=f"How the processes communicate; tcp is encrypted. [default: {SCHEMES[0]}; tcp with --on]",
+        ),
+    ] = None,
     keys: KeyFolder = None,
     listen: Annotated[
         str | None,
@@ -129,6 +135,17 @@ def launch(
     remote: Annotated[
         list[str], typer.Option(metavar="NODE", help="Wait for this node to join by invitation; repeatable.")
     ] = [],  # noqa: B006
+    on: Annotated[
+        list[str],
+        typer.Option(
+            "--on",
+            metavar="NODE=HOST",
+            help="Start this node on HOST by ssh, over tcp with keys; repeatable: --on dx=lab --on cx=lab.",
+        ),
+    ] = [],  # noqa: B006
+    program: Annotated[
+        str, typer.Option("--program", metavar="COMMAND", help="With --on: what starts manyhands on those machines.")
+    ] = "manyhands",
     together: Annotated[
         bool, typer.Option("--together", help="End the session when a remote node leaves; by default the others go on.")
     ] = False,
@@ -160,7 +177,8 @@ def launch(
         from manyhands.launch.run.session_run import run_session
 
         require_one_of("--clock", clock, CLOCKS)
-        require_one_of("--transport", transport, SCHEMES)
+        if transport is not None:
+            require_one_of("--transport", transport, SCHEMES)
         loaded = load_named(session, overrides)
         ticks = 0 if duration is None else ticks_of(loaded, duration)
         if directory is not None:
@@ -176,6 +194,11 @@ def launch(
             claims.enter_context(claimed(report))
         plan = Plan(loaded)
         require_runnable(plan.graph, len(loaded.observers))
+        hosts = hosts_of(on, plan, remote)
+        require_hosts_alone(hosts, transport, insecure, listen is not None)
+        if hosts and shutil.which("ssh") is None:
+            refuse("--on: found no ssh on PATH; expected the system's client, or the nodes started by hand (--remote)")
+        transport = transport or ("tcp" if hosts else SCHEMES[0])
         ways = reach(
             plan,
             transport,
@@ -183,14 +206,17 @@ def launch(
             keys=None if keys is None else load_folder(loaded, keys),
             listen=None if listen is None else Listen.parse(listen),
             remote=frozenset(remote),
+            hosts=hosts,
+            program=program,
         )
         if insecure:
             warn_insecure(err)
-        local = clock == REALTIME and not remote
-        if remote and loaded.design.tau == AUTO and certificate is None:
+        local = clock == REALTIME and not ways.remote
+        if ways.remote and loaded.design.tau == AUTO and certificate is None:
+            expected = "the file that the invitation was made with" if remote else "one, or design.tau in seconds"
             refuse(
-                "--remote: found design.tau: auto, which measures this machine alone, and no --certificate; expected "
-                "the file that the invitation was made with"
+                f"{'--remote' if remote else '--on'}: found design.tau: auto, which measures this machine alone, and "
+                f"no --certificate; expected {expected}"
             )
         designed = certificate is None and not (uncertified and loaded.design.tau is None)
         settled, profile = settle_delay(
@@ -207,6 +233,11 @@ def launch(
         for line in certified_lines(prepared, settled, profile, time.time()) if clock == REALTIME else ():
             say(err, line)
         warn_of_model(err, loaded)
+        for name in sorted(ways.remote):
+            if name in hosts:
+                say(err, f"{name}: started on {hosts[name]} by ssh")
+            elif ways.listen.port:
+                say(err, f"{name} is awaited; on its machine: {by_hand(name, f'tcp://{listen}')}")
         kept = None if directory is None else SessionDirectory(directory)
         outcome = run_session(
             prepared,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ipaddress
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Final
 
 from manyhands.launch.plan.keys import Keys, ephemeral
@@ -61,8 +62,10 @@ class Reach:
         transport: "ipc" or "tcp".
         keys: the session's keys; None for a session without encryption.
         listen: where the supervisor listens, and every process to which a remote node connects (tcp).
-        remote: nodes that are started on other machines, by invitation.
+        remote: nodes that run on other machines: by invitation, or in ``hosts``.
         allowed: the processes with which each process shares a channel, supervisor and observers among them.
+        hosts: the machines of those that this one starts there by ssh.
+        program: what starts manyhands on these.
     """
 
     transport: str
@@ -70,14 +73,18 @@ class Reach:
     listen: Listen = ANYWHERE
     remote: frozenset[str] = frozenset()
     allowed: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    hosts: Mapping[str, str] = field(default_factory=dict)
+    program: str = "manyhands"
 
     def address(self, graph: Topology, index: int) -> str:
         """The address at which the link of this index in ``graph`` is bound; empty for ipc.
 
         The TCP ports of the links follow the hub's, in the graph's order. Links between processes of this machine stay
-        on its loopback address.
+        on its loopback address, and so do those between processes of another machine.
         """
-        connector = graph.links[index].connector
+        binder, connector = graph.links[index].binder, graph.links[index].connector
+        if binder in self.remote:
+            return f"{LOOPBACK}:*" if self.transport == "tcp" else ""
         return self._at(1 + index, self.listen.host if connector in self.remote else LOOPBACK)
 
     def hub_address(self) -> str:
@@ -117,6 +124,8 @@ def reach(
     keys: Keys | None = None,
     listen: Listen | None = None,
     remote: frozenset[str] = frozenset(),
+    hosts: Mapping[str, str] = MappingProxyType({}),
+    program: str = "manyhands",
 ) -> Reach:
     """How the processes of a run reach each other. TCP is encrypted; keys are made for this run if none are given.
 
@@ -126,7 +135,9 @@ def reach(
         insecure: TCP without encryption and keys.
         keys: the keys to use.
         listen: where to listen; by default on free ports of the loopback address.
-        remote: nodes that are started on other machines.
+        remote: nodes that join by invitation.
+        hosts: the machine of each node that is started there by ssh (:func:`manyhands.launch.plan.hosts.hosts_of`).
+        program: what starts manyhands there.
 
     Raises:
         ReachError: the options contradict each other or the session.
@@ -158,4 +169,4 @@ def reach(
         )
     if transport == "tcp" and not insecure and keys is None:
         keys = ephemeral(roster(session), session.name)
-    return Reach(transport, keys, listen or ANYWHERE, remote, plan.peers)
+    return Reach(transport, keys, listen or ANYWHERE, remote | hosts.keys(), plan.peers, hosts, program)

@@ -212,11 +212,14 @@ class Conductor:
         """Decide what follows when no process could be started for a node that is to come back."""
         return self._ended(node, f"could not be started ({why})", now)
 
-    def silent(self, node: str, now: int) -> list[Instruction]:
-        """Decide what follows when a remote node has been silent for so long that it counts as gone."""
+    def silent(self, node: str, now: int, how: str = "fell silent") -> list[Instruction]:
+        """Decide what follows when a remote node has been silent for so long that it counts as gone.
+
+        ``how`` it has gone may be known from elsewhere.
+        """
         if self.states[node] in (NodeState.ENDED, NodeState.LOST, NodeState.GONE):
             return []
-        return self._ended(node, "fell silent", now)
+        return self._ended(node, how, now)
 
     def look(self, now: int) -> list[Instruction]:
         """Decide what follows from time alone: a node that takes too long to return is given up."""

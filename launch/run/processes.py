@@ -13,13 +13,16 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import signal
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import Self
+from typing import IO, Self
 
 from manyhands.nodes.lifetime import terminal_signals
 from manyhands.protocol.messages import Role
@@ -97,11 +100,34 @@ class Processes:
                 start_new_session=True,
                 env={**os.environ, **ONE_THREAD},
             )
-        self._running.update(dict.fromkeys(names, process))
-        self._fds[os.pidfd_open(process.pid)] = tuple(names)
+        self._keep(names, process)
         if processor is not None:
             with contextlib.suppress(ProcessLookupError):  # it has ended already, which its descriptor reports
                 os.sched_setaffinity(process.pid, {processor})  # before it starts threads, which inherit it
+
+    def start_elsewhere(self, node: str, command: Sequence[str], given: bytes) -> None:
+        """Start a command that runs a node on another machine; its log is appended to that of an earlier process.
+
+        Its standard input stays open for as long as this process and the command live.
+
+        Args:
+            node: the node's name.
+            command: the command and its arguments.
+            given: what it reads first from its standard input.
+
+        Raises:
+            OSError: the process cannot be started.
+        """
+        with (self._directory / f"{node}.log").open("ab") as log:
+            process = subprocess.Popen(  # noqa: S603 -- ssh, without a shell on this machine
+                command, stdin=subprocess.PIPE, stdout=log, stderr=log, start_new_session=True, bufsize=0
+            )
+        threading.Thread(target=_hand_over, args=(process.stdin, given), daemon=True).start()
+        self._keep([node], process)
+
+    def _keep(self, names: Sequence[str], process: subprocess.Popen[bytes]) -> None:
+        self._running.update(dict.fromkeys(names, process))
+        self._fds[os.pidfd_open(process.pid)] = tuple(names)
 
     def reap(self, fds: set[int]) -> dict[str, int]:
         """Reap the processes behind the readable ``fds``; returns exit codes by name (negative: killed by that
@@ -111,13 +137,22 @@ class Processes:
         for fd in fds & self._fds.keys():
             nodes = self._fds.pop(fd)
             os.close(fd)
-            out.update({name: self._running.pop(name).wait() for name in nodes})
+            ended = {name: self._running.pop(name) for name in nodes}
+            out.update({name: process.wait() for name, process in ended.items()})
+            for process in ended.values():
+                _close_input(process)
         return out
 
     def send(self, which: signal.Signals) -> None:
         """Send a signal to every process that still runs."""
         for process in set(self._running.values()):
             process.send_signal(which)
+
+    def await_all(self, seconds: float) -> None:
+        """Wait until every process has ended, at most ``seconds``; :meth:`end_all` kills the others."""
+        deadline = time.monotonic() + seconds
+        while self._fds and (left := deadline - time.monotonic()) > 0.0:
+            self.reap(set(select.select(self.fds, [], [], left)[0]))
 
     def _sweep(self, name: str) -> None:
         """Remove the sockets that a killed process has left: it binds ``NAME-PEER``, and no name contains a hyphen."""
@@ -135,6 +170,7 @@ class Processes:
         self.send(signal.SIGKILL)
         for process in self._running.values():
             process.wait()
+            _close_input(process)
         for fd in self._fds:
             os.close(fd)
         self._running.clear()
@@ -144,6 +180,19 @@ class Processes:
         """The end of a process's error output; empty if there is none, or if the process runs elsewhere."""
         path = self._directory / f"{name}.log"
         return path.read_text(errors="replace").strip()[-_LOG_SHOWN:] if path.exists() else ""
+
+
+def _hand_over(pipe: IO[bytes], content: bytes) -> None:
+    """Write all of it to a pipe, and leave the pipe open."""
+    left = memoryview(content)
+    with contextlib.suppress(BrokenPipeError):  # the process has ended, which its descriptor reports
+        while left:
+            left = left[os.write(pipe.fileno(), left) :]
+
+
+def _close_input(process: subprocess.Popen[bytes]) -> None:
+    if process.stdin is not None:
+        process.stdin.close()
 
 
 _Handler = Callable[[int, FrameType | None], object] | int | None

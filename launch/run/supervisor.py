@@ -19,6 +19,7 @@ from pathlib import Path
 
 from manyhands.launch.files import EXIT_FAILED, EXIT_OK
 from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.hosts import ended_there, ssh_command
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.reach import HUB_NAME, Reach
 from manyhands.launch.plan.topology import usual_placement
@@ -46,6 +47,7 @@ from manyhands.launch.session import SUPERVISOR
 from manyhands.nodes import bundle as bundle_files
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import REALTIME, SIMULATED
+from manyhands.nodes.handed_over import handed_over
 from manyhands.nodes.log import Log, LogEvent, log_path
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds, seconds
 from manyhands.protocol.codec import decode, encode
@@ -116,6 +118,7 @@ class LastMessages:
 
 STARTUP_TIME = from_seconds(60.0)
 ENDING_TIME = from_seconds(5.0)
+ENDING_ELSEWHERE = 3.0  # s; for a node on another machine, and its ssh, to end after its last message
 REFRESH = from_seconds(0.2)
 READING_TIME = from_seconds(0.05)  # the longest time between two checks of processes, signals and deadlines
 CLOSING_TIME = from_seconds(10.0)  # for the nodes that are not done, after the last report
@@ -209,11 +212,12 @@ class Supervisor:
     def _run_in(self, directory: Path, interrupt: Interrupt) -> None:
         reach = self._reach
         transport = ZmqTransport.of(reach.transport, directory, reach.ring())
-        processes = Processes(directory)
+        processes, elsewhere = Processes(directory), Processes(directory)
         try:
             self._showing = Showing(directory, self._about, kept_files(self._prepared))
             local = [name for name in self._graph.nodes if name not in reach.remote]
-            private = {} if reach.keys is None else {name: reach.keys.file(name, directory) for name in local}
+            of_ours, keys = (*local, *reach.hosts), reach.keys
+            private = {} if keys is None else {name: keys.file(name, directory) for name in of_ours}
             members = (*self._graph.nodes, *self._session.observers)
             hub, endpoint = transport.bind_hub(HUB_NAME, members, reach.hub_address())
             self.conductor.observers = self._observer_broadcast.serve(transport, reach, self._graph)
@@ -225,17 +229,24 @@ class Supervisor:
                 bundle_files.save(bundles[name], self._bundle_path(name))
             for name in local:
                 self._start_process(name, processes)
+            for name, host in reach.hosts.items():
+                given = handed_over(bundles[name], private[name].read_bytes())
+                elsewhere.start_elsewhere(name, ssh_command(name, host, endpoint, reach.program), given)
             self._recorder.await_ready(interrupt.fd)
-            self._watch(hub, transport, processes, interrupt)
+            self._watch(hub, transport, processes, interrupt, elsewhere)
+            elsewhere.await_all(ENDING_ELSEWHERE)
             self._note_incident(self._recorder.finish(interrupt.fd))
         finally:
             self._recorder.close()
             processes.end_all()
+            elsewhere.end_all()  # the node there ends with its standard input
             transport.close()
             if self._showing is not None:
                 self._showing.close()
 
-    def _watch(self, hub: Hub, transport: ZmqTransport, processes: Processes, interrupt: Interrupt) -> None:
+    def _watch(
+        self, hub: Hub, transport: ZmqTransport, processes: Processes, interrupt: Interrupt, elsewhere: Processes
+    ) -> None:
         """The loop: wait for any event, pass it to the conductor, carry out its instructions, until the session is
         over.
         """
@@ -248,7 +259,7 @@ class Supervisor:
             # while the budget is empty or the recorder is full, frames stay in their queues and do not wake the poll
             pause = allowance.pause(clock.now())
             timeout = min(REFRESH, max(deadline - clock.now(), 0), *([pause] if pause else []))
-            fds = (*processes.fds, *recorder.fds, interrupt.fd)
+            fds = (*processes.fds, *elsewhere.fds, *recorder.fds, interrupt.fd)
             ready = hub.wait(Duration(timeout), fds, frames=pause == 0 and recorder.has_room)
             if interrupt.fd in ready and interrupt.signal is not None:
                 interrupt.clear()
@@ -271,6 +282,10 @@ class Supervisor:
             for name, code in processes.reap(ready).items():
                 self._log.note(LogEvent.EXITED, peer=name, code=code)
                 self.carry_out(conductor.exited(name, code, clock.now()), hub, processes)
+            for name, code in elsewhere.reap(ready).items():
+                self._log.note(LogEvent.EXITED, peer=name, code=code)
+                how = ended_there(self._reach.hosts[name], code, elsewhere.log(name))
+                self.carry_out(conductor.silent(name, clock.now(), how), hub, processes)
             self.carry_out(conductor.look(clock.now()), hub, processes)
             if conductor.phase is not phase:
                 phase, shown = conductor.phase, Instant(0)
