@@ -15,8 +15,8 @@ A node may come back a limited number of times in a row. After a run of :data:`W
 so that a session of hours does not lose it at its fourth mishap. A node that keeps dying soon after its start is given
 up. No node returns once the environment is done, because the environment counts the session's ticks.
 
-The nodes of a *seat* are lost from the start on, and come as often as they like: a user takes the seat while the session
-runs, and leaves it for the next one. Nobody waits for them, so no budget limits them.
+The nodes of a *seat* are lost from the start on, and come as often as they like: a user takes the seat while the
+session runs, and leaves it for the next one. Nobody waits for them, so no budget limits them.
 """
 
 from __future__ import annotations

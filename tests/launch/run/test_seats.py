@@ -10,7 +10,7 @@ from manyhands.launch.plan.topology import LinkPlan, Topology
 from manyhands.launch.run.conductor import Conductor
 from manyhands.launch.run.recovery import RETURN_TIME, RestartBudget
 from manyhands.launch.run.states import NodeState, ReleaseName, Send, SessionPhase
-from manyhands.protocol.messages import Absent, Fault, Report, Role, Stop, Telemetry
+from manyhands.protocol.messages import Fault, Report, Role, Stop, Telemetry
 
 from ...support.cases import cases
 from ...support.fake_session import CERTIFICATE, FakeSession, hello_of
