@@ -278,12 +278,12 @@ def test_twenty_joins_and_leaves_under_link_faults(tmp_path: Path) -> None:
             how = chance.choice([signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
             with guest("right_seat", home, tmp_path / "far", within=net.within("far")) as one:
                 host.joined("right_seat")
-                net.change(loss=chance.choice([0.0, 0.02, 0.2]), jitter=chance.choice([0.0, 0.005, 0.02]))
+                net.change(loss=chance.choice([0.0, 0.02, 0.1]), jitter=chance.choice([0.0, 0.005, 0.02]))
                 time.sleep(chance.uniform(0.0, 2.0))  # the random instant, and the length of the fault
                 if chance.random() < 0.3:
                     net.change(loss=1.0)
                     time.sleep(chance.uniform(0.2, 1.5))
-                    net.change(loss=0.02)
+                net.change(loss=0.02)
                 code = one.end(how)
             assert code == (-how if how is signal.SIGKILL else 128 + how), one.lines
             host.left("right_seat")
