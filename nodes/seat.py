@@ -138,13 +138,16 @@ class SeatLife(Life):
 class SeatNode(ColocatedNode):
     """A device with its coupling, which lets go by a ramp before it leaves."""
 
-    def _listen(self, control: ControlLine, idle: bool = False) -> None:
-        super()._listen(control, idle)
+    def _attend(self, control: ControlLine, tick: int) -> None:
+        super()._attend(control, tick)
         life, guard = self._life, self.device.guard
-        if isinstance(life, SeatLife) and life.leaving:
+        if not isinstance(life, SeatLife) or not life.leaving:
+            return
+        if not guard.leaving:
             guard.leave()
-            if not guard.holds:
-                life.stopping = True
+            self._account.leave(tick)
+        elif not guard.holds:
+            life.stopping = True
 
 
 def take_seat(path: Path, address: str | None, yes: bool) -> int:

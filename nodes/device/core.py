@@ -126,6 +126,7 @@ class Guard:
 
     Attributes:
         let_go: how often the device has let go.
+        leaving: whether it lets go for good, because it leaves.
         why: which limit it exceeded when it let go last, in one sentence; empty if it never did.
     """
 
@@ -143,7 +144,7 @@ class Guard:
         self._before: Floats | None = None
         self._reported: Floats | None = None  # x'(k), where it is not x(k)
         self._ratio, self._rises, self._within = 1.0, RETURN, 0
-        self._leaves = False
+        self.leaving = False
         self.let_go, self.why = 0, ""
 
     @property
@@ -158,7 +159,7 @@ class Guard:
 
     def leave(self) -> None:
         """From now on s falls to 0 by the ramp, and stays there."""
-        self._leaves = True
+        self.leaving = True
 
     def report(self, x: Floats, periods: int = 1) -> Floats:
         """x'(k), m, for the displacement x(k), m: ``x`` itself as long as the device has never let go.
@@ -169,7 +170,7 @@ class Guard:
         """
         before = self._before or x
         breach = self.breach(x, periods)
-        if breach is None and self._reported is None and not self._leaves:
+        if breach is None and self._reported is None and not self.leaving:
             return x
         reported, ratio = self._reported or before, self._ratio
         moved = [at + _finite(ratio * (to - last)) for at, to, last in zip(reported, x, before, strict=True)]
@@ -222,7 +223,7 @@ class Guard:
             self._ratio, self._rises, self._within = 0.0, 0, 0
             return
         self._within += 1
-        if self._leaves:
+        if self.leaving:
             self._rises = max(0, self._rises - 1)
         elif self._within > RETURN and self._rises < RETURN:
             self._rises += 1

@@ -26,7 +26,7 @@ from manyhands.launch.recordings.run import read_run
 from manyhands.launch.session.session import ENVIRONMENT
 
 from ..support.capture import free_ports
-from ..support.commands import MANYHANDS
+from ..support.commands import MANYHANDS, run
 from ..support.wan import Wire, wan
 
 DEADLINE = 60.0  # s, for anything that is awaited; far more than it takes
@@ -107,8 +107,9 @@ class Host(Said):
 
     def go_on(self, ticks: int) -> None:
         """Wait until the session is this many ticks further."""
-        since = self.tick
-        self._until(lambda: self.tick > since)  # a line that was on its way is not news
+        assert self.process.stderr is not None
+        while b"\n" in self._unread or select.select([self.process.stderr], [], [], 0.0)[0]:
+            self.line(time.monotonic() + DEADLINE)  # a line that was on its way is not news
         since = self.tick
         self._until(lambda: self.tick >= since + ticks)
 
@@ -182,10 +183,10 @@ def report_of(home: Path) -> dict[str, Any]:
 
 def excess_steps(home: Path) -> dict[str, float]:
     """By device, by how much the largest step of the force on its hand exceeds the bound, N; a hand away feels 0 N."""
-    run, found = read_run(home / "run.mcap"), {}
+    recorded, found = read_run(home / "run.mcap"), {}
     for device in SEATS.values():
-        force = run.traces[device, "force"].values[:, 0]
-        instants = run.traces[device, "instants"]
+        force = recorded.traces[device, "force"].values[:, 0]
+        instants = recorded.traces[device, "instants"]
         applied = instants.values[:, instants.columns.index("applied")] * 1e-9
         elapsed = np.nan_to_num(np.diff(applied), nan=PERIOD)  # a late tick brings the step of all ticks before it
         steps = np.abs(np.diff(np.nan_to_num(force)))
@@ -262,6 +263,7 @@ def test_across_a_wan_a_link_that_is_lost_for_a_while_comes_back(tmp_path: Path)
     report = require_sound(home, certificates)
     assert report["wave_links"]["right_seat"]["silences"] > 0
     assert report["wave_links"]["right_seat"]["mass"] < 0.5
+    assert "holds: " in run("audit", home / "run.mcap")
 
 
 @pytest.mark.long
@@ -290,3 +292,4 @@ def test_twenty_joins_and_leaves_under_link_faults(tmp_path: Path) -> None:
         assert host.end(signal.SIGINT) == 130
         assert sorted(path.name for path in (tmp_path / "far").iterdir()) == ["right_seat.invitation"]
     require_sound(home, certificates)
+    assert "holds: " in run("audit", home / "run.mcap")
