@@ -3,7 +3,7 @@
     read the invitation -> welcome -> measure -> ask -> shake hands -> tick ... -> let go by a ramp -> report
 
 **Before it engages** the guest measures how long frames take to the session and back. From that and from b follows what
-will be felt (:class:`Felt`), which the user is asked about. Nothing moves before the answer: the coupling takes part at
+will be felt (:class:`FeltDistance`), which the user is asked about. Nothing moves before the answer: the coupling takes part at
 s = 0 only once its waves come, and its force rises by the clutch's ramp.
 
 **Leaving** is felt by nobody: the environment freezes the coupling, and the device lets its own hand go by a ramp
@@ -46,7 +46,7 @@ _GLANCE: Final = 0.1  # s, between two looks at the life while waiting for the u
 
 
 @dataclasses.dataclass(frozen=True)
-class Felt:
+class FeltDistance:
     """What a user will feel of the distance: K = 2b/R against a wall, and M = bR/2 in free space.
 
     Attributes:
@@ -76,7 +76,7 @@ class Felt:
         )
 
 
-def felt(coupling: CouplingBundle, trips: Sequence[Duration]) -> Felt:
+def felt(coupling: CouplingBundle, trips: Sequence[Duration]) -> FeltDistance:
     """What will be felt with these round trips to the session, ns each, of which there must be one at least.
 
     The play-out of both ends together waits for the latest wave, with half a tick of the other end to spare, and a wave
@@ -91,7 +91,7 @@ def felt(coupling: CouplingBundle, trips: Sequence[Duration]) -> Felt:
     play_out = seconds(Duration(max(trips) - least)) + coupling.common.period + coupling.wave.peer_period
     R = seconds(least) + play_out
     b = np.linalg.eigvalsh(coupling.wave.b)
-    return Felt(seconds(least), play_out, 2.0 * float(b[0]) / R, 0.5 * float(b[-1]) * R)
+    return FeltDistance(seconds(least), play_out, 2.0 * float(b[0]) / R, 0.5 * float(b[-1]) * R)
 
 
 class SeatLife(Life):

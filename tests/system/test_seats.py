@@ -187,8 +187,9 @@ def excess_steps(home: Path) -> dict[str, float]:
     for device in SEATS.values():
         force = recorded.traces[device, "force"].values[:, 0]
         instants = recorded.traces[device, "instants"]
-        applied = instants.values[:, instants.columns.index("applied")] * 1e-9
-        elapsed = np.nan_to_num(np.diff(applied), nan=PERIOD)  # a late tick brings the step of all ticks before it
+        sampled, applied = (instants.values[:, instants.columns.index(at)] * 1e-9 for at in ("sampled", "applied"))
+        # a late tick brings the step of all the time since the sample before
+        elapsed = np.nan_to_num(applied[1:] - sampled[:-1], nan=PERIOD)
         steps = np.abs(np.diff(np.nan_to_num(force)))
         assert np.nanmax(np.abs(force)) > FELT, f"{device} felt nothing"
         found[device] = float(np.max(steps - STEP - RATE * elapsed))
