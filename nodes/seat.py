@@ -3,8 +3,8 @@
     read the invitation -> welcome -> measure -> ask -> shake hands -> tick ... -> let go by a ramp -> report
 
 **Before it engages** the guest measures how long frames take to the session and back. From that and from b follows what
-will be felt (:class:`FeltDistance`), which the user is asked about. Nothing moves before the answer: the coupling takes part at
-s = 0 only once its waves come, and its force rises by the clutch's ramp.
+will be felt (:class:`FeltDistance`), which the user is asked about. Nothing moves before the answer: the coupling takes
+part at s = 0 only once its waves come, and its force rises by the clutch's ramp.
 
 **Leaving** is felt by nobody: the environment freezes the coupling, and the device lets its own hand go by a ramp
 (:meth:`manyhands.nodes.device.core.Guard.leave`). A guest that loses its session lets go in the same way and joins
