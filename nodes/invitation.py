@@ -153,14 +153,22 @@ def _pair(data: Any, common: Common, path: Path) -> KeyPair:
     return pair
 
 
+def is_guest_address(text: object) -> bool:
+    """Whether ``text`` is HOST:PORT in characters that a terminal and an endpoint can hold; the host may be a name."""
+    if not isinstance(text, str):
+        return False
+    host = text.rpartition(":")[0]
+    return (
+        is_address(text)
+        and (":" not in host or (host.startswith("[") and host.endswith("]")))  # IPv6
+        and len(text) <= _MOST_HOST + len(":65535")
+        and text.isascii()
+        and text.isprintable()
+        and not any(c in text for c in " /@;")
+    )
+
+
 def _address(text: object, place: str) -> str:
-    if (
-        not isinstance(text, str)
-        or not is_address(text)
-        or len(text) > _MOST_HOST + 6
-        or not text.isascii()
-        or not text.isprintable()
-        or any(c in text for c in " /@;")
-    ):
+    if not isinstance(text, str) or not is_guest_address(text):
         raise BundleError(f"{place}: found {text!r:.100}; expected HOST:PORT, such as ball.example.org:7400")
     return text

@@ -38,8 +38,9 @@ from manyhands.launch.files import claimed, load_named, require_target
 from manyhands.launch.output import pipe_may_close
 from manyhands.launch.recordings.recording import STREAMED, require_suffix
 from manyhands.launch.run.display import say
+from manyhands.launch.session.design import AUTO
 from manyhands.nodes.bundle import CLOCKS, REALTIME
-from manyhands.protocol.transport.zeromq import is_address
+from manyhands.nodes.invitation import is_guest_address
 
 commands = typer.Typer()
 
@@ -247,7 +248,7 @@ def host(
             address = listen
         elif not re.search(r":\d+$", address):
             address = f"{address}:{place.port}"
-        if not is_address(address):
+        if not is_guest_address(address):
             refuse(f"--address: found {address!r:.100}; expected HOST or HOST:PORT, such as ball.example.org")
         if record is not None:
             require_suffix(record, (STREAMED,))
@@ -261,6 +262,12 @@ def host(
         require_folder(directory)
         certificate = directory / CERTIFICATE
         kept = certificate.exists()
+        unknown = [name for name, link in loaded.wave_links.items() if link.tau is None]
+        if loaded.design.tau == AUTO and not kept and unknown:
+            refuse(
+                f"{loaded.name}: found design.tau: auto, which measures this machine alone, with the seat "
+                f"{unknown[0]!r}; expected couplings.{unknown[0]}.wave_link.tau, the delay that the guest's machine keeps to"
+            )
         if not kept:
             loaded, _ = settle_delay(loaded, realtime=False)
         prepared = prepare_session(loaded, certificate if kept else None, uncertified=False)
@@ -281,7 +288,7 @@ def host(
         end(outcome.code)
 
 
-@commands.command(epilog="Example: manyhands join right_tool.invitation")
+@commands.command(epilog="Example: manyhands join right_seat.invitation")
 def join(
     invitation: Annotated[Path, typer.Argument(metavar="INVITATION", help="The file that the host has sent.")],
     address: Annotated[

@@ -218,7 +218,7 @@ def test_two_guests_come_and_go_by_their_invitations_alone(tmp_path: Path) -> No
         asked = Said(stack.enter_context(command("join", path.name, cwd=here, answer="yes\n")))
         right = stack.enter_context(guest("right_seat", home, there))
         host.joined(*SEATS)
-        host.go_on(1000)
+        host.go_on(2100)  # more than one line of progress
         assert asked.end(signal.SIGINT) == 130
         host.left("left_seat")
         assert host.end(signal.SIGINT) == 130
@@ -247,7 +247,7 @@ def test_across_a_wan_a_link_that_is_lost_for_a_while_comes_back(tmp_path: Path)
         right = stack.enter_context(guest("right_seat", home, far, within=net.within("far")))
         trip = float(right.until("round trip").split("R = ")[1].split()[0])
         host.joined(*SEATS)
-        host.go_on(2000)
+        host.go_on(2100)
         for outage in (1.0, 6.0):
             net.change(loss=1.0)
             time.sleep(outage)
