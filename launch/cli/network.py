@@ -266,7 +266,7 @@ def host(
         if loaded.design.tau == AUTO and not kept and unknown:
             refuse(
                 f"{loaded.name}: found design.tau: auto, which measures this machine alone, with the seat "
-                f"{unknown[0]!r}; expected couplings.{unknown[0]}.wave_link.tau, the delay that the guest's machine keeps to"
+                f"{unknown[0]!r}; expected couplings.{unknown[0]}.wave_link.tau, the delay that the guest keeps to"
             )
         if not kept:
             loaded, _ = settle_delay(loaded, realtime=False)
