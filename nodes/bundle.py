@@ -620,12 +620,28 @@ def load(path: Path, kind: type[_B]) -> _B:
     """
     try:
         data = json.loads(read_regular(path, MAX_FILE_BYTES))
-        return kind(**{field.name: _READ[field.name](data[field.name]) for field in dataclasses.fields(kind)})
     except OSError as error:
         raise BundleError(f"{path}: cannot be read: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:
+        raise _no_bundle(path, kind, error) from error
+    return decoded(data, kind, path)
+
+
+def decoded(data: Any, kind: type[_B], path: Path) -> _B:
+    """A bundle of the wanted kind from the JSON object in the file ``path``.
+
+    Raises:
+        BundleError: the object is no bundle of that kind.
+    """
+    try:
+        return kind(**{field.name: _READ[field.name](data[field.name]) for field in dataclasses.fields(kind)})
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-        # the error's text and not its repr, which may quote the whole file
-        raise BundleError(f"{path}: not a bundle for a {kind.__name__}: {type(error).__name__}: {error}") from error
+        raise _no_bundle(path, kind, error) from error
+
+
+def _no_bundle(path: Path, kind: type[Any], error: Exception) -> BundleError:
+    # the error's text and not its repr, which may quote the whole file
+    return BundleError(f"{path}: not a bundle for a {kind.__name__}: {type(error).__name__}: {error}")
 
 
 def _optional_array(data: Any) -> Matrix | None:

@@ -26,12 +26,12 @@ from manyhands.nodes.bundle import (
     load,
     own_start,
 )
-from manyhands.nodes.lifetime import Life, Stopped
+from manyhands.nodes.lifetime import Life, Sight, Stopped
 from manyhands.nodes.log import Log, LogEvent, log_path
 from manyhands.nodes.peer_link import bind_links
 from manyhands.nodes.realtime import FIFO_PRIORITY, Granted, RealtimeWishes, prepare, restore
 from manyhands.nodes.supervisor_line import ControlLine, Refused
-from manyhands.protocol.clock import RealtimeClock
+from manyhands.protocol.clock import Instant, RealtimeClock
 from manyhands.protocol.handshake import HandshakeRefused, HandshakeTimeout
 from manyhands.protocol.keys import KeyFileError, KeyRing, load_private
 from manyhands.protocol.messages import Report, Start
@@ -148,11 +148,28 @@ def run(common: Common, node: Node, life: Life, ring: KeyRing | None, remote: bo
     return run_together([(common, node, ring)], life, remote)
 
 
-def run_together(nodes: Sequence[tuple[Common, Node, KeyRing | None]], life: Life, remote: bool = False) -> int:
+Engage = Callable[[Sequence[ControlLine], Life], None]
+"""Called with the lines of a process's nodes before they shake hands; raises Stopped where they are not to."""
+
+
+def run_together(
+    nodes: Sequence[tuple[Common, Node, KeyRing | None]],
+    life: Life,
+    remote: bool = False,
+    host: str = "",
+    engage: Engage | None = None,
+) -> int:
     """Run one or several nodes in this process; the loop of the first node runs the ticks of all of them.
 
     The others shake hands before the first node does, in the order given, which must be the session's. Their loops
     begin before the first node's, and return at once.
+
+    Args:
+        nodes: the common part of each node's bundle, the node and its keys.
+        life: whether the process should still run.
+        remote: whether the supervisor may be on a different machine.
+        host: where that machine is reached, as for :class:`ControlLine`.
+        engage: called before the handshakes; None for nothing.
     """
     members: list[HostedNode] = []
     transports: list[Transport] = []
@@ -162,11 +179,12 @@ def run_together(nodes: Sequence[tuple[Common, Node, KeyRing | None]], life: Lif
             for common, node, ring in nodes:
                 transport: Transport = ZmqTransport.of(common.transport, Path(common.directory), ring)
                 transports.append(transport)
-                members.append(HostedNode(common, node, transport, ControlLine(transport, common, _log_of(common))))
+                control = ControlLine(transport, common, _log_of(common), host)
+                members.append(HostedNode(common, node, transport, control))
         except TransportError as error:
             print(f"error: {nodes[0][0].name}: {error}", file=sys.stderr)  # noqa: T201 -- no line to the supervisor
             return EXIT_BAD_INPUT
-        return run_members(members, life, remote)
+        return run_members(members, life, remote, engage)
     except Stopped:
         return EXIT_OK
     finally:
@@ -182,23 +200,27 @@ def _log_of(common: Common) -> Log:
     return log
 
 
-def run_members(members: Sequence[HostedNode], life: Life, remote: bool) -> int:
+def run_members(members: Sequence[HostedNode], life: Life, remote: bool, engage: Engage | None = None) -> int:
     """Run the nodes to their end, and report how they ended to the supervisor and the log; returns the exit code."""
     common, control = members[0].common, members[0].control
+    # one fault ends a session's own process; a guest's nodes are lost one by one
+    faulted = members if remote else members[:1]
     if remote:
         life.watch = control.connection
     try:
-        code = _converse(members, life, remote)
+        code = _converse(members, life, remote, engage)
     except Stopped:
-        code = _stopped(common, life, control) if remote else EXIT_OK
+        code = _stopped(members, life) if remote else EXIT_OK
     except (HandshakeRefused, Refused) as error:
-        control.fault(str(error), life)
+        for member in faulted:
+            member.control.fault(str(error), life)
         print(error, file=sys.stderr)  # noqa: T201 -- the process's own error channel
         control.log.note(LogEvent.REFUSED, reason=str(error))
         code = EXIT_REFUSED
     except (HandshakeTimeout, TransportError, ValueError) as error:
         text = str(error) if isinstance(error, HandshakeTimeout) else f"{common.name}: {error}"
-        control.fault(text, life)
+        for member in faulted:
+            member.control.fault(text, life)
         print(error, file=sys.stderr)  # noqa: T201
         control.log.note(LogEvent.FAULT, text=text)
         code = EXIT_FAILED
@@ -207,13 +229,15 @@ def run_members(members: Sequence[HostedNode], life: Life, remote: bool) -> int:
     return code
 
 
-def _converse(members: Sequence[HostedNode], life: Life, remote: bool) -> int:
+def _converse(members: Sequence[HostedNode], life: Life, remote: bool, engage: Engage | None) -> int:
     leader, others = members[0], members[1:]
     for member in members:
         member.links, endpoints = bind_links(member.common, member.transport)
         member.control.hello(endpoints, os.getpid())
     for member in members:
         _connect(member, life)
+    if engage is not None:
+        engage([member.control for member in members], life)
     for member in (*others, leader):
         member.node.establish(member.links)
         member.control.log.note(LogEvent.ESTABLISHED, peers=len(member.links))
@@ -224,7 +248,7 @@ def _converse(members: Sequence[HostedNode], life: Life, remote: bool) -> int:
     start, *_ = [member.control.start(life) for member in members]
     if remote:
         start = Start(start.epoch - ahead, start.ticks, start.tick)
-        life.watch = lambda: leader.control.sight(clock.now())
+        life.watch = lambda: _sight(members, clock.now())
     for member in members:
         member.transport.settle()
         member.control.log.note(LogEvent.LOOP, ticks=start.ticks, tick=start.tick)
@@ -244,7 +268,8 @@ def _converse(members: Sequence[HostedNode], life: Life, remote: bool) -> int:
         # from now on a Stop is the supervisor's answer to the last message, and no longer a request to end
         life.watch = leader.control.connection
     if life.failure is not None:
-        leader.control.fault(life.failure, life)
+        for member in members if remote else members[:1]:
+            member.control.fault(life.failure, life)
         print(life.failure, file=sys.stderr)  # noqa: T201 -- the process's own error channel
         return EXIT_FAILED
     if remote and life.orphaned:
@@ -252,6 +277,12 @@ def _converse(members: Sequence[HostedNode], life: Life, remote: bool) -> int:
     for member in members:
         _report(member, {} if granted is None else granted.figures(), life)
     return EXIT_OK
+
+
+def _sight(members: Sequence[HostedNode], now: Instant) -> Sight:
+    """What a guest in its loop sees of the supervisor, on the lines of all its nodes."""
+    seen = [member.control.sight(now) for member in members]
+    return next((sight for sight in seen if sight is not Sight.PRESENT), Sight.PRESENT)
 
 
 def _connect(member: HostedNode, life: Life) -> None:
@@ -295,12 +326,13 @@ def _report(member: HostedNode, granted: Mapping[str, float], life: Life) -> Non
     control.report(Report(report.ticks, figures, {**report.counts, **counts, **dropped}, report.percentiles), life)
 
 
-def _stopped(common: Common, life: Life, control: ControlLine) -> int:
+def _stopped(members: Sequence[HostedNode], life: Life) -> int:
     """End a guest before its loop; it reports its end, which a supervisor on a different machine cannot see."""
     if life.orphaned:
-        return _lost(common)
+        return _lost(members[0].common)
     if life.stopping:  # its user ended it, for a Stop of the supervisor does not set this
-        control.fault(f"{common.name}: its user ended it before the first tick", life)
+        for member in members:
+            member.control.fault(f"{member.common.name}: its user ended it before the first tick", life)
     return EXIT_OK
 
 

@@ -48,6 +48,7 @@ _LAST_WORD_WAITS = 10  # waits for the confirmation of the last message
 _JOINING_WAITS = 300  # waits for a supervisor that is not there yet: a minute
 _REPEAT_WAITS = 5  # waits before a guest sends its hello again
 _PROBES = 32  # exchanges for the clock's offset
+_PROBE_TICKS = 5  # between two probes of a guest that measures its way to the supervisor
 _ALIVE_EVERY = from_seconds(1.0)  # between two signs of life of a guest
 _WORDS_AT_ONCE = 8  # messages read in one look, so that a look has a bounded time
 _WORDS_KEPT = 64  # messages that wait for their turn; a supervisor sends a few at a fault
@@ -72,17 +73,21 @@ class ControlLine:
     Attributes:
         log: the node's log, written when telemetry is sent.
         absent: peers that are absent at the start; the loop receives them as messages as well.
+        stop: the supervisor's Stop; None before that.
         dropped: telemetry messages that could not be queued.
         malformed: frames of the supervisor that could not be understood, or were not expected.
     """
 
-    def __init__(self, transport: Transport, common: Common, log: Log | None = None) -> None:
+    def __init__(self, transport: Transport, common: Common, log: Log | None = None, host: str = "") -> None:
         """Join the hub.
 
         Args:
             transport: the node's sockets.
             common: the common part of its bundle.
             log: the node's log; None for no log.
+            host: where this node reaches the supervisor's machine, on which all of its peers are; empty where the
+                endpoints of the peers are used as they come. A guest may know that machine by a different address than
+                the machine itself, and connects to no other.
 
         Raises:
             TransportError: the hub's endpoint is none of this transport.
@@ -93,7 +98,8 @@ class ControlLine:
         self._lossless = common.clock == SIMULATED
         self._due = Instant(0)
         self._words: deque[Word] = deque(maxlen=_WORDS_KEPT)
-        self._asked_to_stop = False
+        self._host = host
+        self.stop: Stop | None = None
         self._introduction: Message | None = None
         self.absent: set[str] = set()
         self._generation = 0
@@ -118,7 +124,8 @@ class ControlLine:
         """
         self._await(Welcome, life)
         self._introduction = None
-        return self._await(Connect, life).endpoints
+        endpoints = self._await(Connect, life).endpoints
+        return {peer: self._reached(endpoint) for peer, endpoint in endpoints.items()}
 
     def ready(self) -> None:
         """Report that every link is established."""
@@ -162,6 +169,47 @@ class ControlLine:
             exchanges.append(Exchange(sent, echo.heard, echo.answered, clock.now()))
         return offset_of(exchanges)
 
+    def round_trips(self, clock: Clock, life: Life, ticks: int, period: Duration) -> list[Duration]:
+        """How long frames take to the supervisor and back, ns each, as a loop sees it that wakes once in a period.
+
+        What counts is when a frame is due to leave, and when it is read. So a machine that wakes late is seen as well.
+
+        Args:
+            clock: a realtime clock.
+            life: whether the node should still run.
+            ticks: how often the loop wakes; every fifth time it sends a probe.
+            period: between two of these, ns.
+
+        Raises:
+            Stopped: the node should end.
+        """
+        found: list[Duration] = []
+        start = clock.now()
+        for tick in range(ticks):
+            due = Instant(start + tick * period)
+            clock.sleep_until(due)
+            if tick % _PROBE_TICKS == 0:
+                self._send(Probe(due))
+            life.check()
+            if life.stopping:
+                raise Stopped
+            while (frame := self._link.recv(NOT_AT_ALL)) is not None:
+                self._take_echo(frame, clock.now(), found)
+        return found
+
+    def _take_echo(self, frame: bytes, now: Instant, found: list[Duration]) -> None:
+        match decode(frame, MAX_CONTROL_BYTES):
+            case Echo(sent) if sent <= now:
+                found.append(Duration(now - sent))
+            case Stop() as stop:
+                self.stop = stop
+                raise Stopped
+            case Absent() as absent:
+                self.absent.add(absent.peer)
+                self._words.append(absent)
+            case _:
+                self.malformed += 1
+
     def connection(self) -> Sight:
         """Whether the supervisor can still be reached, for a guest that is not in its loop."""
         return Sight.GONE if self._link.trouble() is Trouble.LOST else Sight.PRESENT
@@ -176,7 +224,7 @@ class ControlLine:
             self._due = Instant(now + _ALIVE_EVERY)
             self._send(Probe(now))
         self._read(NOT_AT_ALL)
-        return Sight.ENDING if self._asked_to_stop else self.connection()
+        return Sight.ENDING if self.stop is not None else self.connection()
 
     def listen(self, timeout: Duration = NOT_AT_ALL) -> Word | None:
         """The supervisor's next message to a node in its loop, or None; waits at most ``timeout``, by default 0."""
@@ -208,7 +256,11 @@ class ControlLine:
         Raises:
             TransportError: the endpoint is none of this transport.
         """
-        return self._transport.connect(endpoint, peer.name)
+        return self._transport.connect(self._reached(endpoint), peer.name)
+
+    def _reached(self, endpoint: str) -> str:
+        scheme, _, place = endpoint.partition("://")
+        return f"{scheme}://{self._host}:{place.rpartition(':')[2]}" if self._host else endpoint
 
     def offer(self, peer: str, endpoint: str) -> None:
         """Report to the supervisor that the link for ``peer`` is bound anew at ``endpoint``."""
@@ -223,7 +275,7 @@ class ControlLine:
             if isinstance(message, Word):
                 self._words.append(message)
             elif isinstance(message, Stop):
-                self._asked_to_stop = True
+                self.stop = message
             elif not isinstance(message, Echo):
                 self.malformed += 1
             timeout = NOT_AT_ALL
@@ -274,6 +326,7 @@ class ControlLine:
             if isinstance(message, Refusal):
                 raise Refused(message.text)
             if isinstance(message, Stop):
+                self.stop = message
                 raise Stopped
             if isinstance(message, Absent):
                 self.absent.add(message.peer)

@@ -6,6 +6,7 @@
 | ``jumped@k`` | device, coupling | the tick after the row before; the session had gone on, and the next row is of k |
 | ``released@k`` | device | periods without force while the device awaited the forces of tick k |
 | ``rung@k`` | device, coupling | the rung to which the node changed in tick k, at rest |
+| ``leaving@k`` | device | 1: with the sample of tick k it begins to let go, by the ramp and for good |
 | ``frozen:cx@k`` | environment | 1: from tick k on the coupling cx was sent no force |
 | ``returned:cx@k`` | environment | 1: from tick k on it was again |
 | ``linked:cx@k`` | environment | 1: in tick k the tool took its place from the first wave of a life of cx's wave link |
@@ -25,7 +26,7 @@ from typing import Final, NamedTuple
 MOST_EVENTS: Final = 512
 """The most events of one telemetry; further releases are only counted in the figure of all releases, which shows it."""
 
-_FIGURE: Final = re.compile(r"(?:(began|jumped|released|rung)|(frozen|returned|linked):(.+))@([0-9]{1,15})")
+_FIGURE: Final = re.compile(r"(?:(began|jumped|released|rung|leaving)|(frozen|returned|linked):(.+))@([0-9]{1,15})")
 _MOST_VALUE: Final = 2.0**53
 
 
@@ -36,6 +37,7 @@ class Kind(StrEnum):
     JUMPED = "jumped"
     RELEASED = "released"
     RUNG = "rung"
+    LEAVING = "leaving"
     FROZEN = "frozen"
     RETURNED = "returned"
     LINKED = "linked"
@@ -70,6 +72,10 @@ class TickEvents:
     def change_rung(self, tick: int, rung: int) -> None:
         """Record that the node changed to ``rung`` in ``tick``."""
         self._figures[f"{Kind.RUNG}@{tick}"] = float(rung)
+
+    def leave(self, tick: int) -> None:
+        """Record that the device begins to let go for good with its sample of ``tick``."""
+        self._figures[f"{Kind.LEAVING}@{tick}"] = 1.0
 
     def freeze(self, tick: int, coupling: str) -> None:
         """Record that the environment sends ``coupling`` no force from ``tick`` on."""

@@ -71,7 +71,9 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def read(path: Path, kind: str, members: Set[str], limit: int, *, private: bool) -> dict[str, Any]:
+def read(
+    path: Path, kind: str, members: Set[str], limit: int, *, private: bool, writer: str = "manyhands keys"
+) -> dict[str, Any]:
     """Read a key file; returns its members, whose types are not checked.
 
     Args:
@@ -81,14 +83,15 @@ def read(path: Path, kind: str, members: Set[str], limit: int, *, private: bool)
         limit: its greatest length, bytes.
         private: whether the file must belong to the user, be closed to others, and be no link; a file that is not
             private must only be closed to writing by others.
+        writer: the command that writes such files, for the messages.
 
     Raises:
         KeyFileError: the file cannot be read, cannot be trusted, or is no such file.
     """
-    data = _object(_content(path, limit, private=private))
+    data = _object(_content(path, limit, private=private, writer=writer))
     problem = None
     if not isinstance(data, dict) or data.pop("format", None) != kind:
-        problem = f"found no file of {kind}; expected one as manyhands keys writes it"
+        problem = f"found no file of {kind}; expected one as {writer} writes it"
     elif type(version := data.pop("version", None)) is not int or version != _VERSION:
         problem = f"found another version of {kind}; expected version {_VERSION}; make it with this manyhands"
     elif data.keys() != members:
@@ -99,7 +102,7 @@ def read(path: Path, kind: str, members: Set[str], limit: int, *, private: bool)
     return found
 
 
-def _content(path: Path, limit: int, *, private: bool) -> bytes:
+def _content(path: Path, limit: int, *, private: bool, writer: str) -> bytes:
     """The content of a file, after a check that it can be trusted."""
     # O_NONBLOCK: a pipe of that name must not block. The check is of the descriptor, for the name may change meanwhile
     flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK | (os.O_NOFOLLOW if private else 0)
@@ -109,7 +112,7 @@ def _content(path: Path, limit: int, *, private: bool) -> bytes:
         if private and error.errno == errno.ELOOP:
             found = "found a link; expected the file itself"
         elif error.errno == errno.ENOENT:
-            found = "found no file; expected one as manyhands keys writes it"
+            found = f"found no file; expected one as {writer} writes it"
         else:
             found = f"cannot be read: {error.strerror}"
         raise KeyFileError(f"{path}: {found}") from error

@@ -123,11 +123,20 @@ class Start:
     tick: int = 0
 
 
+JOIN_AGAIN: Final = "join again"
+"""The end of the reason of a Stop after which a guest may join again: the session goes on."""
+
+
 @dataclass(frozen=True, slots=True)
 class Stop:
     """From the supervisor: end now, for ``reason``."""
 
     reason: str
+
+    @property
+    def again(self) -> bool:
+        """Whether the session goes on, and the node may join it again."""
+        return self.reason.endswith(JOIN_AGAIN)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,10 @@
-"""The commands about a session's processes and how they connect: graph, keys, invite, node."""
+"""The commands about a session's processes and how they connect: graph, keys, invite, node, host, join."""
 
 from __future__ import annotations
 
+import re
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -26,11 +29,18 @@ from manyhands.launch.cli.common import (
     refuse,
     require_one_of,
     session_files,
+    settle_delay,
+    ticks_of,
+    warn_of_model,
 )
-from manyhands.launch.files import load_named
+from manyhands.launch.design_report import print_report
+from manyhands.launch.files import claimed, load_named, require_target
 from manyhands.launch.output import pipe_may_close
+from manyhands.launch.recordings.recording import STREAMED, require_suffix
 from manyhands.launch.run.display import say
+from manyhands.launch.session.design import AUTO
 from manyhands.nodes.bundle import CLOCKS, REALTIME
+from manyhands.nodes.invitation import is_guest_address
 
 commands = typer.Typer()
 
@@ -179,3 +189,120 @@ def node(
 
     with pipe_may_close():
         end(join(name, bundle, key, connect, host))
+
+
+@commands.command(epilog="Example: manyhands host ball --listen 192.0.2.7:7400 --address ball.example.org")
+def host(
+    session: SessionPath,
+    listen: Annotated[
+        str,
+        typer.Option("--listen", metavar="HOST:PORT", help="This machine's address; links use the ports after PORT."),
+    ],
+    address: Annotated[
+        str | None,
+        typer.Option(
+            "--address",
+            metavar="HOST[:PORT]",
+            help="The name or address that guests reach this machine at; by default that of --listen.",
+        ),
+    ] = None,
+    folder: Annotated[
+        Path | None,
+        typer.Option("-o", metavar="DIR", help="Keys, certificates and invitations; by default the session's name."),
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option("--duration", metavar="S", help="How long to run, in s; without it, until Ctrl-C.")
+    ] = None,
+    record: Annotated[
+        Path | None,
+        typer.Option("--record", metavar="FILE", help=f"Record the session while it runs ({STREAMED})."),
+    ] = None,
+    report: Annotated[Path | None, typer.Option("--report", metavar="FILE", help="Write the report (JSON).")] = None,
+    overrides: Overrides = [],  # noqa: B006
+) -> None:
+    """Serve a session whose users behind wave links come and go, each with an invitation (manyhands join).
+
+    Every coupling with a wave_link is a seat. The session runs from the start on, whoever is there, until --duration or
+    Ctrl-C. Designs, keys and invitations are made once and kept in DIR.
+    """
+    with errors(), ExitStack() as claims:
+        from manyhands.launch.plan.keys import load_folder, make_keys
+        from manyhands.launch.plan.plan import Plan
+        from manyhands.launch.plan.reach import Listen, reach
+        from manyhands.launch.plan.seats import (
+            CERTIFICATE,
+            KEYS,
+            keep_certificates,
+            require_folder,
+            seat_nodes,
+            write_invitations,
+        )
+        from manyhands.launch.plan.topology import require_runnable
+        from manyhands.launch.run.session_run import run_session
+
+        loaded = load_named(session, overrides)
+        seats = seat_nodes(loaded)
+        ticks = 0 if duration is None else ticks_of(loaded, duration)
+        place = Listen.parse(listen)
+        if address is None:
+            address = listen
+        elif not re.search(r":\d+$", address):
+            address = f"{address}:{place.port}"
+        if not is_guest_address(address):
+            refuse(f"--address: found {address!r:.100}; expected HOST or HOST:PORT, such as ball.example.org")
+        if record is not None:
+            require_suffix(record, (STREAMED,))
+            claims.enter_context(claimed(record))
+        if report is not None:
+            require_target(report)
+            claims.enter_context(claimed(report))
+        plan = Plan(loaded)
+        require_runnable(plan.graph, len(loaded.observers))
+        directory = Path(loaded.name) if folder is None else folder
+        require_folder(directory)
+        certificate = directory / CERTIFICATE
+        kept = certificate.exists()
+        unknown = [name for name, link in loaded.wave_links.items() if link.tau is None]
+        if loaded.design.tau == AUTO and not kept and unknown:
+            refuse(
+                f"{loaded.name}: found design.tau: auto, which measures this machine alone, with the seat "
+                f"{unknown[0]!r}; expected couplings.{unknown[0]}.wave_link.tau, the delay that the guest keeps to"
+            )
+        if not kept:
+            loaded, _ = settle_delay(loaded, realtime=False)
+        prepared = prepare_session(loaded, certificate if kept else None, uncertified=False)
+        if not kept:
+            keep_certificates(prepared, directory)
+        made = make_keys(loaded, directory / KEYS)
+        folder_keys = load_folder(loaded, directory / KEYS)
+        ways = replace(reach(plan, "tcp", keys=folder_keys, listen=place, remote=seats), seats=seats)
+        for seat, path in write_invitations(prepared, folder_keys, address, directory).items():
+            say(err, f"seat {seat}: {path}; send it over a secure channel; there: manyhands join {path.name}")
+        last = place.port + len(plan.graph.links) + len(loaded.observers)
+        say(err, f"listening at {listen}; guests need its ports {place.port} to {last}, of TCP and of UDP")
+        if made.stale:
+            say(err, f"{directory / KEYS}: has keys that the session no longer has: {', '.join(made.stale)}")
+        warn_of_model(err, loaded)
+        outcome = run_session(prepared, err, clock=REALTIME, reach=ways, ticks=ticks, record=record, report=report)
+        print_report(out, outcome.report)
+        end(outcome.code)
+
+
+@commands.command(epilog="Example: manyhands join right_seat.invitation")
+def join(
+    invitation: Annotated[Path, typer.Argument(metavar="INVITATION", help="The file that the host has sent.")],
+    address: Annotated[
+        str | None,
+        typer.Option("--address", metavar="HOST:PORT", help="Where the session listens, if not where the file says."),
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before taking the seat.")] = False,
+) -> None:
+    """Take a seat in a running session on another machine, until Ctrl-C or the session's end.
+
+    First the way there is measured. What the distance will feel like is reported, and you are asked. A session that is
+    lost for a while is joined again.
+    """
+    from manyhands.nodes.seat import take_seat
+
+    with pipe_may_close():
+        end(take_seat(invitation, address, yes))

@@ -66,6 +66,7 @@ class Reach:
         allowed: the processes with which each process shares a channel, supervisor and observers among them.
         hosts: the machines of those that this one starts there by ssh.
         program: what starts manyhands on these.
+        seats: those of the remote nodes for which the session does not wait, for they come and go while it runs.
     """
 
     transport: str
@@ -75,6 +76,7 @@ class Reach:
     allowed: Mapping[str, frozenset[str]] = field(default_factory=dict)
     hosts: Mapping[str, str] = field(default_factory=dict)
     program: str = "manyhands"
+    seats: frozenset[str] = frozenset()
 
     def address(self, graph: Topology, index: int) -> str:
         """The address at which the link of this index in ``graph`` is bound; empty for ipc.

@@ -252,7 +252,7 @@ class _AuditRun:
             if device.time == WALL:
                 out += self._in_wall_time(name, device, x, f, blocks.f, courses[name])
             else:
-                self._follow_guard(name, device, x, f, blocks.f)
+                self._follow_guard(name, device, x, f, blocks.f, courses[name])
                 out += self._device(name, device, courses[name])
                 jumped = np.array([k for k, happened in courses[name].before.items() if happened.jumped], dtype=np.intp)
                 sent_on = np.ix_(jumped, self._ports[name])
@@ -276,7 +276,7 @@ class _AuditRun:
         tolerance = bundle.rungs[0].period_tolerance  # every rung of a ladder has that of the certificate
         return [delay_assumed(self._run, name, taus), period_assumed(self._run, name, tolerance)]
 
-    def _follow_guard(self, name: str, bundle: DeviceBundle, x: Array, f: Array, asked: Array) -> None:
+    def _follow_guard(self, name: str, bundle: DeviceBundle, x: Array, f: Array, asked: Array, course: Course) -> None:
         """Replace x and f of a device that has let go by the x that it sent its couplings and the forces it was asked
         for.
 
@@ -289,12 +289,14 @@ class _AuditRun:
             x: recorded, ticks x ports, m; changed in place.
             f: exerted by the devices, N; changed in place where it agrees with ``asked``.
             asked: handed on by their couplings, N.
+            course: what happened between its rows.
         """
         own, run = self._ports[name], self._run
         if run.recorded.clock != SIMULATED:
-            begin = changed_after(run.figures.get(name, ()), names.LET_GO)
-            if begin is not None:
-                x[begin:, own] = f[begin:, own] = np.nan
+            let_go = changed_after(run.figures.get(name, ()), names.LET_GO)
+            leaves = (k for k, happened in course.before.items() if happened.leaves)
+            begin = min((k for k in (let_go, *leaves) if k is not None), default=len(x))
+            x[begin:, own] = f[begin:, own] = np.nan
             return
         guard: Guard | None = None
         for k in range(len(x)):

@@ -221,7 +221,7 @@ class _FollowedGuard(Guard):
 
     def report(self, x: Floats, periods: int = 1) -> Floats:
         """What the guard makes of x, m; x itself if the device never let go."""
-        if self.may_let_go:
+        if self.may_let_go or self.leaving:
             return super().report(x, periods)
         self.breach(x, periods)
         return x
@@ -316,7 +316,8 @@ def recompute_in_wall_time(
             if happened.jumped:  # by the zero force of a later tick; the coupling may have answered another force then
                 asked = np.where(rows.f[k] == 0.0, 0.0, asked)
             stopped = bool(rows.stopped[k]) and applied - sampled > LONGEST_GAP
-            why = happened.unknown or _unknown(happened.released, may_let_go, stopped, freed, asked)
+            moved = may_let_go or state.guard.leaving
+            why = happened.unknown or _unknown(happened.released, moved, stopped, freed, asked)
             if why:
                 state = None
                 lose(out.gaps, k, ticks, why)
@@ -327,6 +328,8 @@ def recompute_in_wall_time(
         if happened.rung is not None:
             state.tick.change(happened.rung)
         state.guard.may_let_go = may_let_go
+        if happened.leaves:
+            state.guard.leave()
         out.sent[k] = state.tick.sample(k, sampled)
         if happened.released:
             state.release(happened.released, ended, applied)

@@ -32,6 +32,7 @@ class Happening:
         jumped: whether the session had gone on without the node since the tick for which it sent its signal.
         released: number of periods without force.
         rung: the rung that the node changed to in a tick without a row; None if it did not.
+        leaves: whether a device begins to let go for good with this row's sample.
         unknown: why the node's state is not known from this row on; empty where it is.
     """
 
@@ -39,6 +40,7 @@ class Happening:
     jumped: bool = False
     released: int = 0
     rung: int | None = None
+    leaves: bool = False
     unknown: str = ""
 
 
@@ -145,6 +147,7 @@ class _Process:
         jumps: by the tick of a row, the tick after the row before.
         releases: number of periods without force, by the tick that was awaited.
         rungs: by tick.
+        leaves: ticks from which on it lets go for good.
         known: the tick from which on events are missing.
         why: how that is known.
     """
@@ -155,6 +158,7 @@ class _Process:
     jumps: dict[int, int] = field(default_factory=dict)
     releases: dict[int, int] = field(default_factory=dict)
     rungs: dict[int, int] = field(default_factory=dict)
+    leaves: list[int] = field(default_factory=list)
     known: int = _NEVER
     why: str = ""
 
@@ -185,6 +189,9 @@ class _Process:
             for k in _row_from(rows, tick):
                 if k != tick:
                     out[k] = replace(out.get(k, Happening()), rung=rung)
+        for tick in self.leaves:
+            for k in _row_from(rows, tick):
+                out[k] = replace(out.get(k, Happening()), leaves=True)
         for k in _row_from(rows, self.known):
             known = out.get(k, Happening())
             out[k] = replace(known, unknown=known.unknown or self.why)
@@ -218,6 +225,8 @@ def _processes(figures: Figures, ladder: int) -> list[_Process]:
                     released += event.value
                 case Kind.RUNG if event.value < ladder:
                     out[-1].rungs[event.tick] = rung = event.value
+                case Kind.LEAVING:
+                    out[-1].leaves.append(event.tick)
                 case Kind.RUNG:
                     out[-1].doubt(event.tick, "the rung")
         for what, count, figure in (

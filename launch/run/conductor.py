@@ -9,7 +9,7 @@ by :mod:`manyhands.launch.run.recovery`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
 from manyhands.launch.plan.topology import Topology
@@ -66,15 +66,19 @@ class Reception:
         binds = [link.connector for link in self.graph.links_of(sender) if link.binder == sender]
         return check_node_hello(hello, self.certificate, self.session, self.graph.nodes, sender, binds)
 
-    def connects(self, endpoints: Mapping[tuple[str, str], str]) -> list[Instruction]:
-        """Tell each node where its peers are, once all have joined.
+    def connects(self, endpoints: Mapping[tuple[str, str], str], absent: Collection[str] = ()) -> list[Instruction]:
+        """Report to each node where its peers are, once all have joined.
 
         Args:
             endpoints: of every link, by binder and connector.
+            absent: the nodes that are yet to come.
         """
         out: list[Instruction] = []
         for node in self.graph.nodes:
-            binders = [link.binder for link in self.graph.links_of(node) if link.connector == node]
+            if node in absent:
+                continue
+            ends = [link for link in self.graph.links_of(node) if link.connector == node]
+            binders = [link.binder for link in ends if link.binder not in absent]
             out.append(Send(node, Connect({binder: endpoints.get((binder, node), "") for binder in binders})))
         return out
 
@@ -109,6 +113,7 @@ class Conductor:
         observers: the endpoint of each observer.
         budget: how often a node may come back; without restarts, the first death ends the session.
         together: whether a guest that leaves ends the session, as it does in a session without restarts.
+        seats: those of the remote nodes for which the session does not wait: they come and go while it runs.
         phase: of the session.
         states: of each node.
         reports: the final report of each node that sent one.
@@ -126,6 +131,7 @@ class Conductor:
     observers: Mapping[str, str] = field(default_factory=dict)
     budget: RestartBudget = field(default_factory=RestartBudget)
     together: bool = False
+    seats: frozenset[str] = frozenset()
     phase: SessionPhase = SessionPhase.STARTING
     states: dict[str, NodeState] = field(init=False)
     reports: dict[str, Report] = field(default_factory=dict)
@@ -138,9 +144,9 @@ class Conductor:
     _recovery: Recovery = field(init=False)
 
     def __post_init__(self) -> None:
-        self.states = dict.fromkeys(self.graph.nodes, NodeState.STARTING)
+        self.states = {n: NodeState.LOST if n in self.seats else NodeState.STARTING for n in self.graph.nodes}
         self._reception = Reception(self.graph, self.certificate, self.session)
-        self._recovery = Recovery(self.graph, self.remote, self.budget, self.states, self.faults)
+        self._recovery = Recovery(self.graph, self.remote, self.budget, self.states, self.faults, seats=self.seats)
 
     @property
     def incidents(self) -> Incidents:
@@ -167,12 +173,14 @@ class Conductor:
                 return answer
             if sender not in self.states or self._is_awaited(sender, received):
                 return self._greet(sender, received, now)
+            if sender in self.seats and self.phase is SessionPhase.STARTING:
+                return []  # a guest repeats its hello until the session runs
             return self._out_of_turn(sender)
         state = self.states.get(sender)
         if state is None:
             self.ignored += 1
             return []
-        if isinstance(received, Offer) and self.phase is SessionPhase.RUNNING:
+        if isinstance(received, Offer) and self.phase in (SessionPhase.STARTING, SessionPhase.RUNNING):
             instructions = self._recovery.receive_offer(sender, received, now)
             return self._out_of_turn(sender) if instructions is None else instructions
         if isinstance(received, Malformed):
@@ -253,7 +261,8 @@ class Conductor:
         """Decide what follows when the time for a phase is over: a start failed, or a process does not end."""
         match self.phase:
             case SessionPhase.STARTING:
-                waiting = (f"{node} ({state})" for node, state in self.states.items() if state != NodeState.READY)
+                late = {n: s for n, s in self.states.items() if s is not NodeState.READY and n not in self.seats}
+                waiting = (f"{node} ({state})" for node, state in late.items())
                 return self._fail(f"not every node became ready in time; still waiting for {', '.join(waiting)}")
             case SessionPhase.RUNNING if self.reports:
                 return self._leave_behind()
@@ -303,25 +312,25 @@ class Conductor:
 
     def _connect_if_all_here(self) -> list[Instruction]:
         """Send each node the endpoints of its peers, once all nodes have joined."""
-        if self.phase is not SessionPhase.STARTING or set(self.states.values()) != {NodeState.WELCOMED}:
+        present = [node for node in self.states if node not in self.seats]
+        if self.phase is not SessionPhase.STARTING or {self.states[n] for n in present} != {NodeState.WELCOMED}:
             return []
-        self.states.update(dict.fromkeys(self.states, NodeState.CONNECTED))
-        return self._reception.connects(self._endpoints)
+        self.states.update(dict.fromkeys(present, NodeState.CONNECTED))
+        return [*self._recovery.vacate(), *self._reception.connects(self._endpoints, self.seats)]
 
     def _ready(self, sender: str, now: int) -> list[Instruction]:
         if self.phase is SessionPhase.RUNNING:
             return self._recovery.ready(sender, now)
-        if self.phase is not SessionPhase.STARTING or any(
-            state is not NodeState.READY for state in self.states.values()
-        ):
+        present = [node for node in self.graph.nodes if node not in self.seats]
+        if self.phase is not SessionPhase.STARTING or any(self.states[n] is not NodeState.READY for n in present):
             return []
         self.phase = SessionPhase.RUNNING
         start = self._recovery.start = Start(now + EPOCH_DELAY_NS, self.ticks)
-        for node in self.graph.nodes:
+        for node in present:
             self.states[node] = NodeState.RUNNING
             self.budget.ran(node, now)
         # the environment first and the devices last: each node's first signal then finds its peer past the handshake
-        return [Send(node, start) for node in reversed(list(self.graph.nodes))]
+        return [Send(node, start) for node in reversed(present)]
 
     def _reported(self, sender: str, report: Report, now: int) -> list[Instruction]:
         out: list[Instruction] = [Send(sender, Stop("reported"))]
@@ -361,8 +370,10 @@ class Conductor:
         return out
 
     def _does_without(self, node: str) -> bool:
-        """Whether the session goes on without the guest ``node`` and lets it join again; never so without restarts."""
-        return node in self.remote and self.budget.restarts > 0 and not self.together
+        """Whether the session goes on without the guest ``node`` and lets it join again; without restarts, only seats
+        may.
+        """
+        return node in self.seats or (node in self.remote and self.budget.restarts > 0 and not self.together)
 
     def _awaited_again(self, guest: str, why: str) -> list[Instruction]:
         """Take back the welcome of a guest that ended before all had joined. No peer knows of it yet, so it may start
@@ -378,7 +389,8 @@ class Conductor:
         if self.phase is SessionPhase.RUNNING:
             if state is NodeState.LEAVING:
                 return self._withstood(self._recovery.left(node, now))
-            if self.budget.restarts > 0 and (state is NodeState.RUNNING or state in RETURNING):
+            survived = self.budget.restarts > 0 or node in self.seats
+            if survived and (state is NodeState.RUNNING or state in RETURNING):
                 return self._withstood(self._recovery.lose(node, f"{how} while {state}", now))
         self.states[node] = NodeState.ENDED
         out: list[Instruction] = []

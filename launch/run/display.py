@@ -99,8 +99,10 @@ def printable(text: str) -> str:
 
 
 def say(console: Console, text: str) -> None:
-    """Print a message as it is: no markup, no added line breaks, and no control codes."""
-    console.print(printable(text), markup=False, soft_wrap=True)
+    """Print a message as it is: no markup, no pictures for names between colons, no added line breaks, and no control
+    codes.
+    """
+    console.print(printable(text), markup=False, emoji=False, soft_wrap=True)
 
 
 _LINE_EVERY = 2.0  # s between two lines of progress without a terminal

@@ -14,6 +14,9 @@ passes the endpoint on when the connector is there, and then the link is joined.
 A node may come back a limited number of times in a row. After a run of :data:`WINDOW` its earlier deaths are forgotten,
 so that a session of hours does not lose it at its fourth mishap. A node that keeps dying soon after its start is given
 up. No node returns once the environment is done, because the environment counts the session's ticks.
+
+The nodes of a *seat* are lost from the start on, and come as often as they like: a user takes the seat while the
+session runs, and leaves it for the next one. Nobody waits for them, so no budget limits them.
 """
 
 from __future__ import annotations
@@ -36,7 +39,7 @@ from manyhands.launch.run.states import (
     StartProcess,
 )
 from manyhands.protocol.clock import Duration, from_seconds
-from manyhands.protocol.messages import Absent, Connect, Offer, Return, Role, Shift, Start, Stop
+from manyhands.protocol.messages import JOIN_AGAIN, Absent, Connect, Offer, Return, Role, Shift, Start, Stop
 
 
 class LinkState(StrEnum):
@@ -182,6 +185,7 @@ class Recovery:
         rungs: the rung of the ladder that each coupling was asked to change to.
         pids: process ids of those that were started anew here.
         closing: whether the environment has done its ticks, so that no node returns any more.
+        seats: remote nodes that are absent at first, and come and go without a budget.
     """
 
     graph: Topology
@@ -195,12 +199,18 @@ class Recovery:
     rungs: dict[str, int] = field(default_factory=dict)
     pids: dict[str, int] = field(default_factory=dict)
     closing: bool = False
+    seats: frozenset[str] = frozenset()
     _links: Links = field(init=False)
     _then: dict[str, NodeState] = field(default_factory=dict)  # the state of a leaving node after its process's end
     _since: dict[str, int] = field(default_factory=dict)  # when the present wait for a returning node began
 
     def __post_init__(self) -> None:
         self._links = Links(self.graph)
+
+    def vacate(self) -> list[Instruction]:
+        """Cut the links of the seats, whose users are yet to come; their peers learn of it before they connect."""
+        absent = [(seat, peer) for seat in self.seats for peer in self._links.lost(seat)]
+        return [Send(peer, Absent(seat)) for seat, peer in sorted(absent) if peer not in self.seats]
 
     def lose(self, node: str, how: str, now: int, *, alive: bool = False) -> list[Instruction]:
         """Take ``node`` out of the session: it is lost, or has failed to return. Its budget is charged for that.
@@ -212,7 +222,8 @@ class Recovery:
             alive: whether the end of its process is still to come.
         """
         self.note(f"{node} {how}", now)
-        out = self._drop(node, self._future(self.budget.died(node, now)), alive, now)
+        allowed = node in self.seats or self.budget.died(node, now)
+        out = self._drop(node, self._future(allowed), alive, now)
         if self._awaits(node, NodeState.GONE):
             self.faults.append(
                 f"{node} {how}; it stays away, for its {self.budget.restarts} restarts without a run of "
@@ -244,9 +255,12 @@ class Recovery:
         """``node`` has all its links, and takes part again from the present tick on."""
         self.states[node] = NodeState.RUNNING
         self._since.pop(node, None)
-        self.budget.ran(node, now)
-        self.incidents.restarts[node] += 1
-        self.note(f"{node} is back", now)
+        if node in self.seats:
+            self.note(f"{node} has joined", now)
+        else:
+            self.budget.ran(node, now)
+            self.incidents.restarts[node] += 1
+            self.note(f"{node} is back", now)
         start = replace(self.start, tick=max(1, self.reached))  # tick 0 would mean the session's beginning
         return [Send(node, start), *self._repeated_shifts(node), *self.proceed(now)]
 
@@ -258,7 +272,7 @@ class Recovery:
         if self.states[node] not in (NodeState.LOST, NodeState.GONE, NodeState.STARTING):
             return []
         farewell: list[Instruction] = (
-            [Send(node, Stop("the session counted this node as lost; join again"))] if node in self.remote else []
+            [Send(node, Stop(f"the session counted this node as lost; {JOIN_AGAIN}"))] if node in self.remote else []
         )
         return [*farewell, ReleaseName(node)]
 
@@ -352,7 +366,7 @@ class Recovery:
 
     def _end_process(self, node: str) -> list[Instruction]:
         """End a process that cannot return. A remote one is asked to end, and its user may start it again."""
-        return [Send(node, Stop("the return failed; join again"))] if node in self.remote else [KillProcess(node)]
+        return [Send(node, Stop(f"the return failed; {JOIN_AGAIN}"))] if node in self.remote else [KillProcess(node)]
 
     def _all_to_be_found(self, node: str) -> bool:
         """Whether every peer that ``node`` connects to has an endpoint for it, or will not have one for long."""

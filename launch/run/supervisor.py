@@ -175,7 +175,14 @@ class Supervisor:
         self._graph = prepared.graph
         budget = RestartBudget(session.faults.restarts, from_seconds(session.faults.window))
         self.conductor = Conductor(
-            self._graph, prepared.id, session.name, ticks, reach.remote, budget=budget, together=together
+            self._graph,
+            prepared.id,
+            session.name,
+            ticks,
+            reach.remote,
+            budget=budget,
+            together=together,
+            seats=reach.seats,
         )
         self._assumptions = Assumptions(prepared, self._graph, clock, self.conductor.rungs)
         self._energy = EnergyIncidents(self._graph, session.period, session.own_periods)

@@ -32,6 +32,9 @@ applied with s(k-1), so the work that the couplings compute is the work that was
 
 and the device's promise holds of x' and f as it does of x and f_applied, whatever s does (docs/decisions/0029).
 
+A device that *leaves* lets go by the same ramp, downwards, and does not take hold again. So its own hand feels no step,
+and the promise holds as above.
+
 A force that comes too late is not decided here: :mod:`manyhands.nodes.device.node` stops waiting for it, and exerts
 none.
 """
@@ -123,6 +126,7 @@ class Guard:
 
     Attributes:
         let_go: how often the device has let go.
+        leaving: whether it lets go for good, because it leaves.
         why: which limit it exceeded when it let go last, in one sentence; empty if it never did.
     """
 
@@ -139,7 +143,8 @@ class Guard:
         self._saturation = Saturation(limits.force)
         self._before: Floats | None = None
         self._reported: Floats | None = None  # x'(k), where it is not x(k)
-        self._ratio, self._rises, self._within = 1.0, 0, 0
+        self._ratio, self._rises, self._within = 1.0, RETURN, 0
+        self.leaving = False
         self.let_go, self.why = 0, ""
 
     @property
@@ -152,6 +157,10 @@ class Guard:
         """Whether s > 0: the device exerts a force."""
         return self._ratio > 0.0
 
+    def leave(self) -> None:
+        """From now on s falls to 0 by the ramp, and stays there."""
+        self.leaving = True
+
     def report(self, x: Floats, periods: int = 1) -> Floats:
         """x'(k), m, for the displacement x(k), m: ``x`` itself as long as the device has never let go.
 
@@ -161,7 +170,7 @@ class Guard:
         """
         before = self._before or x
         breach = self.breach(x, periods)
-        if breach is None and self._reported is None:
+        if breach is None and self._reported is None and not self.leaving:
             return x
         reported, ratio = self._reported or before, self._ratio
         moved = [at + _finite(ratio * (to - last)) for at, to, last in zip(reported, x, before, strict=True)]
@@ -203,7 +212,10 @@ class Guard:
         return kept
 
     def _follow(self, breach: str | None) -> None:
-        """Choose s(k): 0 at a breach; after :data:`RETURN` periods without one it rises by the ramp."""
+        """Choose s(k): 0 at a breach; after :data:`RETURN` periods without one it rises by the ramp.
+
+        Of a device that leaves it falls by the same ramp.
+        """
         if breach is not None:
             if self._ratio > 0.0:
                 self.let_go += 1
@@ -211,9 +223,13 @@ class Guard:
             self._ratio, self._rises, self._within = 0.0, 0, 0
             return
         self._within += 1
-        if self._within > RETURN and self._rises < RETURN:
+        if self.leaving:
+            self._rises = max(0, self._rises - 1)
+        elif self._within > RETURN and self._rises < RETURN:
             self._rises += 1
-            self._ratio = 1.0 if self._rises == RETURN else math.sin(0.5 * math.pi * self._rises / RETURN) ** 2
+        else:
+            return
+        self._ratio = 1.0 if self._rises == RETURN else math.sin(0.5 * math.pi * self._rises / RETURN) ** 2
 
     def _sentence(self, axis: int, quantity: str, found: float, limit: float, unit: str) -> str:
         return (

@@ -103,7 +103,7 @@ class DeviceNode:
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):
             life.look(self._realtime.now())
             if turns % LISTEN_TICKS == 0 or self._free:
-                self._listen(control)
+                self._attend(control, tick)
             due = Instant(epoch + slot * period)
             ready = clock.now()
             clock.sleep_until(due)
@@ -252,6 +252,10 @@ class DeviceNode:
             self.device.release(self._now())
             self._account.stale += 1
         self._free = True
+
+    def _attend(self, control: ControlLine, tick: int) -> None:
+        """Do what may be done before the sample of ``tick``, now and then."""
+        self._listen(control)
 
     def _listen(self, control: ControlLine, idle: bool = False) -> None:
         """Follow the supervisor's messages; where ``idle``, wait a moment for one."""

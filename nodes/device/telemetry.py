@@ -164,6 +164,10 @@ class DeviceTelemetry:
         self._events.change_rung(tick, number)
         self._assume(rung)
 
+    def leave(self, tick: int) -> None:
+        """Record that the device begins to let go for good with its sample of ``tick``."""
+        self._events.leave(tick)
+
     def _assume(self, rung: DeviceRung) -> None:
         self._assumed_tau, self._share = from_seconds(rung.tau), rung.share
         self._longest = from_seconds(self._common.period * (1.0 + rung.period_tolerance))

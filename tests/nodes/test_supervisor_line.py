@@ -11,7 +11,7 @@ from manyhands.nodes import supervisor_line as control_module
 from manyhands.nodes.bundle import Common, Peer
 from manyhands.nodes.lifetime import Sight, Stopped
 from manyhands.nodes.supervisor_line import ControlLine, Refused, TelemetryLost
-from manyhands.protocol.clock import Duration, Instant
+from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_TEXT
 from manyhands.protocol.messages import (
@@ -428,3 +428,46 @@ class Test_a_place_for_a_peer_that_was_lost:
     def test_it_is_offered(self, line: AnsweringLine) -> None:
         control(line).offer("cx", "ipc:///s/dx-cx.1")
         assert line.said == [Offer("cx", "ipc:///s/dx-cx.1")]
+
+
+def test_a_guest_measures_the_way_as_its_loop_would_see_it(line: AnsweringLine) -> None:
+    """From when a probe was due to leave, to when a loop that wakes once in a period reads the answer."""
+    clock = RealtimeClock()
+    line.answer = lambda said: [Echo(said.sent, 0, 0)] if isinstance(said, Probe) else []
+    measured = control(line)
+    before = clock.now()
+    found = measured.round_trips(clock, Life(), 20, from_seconds(1e-3))  # type: ignore[arg-type]
+    assert len(found) == 4  # every fifth time
+    assert [said.sent - line.said[0].sent for said in line.said] == [0, 5_000_000, 10_000_000, 15_000_000]  # type: ignore[union-attr]
+    assert all(0 <= trip <= clock.now() - before for trip in found)
+
+
+@pytest.mark.parametrize("end", ["stop", "life"])
+def test_a_guest_that_measures_ends_when_it_is_asked_to(end: str, line: AnsweringLine) -> None:
+    line.answer = lambda _: [Stop("the return failed; join again")] if end == "stop" else []
+    measured = control(line)
+    with pytest.raises(Stopped):
+        measured.round_trips(RealtimeClock(), Life(3), 10**6, from_seconds(1e-4))  # type: ignore[arg-type]
+    assert (measured.stop is not None and measured.stop.again) is (end == "stop")
+
+
+def test_a_guest_seeks_its_peers_where_it_reaches_the_supervisor(line: AnsweringLine) -> None:
+    found: list[str] = []
+
+    class Connecting(Doors):
+        def connect(self, endpoint: str, _peer: str) -> AnsweringLine:
+            found.append(endpoint)
+            return self.line
+
+    peer = Peer("environment", Role.ENVIRONMENT, ("x",), False)
+    for host in ("", "ball.example.org"):
+        own = ControlLine(Connecting(line), common(), host=host)  # type: ignore[arg-type]
+        line.coming += [encode(Welcome()), encode(Connect({"environment": "tcp://192.168.1.5:7401"}))]
+        found += own.peers_endpoints(Life()).values()  # type: ignore[arg-type]
+        own.connect("tcp://192.168.1.5:7402", peer)
+    assert found == [
+        "tcp://192.168.1.5:7401",
+        "tcp://192.168.1.5:7402",
+        "tcp://ball.example.org:7401",
+        "tcp://ball.example.org:7402",
+    ]

@@ -37,6 +37,14 @@ def test_rungs_and_frozen_couplings_are_reported() -> None:
     assert [*events_in(events.take(10, 20))] == expected
 
 
+def test_a_device_that_leaves_reports_the_tick_of_the_sample_with_which_it_begins_to() -> None:
+    events = TickEvents()
+    events.take(0, 10)
+    events.leave(14)
+    assert [*events_in(events.take(10, 20))] == [TickEvent(Kind.LEAVING, 14, 1)]
+    assert [*events_in(events.take(20, 30))] == []
+
+
 def test_releases_of_one_telemetry_are_bounded() -> None:
     events = TickEvents()
     for tick in range(2 * MOST_EVENTS):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections import deque
+from collections.abc import Collection
 from dataclasses import dataclass, field
 
 from manyhands.launch.plan.topology import Topology
@@ -83,7 +84,8 @@ class FakeSession:
         now: the time, ns.
     """
 
-    def __init__(self, graph: Topology, conductor: Conductor) -> None:
+    def __init__(self, graph: Topology, conductor: Conductor, absent: Collection[str] = ()) -> None:
+        """``absent``: nodes that are not started yet."""
         self.graph, self.conductor = graph, conductor
         self.processes: dict[str, FakeProcess] = {}
         self.said: deque[tuple[str, Message]] = deque()
@@ -93,7 +95,8 @@ class FakeSession:
         self.now = 0
         self._places, self._pids = itertools.count(), itertools.count(1)
         for node in graph.nodes:
-            self.start(node)
+            if node not in absent:
+                self.start(node)
         self.settle()
 
     def settle(self) -> None:
@@ -138,9 +141,17 @@ class FakeSession:
 
     def joined(self) -> bool:
         """Whether every node runs and every link leads from one living process to another."""
+        return self.goes_on(self.graph.nodes)
+
+    def goes_on(self, nodes: Collection[str]) -> bool:
+        """Whether these nodes run, and every link between them leads from one living process to another."""
         return all(
-            state is NodeState.RUNNING and self.processes[node].starts for node, state in self.conductor.states.items()
-        ) and all(self._met(link.binder, link.connector) for link in self.graph.links)
+            self.conductor.states[node] is NodeState.RUNNING and self.processes[node].starts for node in nodes
+        ) and all(
+            self._met(link.binder, link.connector)
+            for link in self.graph.links
+            if link.binder in nodes and link.connector in nodes
+        )
 
     def _met(self, binder: str, connector: str) -> bool:
         ends = self.processes.get(binder), self.processes.get(connector)

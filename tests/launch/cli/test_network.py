@@ -189,3 +189,43 @@ def test_an_address_in_use_or_of_another_machine_is_reported(folder: Path) -> No
             assert done.exit_code == 2, done.stderr
             assert f"error: cannot bind tcp://{address}: {found}" in done.stderr
             assert "Traceback" not in done.stderr
+
+
+HOST = ("--listen", "127.0.0.1:7400", "-o", "{}", "--duration", "0.1")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "found"),
+    [
+        (("example1", *HOST), "example-1: found no wave link; expected a coupling with a wave_link"),
+        (("ball", *HOST, "--set", "colocate=false"), "ball: found colocate: false with the seat 'left_seat'"),
+        (("ball", "--listen", "ball.example.org:7400", "-o", "{}"), "--listen: found the host 'ball.example.org'"),
+        (("ball", "--listen", "0.0.0.0:7400", "-o", "{}"), "--listen: found 0.0.0.0; expected the one address"),
+        (("ball", *HOST, "--address", "ball.example.org:x"), "--address: found 'ball.example.org:x:7400'"),
+        (("ball", *HOST, "--address", "my ball:7400"), "--address: found 'my ball:7400'; expected HOST"),
+        (("ball", *HOST, "--record", "run.npz"), "run.npz"),
+        (("ball", *HOST, "--duration", "-1"), "--duration: found -1 s"),
+        (("ball", *HOST, "-o", "{}/none/here"), "found no folder"),
+        (
+            ("ball", *HOST, "--set", "design.tau=auto", "--set", "couplings.left_seat.wave_link={{b: 10}}"),
+            "found design.tau: auto, which measures this machine alone, with the seat 'left_seat'; "
+            "expected couplings.left_seat.wave_link.tau",
+        ),
+    ],
+)
+def test_sessions_that_cannot_be_hosted(arguments: tuple[str, ...], found: str, tmp_path: Path) -> None:
+    done = manyhands_command("host", *(argument.format(tmp_path) for argument in arguments))
+    assert done.exit_code == 2, done.stderr
+    assert found in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("content", [None, "", "{}", '{"format": "manyhands invitation", "version": 1}'])
+def test_an_invitation_that_is_none_is_one_clear_error(content: str | None, tmp_path: Path) -> None:
+    path = tmp_path / "right_seat.invitation"
+    if content is not None:
+        path.touch(mode=0o600)
+        path.write_text(content)
+    done = manyhands_command("join", path)
+    assert (done.exit_code, done.stdout) == (2, "")

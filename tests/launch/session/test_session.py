@@ -43,6 +43,7 @@ def example(name: str, *overrides: str) -> Session:
 def test_the_shipped_sessions() -> None:
     names = {path.stem: load_session(path).name for path in SESSIONS.glob("*.yaml")}
     assert names == {
+        "ball": "ball",
         "browser": "browser",
         "example1": "example-1",
         "example1-centralised": "example-1-centralised",

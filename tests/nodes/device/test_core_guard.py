@@ -170,3 +170,44 @@ def test_letting_go_and_taking_hold_makes_no_energy(steps: list[float], forces: 
         force = forces[k % len(forces)]
         (applied,) = g.clip([force])
     assert said == pytest.approx(done, abs=1e-9)
+
+
+class Test_a_device_that_leaves:
+    def test_it_lets_go_by_the_ramp_and_for_good(self) -> None:
+        g = guard()
+        f = [4.0, 1.0]
+        g.report([0.0, 0.0])
+        assert g.clip(f) is f
+        g.leave()
+        applied = []
+        for _ in range(2 * RETURN):
+            g.report([0.0, 0.0])
+            applied.append(g.clip(f)[0])
+        assert applied[0] < 4.0
+        assert applied[RETURN - 1 :] == [0.0] * (RETURN + 1)
+        assert max(a - b for a, b in zip([4.0, *applied], applied, strict=False)) < 4.0 * math.pi / RETURN
+        assert not g.holds
+        assert (g.let_go, g.why) == (0, ""), "nothing was wrong"
+
+    def test_what_it_reports_moves_by_as_much_as_it_exerts(self) -> None:
+        """Its ledger counts x' and f: the work of f is then that of what is applied."""
+        g = guard()
+        g.leave()
+        x, reported, work, counted, f = 0.0, 0.0, 0.0, 0.0, [2.0, 0.0]
+        held = g.clip(f)[0]
+        for _ in range(RETURN + 10):
+            moved = g.report([x + 1e-4, 0.0])[0]
+            work += held * 1e-4
+            counted += f[0] * (moved - reported)
+            x, reported, held = x + 1e-4, moved, g.clip(f)[0]
+        assert work == pytest.approx(counted, rel=1e-9)
+
+    def test_one_that_had_let_go_does_not_take_hold_again(self) -> None:
+        g = guard()
+        g.report([0.0, 0.0])
+        g.report([9.0, 0.0])
+        assert not g.holds
+        g.leave()
+        for _ in range(3 * RETURN):
+            g.report([0.0, 0.0])
+        assert not g.holds

@@ -1,0 +1,267 @@
+"""A guest at a seat: the device and the coupling of a wave link, in one process on the guest's own machine.
+
+    read the invitation -> welcome -> measure -> ask -> shake hands -> tick ... -> let go by a ramp -> report
+
+**Before it engages** the guest measures how long frames take to the session and back. From that and from b follows what
+will be felt (:class:`FeltDistance`), which the user is asked about. Nothing moves before the answer: the coupling takes
+part at s = 0 only once its waves come, and its force rises by the clutch's ramp.
+
+**Leaving** is felt by nobody: the environment freezes the coupling, and the device lets its own hand go by a ramp
+(:meth:`manyhands.nodes.device.core.Guard.leave`). A guest that loses its session lets go in the same way and joins
+again, until its user ends it or the session is no longer there.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import select
+import socket
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import Final
+
+import numpy as np
+
+from manyhands.nodes.bundle import BundleError, Common, CouplingBundle
+from manyhands.nodes.device.colocated import CarriedBlock, ColocatedNode
+from manyhands.nodes.device.drivers import driver_of
+from manyhands.nodes.invitation import Invitation, load_invitation
+from manyhands.nodes.lifetime import Life, Sight, Stopped
+from manyhands.nodes.process import EXIT_BAD_INPUT, EXIT_OK, EXIT_REFUSED, Node, run_together
+from manyhands.nodes.supervisor_line import ControlLine
+from manyhands.protocol.clock import Duration, RealtimeClock, from_seconds, seconds
+from manyhands.protocol.keys import KeyFileError, KeyRing
+from manyhands.protocol.messages import presentable
+
+MEASURING: Final = 1.0
+"""How long the way to the session is measured before the user is asked, s."""
+
+TIME_TO_ANSWER: Final = 45.0
+"""How long the question waits for its answer, s: the session keeps the seat for a minute."""
+
+_GLANCE: Final = 0.1  # s, between two looks at the life while waiting for the user
+
+
+@dataclasses.dataclass(frozen=True)
+class FeltDistance:
+    """What a user will feel of the distance: K = 2b/R against a wall, and M = bR/2 in free space.
+
+    Attributes:
+        network: the shortest time that a frame took to the session and back, s.
+        play_out: what both ends wait so that waves that are late come in time, and half a period of each, s.
+        stiffness: K, N/m, of the spring in series with the coupling; in the softest direction.
+        mass: M, kg; in the heaviest direction.
+    """
+
+    network: float
+    play_out: float
+    stiffness: float
+    mass: float
+
+    @property
+    def round_trip(self) -> float:
+        """R, s."""
+        return self.network + self.play_out
+
+    def sentence(self) -> str:
+        """What will be felt, in two lines."""
+        return (
+            f"round trip R = {1e3 * self.round_trip:.3g} ms: {1e3 * self.network:.3g} ms of network and "
+            f"{1e3 * self.play_out:.3g} ms of play-out\n"
+            f"a wall will feel no stiffer than K = {self.stiffness:.4g} N/m, and free space will weigh "
+            f"M = {1e3 * self.mass:.3g} g more"
+        )
+
+
+def felt(coupling: CouplingBundle, trips: Sequence[Duration]) -> FeltDistance:
+    """What will be felt with these round trips to the session, ns each, of which there must be one at least.
+
+    The play-out of both ends together waits for the latest wave, and a wave waits for half a period of each end. A
+    play-out covers 99 % of the waves and no more, so this is the most that will be felt on machines as busy as now.
+
+    Raises:
+        ValueError: there is no round trip, or the coupling has no wave link.
+    """
+    if not trips or coupling.wave is None:
+        raise ValueError(f"found {len(trips)} round trips; expected one at least, and a wave link")
+    least = min(trips)
+    play_out = seconds(Duration(max(trips) - least)) + 0.5 * (coupling.common.period + coupling.wave.peer_period)
+    R = seconds(least) + play_out
+    b = np.linalg.eigvalsh(coupling.wave.b)
+    return FeltDistance(seconds(least), play_out, 2.0 * float(b[0]) / R, 0.5 * float(b[-1]) * R)
+
+
+class SeatLife(Life):
+    """The life of a guest at a seat: once it ticks, a request to end, or the session's end, makes it let go first.
+
+    Attributes:
+        leaving: whether the device lets go, after which the loop ends. A second request ends it at once.
+    """
+
+    def __init__(self) -> None:
+        """Handle the signals of this process."""
+        self.leaving = False
+        super().__init__(None)
+
+    def begin(self) -> None:
+        """Begin anew, for another attempt to join.
+
+        Raises:
+            Stopped: the user has asked to end meanwhile.
+        """
+        self._raises = True
+        self.failure, self.orphaned, self.watch = None, False, lambda: Sight.PRESENT
+        if self.signal is not None:
+            raise Stopped
+        self.stopping = self.leaving = False
+
+    def check(self) -> None:
+        """Check that the session is still there."""
+        sight = self.watch()
+        if sight is Sight.PRESENT:
+            return
+        self.orphaned = sight is Sight.GONE
+        if self._raises:
+            self.stopping = True
+        else:
+            self.leaving = True
+
+    def _asked_to_stop(self, signum: int, frame: FrameType | None) -> None:
+        if self._raises or self.leaving:
+            super()._asked_to_stop(signum, frame)
+        self.leaving, self.signal = True, signum
+
+
+class SeatNode(ColocatedNode):
+    """A device with its coupling, which lets go by a ramp before it leaves."""
+
+    def _attend(self, control: ControlLine, tick: int) -> None:
+        super()._attend(control, tick)
+        life, guard = self._life, self.device.guard
+        if not isinstance(life, SeatLife) or not life.leaving:
+            return
+        if not guard.leaving:
+            guard.leave()
+            self._account.leave(tick)
+        elif not guard.holds:
+            life.stopping = True
+
+
+def take_seat(path: Path, address: str | None, yes: bool) -> int:
+    """Join the session of an invitation, and stay until Ctrl-C or the session's end; returns the exit code.
+
+    Args:
+        path: the invitation's file.
+        address: where the session listens, HOST:PORT; None for the address in the invitation.
+        yes: whether to engage without a question.
+    """
+    try:
+        invitation = load_invitation(path)
+        if address is not None:
+            invitation = invitation.at(address)
+    except (BundleError, KeyFileError) as error:
+        _say(f"error: {error}")
+        return EXIT_BAD_INPUT
+    host = invitation.address.rpartition(":")[0]
+    try:
+        socket.getaddrinfo(host.strip("[]"), None, type=socket.SOCK_STREAM)
+    except OSError as error:
+        _say(
+            f"error: {host}: cannot be looked up: {error.strerror}; expected the session's host, or --address HOST:PORT"
+        )
+        return EXIT_REFUSED
+    life = SeatLife()
+    _say(f"{invitation.session}: going to take the seat {invitation.seat} at {invitation.address}")
+    visit = _Visit(invitation, host, yes)
+    try:
+        code = visit.stay(life)
+    except Stopped:
+        code = EXIT_OK
+    return code if life.signal is None or code != EXIT_OK else 128 + life.signal
+
+
+class _Visit:
+    """The attempts of one user to join one session, one after the other."""
+
+    def __init__(self, invitation: Invitation, host: str, yes: bool) -> None:
+        self._invitation, self._host, self._sure = invitation, host, yes
+        self._lines: Sequence[ControlLine] = ()
+
+    def stay(self, life: SeatLife) -> int:
+        while True:
+            life.begin()
+            self._lines = ()
+            code = self._attempt(life)
+            if life.signal is not None or not self._lines:
+                return code
+            stops = [line.stop for line in self._lines if line.stop is not None]
+            if not (any(stop.again for stop in stops) or (life.orphaned and not stops)):
+                return code
+            _say(f"{self._invitation.session}: the session was lost; joining again")
+
+    def _attempt(self, life: SeatLife) -> int:
+        invitation = self._invitation
+        device = dataclasses.replace(invitation.device, common=self._placed(invitation.device.common))
+        coupling = dataclasses.replace(invitation.coupling, common=self._placed(invitation.coupling.common))
+        carried = CarriedBlock(coupling)
+        try:
+            node = SeatNode(device, driver_of(device), [carried])
+        except (ValueError, OverflowError) as error:
+            _say(f"error: {error}")
+            return EXIT_BAD_INPUT
+        nodes: list[tuple[Common, Node, KeyRing | None]] = [(device.common, node, invitation.ring(device.common)),
+                 (coupling.common, carried, invitation.ring(coupling.common))]  # fmt: skip
+        try:
+            return run_together(nodes, life, True, self._host, self._engage)
+        finally:
+            node.close()
+
+    def _placed(self, common: Common) -> Common:
+        # no directory, whatever the invitation says: its author must not choose where this machine writes files
+        control = f"tcp://{self._invitation.address}"
+        return dataclasses.replace(common, transport="tcp", control=control, directory="", private="")
+
+    def _engage(self, lines: Sequence[ControlLine], life: Life) -> None:
+        """Measure, report what will be felt, and ask.
+
+        Raises:
+            Stopped: the user does not want it.
+            ValueError: no frame came back.
+        """
+        period = self._invitation.coupling.common.period
+        trips = lines[0].round_trips(RealtimeClock(), life, math.ceil(MEASURING / period), from_seconds(period))
+        _say(felt(self._invitation.coupling, trips).sentence())
+        if not self._sure and not answered_yes(f"take the seat {self._invitation.seat}? [y/N] ", life.check):
+            _say("not joined")
+            life.stopping = True
+            raise Stopped
+        self._sure = True
+        self._lines = lines
+        _say(f"{self._invitation.session}: joining; Ctrl-C leaves")
+
+
+def answered_yes(question: str, look: Callable[[], None]) -> bool:
+    """Ask the user at the terminal; no answer within :data:`TIME_TO_ANSWER` is no.
+
+    Args:
+        question: what to ask.
+        look: called again and again while nothing comes; may raise.
+    """
+    print(question, end="", file=sys.stderr, flush=True)  # noqa: T201 -- the process's own channel to its user
+    clock = RealtimeClock()
+    until = clock.now() + from_seconds(TIME_TO_ANSWER)
+    while clock.now() < until:
+        ready, _, _ = select.select([sys.stdin], [], [], _GLANCE)
+        if ready:
+            return sys.stdin.readline().strip().lower() in ("y", "yes")
+        look()
+    _say("")
+    return False
+
+
+def _say(text: str) -> None:
+    # parts of an invitation may hold terminal commands
+    print(presentable(text), file=sys.stderr, flush=True)  # noqa: T201

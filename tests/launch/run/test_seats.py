@@ -1,0 +1,241 @@
+"""Seats of a session: their users take them and leave them while it runs, and nobody waits for them."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from manyhands.launch.plan.topology import LinkPlan, Topology
+from manyhands.launch.run.conductor import Conductor
+from manyhands.launch.run.recovery import RETURN_TIME, RestartBudget
+from manyhands.launch.run.states import NodeState, ReleaseName, Send, SessionPhase
+from manyhands.protocol.messages import Fault, Report, Role, Stop, Telemetry
+
+from ...support.cases import cases
+from ...support.fake_session import CERTIFICATE, FakeSession, hello_of
+
+# cx and cy run in the processes of their devices, cz does not; dl is the host's own, in the tick
+NODES = {
+    **dict.fromkeys(("dx", "dy", "dz", "dl"), Role.DEVICE),
+    **dict.fromkeys(("cx", "cy", "cz", "cl"), Role.COUPLING),
+    "environment": Role.ENVIRONMENT,
+}
+CARRIERS = {"cx": "dx", "cy": "dy"}
+LINKS = (
+    *(LinkPlan("environment", coupling, ("p",)) for coupling in ("cx", "cy", "cz", "cl")),
+    LinkPlan("cz", "dz", ("p",)),
+    LinkPlan("cl", "dl", ("p",)),
+)
+GRAPH = Topology(NODES, dict.fromkeys(NODES, ("p",)), LINKS, CARRIERS)
+SITES = {"cx": ("dx", "cx"), "cy": ("dy", "cy"), "cz": ("dz", "cz")}
+SEATS = frozenset(node for site in SITES.values() for node in site)
+HOME = ("dl", "cl", "environment")
+LEFT = Report(50, {}, {}, {})
+
+
+def hosted(restarts: int = 0, *, ticks: int = 0, together: bool = False) -> FakeSession:
+    """A session whose seats nobody has taken."""
+    budget = RestartBudget(restarts)
+    conductor = Conductor(GRAPH, CERTIFICATE, "s", ticks, SEATS, budget=budget, together=together, seats=SEATS)
+    return FakeSession(GRAPH, conductor, SEATS)
+
+
+def take(s: FakeSession, site: str) -> None:
+    """The user of a seat starts its processes."""
+    for node in SITES[site]:
+        if node not in s.processes:
+            s.start(node)
+
+
+def leave(s: FakeSession, site: str) -> None:
+    """The processes of a seat report that they end, and end."""
+    for node in SITES[site]:
+        if s.processes.pop(node, None) is not None:
+            s.said.append((node, LEFT))
+
+
+def vanish(s: FakeSession, site: str) -> None:
+    """The machine of a seat loses its power, and falls silent."""
+    for node in SITES[site]:
+        if s.processes.pop(node, None) is not None:
+            s.said = type(s.said)(one for one in s.said if one[0] != node)
+            s.obey(s.conductor.silent(node, s.now))
+
+
+def taken(s: FakeSession) -> set[str]:
+    return {site for site, nodes in SITES.items() if s.goes_on(nodes) and s.goes_on((*nodes, "environment"))}
+
+
+def test_the_session_runs_before_anybody_has_come() -> None:
+    s = hosted()
+    assert s.conductor.phase is SessionPhase.RUNNING
+    assert s.goes_on(HOME)
+    assert s.processes["environment"].absent == set(SITES)
+    assert s.conductor.awaited == ()
+    assert {s.conductor.states[node] for node in SEATS} == {NodeState.LOST}
+
+
+@pytest.mark.parametrize("site", SITES)
+def test_a_user_takes_a_seat_and_leaves_it_again_and_again(site: str) -> None:
+    s = hosted()
+    home = {node: s.processes[node] for node in HOME}
+    s.conductor.receive("environment", Telemetry(400, {}, {}), 0)
+    for _ in range(10):  # far more often than any budget allows
+        take(s, site)
+        s.settle()
+        assert taken(s) == {site}
+        assert [start.tick for node in SITES[site] for start in s.processes[node].starts] == [400, 400]
+        leave(s, site)
+        s.settle()
+        assert taken(s) == set()
+    assert {node: s.processes[node] for node in HOME} == home
+    assert s.conductor.phase is SessionPhase.RUNNING
+    assert s.conductor.faults == []
+    assert s.conductor.incidents.restarts == {}
+    sentences = s.conductor.incidents.sentences
+    assert f"at 0.0 s: {site} has joined" in sentences
+    assert f"at 0.0 s: {site} left after 50 ticks" in sentences
+
+
+def test_nobody_else_hears_of_it() -> None:
+    s = hosted()
+    take(s, "cx")
+    s.settle()
+    before = s.processes["dx"], s.processes["cx"], s.processes["dl"], s.processes["cl"]
+    take(s, "cy")
+    s.settle()
+    leave(s, "cy")
+    s.settle()
+    assert taken(s) == {"cx"}
+    assert before == (s.processes["dx"], s.processes["cx"], s.processes["dl"], s.processes["cl"])
+    assert all(process.absent == set() for process in before)
+
+
+def test_a_guest_who_comes_before_the_session_runs_is_taken_at_its_next_hello() -> None:
+    conductor = Conductor(GRAPH, CERTIFICATE, "s", 0, SEATS, seats=SEATS)
+    early = hello_of(GRAPH, "dx", {})
+    assert conductor.receive("dx", early, 0) == []
+    assert conductor.ignored == 0
+    s = FakeSession(GRAPH, conductor, SEATS)
+    assert s.conductor.phase is SessionPhase.RUNNING
+    take(s, "cx")
+    s.settle()
+    assert taken(s) == {"cx"}
+
+
+def test_a_guest_who_does_not_engage_frees_the_seat() -> None:
+    s = hosted()
+    take(s, "cx")
+    for _ in range(8):
+        s.deliver()
+    assert s.conductor.states["cx"] is NodeState.CONNECTED
+    for node in SITES["cx"]:
+        del s.processes[node]
+        s.said.append((node, Fault(f"{node}: its user ended it before the first tick")))
+    s.settle()
+    assert s.conductor.states["cx"] is s.conductor.states["dx"] is NodeState.LOST
+    take(s, "cx")
+    s.settle()
+    assert taken(s) == {"cx"}
+
+
+def test_a_guest_who_never_answers_is_sent_away_and_may_come_again() -> None:
+    s = hosted()
+    take(s, "cx")
+    for _ in range(8):
+        s.deliver()
+    s.now = RETURN_TIME + 1
+    sent = s.conductor.look(s.now)
+    stops = [one.message for one in sent if isinstance(one, Send) and isinstance(one.message, Stop)]
+    assert len(stops) == 2
+    assert all(stop.again for stop in stops)
+    assert {one.name for one in sent if isinstance(one, ReleaseName)} == {"dx", "cx"}
+    assert s.conductor.phase is SessionPhase.RUNNING
+
+
+def test_a_guest_counted_as_lost_is_asked_to_join_again() -> None:
+    s = hosted()
+    take(s, "cx")
+    s.settle()
+    old = {node: s.processes[node] for node in SITES["cx"]}
+    vanish(s, "cx")
+    assert s.conductor.states["cx"] is NodeState.LOST
+    s.processes |= old  # the network is back
+    s.said += [(node, Telemetry(9, {}, {})) for node in old]
+    s.deliver()
+    s.deliver()
+    answers = [process.inbox.pop() for process in old.values()]
+    assert all(isinstance(answer, Stop) and answer.again for answer in answers)
+
+
+def test_the_environment_comes_back_to_the_seats_that_are_taken() -> None:
+    s = hosted(restarts=1)
+    take(s, "cz")
+    s.settle()
+    s.kill("environment")
+    s.settle()
+    assert s.goes_on(HOME)
+    assert taken(s) == {"cz"}
+    assert s.processes["environment"].absent == {"cx", "cy"}
+    take(s, "cx")
+    s.settle()
+    assert taken(s) == {"cx", "cz"}
+
+
+def test_the_host_ends_it_whoever_is_there() -> None:
+    s = hosted()
+    take(s, "cy")
+    s.settle()
+    out = s.conductor.interrupt()
+    farewells = [one.node for one in out if isinstance(one, Send) and isinstance(one.message, Stop)]
+    assert set(farewells) >= set(SITES["cy"])
+    assert not any(one.message.again for one in out if isinstance(one, Send) and isinstance(one.message, Stop))
+    leave(s, "cy")
+    for node in HOME:
+        s.kill(node)
+    s.settle()
+    assert s.conductor.phase is SessionPhase.OVER
+
+
+STEPS = st.lists(
+    st.one_of(
+        st.tuples(st.sampled_from(["take", "leave", "vanish"]), st.sampled_from(list(SITES))),
+        st.tuples(st.just("kill"), st.sampled_from(HOME)),
+        st.tuples(st.just("read"), st.sampled_from(list(NODES))),
+        st.tuples(st.sampled_from(["deliver", "see end"]), st.just("")),
+    ),
+    max_size=80,
+)
+
+
+@settings(max_examples=cases(150, 600))
+@given(STEPS)
+def test_whoever_comes_goes_or_dies_at_any_time(script: list[tuple[str, str]]) -> None:
+    s = hosted(restarts=100)
+    for what, name in script:
+        match what:
+            case "take":
+                take(s, name)
+            case "leave" if s.goes_on(SITES[name]):
+                leave(s, name)
+            case "vanish":
+                vanish(s, name)
+            case "kill":
+                s.kill(name)
+            case "read":
+                s.read(name)
+            case "deliver":
+                s.deliver()
+            case "see end":
+                s.see_end()
+    s.settle()
+    assert s.conductor.phase is SessionPhase.RUNNING
+    assert s.conductor.faults == []
+    assert s.goes_on(HOME), s.conductor.states
+    for site in SITES:  # whoever was sent away, or still waits, comes again
+        if not s.goes_on((*SITES[site], "environment")):
+            vanish(s, site)
+            take(s, site)
+    s.settle()
+    assert s.joined(), s.conductor.states

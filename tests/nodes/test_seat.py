@@ -1,0 +1,122 @@
+"""A guest at a seat: what it expects to feel, the question, and how its life ends."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from manyhands.nodes import seat
+from manyhands.nodes.bundle import CouplingBundle
+from manyhands.nodes.lifetime import Sight, Stopped
+from manyhands.nodes.seat import SeatLife, answered_yes, felt
+from manyhands.protocol.clock import Duration
+
+MS = 1_000_000
+
+
+def coupling(b: list[float], period: float = 1e-3, peer: float = 1e-3) -> CouplingBundle:
+    wave = SimpleNamespace(b=np.diag(b), peer_period=peer)
+    return cast(CouplingBundle, SimpleNamespace(common=SimpleNamespace(period=period), wave=wave))
+
+
+def test_the_law_of_distance() -> None:
+    found = felt(coupling([10.0, 20.0]), [Duration(40 * MS), Duration(41 * MS), Duration(49 * MS)])
+    assert found.network == pytest.approx(0.040)
+    assert found.play_out == pytest.approx(0.009 + 0.001)
+    assert found.round_trip == pytest.approx(0.050)
+    assert found.stiffness == pytest.approx(2 * 10.0 / 0.050)  # the softest direction
+    assert found.mass == pytest.approx(20.0 * 0.050 / 2)  # the heaviest
+    assert found.sentence() == (
+        "round trip R = 50 ms: 40 ms of network and 10 ms of play-out\n"
+        "a wall will feel no stiffer than K = 400 N/m, and free space will weigh M = 500 g more"
+    )
+
+
+def test_where_nothing_came_back_nothing_is_known() -> None:
+    with pytest.raises(ValueError, match="found 0 round trips; expected one at least"):
+        felt(coupling([10.0]), [])
+
+
+@contextmanager
+def typed(text: str | None, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A terminal at which ``text`` was typed; with None nothing comes."""
+    reading, writing = os.pipe()
+    if text is not None:
+        os.write(writing, text.encode())
+    with open(reading) as stdin, open(writing, "w"):
+        monkeypatch.setattr("sys.stdin", stdin)
+        yield
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"), [("y\n", True), ("YES\n", True), ("n\n", False), ("\n", False), ("yesterday\n", False)]
+)
+def test_only_yes_is_yes(text: str, expected: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    with typed(text, monkeypatch):
+        assert answered_yes("? ", lambda: None) is expected
+
+
+def test_no_answer_in_time_is_no_and_the_life_is_looked_at_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
+    looks: list[int] = []
+    monkeypatch.setattr(seat, "TIME_TO_ANSWER", 0.25)
+    with typed(None, monkeypatch):
+        assert not answered_yes("? ", lambda: looks.append(1))
+    assert looks
+
+
+def test_the_end_of_the_input_is_no(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", open(os.devnull))  # noqa: SIM115 -- closed below
+    import sys
+
+    assert not answered_yes("? ", lambda: None)
+    sys.stdin.close()
+
+
+@pytest.fixture
+def life() -> Iterator[SeatLife]:
+    handled = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+    before = {which: signal.getsignal(which) for which in handled}
+    yield SeatLife()
+    for which, handler in before.items():
+        signal.signal(which, handler)
+
+
+def test_before_the_loop_ctrl_c_ends_it_at_once(life: SeatLife) -> None:
+    with pytest.raises(Stopped):
+        os.kill(os.getpid(), signal.SIGINT)
+    assert (life.stopping, life.leaving, life.signal) == (True, False, signal.SIGINT)
+    with pytest.raises(Stopped):
+        life.begin()
+
+
+@pytest.mark.parametrize("sight", [Sight.GONE, Sight.ENDING])
+def test_in_the_loop_it_lets_go_first(life: SeatLife, sight: Any) -> None:
+    life.enter_loop()
+    try:
+        life.check()
+        assert not life.leaving
+        life.watch = lambda: sight
+        life.check()
+        assert (life.stopping, life.leaving, life.orphaned) == (False, True, sight is Sight.GONE)
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert (life.stopping, life.signal) == (True, signal.SIGTERM), "a request while it leaves ends it at once"
+    finally:
+        life.leave_loop()
+
+
+def test_a_life_begins_anew_for_another_attempt(life: SeatLife) -> None:
+    life.enter_loop()
+    life.watch = lambda: Sight.GONE
+    life.check()
+    life.leave_loop()
+    life.begin()
+    assert (life.stopping, life.leaving, life.orphaned, life.failure) == (False, False, False, None)
+    life.check()
+    assert not life.leaving

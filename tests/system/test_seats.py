@@ -1,0 +1,296 @@
+"""Guests at the seats of a hosted session: an invitation is all they need, and nobody feels them come or go.
+
+Real processes over encrypted TCP and datagrams. Nothing here waits for time to pass, except for a hand to push: a test
+acts when the host or a guest has said something.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import re
+import select
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from manyhands.launch.recordings.run import read_run
+from manyhands.launch.session.session import ENVIRONMENT
+
+from ..support.capture import free_ports
+from ..support.commands import MANYHANDS, run
+from ..support.wan import Wire, wan
+
+DEADLINE = 60.0  # s, for anything that is awaited; far more than it takes
+SEATS = {"left_seat": "left", "right_seat": "right"}
+PROMISE = -1e-12  # J
+PERIOD = 1e-3  # s
+FELT = 0.1  # N; less would be no session worth a bound
+STEP = 0.2  # N in a tick; the hands push with 1.5 N, which a user would feel at once if it were dropped
+RATE = 300.0  # N/s: twice the coupling's 525 N/m at the hands' 0.2 m/s, with the ramp of 2 N in 0.1 s
+
+
+class Said:
+    """A command's error output, line by line, as far as it has been read."""
+
+    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+        self.process, self.lines = process, list[str]()
+        self._unread = b""
+
+    def until(self, words: str) -> str:
+        """Read up to the line with ``words``; returns that line."""
+        end = time.monotonic() + DEADLINE
+        while words not in (line := self.line(end)):
+            continue
+        return line
+
+    def line(self, end: float) -> str:
+        """The next line, which must come before ``end``."""
+        assert self.process.stderr is not None
+        while b"\n" not in self._unread:
+            left = end - time.monotonic()
+            ready = left > 0 and select.select([self.process.stderr], [], [], left)[0]
+            assert ready, f"what was awaited did not come within {DEADLINE} s, but: {self.lines}"
+            chunk = os.read(self.process.stderr.fileno(), 65536)
+            assert chunk, f"it ended with {self.process.wait()}, and said: {self.lines}"
+            self._unread += chunk
+        first, _, self._unread = self._unread.partition(b"\n")
+        self.lines.append(first.decode())
+        return self.lines[-1]
+
+    def end(self, how: signal.Signals | None = None) -> int:
+        """Send a signal, if any, and wait for the end; returns the exit code."""
+        if how is not None:
+            self.process.send_signal(how)
+        _, rest = self.process.communicate(timeout=DEADLINE)
+        self.lines += (self._unread + rest).decode().splitlines()
+        assert "Traceback" not in "\n".join(self.lines), "\n".join(self.lines)
+        return self.process.returncode
+
+
+class Host(Said):
+    """A hosted session, and who is there, as it has reported so far.
+
+    Attributes:
+        there: the nodes of seats that take part.
+        tick: the tick that it reported last.
+    """
+
+    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+        super().__init__(process)
+        self.there, self.tick = set[str](), 0
+
+    def line(self, end: float) -> str:
+        """As :meth:`Said.line`; what it says of users and ticks is noted."""
+        line = super().line(end)
+        if found := re.match(r"! at ([\d.]+) s: (\w+) (has joined)?", line):
+            (self.there.add if found[3] else self.there.discard)(found[2])
+        if found := re.match(r"running: tick (\d+)", line):
+            self.tick = int(found[1])
+        return line
+
+    def joined(self, *seats: str) -> None:
+        """Wait until the users of these seats are there."""
+        self._until(lambda: self.there.issuperset({node for seat in seats for node in (seat, SEATS[seat])}))
+
+    def left(self, *seats: str) -> None:
+        """Wait until the users of these seats are away."""
+        self._until(lambda: self.there.isdisjoint({node for seat in seats for node in (seat, SEATS[seat])}))
+
+    def go_on(self, ticks: int) -> None:
+        """Wait until the session is this many ticks further."""
+        assert self.process.stderr is not None
+        while b"\n" in self._unread or select.select([self.process.stderr], [], [], 0.0)[0]:
+            self.line(time.monotonic() + DEADLINE)  # a line that was on its way is not news
+        since = self.tick
+        self._until(lambda: self.tick >= since + ticks)
+
+    def _until(self, done: Callable[[], bool]) -> None:
+        end = time.monotonic() + DEADLINE
+        while not done():
+            self.line(end)
+
+
+@contextmanager
+def command(
+    *arguments: str | Path, cwd: Path, within: Sequence[str] = (), answer: str | None = None
+) -> Iterator[subprocess.Popen[bytes]]:
+    """A command that runs beside the test; killed if the test fails before it ends."""
+    with subprocess.Popen(
+        [*within, *MANYHANDS, *map(str, arguments)],
+        cwd=cwd,
+        stdin=subprocess.DEVNULL if answer is None else subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        bufsize=0,
+    ) as process:
+        try:
+            if answer is not None:
+                assert process.stdin is not None
+                process.stdin.write(answer.encode())
+                process.stdin.close()
+                process.stdin = None
+            yield process
+        except BaseException:
+            process.kill()
+            raise
+
+
+@contextmanager
+def hosted(folder: Path, address: str, *options: str | Path, within: Sequence[str] = ()) -> Iterator[Host]:
+    """The shipped session with two seats, running; its files are in ``folder``."""
+    folder.mkdir(exist_ok=True)
+    options = ("--report", "run.json", *options)
+    with command("host", "ball", "--listen", address, "-o", "ball", *options, cwd=folder, within=within) as one:
+        host = Host(one)
+        host.until(": running")
+        yield host
+
+
+def invitation_to(seat: str, home: Path, machine: Path) -> Path:
+    """Hand an invitation over to another machine; returns its file there."""
+    machine.mkdir(exist_ok=True)
+    path = machine / f"{seat}.invitation"
+    path.touch(mode=0o600)
+    path.write_bytes((home / "ball" / path.name).read_bytes())
+    return path
+
+
+@contextmanager
+def guest(seat: str, home: Path, machine: Path, *options: str, within: Sequence[str] = ()) -> Iterator[Said]:
+    path = invitation_to(seat, home, machine)
+    with command("join", path.name, *(options or ("--yes",)), cwd=machine, within=within) as one:
+        yield Said(one)
+
+
+def kept(home: Path) -> dict[str, bytes]:
+    """The certificates of the hosted session."""
+    return {path.name: path.read_bytes() for path in (home / "ball").glob("certificate*.json")}
+
+
+def report_of(home: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((home / "run.json").read_text())
+    return found
+
+
+def excess_steps(home: Path) -> dict[str, float]:
+    """By device, by how much the largest step of the force on its hand exceeds the bound, N; a hand away feels 0 N."""
+    recorded, found = read_run(home / "run.mcap"), {}
+    for device in SEATS.values():
+        force = recorded.traces[device, "force"].values[:, 0]
+        instants = recorded.traces[device, "instants"]
+        sampled, applied = (instants.values[:, instants.columns.index(at)] * 1e-9 for at in ("sampled", "applied"))
+        # a late tick brings the step of all the time since the sample before
+        elapsed = np.nan_to_num(applied[1:] - sampled[:-1], nan=PERIOD)
+        steps = np.abs(np.diff(np.nan_to_num(force)))
+        assert np.nanmax(np.abs(force)) > FELT, f"{device} felt nothing"
+        found[device] = float(np.max(steps - STEP - RATE * elapsed))
+    return found
+
+
+def require_sound(home: Path, certificates: dict[str, bytes]) -> dict[str, Any]:
+    """What holds after every hosting; returns its report."""
+    assert kept(home) == certificates
+    report = report_of(home)
+    assert all(node["ledger"]["margin"] >= PROMISE for node in report["nodes"].values() if "ledger" in node)
+    assert all(node["interface"]["min"] >= -0.005 for node in report["nodes"].values() if "interface" in node)
+    assert max(excess_steps(home).values()) <= 0.0
+    return report
+
+
+@pytest.mark.alone
+def test_two_guests_come_and_go_by_their_invitations_alone(tmp_path: Path) -> None:
+    home, here, there = tmp_path / "home", tmp_path / "here", tmp_path / "there"
+    address = f"127.0.0.1:{free_ports(4)[0]}"
+    with ExitStack() as stack:
+        host = stack.enter_context(hosted(home, address, "--record", "run.mcap", "--address", "localhost"))
+        certificates = kept(home)
+        assert certificates.keys() == {"certificate.json", *(f"certificate.{seat}.json" for seat in SEATS)}
+        path = invitation_to("left_seat", home, here)
+        asked = Said(stack.enter_context(command("join", path.name, cwd=here, answer="yes\n")))
+        right = stack.enter_context(guest("right_seat", home, there))
+        host.joined(*SEATS)
+        host.go_on(2100)  # more than one line of progress
+        assert asked.end(signal.SIGINT) == 130
+        host.left("left_seat")
+        assert host.end(signal.SIGINT) == 130
+        assert right.end() == 0
+    felt = "".join(asked.lines)
+    assert "take the seat left_seat? [y/N]" in felt
+    assert "K = " in felt
+    assert "M = " in felt
+    report = require_sound(home, certificates)
+    assert report["nodes"].keys() == {*SEATS, *SEATS.values(), ENVIRONMENT}
+    assert sorted(path.name for path in here.iterdir()) == ["left_seat.invitation"]
+
+
+PORT = 7400
+
+
+@pytest.mark.long
+def test_across_a_wan_a_link_that_is_lost_for_a_while_comes_back(tmp_path: Path) -> None:
+    """The right user is 20 ms away, and loses the network for one second, and then for six."""
+    home, far = tmp_path / "home", tmp_path / "far"
+    with wan(Wire(delay=0.02, jitter=0.002, loss=0.01)) as net, ExitStack() as stack:
+        address = f"{net.address('near')}:{PORT}"
+        host = stack.enter_context(hosted(home, address, "--record", "run.mcap", within=net.within("near")))
+        certificates = kept(home)
+        stack.enter_context(guest("left_seat", home, tmp_path / "near", within=net.within("near")))
+        right = stack.enter_context(guest("right_seat", home, far, within=net.within("far")))
+        trip = float(right.until("round trip").split("R = ")[1].split()[0])
+        host.joined(*SEATS)
+        host.go_on(2100)
+        for outage in (1.0, 6.0):
+            net.change(loss=1.0)
+            time.sleep(outage)
+            net.change(loss=0.01)
+            if outage > 3.0:
+                host.left("right_seat")
+                host.joined("right_seat")
+            host.go_on(3000)
+        assert right.end(signal.SIGINT) == 130
+        host.left("right_seat")
+        assert host.end(signal.SIGINT) == 130
+    assert 40.0 < trip < 200.0
+    assert sum("joining again" in line for line in right.lines) == 1, "the short outage was no reason to leave"
+    report = require_sound(home, certificates)
+    assert report["wave_links"]["right_seat"]["silences"] > 0
+    assert report["wave_links"]["right_seat"]["mass"] < 0.5
+    assert "holds: " in run("audit", home / "run.mcap")
+
+
+@pytest.mark.long
+def test_twenty_joins_and_leaves_under_link_faults(tmp_path: Path) -> None:
+    """At random instants, by Ctrl-C, by SIGTERM, by SIGKILL, and with a network that fails meanwhile."""
+    home, chance = tmp_path / "home", random.Random(17)
+    with wan(Wire(delay=0.01, jitter=0.005, loss=0.02)) as net, ExitStack() as stack:
+        address = f"{net.address('near')}:{PORT}"
+        host = stack.enter_context(hosted(home, address, "--record", "run.mcap", within=net.within("near")))
+        certificates = kept(home)
+        stack.enter_context(guest("left_seat", home, tmp_path / "near", within=net.within("near")))
+        host.joined("left_seat")
+        for _ in range(20):
+            how = chance.choice([signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+            with guest("right_seat", home, tmp_path / "far", within=net.within("far")) as one:
+                host.joined("right_seat")
+                net.change(loss=chance.choice([0.0, 0.02, 0.1]), jitter=chance.choice([0.0, 0.005, 0.02]))
+                time.sleep(chance.uniform(0.0, 2.0))  # the random instant, and the length of the fault
+                if chance.random() < 0.3:
+                    net.change(loss=1.0)
+                    time.sleep(chance.uniform(0.2, 1.5))
+                net.change(loss=0.02)
+                code = one.end(how)
+            assert code == (-how if how is signal.SIGKILL else 128 + how), one.lines
+            host.left("right_seat")
+        assert host.end(signal.SIGINT) == 130
+        assert sorted(path.name for path in (tmp_path / "far").iterdir()) == ["right_seat.invitation"]
+    require_sound(home, certificates)
+    assert "holds: " in run("audit", home / "run.mcap")
