@@ -174,13 +174,10 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         own, *softer = (CouplingRung(rung.block, rung.K, rung.level) for rung in rungs[name])
         limits = limits_at(session, commons[name].ports)
         link = session.wave_links.get(name)
-        wave = None if link is None else _wave_end(link, len(limits.force), session.period, harvests=True)
+        wave = None if link is None else _wave_end(session, name, link, at_user=True)
         bundles[name] = CouplingBundle(commons[name], own.block, own.K, own.level, limits, tuple(softer), wave)
     E, Phi_E, model = _environment(prepared)
-    waves = {
-        name: _wave_end(link, len(session.blocks_by_name[name]), link.period_in(session.period))
-        for name, link in session.wave_links.items()
-    }
+    waves = {name: _wave_end(session, name, link, at_user=False) for name, link in session.wave_links.items()}
     bundles[ENVIRONMENT] = EnvironmentBundle(
         commons[ENVIRONMENT],
         E,
@@ -205,11 +202,19 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
     return bundles
 
 
-def _wave_end(link: WaveLink, ports: int, peer_period: float, harvests: bool = False) -> WaveEnd:
+def _wave_end(session: Session, name: str, link: WaveLink, at_user: bool) -> WaveEnd:
     """One end of a wave link; the user's end alone harvests, from what its site's certificate leaves."""
+    ports = len(session.blocks_by_name[name])
     harvest = link.harvest_of(ports)
-    theta = matrix(np.diag(harvest)) if harvests and any(harvest) else None
-    return WaveEnd(matrix(link.impedance(ports)), theta, link.tank, peer_period, link.depth)
+    theta = matrix(np.diag(harvest)) if at_user and any(harvest) else None
+    own, peer = link.period_in(session.period), session.period
+    if not at_user:
+        own, peer = peer, own
+    every, peer_every = link.every(own), link.every(peer)
+    turn = list(session.wave_links).index(name) % max(every, peer_every)
+    return WaveEnd(
+        matrix(link.impedance(ports)), theta, link.tank, peer, link.depth, every=every, peer_every=peer_every, turn=turn
+    )
 
 
 def _storage(prepared: Prepared) -> Matrix | None:

@@ -21,13 +21,14 @@ from manyhands.nodes.environment.core import Core, environment_core
 from manyhands.nodes.environment.deadline import Deadline, Step
 from manyhands.nodes.environment.late_arrivals import AT_ONCE, CROSSING, LateArrivals, allowance
 from manyhands.nodes.environment.membership import Member, Members, Membership
+from manyhands.nodes.environment.pace import Pace
 from manyhands.nodes.lifetime import Life
 from manyhands.nodes.peer_link import PeerLink, Received, WaveRow, bounds_by_peer, establish, peer_link_of
 from manyhands.nodes.realtime import way_giver
 from manyhands.nodes.supervisor_line import NOT_AT_ALL, ControlLine
 from manyhands.nodes.tick_events import TickEvents
 from manyhands.nodes.timeouts import LISTEN_TICKS, timeouts
-from manyhands.nodes.wave_link.ends import datagram_socket, world_ends
+from manyhands.nodes.wave_link.ends import WorldEnd, WorldEnds, datagram_socket, world_ends
 from manyhands.protocol.clock import Clock, Instant, RealtimeClock, from_seconds
 from manyhands.protocol.handshake import HandshakeRefused
 from manyhands.protocol.messages import LinkHello, Reaction, Report, Role, Start, Telemetry, Tool, Values
@@ -133,6 +134,9 @@ class EnvironmentNode:
         self._datagrams: DatagramSocket | None = None
         self._account = EnvironmentTelemetry(bundle.common, tuple(bundle.waves))
         self._frozen_ticks = 0
+        # whether everybody is there by a wave link, so that the clock alone paces the ticks
+        self._clocked = bundle.common.clock == REALTIME and len(bundle.waves) == len(bundle.common.peers) > 0
+        self._pace: Pace | None = None  # none before the ticks
         self._passed: tuple[Member, ...] = ()  # the member that did not come at its turn in this tick
         # without a covered delay no certificate can be lost by a longer allowance, so the period serves
         covered = from_seconds(bundle.longest_tau or bundle.common.period)
@@ -196,6 +200,7 @@ class EnvironmentNode:
         members.last, members.log = start.ticks, control.log
         members.know(self._feedthrough, bundle.feedthrough)
         ends = [one for name in bundle.waves if (one := peer_link_of(self.peer_links, name)) is not None]
+        world = WorldEnds([end for end in ends if isinstance(end, WorldEnd)]) if self._clocked else None
         clock, account, late = self._clock, self._account, self._late
         stale, give_way = self._timeouts.stale, way_giver()
         p: Floats = [0.0] * len(self._common.ports)
@@ -203,7 +208,8 @@ class EnvironmentNode:
         epoch, period = start.epoch, self._period
         tick, now, answered = start.tick, max(clock.now(), Instant(epoch)), Instant(2**62)
         self._due = now
-        slot, datagrams = max(0, -((epoch - now) // period)), self._datagrams
+        pace, datagrams = Pace(Instant(epoch), period, now), self._datagrams
+        self._pace = pace
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):
             life.look(now)
             if tick % LISTEN_TICKS == 0 and (word := control.listen()) is not None:
@@ -212,12 +218,14 @@ class EnvironmentNode:
                 datagrams.read()
             if linked and not members.awaited:
                 # everybody is there by a wave link, so nothing closes the tick but the clock
-                clock.sleep_until(Instant(epoch + slot * period))
+                clock.sleep_until(pace.due(clock.now()))
+                if world is not None:
+                    world.read()
                 for member in members.order:
                     members.hear(member, p, tick, NOT_AT_ALL)
                 members.resumed()
                 now = self._due = clock.now()
-                slot = max(slot + 1, -((epoch - now) // period))
+                pace.begun(now)
             elif not (members.all_active and self._all_heard(members, p, tick)):
                 found = self._wait(members, p, tick, now, life, control)
                 self._passed = ()
@@ -424,11 +432,16 @@ class EnvironmentNode:
             {
                 names.FROZEN_TICKS: self._frozen_ticks,
                 names.ABSENCES: 0 if members is None else members.absences,
+                **self._late_ticks(),
                 **names.lateness_counts(lateness),
                 **names.dropped_frames(self.peer_links),
             },
             {},
         )
+
+    def _late_ticks(self) -> dict[str, int]:
+        """The late ticks of a world whose users are all behind wave links; elsewhere the devices count them."""
+        return {names.LATE: self._pace.late} if self._clocked and self._pace is not None else {}
 
     def _lateness(self, members: Members | None) -> dict[str, names.CouplingLateness]:
         """The lateness of each coupling that made the others wait, by its name."""
@@ -461,6 +474,7 @@ class EnvironmentNode:
         figures = {
             names.FROZEN: float(members.frozen),
             names.FROZEN_TICKS: float(self._frozen_ticks),
+            **{figure: float(ticks) for figure, ticks in self._late_ticks().items()},
             **{
                 f"{names.RUNG}_{member.peer_link.peer.name}": float(member.rung)
                 for member in members.all
