@@ -5,9 +5,10 @@
 
 The environment is the real process with its real bundle, at a world rate of 1 kHz by its own clock. One other process
 plays all the users' ends, with real handshakes and real waves: 64 devices with their couplings would not fit two
-processors. Each user's tool moves by 1 mm, and its waves carry the energy that they cost. The environment's own count
-says which ticks were late: they had not ended when the next was due, or were never done. A number of users holds while
-at most 1 % are. Cost is the environment's processor time, of its loop and of ZeroMQ's thread.
+processors. Each user joins at rest; then its tool moves by 1 mm, and its waves carry the energy that they cost. The
+environment's own count says which ticks were late: they had not ended when the next was due, or were never done. A
+number of users holds while at most 1 % are. Cost is the environment's processor time, of its loop and of ZeroMQ's
+thread.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ HOLDS = 0.01
 TARGET = 64
 IMPEDANCE = 20.0  # N*s/m
 AMPLITUDE, FREQUENCY = 1e-3, 2.0  # m and Hz, of every tool
-SETTLING = 2.0  # s before the counted ticks: joining, and the ramp of every clutch
+RESTING, STARTING = 1.5, 0.5  # s in which users rest while they join, and in which their motion then grows
+SETTLING = RESTING + STARTING  # s before the counted ticks
 AT_ONCE = 16  # waves that are read of one link at a time
 MARK = "linked-users"
 
@@ -150,9 +152,10 @@ class _Users:
         tick = first
         while tick < last:
             served.clock.sleep_until(Instant(served.epoch + tick * period))
+            grown = self._sums * AMPLITUDE * min(1.0, max(0.0, (tick * T - RESTING) / STARTING))
             for i, link in enumerate(links):
                 if (tick - i) % interval == 0:
-                    U = self._sums * AMPLITUDE * math.sin(angle * tick + part * i)
+                    U = grown * math.sin(angle * tick + part * i)
                     moved = U - self._before[i]
                     self._before[i] = U
                     self._shipped[i] += moved * moved / (2.0 * T * interval)
