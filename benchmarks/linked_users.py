@@ -13,14 +13,20 @@ thread.
 
 from __future__ import annotations
 
+import argparse
+import json
 import math
+import signal
 import sys
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
 
 import proc
-from loop_ours import COMPILED
+from loop_ours import COMPILED, install_compiled
+from page import fill
 from users_load import Broken, Served, scheduled, serving, session_text
 
 from manyhands.nodes import telemetry as names
@@ -186,15 +192,122 @@ def curve(numbers: Sequence[int], interval: int, seconds: float, repeats: int, c
         points.append(sorted(runs, key=lambda run: run.late)[len(runs) // 2])
         last = points[-1]
         tell(
-            f"{users} users, a wave in {interval} ticks{', compiled' if compiled else ''}: late {last.late:.2%}, "
-            f"loop {last.loop_us:.0f} us a tick ({last.loop_us / users:.1f} a user), ZeroMQ {last.zeromq_us:.0f}, "
-            f"generator {last.generator_cpu:.2f} processors, {last.waves:.0f} waves a second"
+            f"{users} users, {series(interval, compiled)}: late {last.late:.2%}, loop {last.loop_us:.0f} us a tick "
+            f"({last.loop_us / users:.1f} a user), ZeroMQ {last.zeromq_us:.0f}, generator {last.generator_cpu:.2f} "
+            f"processors, {last.waves:.0f} waves a second"
         )
         if len(points) > 1 and all(point.late > HOLDS for point in points[-2:]):
             break
     return points
 
 
+def series(interval: int, compiled: bool) -> str:
+    """The name of a curve."""
+    waves = "a wave in every tick" if interval == 1 else f"a wave in {interval} ticks"
+    return f"{waves}, compiled" if compiled else waves
+
+
+def table(content: Mapping[str, Any]) -> str:
+    """All curves."""
+    lines = [
+        f"{content['seconds']:g} s each, median of {content['repeats']} by late ticks; "
+        + ", ".join(f"{name} {value}" for name, value in content["machine"].items())
+        + ".",
+        "",
+        "| waves, tick | users | late | loop, us a tick | a user | ZeroMQ's thread, us a tick | waves a second "
+        "| generator, processors | memory, MiB |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|",
+    ]
+    points = [LinkedPoint(**one) for one in content["points"]]
+    lines += [
+        f"| {series(p.interval, p.compiled)} | {p.users} | {p.late:.2%} | {p.loop_us:.0f} | {p.loop_us / p.users:.1f} "
+        f"| {p.zeromq_us:.0f} | {p.waves:.0f} | {p.generator_cpu:.2f} | {p.resident:.0f} |"
+        for p in points
+    ]
+    lines.append("")
+    for name in dict.fromkeys(series(p.interval, p.compiled) for p in points):
+        held = [p.users for p in points if series(p.interval, p.compiled) == name and p.late <= HOLDS]
+        most = max(held, default=0)
+        verdict = "met" if most >= TARGET else "missed"
+        lines.append(f"- {name}: at most {HOLDS:.0%} late with up to {most} users; target {TARGET}: {verdict}.")
+    return "\n".join(lines)
+
+
+def plot(content: Mapping[str, Any], path: Path) -> None:
+    """Processor time and late ticks against the number of users."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    points = [LinkedPoint(**one) for one in content["points"]]
+    names_ = list(dict.fromkeys(series(p.interval, p.compiled) for p in points))
+    figure, (above, below) = plt.subplots(2, 1, sharex=True, figsize=(7.0, 6.0), layout="constrained")
+    styles = (("#0072B2", "o"), ("#E69F00", "s"), ("#009E73", "^"), ("#D55E00", "D"))
+    for name, (colour, marker) in zip(names_, styles, strict=False):
+        own = [p for p in points if series(p.interval, p.compiled) == name]
+        users = [p.users for p in own]
+        above.plot(users, [p.loop_us + p.zeromq_us for p in own], color=colour, marker=marker, label=name)
+        below.plot(users, [100.0 * max(p.late, 1e-4) for p in own], color=colour, marker=marker)
+    above.axhline(1000.0, color="0.3", linestyle="--", linewidth=1.0, label="the period")
+    above.set(ylabel="environment, us of its processor a tick", ylim=(0.0, None))
+    below.axhline(100.0 * HOLDS, color="0.3", linestyle="--", linewidth=1.0)
+    below.set(xlabel="users behind wave links", ylabel="late ticks, %", yscale="log")
+    for axes in (above, below):
+        axes.grid(True, alpha=0.3)
+    above.legend(fontsize=8)
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
+
+
 def tell(text: str) -> None:
     """Progress, beside the table on standard output."""
     print(text, file=sys.stderr, flush=True)
+
+
+def main() -> None:
+    """Measure, print a table, and write what was asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--users", type=int, nargs="+", default=list(NUMBERS))
+    parser.add_argument("--interval", type=int, nargs="+", default=[1, 4], help="ticks from one wave to the next")
+    parser.add_argument("--seconds", type=float, default=6.0, help="of each run (default: %(default)s)")
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--compiled", action="store_true", help="with a compiled environment as well")
+    parser.add_argument("--install", action="store_true", help="compile the tick, and end")
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("--plot", type=Path, metavar="FILE")
+    parser.add_argument(
+        "--markdown", type=Path, metavar="FILE", help="a page with marks, such as docs/loop-benchmark.md"
+    )
+    arguments = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # what it has started is ended, too
+    if arguments.install:
+        sys.exit(0 if install_compiled() else "no compiled tick: see the messages above")
+    if min(*arguments.users, *arguments.interval, arguments.repeats) < 1 or arguments.seconds <= 0.0:
+        parser.error("expected at least one user, one tick and one repeat, and more than 0 seconds")
+    if arguments.compiled and not any(COMPILED.glob("*.so")):
+        parser.error(f"found no extension in {COMPILED.name}; expected it there: run with --install first")
+    points = [
+        point
+        for compiled in ((False, True) if arguments.compiled else (False,))
+        for interval in arguments.interval
+        for point in curve(sorted(arguments.users), interval, arguments.seconds, arguments.repeats, compiled)
+    ]
+    content: dict[str, Any] = {
+        "machine": proc.machine(),
+        "seconds": arguments.seconds,
+        "repeats": arguments.repeats,
+        "points": [asdict(point) for point in points],
+    }
+    text = table(content)
+    print(text)
+    if arguments.markdown is not None:
+        fill(arguments.markdown, MARK, text)
+    if arguments.plot is not None and points:
+        plot(content, arguments.plot)
+    if arguments.json is not None:
+        arguments.json.write_text(json.dumps(content, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
