@@ -31,7 +31,7 @@ from manyhands.nodes.environment.enforced import EnforcedCore
 from manyhands.nodes.environment.model import ModelFailure
 from manyhands.nodes.passivity import Ledger
 from manyhands.nodes.peer_link import WaveRow
-from manyhands.nodes.telemetry import wave_traces, world_traces
+from manyhands.nodes.telemetry import WorldRows, wave_traces
 from manyhands.nodes.wave_link.ends import turns, user_face, world_face
 from manyhands.nodes.wave_link.faces import UserFace, WorldFace, wave_feedthrough
 from manyhands.protocol.clock import Instant, from_seconds
@@ -170,7 +170,7 @@ class Simulation:
         at_world = {
             name: WaveRow(world.wave, world.tank.row(), *world.signals) for name, world in self.world_faces.items()
         }
-        thinned = self._turns
+        thinned, world_rows = self._turns, WorldRows()
         devices = list(zip(self._drivers, self.devices.values(), self.guards.values(), self._device_ports, strict=True))
         couplings, linked = self._active(()), self._linked(())
         silent: set[str] = set()
@@ -219,7 +219,8 @@ class Simulation:
                     user.hear(wave.n, wave.U, wave.G)
                 f_v[k, ports] = through_waves[name]
             if traces is not None and at_world:
-                traces.keep_waves(ENVIRONMENT, k, world_traces([[*at_world.values()]]))
+                world_rows.add([*at_world.values()])
+                traces.keep_waves(ENVIRONMENT, k, world_rows.take())
             for name, coupling, ports in couplings:
                 f_v[k, ports] = applied = coupling.limited(f_v[k, ports].tolist())
                 coupling.absorb(applied)

@@ -50,7 +50,8 @@ class EnvironmentTelemetry:
         self._tools: list[Floats] = [[]] * rows
         self._masses: list[Floats] = [[]] * rows
         self._energy = [0.0] * rows
-        self._waves: list[Sequence[WaveRow]] = [()] * rows
+        self._waves = names.WorldRows()
+        self._begun: list[tuple[int, str]] = []  # ticks and wave links of which a life began in them
         self._filled, self._rows, self._every = 0, common.telemetry_first, rows
         self.ticks = 0
 
@@ -59,7 +60,11 @@ class EnvironmentTelemetry:
         row, ledger = self._filled, core.ledger
         self._tools[row], self._masses[row] = core.tools, core.masses
         self._energy[row] = 0.0 if ledger is None else ledger.total
-        self._waves[row] = waves
+        if waves:
+            self._waves.add(waves)
+            for name, end in zip(self._links, waves, strict=True):
+                if end.begins:
+                    self._begun.append((tick, name))
         self._filled = row + 1
         self.ticks = tick + 1
 
@@ -92,13 +97,12 @@ class EnvironmentTelemetry:
             names.TOOL_POSITION: np.array(self._tools[:rows]),
             **({names.MASS_POSITION: np.array(self._masses[:rows])} if self._masses[0] else {}),
             **names.ledger_trace(core.ledger, self._energy[:rows]),
-            **names.world_traces(self._waves[:rows]),
+            **self._waves.take(),
             **{names.WAITED_IN + name: np.array(ticks, dtype=np.float64)[:, None] for name, ticks in late.items()},
         }
-        for tick, ends in enumerate(self._waves[:rows], self.ticks - rows):
-            for name, end in zip(self._links, ends, strict=True):
-                if end.begins:
-                    events.link(tick, name)
+        for tick, name in self._begun:
+            events.link(tick, name)
+        self._begun.clear()
         happened = events.take(self.ticks - rows, self.ticks)
         control.publish(Telemetry(self.ticks, {**figures, **happened}, traces))
         return True
