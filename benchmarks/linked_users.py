@@ -62,6 +62,7 @@ class LinkedPoint:
         waves: received by the users, a second in all.
         generator_cpu: processors that this process used.
         resident: the environment's memory at the end, MiB.
+        silences: times that the environment heard nothing of a user for 30 ms.
     """
 
     users: int
@@ -74,13 +75,14 @@ class LinkedPoint:
     waves: float
     generator_cpu: float
     resident: float
+    silences: int
 
 
 def measure(users: int, interval: int, seconds: float, compiled: bool) -> LinkedPoint:
     """Serve ``users`` for ``seconds`` with a wave in every ``interval`` ticks.
 
     Raises:
-        Broken: the environment ended, or a link fell silent, so the load was not the one that was meant.
+        Broken: the environment ended, or a user is not active, so the load was not the one that was meant.
     """
     link = f", wave_link: {{b: {IMPEDANCE:g}{f', interval: {interval * 0.001:g}' if interval > 1 else ''}}}"
     with serving(session_text(users, link), package=COMPILED if compiled else None) as served:
@@ -98,8 +100,8 @@ def measure(users: int, interval: int, seconds: float, compiled: bool) -> Linked
         resident = proc.resident(served.pid) or 0.0
         served.finish()
     silences = sum(value for name, value in after.figures.items() if name.startswith(names.WAVE_SILENCES))
-    if silences or after.figures[names.FROZEN]:
-        raise Broken(f"found {silences:.0f} silences, {after.figures[names.FROZEN]:.0f} users out; expected none")
+    if out := after.figures[names.FROZEN]:
+        raise Broken(f"found {out:.0f} of {users} users that are not active; expected none")
     periods = lasted * 1e9 / served.period
     ticks, late = after.tick - before.tick, after.figures[names.LATE] - before.figures[names.LATE]
     return LinkedPoint(
@@ -113,6 +115,7 @@ def measure(users: int, interval: int, seconds: float, compiled: bool) -> Linked
         heard / lasted,
         own / lasted,
         resident,
+        int(silences),
     )
 
 
@@ -215,13 +218,13 @@ def table(content: Mapping[str, Any]) -> str:
         + ".",
         "",
         "| waves, tick | users | late | loop, us a tick | a user | ZeroMQ's thread, us a tick | waves a second "
-        "| generator, processors | memory, MiB |",
-        "|---|---:|---:|---:|---:|---:|---:|---:|---:|",
+        "| generator, processors | memory, MiB | silences |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
     ]
     points = [LinkedPoint(**one) for one in content["points"]]
     lines += [
         f"| {series(p.interval, p.compiled)} | {p.users} | {p.late:.2%} | {p.loop_us:.0f} | {p.loop_us / p.users:.1f} "
-        f"| {p.zeromq_us:.0f} | {p.waves:.0f} | {p.generator_cpu:.2f} | {p.resident:.0f} |"
+        f"| {p.zeromq_us:.0f} | {p.waves:.0f} | {p.generator_cpu:.2f} | {p.resident:.0f} | {p.silences} |"
         for p in points
     ]
     lines.append("")

@@ -36,6 +36,26 @@ from manyhands.protocol.transport import Link
 from manyhands.protocol.transport.datagrams import DatagramSocket
 
 
+class TelemetryLater:
+    """Sends telemetry a tick after it was made: with 64 links both together take longer than a tick leaves."""
+
+    def __init__(self, control: ControlLine) -> None:
+        """Send over ``control``, the line to the supervisor."""
+        self._control = control
+        self._waiting: Telemetry | None = None
+
+    def publish(self, telemetry: Telemetry) -> None:
+        """Send ``telemetry`` with the next call of :meth:`send`, and what was made before it now."""
+        self.send()
+        self._waiting = telemetry
+
+    def send(self) -> None:
+        """Send what waits."""
+        telemetry, self._waiting = self._waiting, None
+        if telemetry is not None:
+            self._control.publish(telemetry)
+
+
 class EnvironmentTelemetry:
     """The traces of the environment.
 
@@ -75,7 +95,7 @@ class EnvironmentTelemetry:
 
     def publish(
         self,
-        control: ControlLine,
+        control: ControlLine | TelemetryLater,
         core: Core,
         figures: Mapping[str, float],
         late: Mapping[str, list[int]],
@@ -84,7 +104,7 @@ class EnvironmentTelemetry:
         """Send the telemetry of the ticks since the last one; returns whether there were any.
 
         Args:
-            control: the line to the supervisor.
+            control: the line to the supervisor, or what sends a tick later.
             core: the environment.
             figures: further figures of the telemetry.
             late: by coupling, the ticks since the last telemetry in which it was late.
@@ -140,6 +160,7 @@ class EnvironmentNode:
         self._frozen_ticks = 0
         # whether everybody is there by a wave link, so that the clock alone paces the ticks
         self._clocked = bundle.common.clock == REALTIME and len(bundle.waves) == len(bundle.common.peers) > 0
+        self._later: TelemetryLater | None = None  # likewise
         self._pace: Pace | None = None  # none before the ticks
         self._passed: tuple[Member, ...] = ()  # the member that did not come at its turn in this tick
         # without a covered delay no certificate can be lost by a longer allowance, so the period serves
@@ -205,6 +226,7 @@ class EnvironmentNode:
         members.know(self._feedthrough, bundle.feedthrough)
         ends = [one for name in bundle.waves if (one := peer_link_of(self.peer_links, name)) is not None]
         world = WorldEnds([end for end in ends if isinstance(end, WorldEnd)]) if self._clocked else None
+        later = self._later = TelemetryLater(control) if self._clocked else None
         clock, account, late = self._clock, self._account, self._late
         stale, give_way = self._timeouts.stale, way_giver()
         p: Floats = [0.0] * len(self._common.ports)
@@ -261,9 +283,13 @@ class EnvironmentNode:
             self._frozen_ticks += members.anybody_out
             account.tick(tick, core, [row for end in ends if (row := end.finished(tick)) is not None])
             tick += 1
+            if later is not None:
+                later.send()
             if account.due:
                 self._publish(control, core, members)
         self._publish(control, core, members)
+        if later is not None:
+            later.send()
         if tick == start.ticks and not members.all_active:
             self._say_goodbye(members, p, tick)
         if datagrams is not None:
@@ -493,6 +519,6 @@ class EnvironmentNode:
         late = {
             member.peer_link.peer.name: ticks for member in members.all if (ticks := self._late.lately[member.index])
         }
-        if self._account.publish(control, core, figures, late, members.events):
+        if self._account.publish(self._later or control, core, figures, late, members.events):
             for ticks in late.values():
                 ticks.clear()
