@@ -168,7 +168,7 @@ class WorldRows:
         if rows == 0:
             return {}
         traces = (FREE_POSITION, FORCE, WAVE, TANK)
-        return {name: np.array(value).reshape(rows, -1) for name, value in zip(traces, values, strict=True)}
+        return {name: np.frombuffer(value).reshape(rows, -1) for name, value in zip(traces, values, strict=True)}
 
 
 def enforcement_figures(controller: PassivityController | None) -> dict[str, float]:

@@ -4,12 +4,13 @@ In a tick the node waits for the active couplings (:mod:`manyhands.nodes.environ
 forces, and answers. As long as all couplings are in time, a tick is one receive and one send for each, and nothing
 else. When a signal is missing, :mod:`manyhands.nodes.environment.deadline` decides how long the node waits for it.
 
-:class:`EnvironmentTelemetry` keeps the positions of tools and masses and the ledger of each tick. Its rows hold the
-lists that the core has made anyway; arrays are made and sent once in ``telemetry_ticks`` ticks.
+:class:`EnvironmentTelemetry` writes down the positions of tools and masses and the ledger of each tick, as numbers at
+once; they are sent once in ``telemetry_ticks`` ticks.
 """
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -67,7 +68,7 @@ class EnvironmentTelemetry:
         """No row yet; ``links`` are the couplings with a wave link."""
         rows = common.telemetry_ticks
         self._links = links
-        self._tools: list[Floats] = [[]] * rows
+        self._tools = array("d")
         self._masses: list[Floats] = [[]] * rows
         self._energy = [0.0] * rows
         self._waves = names.WorldRows()
@@ -78,7 +79,8 @@ class EnvironmentTelemetry:
     def tick(self, tick: int, core: Core, waves: Sequence[WaveRow] = ()) -> None:
         """Keep the row of ``tick``, which ``core`` has settled; ``waves`` are those of its wave links."""
         row, ledger = self._filled, core.ledger
-        self._tools[row], self._masses[row] = core.tools, core.masses
+        self._tools.extend(core.tools)
+        self._masses[row] = core.masses
         self._energy[row] = 0.0 if ledger is None else ledger.total
         if waves:
             self._waves.add(waves)
@@ -113,8 +115,9 @@ class EnvironmentTelemetry:
         rows, self._filled, self._rows = self._filled, 0, self._every
         if rows == 0:
             return False
+        tools, self._tools = self._tools, array("d")
         traces = {
-            names.TOOL_POSITION: np.array(self._tools[:rows]),
+            names.TOOL_POSITION: np.frombuffer(tools).reshape(rows, -1),
             **({names.MASS_POSITION: np.array(self._masses[:rows])} if self._masses[0] else {}),
             **names.ledger_trace(core.ledger, self._energy[:rows]),
             **self._waves.take(),
