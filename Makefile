@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test test-long lint types imports pytest campaign fuzz datagrams wan far-user flood loop watched soak users chaos faults lateness hostile remote pictures page benchmark curve clean
+.PHONY: demo test test-long lint types imports pytest campaign fuzz datagrams wan far-user flood loop watched soak users linked-users chaos faults lateness hostile remote pictures page benchmark curve clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -116,6 +116,11 @@ soak: $(VENV)/.installed
 # how many users one environment serves at 1 kHz, and where its time goes: ten minutes
 users: $(VENV)/.installed
 	$(BIN)/python benchmarks/users.py --profile --json docs/loop-users.json --plot docs/images/loop-users.png --markdown docs/loop-benchmark.md
+
+# the same for users behind wave links, with a wave in every tick and in every fourth, pure and compiled: half an hour
+linked-users: $(VENV)/.installed
+	$(BIN)/python benchmarks/linked_users.py --install
+	$(BIN)/python benchmarks/linked_users.py --compiled --json docs/linked-users.json --plot docs/images/linked-users.png --markdown docs/loop-benchmark.md
 
 # what docs/images/ shows of the architecture and the design; the linear couplings' search takes about half a minute
 pictures: $(VENV)/.installed

@@ -48,6 +48,7 @@ MODULES = [
     "nodes/environment/late_arrivals",
     "nodes/environment/membership",
     "nodes/environment/node",
+    "nodes/environment/pace",
     "nodes/wave_link/ends",
     "nodes/wave_link/faces",
     "nodes/wave_link/play_out",

@@ -17,9 +17,7 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import random
-import shutil
 import signal
 import subprocess
 import sys
@@ -30,7 +28,7 @@ from pathlib import Path
 import proc
 from loop_figures import SOAK, TABLE, plot, soak_table, table
 from loop_middleware import BARE, FOLDER, MIDDLEWARES, PEERS_VENV, peer
-from loop_ours import COMPILED, MANYHANDS, OURS, VARIANTS, ours
+from loop_ours import MANYHANDS, OURS, VARIANTS, install_compiled, ours
 from loop_runs import Failed, Run, Treatment
 from page import fill
 
@@ -116,11 +114,7 @@ def soak(seconds: float) -> dict[str, object]:
 
 def install() -> None:
     """Install the compiled tick and every middleware; a failure is reported, and the others go on."""
-    compiling = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--upgrade", "--target", str(COMPILED)]
-    shutil.rmtree(COMPILED, ignore_errors=True)  # an extension of an earlier build would pass for one of this
-    environment = {**os.environ, "HATCH_BUILD_HOOK_ENABLE_CUSTOM": "true"}
-    code = subprocess.run([*compiling, str(FOLDER.parent)], env=environment, check=False).returncode  # noqa: S603
-    tell(f"compiled tick: {'installed' if code == 0 and any(COMPILED.glob('*.so')) else f'missing, exit code {code}'}")
+    tell(f"compiled tick: {'installed' if install_compiled() else 'missing'}")
     if not PEERS_VENV.exists():
         subprocess.run([sys.executable, "-m", "venv", str(PEERS_VENV)], check=True)  # noqa: S603
     for name, middleware in MIDDLEWARES.items():

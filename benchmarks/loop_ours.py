@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -16,10 +17,19 @@ from loop_runs import Failed, Run, Treatment, share_late
 
 OURS = "manyhands"
 COMPILED = Path(__file__).parents[1] / "out" / "compiled"
-"""Where ``loop.py --install`` puts the package with its compiled tick."""
+"""Where :func:`install_compiled` puts the package with its compiled tick."""
 
 MANYHANDS = [sys.executable, "-P", "-m", "manyhands"]
 SAMPLES_EVERY = 0.5  # s, between two looks at our processes
+
+
+def install_compiled() -> bool:
+    """Compile the package's tick into :data:`COMPILED`; returns whether that succeeded."""
+    command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--upgrade", "--target", str(COMPILED)]
+    shutil.rmtree(COMPILED, ignore_errors=True)  # an extension of an earlier build would pass for one of this
+    environment = {**os.environ, "HATCH_BUILD_HOOK_ENABLE_CUSTOM": "true"}
+    code = subprocess.run([*command, str(Path(__file__).parents[1])], env=environment, check=False).returncode  # noqa: S603
+    return code == 0 and any(COMPILED.glob("*.so"))
 
 
 @dataclass(frozen=True)

@@ -63,6 +63,14 @@ def threads(pid: int) -> list[int]:
         return []
 
 
+def thread_seconds(pid: int, thread: int) -> float:
+    """Processor time that one thread of a process has used so far, s; 0 if it has ended."""
+    try:
+        return int(Path(f"/proc/{pid}/task/{thread}/schedstat").read_text().split()[0]) / 1e9
+    except (FileNotFoundError, ProcessLookupError):
+        return 0.0
+
+
 def machine() -> dict[str, str]:
     """What a reader of figures wants to know of the machine."""
     models = [line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("model name")]

@@ -35,6 +35,7 @@ from manyhands.launch.session import load_session
 from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes import realtime
 from manyhands.nodes.bundle import REALTIME, EnvironmentBundle, save
+from manyhands.nodes.wave_link.faces import wave_feedthrough
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds
 from manyhands.protocol.codec import USUAL, decode, encode
 from manyhands.protocol.handshake import Expected, LinkHandshake, shake_hands
@@ -94,16 +95,112 @@ class Point:
     resident: float
 
 
-def session_text(users: int) -> str:
-    """Example 1's world with so many users: each one's tool tied to the hub."""
+def session_text(users: int, coupling: str = "") -> str:
+    """Example 1's world with so many users: each one's tool tied to the hub; ``coupling`` is added to each coupling."""
     lines = ["session: users", "period: 0.001", "devices:"]
     lines += [f"  d{i}: {{dof: 1, osp: 1.37, driver: simulated, mass: 0.2}}" for i in range(users)]
-    lines += ["couplings:", *(f"  c{i}: {{devices: [d{i}]}}" for i in range(users))]
+    lines += ["couplings:", *(f"  c{i}: {{devices: [d{i}]{coupling}}}" for i in range(users))]
     lines += ["environment:", "  type: network", "  masses: {hub: 3.0}", "  links:"]
     lines += [f"    - {{between: [d{i}, hub], stiffness: 3500, damping: 0.2}}" for i in range(users)]
     lines += ["    - {between: [hub, ground], stiffness: 2600, damping: 0.5}"]
     lines += ["design: {coupling: spring-damper, objective: feasible}"]
     return "\n".join(lines) + "\n"
+
+
+@dataclass
+class Served:
+    """An environment's process that ticks, with this process as its supervisor and all its couplings.
+
+    Attributes:
+        bundle: the environment's.
+        links: to it, by coupling.
+        hub: its messages to the supervisor.
+        clock: this process's.
+        epoch: when the first tick is.
+        period: T, ns.
+        pid: its process.
+        finish: end the ticks, and return the environment's report.
+    """
+
+    bundle: EnvironmentBundle
+    links: list[Link]
+    hub: Hub
+    clock: RealtimeClock
+    epoch: Instant
+    period: Duration
+    pid: int
+    finish: Callable[[], Report]
+
+
+@contextmanager
+def serving(text: str, beside: Callable[[int], None] | None = None, package: Path | None = None) -> Iterator[Served]:
+    """Start the environment of a session, and be everybody else.
+
+    Args:
+        text: the session's file.
+        beside: called with the environment's process id right before the ticks begin; for a profiler.
+        package: where the environment's own package is, for instance a compiled one; None for this process's.
+
+    Raises:
+        Broken: the environment ended, or sent an unexpected message.
+    """
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        (folder / "session.yaml").write_text(text)
+        prepared = prepare(load_session(folder / "session.yaml"))
+        processors = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, processors[:-1] or processors)  # before there are threads
+        transport = ZmqTransport.ipc(folder)
+        try:
+            hub, endpoint = transport.bind_hub(HUB_NAME, (ENVIRONMENT,))
+            bundle = cut(prepared, RunPlan(REALTIME, folder, endpoint))[ENVIRONMENT]
+            if not isinstance(bundle, EnvironmentBundle):
+                raise TypeError(f"found {type(bundle).__name__}; expected the environment's bundle")
+            save(bundle, folder / "environment.bundle")
+            with (
+                _environment(folder, processors[-1], package) as process,
+                _listening(hub, process.pid, folder) as hear,
+            ):
+                hello = hear(NodeHello)
+                _say(hub, Welcome())
+                _say(hub, Connect({}))
+                links = _shake_hands(prepared, bundle, transport, hello)
+                hear(Ready)
+                if beside is not None:
+                    beside(process.pid)
+                clock = RealtimeClock()
+                epoch = Instant(clock.now() + _LEAD)
+                _say(hub, Start(epoch, 0))
+
+                def finish() -> Report:
+                    process.send_signal(signal.SIGTERM)
+                    report = hear(Report)
+                    if not isinstance(report, Report):
+                        raise TypeError(f"found {type(report).__name__}; expected a report")
+                    _say(hub, Stop("reported"))
+                    process.wait()
+                    return report
+
+                period = from_seconds(prepared.session.period)
+                yield Served(bundle, links, hub, clock, epoch, period, process.pid, finish)
+        finally:
+            transport.close()
+            os.sched_setaffinity(0, processors)
+
+
+@contextmanager
+def scheduled(links: int) -> Iterator[None]:
+    """Run as couplings do where that is permitted; with many links as the environment does, to play so many."""
+    granted = realtime.prepare(realtime.RealtimeWishes(memory=False, links=links))
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+        gc.unfreeze()
+        realtime.restore(granted)
 
 
 def measure(users: int, seconds: float, beside: Callable[[int], None] | None = None) -> Point:
@@ -117,67 +214,34 @@ def measure(users: int, seconds: float, beside: Callable[[int], None] | None = N
     Raises:
         Broken: the environment ended, or sent an unexpected message.
     """
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary)
-        (folder / "session.yaml").write_text(session_text(users))
-        prepared = prepare(load_session(folder / "session.yaml"))
-        processors = sorted(os.sched_getaffinity(0))
-        os.sched_setaffinity(0, processors[:-1] or processors)  # before there are threads
-        transport = ZmqTransport.ipc(folder)
-        try:
-            hub, endpoint = transport.bind_hub(HUB_NAME, (ENVIRONMENT,))
-            bundle = cut(prepared, RunPlan(REALTIME, folder, endpoint))[ENVIRONMENT]
-            if not isinstance(bundle, EnvironmentBundle):
-                raise TypeError(f"found {type(bundle).__name__}; expected the environment's bundle")
-            save(bundle, folder / "environment.bundle")
-            with _environment(folder, processors[-1]) as process, _listening(hub, process.pid, folder) as hear:
-                hello = hear(NodeHello)
-                _say(hub, Welcome())
-                _say(hub, Connect({}))
-                links = _shake_hands(prepared, bundle, transport, hello)
-                hear(Ready)
-                if beside is not None:
-                    beside(process.pid)
-                clock = RealtimeClock()
-                epoch = Instant(clock.now() + _LEAD)
-                _say(hub, Start(epoch, 0))
-                load = _Load(links, from_seconds(prepared.session.period))
-                used, own, began = proc.cpu_seconds([process.pid]), time.process_time(), time.monotonic()
-                # where permitted as couplings are; with many links as the environment is, or it could not play so many
-                granted = realtime.prepare(realtime.RealtimeWishes(memory=False, links=users))
-                try:
-                    load.run(epoch, round(seconds / prepared.session.period), clock, hub)
-                finally:
-                    realtime.restore(granted)
-                lasted = time.monotonic() - began
-                point = Point(
-                    users,
-                    load.ticks,
-                    load.late / load.ticks,
-                    load.percentiles(),
-                    (proc.cpu_seconds([process.pid]) - used) / lasted,
-                    (time.process_time() - own) / lasted,
-                    proc.resident(process.pid) or 0.0,
-                )
-                process.send_signal(signal.SIGTERM)
-                hear(Report)
-                _say(hub, Stop("reported"))
-                process.wait()
-        finally:
-            transport.close()
-            os.sched_setaffinity(0, processors)
+    with serving(session_text(users), beside) as served:
+        load = _Load(served.links, served.period)
+        used, own, began = proc.cpu_seconds([served.pid]), time.process_time(), time.monotonic()
+        with scheduled(users):
+            load.run(served.epoch, round(seconds * 1e9 / served.period), served.clock, served.hub)
+        lasted = time.monotonic() - began
+        point = Point(
+            users,
+            load.ticks,
+            load.late / load.ticks,
+            load.percentiles(),
+            (proc.cpu_seconds([served.pid]) - used) / lasted,
+            (time.process_time() - own) / lasted,
+            proc.resident(served.pid) or 0.0,
+        )
+        served.finish()
     return point
 
 
 @contextmanager
-def _environment(folder: Path, processor: int) -> Iterator[subprocess.Popen[bytes]]:
+def _environment(folder: Path, processor: int, package: Path | None = None) -> Iterator[subprocess.Popen[bytes]]:
     """The environment's process; killed if it has not ended by itself."""
     with (folder / "environment.log").open("wb") as log:
         process = subprocess.Popen(  # noqa: S603 -- our own interpreter and module, no shell
             [sys.executable, "-P", "-m", "manyhands.nodes.environment",
              str(folder / "environment.bundle"), str(os.getpid())],
             stdin=subprocess.DEVNULL, stdout=log, stderr=log,
-            env={**os.environ, **ONE_THREAD},
+            env={**os.environ, **ONE_THREAD, **({} if package is None else {"PYTHONPATH": str(package)})},
         )  # fmt: skip
     try:
         os.sched_setaffinity(process.pid, {processor})  # before it has threads: they inherit it
@@ -197,7 +261,9 @@ def _listening(hub: Hub, pid: int, folder: Path) -> Iterator[Callable[[type[Mess
         deadline = clock.now() + PATIENCE
         while (remaining := deadline - clock.now()) > 0:
             if hub.wait(Duration(remaining), (ended,)):
-                raise Broken(f"the environment ended: {(folder / 'environment.log').read_text()[-2000:]}")
+                log = (folder / "environment.log").read_text()[-2000:]
+                status = os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
+                raise Broken(f"the environment ended with {status and status.si_status}: {log}")
             while (received := hub.recv()) is not None:
                 message = decode(received[1], MAX_CONTROL_BYTES)
                 if isinstance(message, kind):
@@ -225,7 +291,9 @@ def _shake_hands(prepared: Prepared, bundle: EnvironmentBundle, transport: ZmqTr
     clock = RealtimeClock()
     links = []
     for peer in bundle.common.peers:
-        feedthrough = tuple(map(tuple, blocks[peer.name].D.tolist()))
+        wave = bundle.waves.get(peer.name)
+        D_V = blocks[peer.name].D if wave is None else wave_feedthrough(wave.b, bundle.common.period)
+        feedthrough = tuple(map(tuple, D_V.tolist()))
         own = LinkHello(
             PROTOCOL_VERSION, bundle.common.certificate, bundle.common.session, peer.name, Role.COUPLING, peer.ports,
             feedthrough,
@@ -264,33 +332,26 @@ class _Load:
     def run(self, epoch: Instant, ticks: int, clock: RealtimeClock, hub: Hub) -> None:
         """Do the ticks; the environment's messages to its supervisor are read and ignored meanwhile."""
         links, period, now = self._links, self._period, clock.now
-        gc.collect()
-        gc.freeze()
-        gc.disable()
-        try:
-            tick = 0
-            while self.ticks < ticks:
-                slot = self.ticks
-                clock.sleep_until(Instant(epoch + slot * period))
-                sent = now()
-                start = self._start(tick, sent)
-                for link, frame in zip(links, self._frames[slot % _PREPARED_TICKS], strict=True):
-                    link.send(start + frame[USUAL.size :])
-                answers = [self._answer(link, tick) for link in links]
-                if any(answer != tick for answer in answers):  # beyond it: that coupling was given up
-                    tick = self._go_on_apart(answers, tick, slot, clock)
-                ended = now()
-                self._round_trips.append(ended - sent)
-                if ended > epoch + (slot + 1) * period:
-                    self.ticks = -((epoch - ended) // period)  # rounded up
-                    self.late += self.ticks - slot
-                else:
-                    self.ticks = slot + 1
-                tick += 1
-                hub.recv()
-        finally:
-            gc.enable()
-            gc.unfreeze()
+        tick = 0
+        while self.ticks < ticks:
+            slot = self.ticks
+            clock.sleep_until(Instant(epoch + slot * period))
+            sent = now()
+            start = self._start(tick, sent)
+            for link, frame in zip(links, self._frames[slot % _PREPARED_TICKS], strict=True):
+                link.send(start + frame[USUAL.size :])
+            answers = [self._answer(link, tick) for link in links]
+            if any(answer != tick for answer in answers):  # beyond it: that coupling was given up
+                tick = self._go_on_apart(answers, tick, slot, clock)
+            ended = now()
+            self._round_trips.append(ended - sent)
+            if ended > epoch + (slot + 1) * period:
+                self.ticks = -((epoch - ended) // period)  # rounded up
+                self.late += self.ticks - slot
+            else:
+                self.ticks = slot + 1
+            tick += 1
+            hub.recv()
 
     def _start(self, tick: int, stamp: int) -> bytes:
         """The head of a p(k)."""

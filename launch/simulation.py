@@ -31,8 +31,8 @@ from manyhands.nodes.environment.enforced import EnforcedCore
 from manyhands.nodes.environment.model import ModelFailure
 from manyhands.nodes.passivity import Ledger
 from manyhands.nodes.peer_link import WaveRow
-from manyhands.nodes.telemetry import wave_traces, world_traces
-from manyhands.nodes.wave_link.ends import user_face, world_face
+from manyhands.nodes.telemetry import WorldRows, wave_traces
+from manyhands.nodes.wave_link.ends import turns, user_face, world_face
 from manyhands.nodes.wave_link.faces import UserFace, WorldFace, wave_feedthrough
 from manyhands.protocol.clock import Instant, from_seconds
 
@@ -115,6 +115,7 @@ class Simulation:
         blocks = tuple(self._coupling_ports.values())
         self.environment = environment_core(environment, D_V, blocks)
         self.world_faces = {name: world_face(environment.common, wave) for name, wave in environment.waves.items()}
+        self._turns = {name: turns(wave) for name, wave in environment.waves.items()}  # of the world, and of the user
         if self.environment.ledger is not None:
             self.ledgers[ENVIRONMENT] = self.environment.ledger
 
@@ -169,6 +170,7 @@ class Simulation:
         at_world = {
             name: WaveRow(world.wave, world.tank.row(), *world.signals) for name, world in self.world_faces.items()
         }
+        thinned, world_rows = self._turns, WorldRows()
         devices = list(zip(self._drivers, self.devices.values(), self.guards.values(), self._device_ports, strict=True))
         couplings, linked = self._active(()), self._linked(())
         silent: set[str] = set()
@@ -198,8 +200,9 @@ class Simulation:
                 p[ports] = tool[ports] = coupling.free_position(reported[ports].tolist())
             for name, user, world, ports in linked:
                 through_waves[name] = user.step(p[ports].tolist())
-                wave = user.message()
-                world.hear(wave.n, wave.U, wave.G)
+                if thinned[name][1].sends(user.n):
+                    wave = user.message()
+                    world.hear(wave.n, wave.U, wave.G)
                 tool[ports] = world.tool()
             f_v[k] = self.environment.react(tool.tolist())
             if model is not None and model.failure is not None:
@@ -211,11 +214,13 @@ class Simulation:
                 world.step(f_v[k, ports].tolist())
                 at_user[name] = WaveRow(user.wave, user.tank.row())
                 at_world[name] = WaveRow(world.wave, world.tank.row(), *world.signals)
-                wave = world.message()
-                user.hear(wave.n, wave.U, wave.G)
+                if thinned[name][0].sends(world.n):
+                    wave = world.message()
+                    user.hear(wave.n, wave.U, wave.G)
                 f_v[k, ports] = through_waves[name]
             if traces is not None and at_world:
-                traces.keep_waves(ENVIRONMENT, k, world_traces([[*at_world.values()]]))
+                world_rows.add([*at_world.values()])
+                traces.keep_waves(ENVIRONMENT, k, world_rows.take())
             for name, coupling, ports in couplings:
                 f_v[k, ports] = applied = coupling.limited(f_v[k, ports].tolist())
                 coupling.absorb(applied)

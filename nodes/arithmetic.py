@@ -50,6 +50,13 @@ def linear_map(matrix: NDArray[np.float64]) -> LinearMap:
 
         return wide
     rows: list[Floats] = matrix.tolist()
+    if matrix.shape == (1, 1):
+        factor = rows[0][0]
+
+        def scaled(v: Floats) -> Floats:
+            return [0.0 + factor * v[0]]  # as dot adds it, which makes no -0.0
+
+        return scaled
 
     def narrow(v: Floats) -> Floats:
         return [dot(row, v) for row in rows]

@@ -438,6 +438,9 @@ class WaveEnd:
         tank: E_0, J.
         peer_period: T of the other end, s.
         depth: how far the play-out stays behind the newest wave, ticks of the other end; None where it is measured.
+        every: this end sends a wave in one of so many of its ticks.
+        peer_every: the other end sends a wave in one of so many of its ticks.
+        turn: the link's number: links with different numbers send in different ticks where that is possible.
 
     Raises:
         ValueError: a number is out of its range, or b is not symmetric positive definite.
@@ -448,8 +451,16 @@ class WaveEnd:
     tank: float
     peer_period: float
     depth: float | None = None
+    every: int = 1
+    peer_every: int = 1
+    turn: int = 0
 
     def __post_init__(self) -> None:
+        if min(self.every, self.peer_every) < 1 or self.turn < 0:
+            raise ValueError(
+                f"found a wave in {self.every} and {self.peer_every} ticks and the turn {self.turn}; expected 1 or "
+                "more, and a turn of at least 0"
+            )
         if self.b.ndim != 2 or np.any(self.b != self.b.T) or not np.linalg.eigvalsh(self.b)[0] > 0.0:
             raise ValueError(f"found b of shape {self.b.shape}; expected it symmetric positive definite")
         if not 0.0 <= self.tank < math.inf or not 0.0 < self.peer_period < math.inf:
@@ -685,7 +696,8 @@ def _device_rung(data: Any) -> DeviceRung:
 def _wave_end(data: Any) -> WaveEnd:
     depth = None if data["depth"] is None else float(data["depth"])
     theta = _optional_array(data["theta"])
-    return WaveEnd(array(data["b"]), theta, float(data["tank"]), float(data["peer_period"]), depth)
+    thinning = (int(data["every"]), int(data["peer_every"]), int(data["turn"]))
+    return WaveEnd(array(data["b"]), theta, float(data["tank"]), float(data["peer_period"]), depth, *thinning)
 
 
 def _is_time(value: Any) -> bool:

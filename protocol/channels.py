@@ -278,7 +278,9 @@ def links_at(
         ports: of every node.
         linked: the couplings that have a wave link, in the session's order.
     """
-    return {name: ports[name] for name in linked if role is Role.ENVIRONMENT or node == name}
+    if role is Role.ENVIRONMENT:
+        return {name: ports[name] for name in linked}
+    return {node: ports[node]} if node in linked else {}
 
 
 def topic_name(session: str, node: str, topic: str) -> str:

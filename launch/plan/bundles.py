@@ -69,18 +69,12 @@ PortBounds = tuple[float | None, ...]
 
 def limits_at(session: Session, ports: Sequence[str]) -> Limits:
     """The limits of force (N), displacement (m) and speed (m/s) at ``ports``, in their order."""
-    by_port = {
-        port: limits
-        for name, device in session.devices.items()
-        for port, *limits in zip(
-            session.ports_of(name),
-            device.limits.force,
-            device.limits.displacement,
-            device.limits.speed,
-            strict=True,
-        )
-    }
-    force, displacement, speed = zip(*(by_port[port] for port in ports), strict=True)
+    of_ports = []
+    for port in ports:
+        name = session.device_at[port]
+        limits, axis = session.devices[name].limits, session.ports_of(name).index(port)
+        of_ports.append((limits.force[axis], limits.displacement[axis], limits.speed[axis]))
+    force, displacement, speed = zip(*of_ports, strict=True)
     return Limits(force, displacement, speed)
 
 
@@ -113,10 +107,14 @@ def tool_bounds(session: Session, blocks: Sequence[StateSpace]) -> tuple[PortBou
     """
     magnitude: dict[str, float] = {}
     step: dict[str, float] = {}
+    known: dict[tuple[bytes, ...], tuple[Matrix, Matrix]] = {}  # users are often alike, and a block's bounds take 3 ms
     for ports, block in zip(session.blocks, blocks, strict=True):
         limits = limits_at(session, ports)
-        dynamic = StateSpace(block.A, block.B, block.C, np.zeros_like(block.D))
-        offset, change = output_bounds(dynamic, np.array(limits.force))
+        alike = tuple(part.tobytes() for part in (block.A, block.B, block.C, np.array(limits.force)))
+        if alike not in known:
+            dynamic = StateSpace(block.A, block.B, block.C, np.zeros_like(block.D))
+            known[alike] = output_bounds(dynamic, np.array(limits.force))
+        offset, change = known[alike]
         magnitude |= zip(ports, (limits.displacement + offset).tolist(), strict=True)
         step |= zip(ports, (session.period * np.array(limits.speed) + change).tolist(), strict=True)
     return _in_order(session, magnitude), _in_order(session, step)
@@ -157,7 +155,8 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         run: how the session is to be run.
     """
     session = prepared.session
-    commons = {name: _common(prepared, run, name) for name in prepared.graph.nodes}
+    links_of = _links_of(prepared.graph)
+    commons = {name: _common(prepared, run, name, links_of) for name in prepared.graph.nodes}
     rungs = _rungs(prepared)
     # where several couplings share a device, the certificate is one
     coupling_at = {port: name for name, ports in session.blocks_by_name.items() for port in ports}
@@ -174,13 +173,10 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         own, *softer = (CouplingRung(rung.block, rung.K, rung.level) for rung in rungs[name])
         limits = limits_at(session, commons[name].ports)
         link = session.wave_links.get(name)
-        wave = None if link is None else _wave_end(link, len(limits.force), session.period, harvests=True)
+        wave = None if link is None else _wave_end(session, name, link, at_user=True)
         bundles[name] = CouplingBundle(commons[name], own.block, own.K, own.level, limits, tuple(softer), wave)
     E, Phi_E, model = _environment(prepared)
-    waves = {
-        name: _wave_end(link, len(session.blocks_by_name[name]), link.period_in(session.period))
-        for name, link in session.wave_links.items()
-    }
+    waves = {name: _wave_end(session, name, link, at_user=False) for name, link in session.wave_links.items()}
     bundles[ENVIRONMENT] = EnvironmentBundle(
         commons[ENVIRONMENT],
         E,
@@ -205,11 +201,19 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
     return bundles
 
 
-def _wave_end(link: WaveLink, ports: int, peer_period: float, harvests: bool = False) -> WaveEnd:
+def _wave_end(session: Session, name: str, link: WaveLink, at_user: bool) -> WaveEnd:
     """One end of a wave link; the user's end alone harvests, from what its site's certificate leaves."""
+    ports = len(session.blocks_by_name[name])
     harvest = link.harvest_of(ports)
-    theta = matrix(np.diag(harvest)) if harvests and any(harvest) else None
-    return WaveEnd(matrix(link.impedance(ports)), theta, link.tank, peer_period, link.depth)
+    theta = matrix(np.diag(harvest)) if at_user and any(harvest) else None
+    own, peer = link.period_in(session.period), session.period
+    if not at_user:
+        own, peer = peer, own
+    every, peer_every = link.every(own), link.every(peer)
+    turn = list(session.wave_links).index(name) % max(every, peer_every)
+    return WaveEnd(
+        matrix(link.impedance(ports)), theta, link.tank, peer, link.depth, every=every, peer_every=peer_every, turn=turn
+    )
 
 
 def _storage(prepared: Prepared) -> Matrix | None:
@@ -298,19 +302,28 @@ def _greatest(bounds: tuple[float | None, ...]) -> float | None:
 def bundle_of(prepared: Prepared, run: RunPlan, name: str) -> Bundle:
     """The bundle of one node, or of an observer."""
     if name in prepared.session.observers:
-        return ObserverBundle(_common(prepared, run, name))
+        return ObserverBundle(_common(prepared, run, name, {}))
     return cut(prepared, run)[name]
 
 
-def _common(prepared: Prepared, run: RunPlan, name: str) -> Common:
+def _links_of(graph: Topology) -> dict[str, list[int]]:
+    """By node, the indices of its links."""
+    found: dict[str, list[int]] = {name: [] for name in graph.nodes}
+    for index, link in enumerate(graph.links):
+        found[link.binder].append(index)
+        found[link.connector].append(index)
+    return found
+
+
+def _common(prepared: Prepared, run: RunPlan, name: str, links_of: Mapping[str, Sequence[int]]) -> Common:
     graph = prepared.graph
     peers, ports = [], graph.ports.get(name, ())
-    for index, link in enumerate(graph.links):
-        if name in (link.binder, link.connector):
-            binds = link.binder == name
-            other = link.connector if binds else link.binder
-            address = run.reach.address(graph, index) if binds else ""
-            peers.append(Peer(other, graph.nodes[other], link.ports, binds, address))
+    for index in links_of.get(name, ()):
+        link = graph.links[index]
+        binds = link.binder == name
+        other = link.connector if binds else link.binder
+        address = run.reach.address(graph, index) if binds else ""
+        peers.append(Peer(other, graph.nodes[other], link.ports, binds, address))
     period = prepared.session.period_of(name)
     every = _telemetry_ticks(period, _columns(prepared.session, graph, name, run.clock))
     return Common(

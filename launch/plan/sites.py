@@ -243,7 +243,8 @@ def site_loop(session: Session, coupling: str) -> HapticLoop:
 
 def _devices(session: Session, index: dict[str, int]) -> tuple[DeviceLevel, ...]:
     """The devices of these ports, with their places in ``index``."""
-    own = {name: session.ports_of(name) for name in session.devices}
+    names = {session.device_at[port] for port in index}
+    own = {name: session.ports_of(name) for name in session.devices if name in names}
     return tuple(
         DeviceLevel(name, tuple(index[p] for p in ports), session.osp_level(name))
         for name, ports in own.items()

@@ -77,6 +77,8 @@ LARGEST_TANK: Final = 10.0
 """J; 1 kg at 4.5 m/s."""
 
 # wave links
+LONGEST_INTERVAL: Final = 0.01
+"""s; an end that hears nothing for 0.03 s holds the tool, and two lost waves in a row are ordinary on their way."""
 LONGEST_ROUND_TRIP: Final = 10.0
 """s."""
 MAX_DEPTH_TICKS: Final = 10_000

@@ -400,8 +400,13 @@ class Session(SessionModel):
 
     def devices_of(self, coupling: str) -> tuple[str, ...]:
         """The devices that have a port in a coupling, in the session's order."""
-        own = set(self.blocks_by_name[coupling])
-        return tuple(device for device in self.devices if own & set(self.ports_of(device)))
+        own = {self.device_at[port] for port in self.blocks_by_name[coupling]}
+        return tuple(device for device in self.devices if device in own)
+
+    @cached_property
+    def device_at(self) -> Mapping[str, str]:
+        """The device of each port."""
+        return {port: device for device in self.devices for port in self.ports_of(device)}
 
     @cached_property
     def carriers(self) -> Mapping[str, str]:

@@ -30,6 +30,7 @@ from manyhands.launch.session.fields import (
 from manyhands.launch.session.limits import (
     DEFAULT_WAVE_TANK,
     LARGEST_TANK,
+    LONGEST_INTERVAL,
     LONGEST_PERIOD,
     LONGEST_ROUND_TRIP,
     MAX_DEPTH_TICKS,
@@ -40,6 +41,7 @@ from manyhands.launch.session.matrices import Array
 _MASS: Final = Quantity("a felt mass", "kg", above=0.0, smallest=MIN_POSITIVE)
 _IMPEDANCE: Final = Quantity("an entry of the wave impedance", "N·s/m")
 _ROUND_TRIP: Final = Quantity("a round trip", "s", above=0.0, most=LONGEST_ROUND_TRIP, smallest=MIN_POSITIVE)
+_INTERVAL: Final = Quantity("a time between waves", "s", above=0.0, most=LONGEST_INTERVAL, smallest=MIN_POSITIVE)
 _TANK: Final = Quantity("a tank", "J", least=0.0, most=LARGEST_TANK)
 _DELAY: Final = Quantity("a delay inside the tick", "s", least=0.0, most=LONGEST_PERIOD)
 _HARVEST: Final = Quantity("a harvest", "N·s/m", least=0.0)
@@ -63,6 +65,11 @@ class WaveLink(SessionModel):
     )
     depth: Annotated[int | None, BeforeValidator(optional(Whole("ticks", 0, MAX_DEPTH_TICKS)))] = Field(
         default=None, description="the depth of the play-out in ticks; measured while joining if it is not given"
+    )
+    interval: Annotated[float | None, BeforeValidator(optional(_INTERVAL))] = Field(
+        default=None,
+        description="the time from one wave to the next in s, in whole ticks of each end; it lengthens the round trip. "
+        "A wave in every tick if it is not given",
     )
     period: Annotated[float | None, BeforeValidator(optional(PERIOD))] = Field(
         default=None, description="the length of a tick at the user's site in s"
@@ -111,6 +118,10 @@ class WaveLink(SessionModel):
     def period_in(self, session: float) -> float:
         """T of the user's site in a session with this period, s."""
         return session if self.period is None else self.period
+
+    def every(self, period: float) -> int:
+        """An end with this period (s) sends a wave in one of so many of its ticks."""
+        return 1 if self.interval is None else max(1, round(self.interval / period))
 
     def mass_matrix(self, ports: int) -> Array | None:
         """The felt mass allowed, ``ports`` x ``ports`` and diagonal, kg; None if b is given instead."""

@@ -4,12 +4,13 @@ In a tick the node waits for the active couplings (:mod:`manyhands.nodes.environ
 forces, and answers. As long as all couplings are in time, a tick is one receive and one send for each, and nothing
 else. When a signal is missing, :mod:`manyhands.nodes.environment.deadline` decides how long the node waits for it.
 
-:class:`EnvironmentTelemetry` keeps the positions of tools and masses and the ledger of each tick. Its rows hold the
-lists that the core has made anyway; arrays are made and sent once in ``telemetry_ticks`` ticks.
+:class:`EnvironmentTelemetry` writes down the positions of tools and masses and the ledger of each tick, as numbers at
+once; they are sent once in ``telemetry_ticks`` ticks.
 """
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -21,18 +22,39 @@ from manyhands.nodes.environment.core import Core, environment_core
 from manyhands.nodes.environment.deadline import Deadline, Step
 from manyhands.nodes.environment.late_arrivals import AT_ONCE, CROSSING, LateArrivals, allowance
 from manyhands.nodes.environment.membership import Member, Members, Membership
+from manyhands.nodes.environment.pace import Pace
 from manyhands.nodes.lifetime import Life
 from manyhands.nodes.peer_link import PeerLink, Received, WaveRow, bounds_by_peer, establish, peer_link_of
 from manyhands.nodes.realtime import way_giver
 from manyhands.nodes.supervisor_line import NOT_AT_ALL, ControlLine
 from manyhands.nodes.tick_events import TickEvents
 from manyhands.nodes.timeouts import LISTEN_TICKS, timeouts
-from manyhands.nodes.wave_link.ends import datagram_socket, world_ends
+from manyhands.nodes.wave_link.ends import WorldEnd, WorldEnds, datagram_socket, world_ends
 from manyhands.protocol.clock import Clock, Instant, RealtimeClock, from_seconds
 from manyhands.protocol.handshake import HandshakeRefused
 from manyhands.protocol.messages import LinkHello, Reaction, Report, Role, Start, Telemetry, Tool, Values
 from manyhands.protocol.transport import Link
 from manyhands.protocol.transport.datagrams import DatagramSocket
+
+
+class TelemetryLater:
+    """Sends telemetry a tick after it was made: with 64 links both together take longer than a tick leaves."""
+
+    def __init__(self, control: ControlLine) -> None:
+        """Send over ``control``, the line to the supervisor."""
+        self._control = control
+        self._waiting: Telemetry | None = None
+
+    def publish(self, telemetry: Telemetry) -> None:
+        """Send ``telemetry`` with the next call of :meth:`send`, and what was made before it now."""
+        self.send()
+        self._waiting = telemetry
+
+    def send(self) -> None:
+        """Send what waits."""
+        telemetry, self._waiting = self._waiting, None
+        if telemetry is not None:
+            self._control.publish(telemetry)
 
 
 class EnvironmentTelemetry:
@@ -46,19 +68,25 @@ class EnvironmentTelemetry:
         """No row yet; ``links`` are the couplings with a wave link."""
         rows = common.telemetry_ticks
         self._links = links
-        self._tools: list[Floats] = [[]] * rows
+        self._tools = array("d")
         self._masses: list[Floats] = [[]] * rows
         self._energy = [0.0] * rows
-        self._waves: list[Sequence[WaveRow]] = [()] * rows
+        self._waves = names.WorldRows()
+        self._begun: list[tuple[int, str]] = []  # ticks and wave links of which a life began in them
         self._filled, self._rows, self._every = 0, common.telemetry_first, rows
         self.ticks = 0
 
     def tick(self, tick: int, core: Core, waves: Sequence[WaveRow] = ()) -> None:
         """Keep the row of ``tick``, which ``core`` has settled; ``waves`` are those of its wave links."""
         row, ledger = self._filled, core.ledger
-        self._tools[row], self._masses[row] = core.tools, core.masses
+        self._tools.extend(core.tools)
+        self._masses[row] = core.masses
         self._energy[row] = 0.0 if ledger is None else ledger.total
-        self._waves[row] = waves
+        if waves:
+            self._waves.add(waves)
+            for name, end in zip(self._links, waves, strict=True):
+                if end.begins:
+                    self._begun.append((tick, name))
         self._filled = row + 1
         self.ticks = tick + 1
 
@@ -69,7 +97,7 @@ class EnvironmentTelemetry:
 
     def publish(
         self,
-        control: ControlLine,
+        control: ControlLine | TelemetryLater,
         core: Core,
         figures: Mapping[str, float],
         late: Mapping[str, list[int]],
@@ -78,7 +106,7 @@ class EnvironmentTelemetry:
         """Send the telemetry of the ticks since the last one; returns whether there were any.
 
         Args:
-            control: the line to the supervisor.
+            control: the line to the supervisor, or what sends a tick later.
             core: the environment.
             figures: further figures of the telemetry.
             late: by coupling, the ticks since the last telemetry in which it was late.
@@ -87,17 +115,17 @@ class EnvironmentTelemetry:
         rows, self._filled, self._rows = self._filled, 0, self._every
         if rows == 0:
             return False
+        tools, self._tools = self._tools, array("d")
         traces = {
-            names.TOOL_POSITION: np.array(self._tools[:rows]),
+            names.TOOL_POSITION: np.frombuffer(tools).reshape(rows, -1),
             **({names.MASS_POSITION: np.array(self._masses[:rows])} if self._masses[0] else {}),
             **names.ledger_trace(core.ledger, self._energy[:rows]),
-            **names.world_traces(self._waves[:rows]),
+            **self._waves.take(),
             **{names.WAITED_IN + name: np.array(ticks, dtype=np.float64)[:, None] for name, ticks in late.items()},
         }
-        for tick, ends in enumerate(self._waves[:rows], self.ticks - rows):
-            for name, end in zip(self._links, ends, strict=True):
-                if end.begins:
-                    events.link(tick, name)
+        for tick, name in self._begun:
+            events.link(tick, name)
+        self._begun.clear()
         happened = events.take(self.ticks - rows, self.ticks)
         control.publish(Telemetry(self.ticks, {**figures, **happened}, traces))
         return True
@@ -133,6 +161,10 @@ class EnvironmentNode:
         self._datagrams: DatagramSocket | None = None
         self._account = EnvironmentTelemetry(bundle.common, tuple(bundle.waves))
         self._frozen_ticks = 0
+        # whether everybody is there by a wave link, so that the clock alone paces the ticks
+        self._clocked = bundle.common.clock == REALTIME and len(bundle.waves) == len(bundle.common.peers) > 0
+        self._later: TelemetryLater | None = None  # likewise
+        self._pace: Pace | None = None  # none before the ticks
         self._passed: tuple[Member, ...] = ()  # the member that did not come at its turn in this tick
         # without a covered delay no certificate can be lost by a longer allowance, so the period serves
         covered = from_seconds(bundle.longest_tau or bundle.common.period)
@@ -196,6 +228,8 @@ class EnvironmentNode:
         members.last, members.log = start.ticks, control.log
         members.know(self._feedthrough, bundle.feedthrough)
         ends = [one for name in bundle.waves if (one := peer_link_of(self.peer_links, name)) is not None]
+        world = WorldEnds([end for end in ends if isinstance(end, WorldEnd)]) if self._clocked else None
+        later = self._later = TelemetryLater(control) if self._clocked else None
         clock, account, late = self._clock, self._account, self._late
         stale, give_way = self._timeouts.stale, way_giver()
         p: Floats = [0.0] * len(self._common.ports)
@@ -203,7 +237,8 @@ class EnvironmentNode:
         epoch, period = start.epoch, self._period
         tick, now, answered = start.tick, max(clock.now(), Instant(epoch)), Instant(2**62)
         self._due = now
-        slot, datagrams = max(0, -((epoch - now) // period)), self._datagrams
+        pace, datagrams = Pace(Instant(epoch), period, now), self._datagrams
+        self._pace = pace
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):
             life.look(now)
             if tick % LISTEN_TICKS == 0 and (word := control.listen()) is not None:
@@ -212,12 +247,14 @@ class EnvironmentNode:
                 datagrams.read()
             if linked and not members.awaited:
                 # everybody is there by a wave link, so nothing closes the tick but the clock
-                clock.sleep_until(Instant(epoch + slot * period))
+                clock.sleep_until(pace.due(clock.now()))
+                if world is not None:
+                    world.read()
                 for member in members.order:
                     members.hear(member, p, tick, NOT_AT_ALL)
                 members.resumed()
                 now = self._due = clock.now()
-                slot = max(slot + 1, -((epoch - now) // period))
+                pace.begun(now)
             elif not (members.all_active and self._all_heard(members, p, tick)):
                 found = self._wait(members, p, tick, now, life, control)
                 self._passed = ()
@@ -249,9 +286,13 @@ class EnvironmentNode:
             self._frozen_ticks += members.anybody_out
             account.tick(tick, core, [row for end in ends if (row := end.finished(tick)) is not None])
             tick += 1
+            if later is not None:
+                later.send()
             if account.due:
                 self._publish(control, core, members)
         self._publish(control, core, members)
+        if later is not None:
+            later.send()
         if tick == start.ticks and not members.all_active:
             self._say_goodbye(members, p, tick)
         if datagrams is not None:
@@ -424,11 +465,16 @@ class EnvironmentNode:
             {
                 names.FROZEN_TICKS: self._frozen_ticks,
                 names.ABSENCES: 0 if members is None else members.absences,
+                **self._late_ticks(),
                 **names.lateness_counts(lateness),
                 **names.dropped_frames(self.peer_links),
             },
             {},
         )
+
+    def _late_ticks(self) -> dict[str, int]:
+        """The late ticks of a world whose users are all behind wave links; elsewhere the devices count them."""
+        return {names.LATE: self._pace.late} if self._clocked and self._pace is not None else {}
 
     def _lateness(self, members: Members | None) -> dict[str, names.CouplingLateness]:
         """The lateness of each coupling that made the others wait, by its name."""
@@ -461,6 +507,7 @@ class EnvironmentNode:
         figures = {
             names.FROZEN: float(members.frozen),
             names.FROZEN_TICKS: float(self._frozen_ticks),
+            **{figure: float(ticks) for figure, ticks in self._late_ticks().items()},
             **{
                 f"{names.RUNG}_{member.peer_link.peer.name}": float(member.rung)
                 for member in members.all
@@ -475,6 +522,6 @@ class EnvironmentNode:
         late = {
             member.peer_link.peer.name: ticks for member in members.all if (ticks := self._late.lately[member.index])
         }
-        if self._account.publish(control, core, figures, late, members.events):
+        if self._account.publish(self._later or control, core, figures, late, members.events):
             for ticks in late.values():
                 ticks.clear()

@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 from manyhands.nodes import telemetry as names
@@ -36,6 +36,7 @@ from manyhands.nodes.peer_link import Listener, PeerLink, Received, WaveRow, hel
 from manyhands.nodes.supervisor_line import NOT_AT_ALL
 from manyhands.nodes.wave_link.faces import UserFace, WorldFace, wave_feedthrough
 from manyhands.nodes.wave_link.play_out import DEAF
+from manyhands.nodes.wave_link.thinning import Turns
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
 from manyhands.protocol.codec import LAYOUTS, WaveWriter, decode, encode, type_of
 from manyhands.protocol.gate import WaveGate
@@ -43,6 +44,7 @@ from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_STRAY_FRAMES
 from manyhands.protocol.messages import Absent, PathKey, Role, Rung, SignalMessage, Tool, Values, Wave
 from manyhands.protocol.transport import Link, TransportError
 from manyhands.protocol.transport.datagrams import DatagramPath, DatagramSocket
+from manyhands.protocol.transport.zeromq import Arrivals
 
 JOINING: Final = 0.3
 """Time for which an end measures how late waves come before its depth is settled, s."""
@@ -97,6 +99,10 @@ class _End(PeerLink):
         self._peer_period = from_seconds(wave.peer_period)
         self._period, self._born = from_seconds(common.period), 0  # when this life's first tick was, ns; 0 before it
         self._ratio = common.period / wave.peer_period
+        self._sends, self._hears = turns(wave)
+        self._following = 1  # the tick of the next wave that is sent
+        # how long a wave of the other end waits in the mean before it is sent, s
+        self._waited = self._hears.depth * wave.peer_period
         self._gate = self._new_gate()
         self._waves = WaveWriter(len(peer.ports))
         # ticks for which this end measures how late waves come, at first; 0 where its depth is given
@@ -106,6 +112,7 @@ class _End(PeerLink):
         self._deepest = DEAF / wave.peer_period
         self._ticks = 0  # of the present window
         self._strays = 0
+        self._frames: list[bytes] | None = None  # that were read for this end; None where it reads by itself
         self._silences, self._deaf = 0, True  # a face hears nothing before its first wave
         self._path: DatagramPath | None = None
         self._by_datagram = may_go_by_datagram(common)
@@ -149,7 +156,9 @@ class _End(PeerLink):
         self._begin_life()
 
     def figures(self) -> dict[str, float]:
-        """The account of this end, J; ticks with a limited wave, whether it is deaf; the delay of its play-out, us."""
+        """The account of this end, J; ticks with a limited wave, whether it is deaf; and what its play-out and the
+        other end's turns add to the round trip, us.
+        """
         face = self.face
         return {
             names.WAVE_LEDGER: face.ledger,
@@ -157,7 +166,7 @@ class _End(PeerLink):
             names.WAVE_CLIPPED: float(face.tank.clipped),
             names.WAVE_DEAF: float(face.deaf),
             names.WAVE_SILENCES: float(self._silences),
-            names.WAVE_LATENCY: face.latency * 1e6,
+            names.WAVE_LATENCY: (face.latency + self._waited) * 1e6,
         }
 
     def _begin_life(self) -> None:
@@ -168,7 +177,9 @@ class _End(PeerLink):
         before, self._gate = self._gate, self._new_gate()
         self._gate.dropped.update(before.dropped)
         self._needed.clear()
-        self._ticks, self._born, self.tick = 0, 0, -1
+        if self._frames:
+            self._frames.clear()
+        self._ticks, self._born, self.tick, self._following = 0, 0, -1, 1
 
     def _new_gate(self) -> WaveGate:
         width = len(self.peer.ports)
@@ -183,9 +194,13 @@ class _End(PeerLink):
 
     def _take_waves(self) -> bool:
         """Take in all waves that are there, of which the newest counts; returns whether a handshake has finished."""
+        frames = self._frames
         for _ in range(AT_ONCE):
-            link = self.link
-            frame = None if link is None else link.recv(NOT_AT_ALL)
+            if frames is not None:
+                frame = frames.pop(0) if frames else None
+            else:
+                link = self.link
+                frame = None if link is None else link.recv(NOT_AT_ALL)
             if frame is None:
                 break
             if self._take_frame(frame):
@@ -249,6 +264,10 @@ class _End(PeerLink):
         link = self.link
         if link is None or self.handshake is not None:
             return False
+        n = self.face.n
+        if n < self._following:
+            return True
+        self._following = self._sends.after(n)
         message = self.face.message()
         if self._path is not None:
             return self._path.send(Wave(message.n, message.U, message.G))
@@ -314,7 +333,8 @@ class UserEnd(_End):
         if self._flooded(listener):
             return Received.NOTHING
         if self._waits:
-            received = self._await_wave(math.floor(self._face.n * self._ratio + ROUNDING), timeout)
+            n = math.floor(self._face.n * self._ratio + ROUNDING)
+            received = self._await_wave(self._hears.latest(n), timeout)
             if received is not Received.SIGNAL:
                 return received
         self.put(values, self._f)
@@ -368,7 +388,8 @@ class WorldEnd(_End):
         if self._flooded(listener) or self._asked == tick:
             return Received.NOTHING
         if self._waits:
-            received = self._await_wave(math.floor(self._face.n * self._ratio + ROUNDING) + 1, timeout)
+            n = math.floor(self._face.n * self._ratio + ROUNDING) + 1
+            received = self._await_wave(self._hears.latest(n), timeout)
             if received is not Received.SIGNAL:
                 return received
         else:
@@ -389,6 +410,15 @@ class WorldEnd(_End):
         self.put(values, p)
         self.tick = tick
         return Received.SIGNAL
+
+    def read_by_others(self) -> None:
+        """Read no frames of the link from now on: :meth:`arrived` brings them."""
+        self._frames = []
+
+    def arrived(self, frame: bytes) -> None:
+        """Keep a frame that has come over the link, for the next tick."""
+        if self._frames is not None:
+            self._frames.append(frame)
 
     def send(self, kind: type[SignalMessage], tick: int, stamp: int, values: Floats) -> bool:
         """Give the face f_e(k) behind the clutch, and send the user a wave."""
@@ -426,6 +456,23 @@ class WorldEnd(_End):
         path.gate.dropped.update(self._gate.dropped)
         self._path, self._gate = path, path.gate
         link.send(encode(path.key))
+
+
+class WorldEnds:
+    """All ends of a world that its clock alone paces; it reads their links together."""
+
+    def __init__(self, ends: Sequence[WorldEnd]) -> None:
+        """Take over the reading of ``ends``."""
+        self._ends = ends
+        self._arrivals = Arrivals()
+        for end in ends:
+            end.read_by_others()
+
+    def read(self) -> None:
+        """Give each end the frames that have come over its link; its next tick takes them in."""
+        ends = self._ends
+        for i, frame in self._arrivals.take([end.link for end in ends], AT_ONCE):
+            ends[i].arrived(frame)
 
 
 def user_ends(bundle: CouplingBundle, clock: Clock) -> dict[str, Callable[[Peer, Link | None], PeerLink]]:
@@ -488,8 +535,14 @@ def world_face(common: Common, wave: WaveEnd) -> WorldFace:
     return WorldFace(wave.b, common.period, wave.peer_period, depth, E_0=wave.tank, theta=wave.theta)
 
 
+def turns(wave: WaveEnd) -> tuple[Turns, Turns]:
+    """When an end sends its waves, and when the other end does."""
+    return Turns(wave.every, wave.turn), Turns(wave.peer_every, wave.turn)
+
+
 def _first_depth(common: Common, wave: WaveEnd) -> float:
     """The depth of the play-out until it is measured, ticks of the other end."""
     if wave.depth is not None:
         return wave.depth
-    return 0.0 if common.clock == SIMULATED else FIRST_DEPTH / wave.peer_period
+    least = turns(wave)[1].depth
+    return least if common.clock == SIMULATED else FIRST_DEPTH / wave.peer_period + least

@@ -33,6 +33,7 @@ SATURATING = tuple(f"devices.{device}.limits={{force: {limit}}}" for device, lim
 
 ONE_LINK = ("couplings.cx.wave_link={b: 20, depth: 2}",)
 ALL_LINKED = tuple(f"couplings.{name}.wave_link={{b: 20}}" for name in ("cx", "cy", "cz"))
+THINNED = tuple(f"couplings.{name}.wave_link={{b: 20, interval: 0.004}}" for name in ("cx", "cy", "cz"))
 
 Node = DeviceNode | CouplingNode | EnvironmentNode
 Loops = Callable[[Prepared], tuple[dict[str, Node], dict[str, Any]]]
@@ -115,7 +116,9 @@ def test_loops_give_the_simulations_numbers(file: str, overrides: tuple[str, ...
             assert np.any(np.abs(recording.f_v[:, port]) < limit)
 
 
-@pytest.mark.parametrize("overrides", [ONE_LINK, ALL_LINKED], ids=["one wave link", "all linked"])
+@pytest.mark.parametrize(
+    "overrides", [ONE_LINK, ALL_LINKED, THINNED], ids=["one wave link", "all linked", "a wave in 4 ticks"]
+)
 def test_loops_with_wave_links_give_the_simulations_numbers(overrides: tuple[str, ...], run_loops: Loops) -> None:
     prepared = prepare(load_session(SESSIONS / "example1.yaml", overrides))
     nodes, lines = run_loops(prepared)

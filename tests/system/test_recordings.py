@@ -88,8 +88,12 @@ def test_under_the_simulated_clock_the_file_holds_the_simulations_numbers(
     assert (phases[-1], whole.conditions[-1][0]) == ("over", TICKS)
 
 
-@pytest.mark.parametrize("own", ["", ", period: 0.0005"], ids=["one period", "a site of 2 kHz"])
-def test_both_ends_of_a_wave_link_are_recorded_as_an_audit_computes_them(own: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("own", "rate"),
+    [("", 1), (", period: 0.0005", 2), (", interval: 0.003", 1)],
+    ids=["one period", "a site of 2 kHz", "a wave in 3 ticks"],
+)
+def test_both_ends_of_a_wave_link_are_recorded_as_an_audit_computes_them(own: str, rate: int, tmp_path: Path) -> None:
     link = f"couplings.cx.wave_link={{b: 20, depth: 2{own}}}"
     linked, path = prepare(load_session(SESSIONS / "example1.yaml", [link, "design.ladder=[]"])), tmp_path / "r.mcap"
     outcome = recorded(linked, RecorderProcess(linked, "simulated", path), "simulated", 400)
@@ -98,8 +102,8 @@ def test_both_ends_of_a_wave_link_are_recorded_as_an_audit_computes_them(own: st
     run = read_run(path)
     done = audit(path, run, lambda text: None, lambda tick: None)
     assert [check for check in done.checks if check.verdict is not CheckVerdict.HOLDS] == []
-    assert (run.ticks, run.ticks_of("dx"), run.ticks_of("dy")) == (400, 800 if own else 400, 400)
-    if not own:
+    assert (run.ticks, run.ticks_of("dx"), run.ticks_of("dy")) == (400, 400 * rate, 400)
+    if rate == 1:
         assert replay(linked, run).identical
 
 

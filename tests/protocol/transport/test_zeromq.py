@@ -14,7 +14,7 @@ from manyhands.protocol.clock import Duration
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_SOCKET_PATH
 from manyhands.protocol.transport import TransportError
 from manyhands.protocol.transport.door import event_of
-from manyhands.protocol.transport.zeromq import ZmqHub, ZmqTransport
+from manyhands.protocol.transport.zeromq import Arrivals, ZmqHub, ZmqTransport
 
 LONG = Duration(10_000_000_000)
 LONG_MS = 10_000
@@ -234,3 +234,40 @@ def test_a_hub_counts_and_drops_anything_except_named_nodes_single_frames(
     assert node.send(b"fine")
     hub.wait(LONG)
     assert hub.recv() == ("dx", b"fine")
+
+
+def test_one_question_finds_the_frames_of_all_links_in_their_order(make: Callable[[], ZmqTransport]) -> None:
+    ours, theirs = make(), make()
+    try:
+        bound = [ours.bind(f"a{i}", "peer") for i in range(4)]
+        ends = [theirs.connect(endpoint, "us") for _, endpoint in bound]
+        links = [link for link, _ in bound]
+        for i, end in enumerate(ends):
+            assert end.send(b"hello")
+            assert links[i].recv(LONG) == b"hello"
+        arrivals = Arrivals()
+        assert arrivals.take(links, 3) == []
+        for number in range(5):
+            ends[1].send(bytes([number]))
+        ends[3].send(b"x")
+        found: list[tuple[int, bytes]] = []
+        deadline = time.monotonic() + LEAVING
+        while len(found) < 6 and time.monotonic() < deadline:
+            some = arrivals.take(links, 3)
+            assert sum(which == 1 for which, _ in some) <= 3
+            found += some
+        assert [frame for which, frame in found if which == 1] == [bytes([number]) for number in range(5)]
+        assert [frame for which, frame in found if which == 3] == [b"x"]
+        # a link that was lost is none, and a new one in its place is read
+        again, endpoint = ours.bind("again", "peer")
+        late = theirs.connect(endpoint, "us")
+        late.send(b"back")
+        found = []
+        while not found and time.monotonic() < deadline:
+            found += arrivals.take([None, links[1], again, None], 3)
+        assert found == [(2, b"back")]
+        links[1].close()
+        assert arrivals.take([None, links[1], again, None], 3) == []
+    finally:
+        theirs.close()
+        ours.close()
