@@ -44,7 +44,7 @@ from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_STRAY_FRAMES
 from manyhands.protocol.messages import Absent, PathKey, Role, Rung, SignalMessage, Tool, Values, Wave
 from manyhands.protocol.transport import Link, TransportError
 from manyhands.protocol.transport.datagrams import DatagramPath, DatagramSocket
-from manyhands.protocol.transport.zeromq import Arrivals
+from manyhands.protocol.transport.zeromq import LOOPBACK, Arrivals
 
 JOINING: Final = 0.3
 """Time for which an end measures how late waves come before its depth is settled, s."""
@@ -508,15 +508,17 @@ def may_go_by_datagram(common: Common) -> bool:
 def datagram_socket(bundle: EnvironmentBundle, clock: Clock) -> DatagramSocket | None:
     """The environment's socket for the datagrams of all its wave links, which its couplings may reach from elsewhere.
 
-    It has the host and the number of the TCP port of the first link with a wave link, so one port more is to be opened
-    in a firewall. Links of this machine have any port of the loopback. None where no wave may go by datagram: without
-    wave links, without keys, within one machine's ipc, and under the simulated clock.
+    It has the host and the number of the TCP port of the first wave link to another machine, so one port more is to be
+    opened in a firewall. Where all are of this machine, it has the port of the first, on the loopback. None where no
+    wave may go by datagram: without wave links, without keys, within one machine's ipc, and under the simulated clock.
     """
     common = bundle.common
     if not bundle.waves or not may_go_by_datagram(common):
         return None
-    address = next(peer.address for peer in common.peers if peer.name in bundle.waves)
-    host, _, port = address.rpartition(":") if address else ("127.0.0.1", "", "0")
+    addresses = [peer.address for peer in common.peers if peer.name in bundle.waves and peer.address]
+    here = f"{LOOPBACK}:"
+    address = next((one for one in addresses if not one.startswith(here)), addresses[0] if addresses else f"{here}0")
+    host, _, port = address.rpartition(":")
     try:
         return DatagramSocket.bound(host.strip("[]"), int(port) if port.isdecimal() else 0, clock)
     except TransportError:  # the port is taken, or UDP is forbidden: the waves stay with ZeroMQ

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import socket
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,7 @@ import pytest
 
 from manyhands.nodes.bundle import REALTIME, SIMULATED, Common, Peer, WaveEnd, own_start
 from manyhands.nodes.peer_link import PeerLink, Received, handshake_of
-from manyhands.nodes.wave_link.ends import AT_ONCE, CALM, JOINING, UserEnd, WorldEnd
+from manyhands.nodes.wave_link.ends import AT_ONCE, CALM, JOINING, UserEnd, WorldEnd, datagram_socket
 from manyhands.nodes.wave_link.faces import wave_feedthrough
 from manyhands.nodes.wave_link.play_out import DEAF
 from manyhands.protocol.clock import Duration, Instant
@@ -194,6 +196,20 @@ def test_ticks_that_a_process_was_too_late_for_are_counted() -> None:
     link.world_tick(1000, 1000.0)
     assert (link.user.face.n, link.world.face.n) == (n[0] + 6, n[1] + 6)
     assert f == pytest.approx(before, rel=5e-3)
+
+
+@pytest.mark.parametrize("where", ["127.0.0.1:*", "127.0.0.2:*"])
+def test_datagrams_arrive_where_users_elsewhere_can_reach(where: str) -> None:
+    """The socket is beside a link to another machine, whichever link comes first; 127.0.0.2 stands for one."""
+    peers = [Peer(name, Role.COUPLING, ("a",), True, address) for name, address in (("c", "127.0.0.1:*"), ("d", where))]
+    carried = replace(common(Role.ENVIRONMENT, REALTIME, *peers), transport="tcp", public={"c": "key"})
+    waves = {peer.name: WaveEnd(B, None, 0.005, T) for peer in peers}
+    datagrams = datagram_socket(SimpleNamespace(common=carried, waves=waves), StoppedClock())  # type: ignore[arg-type]
+    assert datagrams is not None
+    with socket.fromfd(datagrams.fileno(), socket.AF_INET, socket.SOCK_DGRAM) as same:
+        host = same.getsockname()[0]
+    datagrams.close()
+    assert host == where.partition(":")[0]
 
 
 def test_a_second_call_in_a_tick_moves_nothing() -> None:
