@@ -161,11 +161,9 @@ def run(prepared: Prepared, seconds: float) -> tuple[Outcome, Traces]:
     return outcome, traces
 
 
-def round_trip(prepared: Prepared, traces: Traces) -> float:
-    """R of dx's wave link, s: the play-out of both ends, and half a period of each on the way."""
-    site, world = prepared.session.period_of(HAND), prepared.session.period
-    ends = traces.figures["cx"][names.WAVE_LATENCY] + traces.figures["environment"][f"{names.WAVE_LATENCY}_cx"]
-    return ends * 1e-6 + 0.5 * (site + world)
+def round_trip(traces: Traces) -> float:
+    """R of dx's wave link, s."""
+    return 1e-6 * (traces.figures["cx"][names.WAVE_LAG] + traces.figures["environment"][f"{names.WAVE_LAG}_cx"])
 
 
 def press(form: str, hold: float) -> Press:
@@ -173,7 +171,7 @@ def press(form: str, hold: float) -> Press:
     R = FIRST_ROUND_TRIP
     if not FORMS[form][1]:
         pilot = designed(session_of(form, R, RISE))
-        R = round_trip(pilot, run(pilot, PILOT)[1])
+        R = round_trip(run(pilot, PILOT)[1])
     prepared = designed(session_of(form, R, RISE))
     outcome, traces = run(prepared, START + RISE + hold)
     certificate = prepared.certificate_of("cx")
@@ -181,7 +179,7 @@ def press(form: str, hold: float) -> Press:
         raise SystemExit(f"{form}: found no certified spring; expected one")
     coupling = float(certificate.spring_damper.stiffness[0, 0])
     link = prepared.session.wave_links.get("cx")
-    R = 0.0 if link is None else round_trip(prepared, traces)
+    R = 0.0 if link is None else round_trip(traces)
     b = 0.0 if link is None else float(link.impedance(1)[0, 0])
     own, world = prepared.session.period_of(HAND), prepared.session.period
     x, f = traces.whole(HAND, names.DISPLACEMENT)[:, 0], traces.whole(HAND, names.FORCE)[:, 0]

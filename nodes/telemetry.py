@@ -109,7 +109,7 @@ WAVE_TANK = "wave_tank"  # J in the tank of this end
 WAVE_CLIPPED = "wave_clipped"  # ticks in which the tank limited a wave
 WAVE_DEAF = "wave_deaf"  # 1 while no wave has come for so long that this end holds the tool
 WAVE_SILENCES = "wave_silences"  # times that this began, after the first wave
-WAVE_LATENCY = "wave_latency_us"  # what the play-out of this end adds to the round trip
+WAVE_LAG = "wave_lag_us"  # the sum over both ends is the round trip; one alone says nothing
 ENFORCED_TICKS = "enforced_ticks"  # ticks in which a passivity controller kept a force back
 ENFORCED_ENERGY = "enforced_energy"  # J that it kept back
 

@@ -239,9 +239,7 @@ def felt_links(session: Session, figures: Mapping[str, Mapping[str, float]]) -> 
         impedance = session.impedance_of(name)
         if impedance is None or not {name, ENVIRONMENT} <= figures.keys():
             continue
-        felt = felt_link(
-            name, impedance, (session.period_of(name), session.period), figures[name], figures[ENVIRONMENT]
-        )
+        felt = felt_link(name, impedance, figures[name], figures[ENVIRONMENT])
         if felt is not None:
             out[name] = felt
     return out

@@ -491,8 +491,7 @@ class Scene:
             for world in worlds:
                 if node.impedance is None:
                     continue
-                periods = self.about.period_of(name), self.about.period_of(world.name)
-                felt = felt_link(name, node.impedance, periods, self.nodes[name].figures, world.figures)
+                felt = felt_link(name, node.impedance, self.nodes[name].figures, world.figures)
                 if felt is not None:
                     out[name] = felt
         return out

@@ -101,8 +101,6 @@ class _End(PeerLink):
         self._ratio = common.period / wave.peer_period
         self._sends, self._hears = turns(wave)
         self._following = 1  # the tick of the next wave that is sent
-        # how long a wave of the other end waits in the mean before it is sent, s
-        self._waited = self._hears.depth * wave.peer_period
         self._gate = self._new_gate()
         self._waves = WaveWriter(len(peer.ports))
         # ticks for which this end measures how late waves come, at first; 0 where its depth is given
@@ -156,9 +154,7 @@ class _End(PeerLink):
         self._begin_life()
 
     def figures(self) -> dict[str, float]:
-        """The account of this end, J; ticks with a limited wave, whether it is deaf; and what its play-out and the
-        other end's turns add to the round trip, us.
-        """
+        """The account of this end, J; ticks with a limited wave, whether it is deaf; its part of the round trip, us."""
         face = self.face
         return {
             names.WAVE_LEDGER: face.ledger,
@@ -166,7 +162,7 @@ class _End(PeerLink):
             names.WAVE_CLIPPED: float(face.tank.clipped),
             names.WAVE_DEAF: float(face.deaf),
             names.WAVE_SILENCES: float(self._silences),
-            names.WAVE_LATENCY: (face.latency + self._waited) * 1e6,
+            names.WAVE_LAG: face.lag * 1e6,
         }
 
     def _begin_life(self) -> None:

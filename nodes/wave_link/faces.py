@@ -249,6 +249,16 @@ class _Face(ABC):
         return self._play.depth * self._peer_T + (self._smoothing - 1.0) * self._T
 
     @property
+    def lag(self) -> float:
+        """This end's time, n T, less the other's time up to which waves are played, s, and the smoothing.
+
+        Both count from instants of their own. So only the sum over both ends says something: it is the round trip R,
+        with the network and the waits for ticks, and no clocks have to agree for it.
+        """
+        play = self._play
+        return self.n * self._T - (play.newest - play.lag()) * self._peer_T + (self._smoothing - 1.0) * self._T
+
+    @property
     def wanted_depth(self) -> float:
         """The depth that was set last, ticks of the other face."""
         return self._play.depth

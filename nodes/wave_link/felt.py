@@ -15,8 +15,7 @@ class FeltLink:
     """One wave link, as it is now.
 
     Attributes:
-        round_trip: R, s: the play-out of both ends, and half a period of each end, for which a wave waits for a tick.
-            The way through a network adds to it, and is not known.
+        round_trip: R, s: the network, the waits for ticks, and the play-out of both ends.
         stiffness: K = 2 b/R, N/m, of the spring in series with the coupling that is felt while the tool is held; of
             several ports, that of the softest direction.
         mass: M = b R/2, kg, that is felt while the tool moves freely; of several ports, that of the heaviest direction.
@@ -72,7 +71,6 @@ class FeltLink:
 def felt_link(
     coupling: str,
     impedance: tuple[float, float],
-    periods: tuple[float, float],
     user: Mapping[str, float],
     world: Mapping[str, float],
 ) -> FeltLink | None:
@@ -81,15 +79,15 @@ def felt_link(
     Args:
         coupling: its name.
         impedance: the least and the greatest eigenvalue of b, N*s/m.
-        periods: T of the user's and of the world's end, s.
         user: the figures of the coupling.
         world: the figures of the environment.
     """
-    figures = (names.WAVE_LATENCY, names.WAVE_TANK, names.WAVE_CLIPPED, names.WAVE_SILENCES, names.WAVE_DEAF)
+    lags = user.get(names.WAVE_LAG, math.nan), world.get(f"{names.WAVE_LAG}_{coupling}", math.nan)
+    R = 1e-6 * sum(lags)
+    figures = (names.WAVE_TANK, names.WAVE_CLIPPED, names.WAVE_SILENCES, names.WAVE_DEAF)
     found = [(user.get(one, math.nan), world.get(f"{one}_{coupling}", math.nan)) for one in figures]
-    if not all(0.0 <= value < math.inf for pair in found for value in pair):
+    if not all(0.0 <= value < math.inf for pair in found for value in pair) or not 0.0 < R < math.inf:
         return None
-    latency, tanks, limited, silences, deaf = found
-    R = 1e-6 * sum(latency) + 0.5 * sum(periods)
+    tanks, limited, silences, deaf = found
     softest, heaviest = impedance
     return FeltLink(R, 2.0 * softest / R, 0.5 * heaviest * R, tanks, int(sum(limited)), int(sum(silences)), any(deaf))

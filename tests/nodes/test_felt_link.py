@@ -10,20 +10,27 @@ from manyhands.nodes import telemetry as names
 from manyhands.nodes.wave_link.felt import FeltLink, felt_link
 
 USER = {
-    names.WAVE_LATENCY: 4000.0,
+    names.WAVE_LAG: 5000.0,
     names.WAVE_TANK: 5e-3,
     names.WAVE_CLIPPED: 2.0,
     names.WAVE_SILENCES: 0.0,
     names.WAVE_DEAF: 0.0,
 }
-WORLD = {f"{name}_cx": value for name, value in (USER | {names.WAVE_LATENCY: 1375.0, names.WAVE_TANK: 4e-3}).items()}
+WORLD = {f"{name}_cx": value for name, value in (USER | {names.WAVE_LAG: 1000.0, names.WAVE_TANK: 4e-3}).items()}
 
 
 def felt(user: dict[str, float] = USER, world: dict[str, float] = WORLD) -> FeltLink | None:
-    return felt_link("cx", (20.0, 60.0), (250e-6, 1e-3), user, world)
+    return felt_link("cx", (20.0, 60.0), user, world)
 
 
-def test_it_has_the_play_out_of_both_ends_and_half_a_period_of_each() -> None:
+@pytest.mark.parametrize("offset", [0.0, 3.6e9])
+def test_the_round_trip_is_the_sum_of_both_lags_whenever_their_counts_began(offset: float) -> None:
+    found = felt(USER | {names.WAVE_LAG: 5000.0 - offset}, WORLD | {f"{names.WAVE_LAG}_cx": 1000.0 + offset})
+    assert found is not None
+    assert found.round_trip == pytest.approx(6e-3)
+
+
+def test_it_has_the_figures_of_both_ends() -> None:
     found = felt()
     assert found is not None
     assert found.round_trip == pytest.approx(6e-3)
@@ -46,7 +53,7 @@ def test_the_sentence_names_what_a_user_wants_to_know() -> None:
 
 
 @pytest.mark.parametrize("name", USER)
-@pytest.mark.parametrize("value", [None, math.nan, -1.0, math.inf])
+@pytest.mark.parametrize("value", [None, math.nan, -1e4, math.inf])
 def test_without_sensible_figures_of_both_ends_nothing_is_claimed(name: str, value: float | None) -> None:
     for end, key in ((USER, name), (WORLD, f"{name}_cx")):
         changed = {other: old for other, old in end.items() if other != key}

@@ -46,7 +46,7 @@ def test_its_tick_is_the_sessions() -> None:
 
 def test_what_is_felt_of_a_link_is_known_once_both_ends_have_reported() -> None:
     scene = Scene(LINKED)
-    figures = {"wave_latency_us": 1000.0, "wave_tank": 5e-3, "wave_clipped": 0.0, "wave_silences": 0.0,
+    figures = {"wave_lag_us": 1312.5, "wave_tank": 5e-3, "wave_clipped": 0.0, "wave_silences": 0.0,
                "wave_deaf": 0.0}  # fmt: skip
     scene.take(telemetry("cx", 4000, **figures), Instant(0))
     assert scene.felt_links == {}
