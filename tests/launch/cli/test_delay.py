@@ -287,5 +287,5 @@ def test_budget_shows_what_is_kept(machine: Machine) -> None:
     assert "1 kHz, 1 kHz co-located, 2 kHz, 2 kHz co-located, 4 kHz, 4 kHz co-located: not measured" in before
     command(*LAUNCH)
     after = command("budget", "example1").stdout
-    assert re.search(r"1 kHz │ separate +│ +340 │ +680 │ +0.0% │ +0.75 │ +1.1 │ +818 │ +2740", after)
+    assert re.search(r"1 kHz │ separate +│ +340 │ +680 │ +2040 │ +0.0% │ +0.75 │ +1.1 │ +818 │ +none │ +2740", after)
     assert "1 kHz co-located, 2 kHz" in after
