@@ -22,7 +22,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import IO, Self
+from typing import Self
 
 from manyhands.nodes.lifetime import terminal_signals
 from manyhands.protocol.messages import Role
@@ -122,7 +122,9 @@ class Processes:
             process = subprocess.Popen(  # noqa: S603 -- ssh, without a shell on this machine
                 command, stdin=subprocess.PIPE, stdout=log, stderr=log, start_new_session=True, bufsize=0
             )
-        threading.Thread(target=_hand_over, args=(process.stdin, given), daemon=True).start()
+        if process.stdin is not None:
+            descriptor = os.dup(process.stdin.fileno())
+            threading.Thread(target=_hand_over, args=(descriptor, given), daemon=True).start()
         self._keep([node], process)
 
     def _keep(self, names: Sequence[str], process: subprocess.Popen[bytes]) -> None:
@@ -182,12 +184,16 @@ class Processes:
         return path.read_text(errors="replace").strip()[-_LOG_SHOWN:] if path.exists() else ""
 
 
-def _hand_over(pipe: IO[bytes], content: bytes) -> None:
-    """Write all of it to a pipe, and leave the pipe open."""
+def _hand_over(descriptor: int, content: bytes) -> None:
+    """Write all of it to a pipe, through a descriptor of this thread's own, for the other may be closed meanwhile."""
     left = memoryview(content)
-    with contextlib.suppress(BrokenPipeError):  # the process has ended, which its descriptor reports
+    try:
         while left:
-            left = left[os.write(pipe.fileno(), left) :]
+            left = left[os.write(descriptor, left) :]
+    except BrokenPipeError:  # the process has ended, which its own descriptor reports
+        return
+    finally:
+        os.close(descriptor)
 
 
 def _close_input(process: subprocess.Popen[bytes]) -> None:
