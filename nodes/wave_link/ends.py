@@ -287,7 +287,8 @@ class _End(PeerLink):
         deepest = min(deepest, self._deepest)
         if len(self._needed) == 1:
             self.face.set_depth(deepest)
-        elif deepest > self.face.wanted_depth or len(self._needed) == CALM:  # it grows at once, and shrinks when calm
+        elif deepest > self.face.wanted_depth or len(self._needed) in (2, CALM):
+            # it grows at once, and shrinks when calm, or where an outage at the beginning alone has made it deep
             self.face.approach_depth(deepest)
         return True
 

@@ -183,6 +183,19 @@ def test_a_depth_follows_what_comes_late_again_and_again_and_no_single_outage() 
     assert seconds(CALM + 1, 0) <= 2.0
 
 
+def test_an_outage_while_joining_makes_the_depth_deep_for_a_second_and_not_for_ten() -> None:
+    link = Link(depth=None)
+    depths = []
+    for k in range(math.ceil(JOINING / T) + 1500):
+        link.user_tick(k, 0.01)
+        if not 50 <= k < 90:
+            link.carry()
+        link.world_tick(k, 1000.0)
+        depths.append(link.world.face.wanted_depth)
+    assert max(depths) > 20.0
+    assert depths[-1] <= 2.0
+
+
 def test_ticks_that_a_process_was_too_late_for_are_counted() -> None:
     link = Link()
     for k in range(1000):
