@@ -123,7 +123,7 @@ def _check_session(me: str, peer: str, hello: LinkHello | NodeHello, certificate
     if hello.certificate != certificate:
         text = (
             f"found the certificate {hello.certificate}; expected {certificate}; "
-            "start all nodes of the session from one certificate file"
+            "start all nodes of the session from one certificate file, or have the invitation renewed"
         )
         return refuse(me, peer, RefusalCode.CERTIFICATE, text)
     if hello.session != session:

@@ -72,7 +72,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def read(
-    path: Path, kind: str, members: Set[str], limit: int, *, private: bool, writer: str = "manyhands keys"
+    path: Path, kind: str, members: Set[str], limit: int, *, private: bool, writer: str = "manyhands invite"
 ) -> dict[str, Any]:
     """Read a key file; returns its members, whose types are not checked.
 
@@ -100,6 +100,23 @@ def read(
         raise KeyFileError(f"{path}: {problem}")
     found: dict[str, Any] = data
     return found
+
+
+def private_line(path: Path, limit: int, writer: str) -> str:
+    """The text of a file of one line that holds a key, after the checks of a private key's file.
+
+    Args:
+        path: the file.
+        limit: its greatest length, bytes.
+        writer: the command that writes such files, for the messages.
+
+    Raises:
+        KeyFileError: the file cannot be read, cannot be trusted, or is no text of ASCII.
+    """
+    try:
+        return _content(path, limit, private=True, writer=writer).decode("ascii").strip()
+    except UnicodeDecodeError:  # its text would quote the content
+        raise KeyFileError(f"{path}: found no text; expected a file as {writer} writes it") from None
 
 
 def _content(path: Path, limit: int, *, private: bool, writer: str) -> bytes:
@@ -361,12 +378,13 @@ def ring_of(name: str, pair: KeyPair, public: PublicKeys, peers: Iterable[str]) 
         if peer not in public.keys:
             raise KeyFileError(
                 f"{public.session}: found no public key of {peer!r}, which {name!r} talks to; expected one; "
-                "make it with manyhands keys and hand the public keys out again"
+                "make it with manyhands invite and hand the public keys out again"
             )
     if public.keys.get(name, pair.public) != pair.public:
         raise KeyFileError(
             f"{public.session}: found another public key of {name!r} than the one of its pair; expected the same; "
-            f"hand the public keys out again, or make the key anew with manyhands keys --renew {name}"
+            "hand the public keys out again, or make the key anew with manyhands invite SESSION --keys DIR --renew "
+            f"{name}"
         )
     try:
         return KeyRing(name, pair, {peer: public.keys[peer] for peer in peers})

@@ -30,7 +30,7 @@ MAX_ENTRIES: Final = 2048
 """Most entries of one mapping (endpoints, figures, counts, traces)."""
 
 MAX_SENTENCES: Final = 128
-"""Most sentences of one kind in a Condition."""
+"""Most sentences of one kind, and most promises, in a Condition."""
 
 MAX_CONTAINERS: Final = 5000
 """Most arrays and maps in one frame: an empty one needs a hundred times its length. A report of all maps needs 4100."""
@@ -49,6 +49,12 @@ MAX_RUNG: Final = 15
 
 MAX_PID: Final = 2**31 - 1
 """Greatest process id."""
+
+MAX_PART_BYTES: Final = 16 * 1024 * 1024
+"""Longest part of a session that a guest fetches, bytes: two bundles, one with a recorded motion of minutes."""
+
+MAX_PIECE_BYTES: Final = 64 * 1024
+"""Longest piece of it in one frame, bytes: HUB_INBOX_FRAMES of them may wait for one guest."""
 
 MAX_DATAGRAM_BYTES: Final = 1200
 """Longest datagram, bytes: with its heads it fits into 1280, the least MTU of IPv6, so that no path cuts it up."""

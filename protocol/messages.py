@@ -156,6 +156,32 @@ class Echo:
 
 
 @dataclass(frozen=True, slots=True)
+class Fetch:
+    """To the supervisor, from a guest that has a key and no bundle yet: a request for its part of the session.
+
+    Attributes:
+        at: from which byte on.
+    """
+
+    at: int
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """The supervisor's answer to a :class:`Fetch`.
+
+    Attributes:
+        at: the first byte that it has.
+        total: the length of the part, bytes.
+        content: of the part; it may hold keys, and shows in no text.
+    """
+
+    at: int
+    total: int
+    content: bytes = field(repr=False)
+
+
+@dataclass(frozen=True, slots=True)
 class Absent:
     """From the supervisor: ``peer`` is gone. The receiver closes the link, and binds a new one where it bound the old.
 
@@ -315,6 +341,29 @@ class Observation:
 
 
 @dataclass(frozen=True, slots=True)
+class PromiseStatus:
+    """How one promise of a session stands: a row of its health (:mod:`manyhands.nodes.observer.health`).
+
+    Attributes:
+        promise: its name.
+        state: kept, enforced or broken.
+        who: the parties that the row is about; empty for all that no other row of this promise names.
+        since: when the state began, s of the session's time; None where that is not known.
+        until: when it was last so, s; None while it lasts.
+        cost: what it has cost so far, by unit.
+        remark: what has happened, and what to do, as a sentence; empty where there is nothing to add.
+    """
+
+    promise: str
+    state: str
+    who: tuple[str, ...] = ()
+    since: float | None = None
+    until: float | None = None
+    cost: Mapping[str, float] = field(default_factory=dict)
+    remark: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class Condition:
     """From the supervisor to observers: the condition of the session.
 
@@ -326,6 +375,7 @@ class Condition:
         notices: a sentence for each assumption of the certificate that was found broken.
         incidents: a sentence for each of the latest incidents that the session withstood.
         faults: a sentence for each failure.
+        promises: how each promise of the session stands.
     """
 
     phase: str
@@ -335,6 +385,7 @@ class Condition:
     notices: tuple[str, ...] = ()
     incidents: tuple[str, ...] = ()
     faults: tuple[str, ...] = ()
+    promises: tuple[PromiseStatus, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -391,6 +442,8 @@ Message: TypeAlias = (
     | SignalMessage
     | Wave
     | PathKey
+    | Fetch
+    | Piece
     | Telemetry
     | Observation
     | Condition

@@ -2,6 +2,8 @@
 
 Over TCP all messages are encrypted and both sides prove their keys (CURVE), unless the process has no keys. Over
 ``ipc`` the permissions of the sockets' directory keep others out. TCP has TCP_NODELAY, which is ZeroMQ's default.
+A process of a session with nodes on other machines uses both: ``ipc`` with its peers on its own machine, and TCP with
+the others. Each then has a thread of ZeroMQ to itself, so that only that of ``ipc`` may have a real-time priority.
 
 A link is a PAIR socket: it admits one peer and is, with a blocking receive, the fastest of ZeroMQ's patterns. A hub is
 ROUTER and DEALER, an outlet PUSH and PULL. Receiving blocks in the kernel with RCVTIMEO and not in a poller: that is
@@ -10,7 +12,7 @@ connection requests meanwhile. Sending never blocks.
 """
 
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -325,6 +327,12 @@ def failed(what: str, error: zmq.ZMQError) -> TransportError:
 SCHEMES: Final = ("ipc", "tcp")
 """The transports of a session."""
 
+_IPC: Final = "ipc://"
+_TCP: Final = "tcp://"
+
+NETWORK_THREAD: Final = 1
+"""The number of ZeroMQ's thread for all that goes over TCP, in a process that has such links; 0 is that of ``ipc``."""
+
 _CURVE_BYTES: Final = 33  # added to a message by encryption: command, nonce, flags and authenticator
 
 LOOPBACK: Final = "127.0.0.1"
@@ -351,21 +359,23 @@ class ZmqTransport:
     A context must not be carried over a fork: construct the transport in the process that uses it.
     """
 
-    def __init__(self, scheme: str, address_of: Callable[[str, str], str], ring: KeyRing | None = None) -> None:
+    def __init__(self, directory: Path | None, tcp: bool, ring: KeyRing | None = None) -> None:
         """Make a transport without sockets.
 
         Args:
-            scheme: one of :data:`SCHEMES`.
-            address_of: returns the address to bind, from a name and the address that was asked for.
+            directory: where its Unix-domain sockets are, which exists and only the session's user may enter; None where
+                there are none.
+            tcp: whether a link to which an address is given goes over TCP.
             ring: the keys of this process; None for no encryption.
 
         Raises:
             TransportError: this process may not open enough files.
         """
-        self._scheme: Final = scheme
-        self._address_of = address_of
+        # peers may have a different working directory
+        self._directory: Final = None if directory is None else directory.absolute()
+        self._tcp: Final = tcp
         require_room()
-        self._context = zmq.Context()
+        self._context = zmq.Context(io_threads=2 if tcp else 1)
         self._door = None if ring is None else Doorkeeper(self._context, ring)
         self._sockets: list[zmq.Socket[bytes]] = []
         self._links: list[ZmqLink] = []
@@ -375,24 +385,26 @@ class ZmqTransport:
     @classmethod
     def ipc(cls, directory: Path) -> "ZmqTransport":
         """A transport over Unix-domain sockets in ``directory``, which exists and only the session's user may enter."""
-        absolute = directory.absolute()  # peers may have a different working directory
-        return cls("ipc", lambda name, _address: str(absolute / name))
+        return cls(directory, tcp=False)
 
     @classmethod
-    def tcp(cls, ring: KeyRing | None = None) -> "ZmqTransport":
-        """A transport over TCP, on the loopback by default; encrypted with the keys of ``ring``, or plain for None."""
-        return cls("tcp", lambda _name, address: address or f"{LOOPBACK}:*", ring)
+    def tcp(cls, ring: KeyRing | None = None, directory: Path | None = None) -> "ZmqTransport":
+        """A transport over TCP; encrypted with the keys of ``ring``, or plain for None.
+
+        Where no address is given, a link is in ``directory``, over ``ipc``, and without one on the loopback.
+        """
+        return cls(directory, tcp=True, ring=ring)
 
     @classmethod
-    def of(cls, scheme: str, directory: Path, ring: KeyRing | None = None) -> "ZmqTransport":
-        """The transport of one of :data:`SCHEMES`; ``directory`` is for ``ipc``, ``ring`` for ``tcp``.
+    def of(cls, scheme: str, directory: Path | None, ring: KeyRing | None = None) -> "ZmqTransport":
+        """The transport of one of :data:`SCHEMES`; ``directory`` is for ``ipc``, also beside ``tcp``, ``ring`` for it.
 
         Raises:
             TransportError: the scheme is unknown, or this process may not open enough files.
         """
         if scheme not in SCHEMES:
             raise TransportError(f"found the transport {scheme!r:.40}; expected {' or '.join(SCHEMES)}")
-        return cls.ipc(directory) if scheme == "ipc" else cls.tcp(ring)
+        return cls.tcp(ring, directory) if scheme == "tcp" else cls.ipc(directory or Path())
 
     def bind(self, name: str, peer: str, address: str = "") -> tuple[Link, str]:
         """A link for ``peer`` to connect to; see :class:`~manyhands.protocol.transport.Transport`."""
@@ -429,7 +441,7 @@ class ZmqTransport:
         socket = self._socket(zmq.ROUTER, HUB_QUEUE_FRAMES)
         socket.setsockopt(zmq.RCVHWM, HUB_INBOX_FRAMES)
         socket.setsockopt(zmq.ROUTER_MANDATORY, 1)  # otherwise a frame for an unknown identity is lost without an error
-        endpoint = self._bind(socket, name, members, address)
+        endpoint = self._bind(socket, name, members, address or (f"{LOOPBACK}:*" if self._tcp else ""))
         return ZmqHub(socket, self._door), endpoint
 
     def join(self, endpoint: str, identity: str, hub: str = HUB) -> Link:
@@ -438,10 +450,10 @@ class ZmqTransport:
         socket = self._socket(zmq.DEALER, HUB_QUEUE_FRAMES)
         if self._door is None:  # with keys the hub knows the name, and routes cannot be guessed and taken
             socket.setsockopt(zmq.ROUTING_ID, identity.encode("ascii"))
-        if self._scheme == "tcp":
+        if self._tcp:
             socket.setsockopt(zmq.HEARTBEAT_IVL, HEARTBEAT_MS)
             socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, SILENCE_MS)
-        link = self._link(socket, watched=self._scheme == "tcp")
+        link = self._link(socket, watched=self._tcp)
         self._connect(socket, endpoint, hub)
         return link
 
@@ -499,19 +511,31 @@ class ZmqTransport:
         if name in self._names:
             raise TransportError(f"found the name {name} in use; expected a name that is bound once")
         self._names.add(name)
-        address = self._address_of(name, wanted)
-        if self._scheme == "ipc":
-            self._claim(Path(address))
-        if self._door is not None:
+        endpoint = self._place(name, wanted)
+        self._use_thread(socket, endpoint)
+        if endpoint.startswith(_IPC):
+            self._claim(Path(endpoint.removeprefix(_IPC)))
+        elif self._door is not None:
             try:
                 self._door.guard(socket, name, admits)
             except KeyError as error:
                 raise _no_key(error) from error
         try:
-            socket.bind(f"{self._scheme}://{address}")
+            socket.bind(endpoint)
         except zmq.ZMQError as error:
-            raise failed(f"bind {self._scheme}://{address}", error) from error
+            raise failed(f"bind {endpoint}", error) from error
         return socket.getsockopt_string(zmq.LAST_ENDPOINT)
+
+    def _place(self, name: str, wanted: str) -> str:
+        """The endpoint to bind under a name, where the address ``wanted`` is asked for; empty for none."""
+        if self._directory is None or (self._tcp and wanted):
+            return f"{_TCP}{wanted or f'{LOOPBACK}:*'}"
+        return f"{_IPC}{self._directory / name}"
+
+    def _use_thread(self, socket: "zmq.Socket[bytes]", endpoint: str) -> None:
+        """Choose ZeroMQ's thread for a socket: what comes over a network is not of the thread that may be raised."""
+        if self._tcp:
+            socket.setsockopt(zmq.AFFINITY, 1 << NETWORK_THREAD if endpoint.startswith(_TCP) else 1)
 
     def _claim(self, path: Path) -> None:
         require_path(path)
@@ -520,9 +544,11 @@ class ZmqTransport:
         self._files.append(path)
 
     def _connect(self, socket: "zmq.Socket[bytes]", endpoint: str, peer: str) -> None:
-        if not endpoint.startswith(f"{self._scheme}://"):
-            raise TransportError(f"found the endpoint {endpoint!r:.300}; expected {self._scheme}://...")
-        if self._door is not None:
+        expected = [scheme for scheme, used in ((_IPC, self._directory is not None), (_TCP, self._tcp)) if used]
+        if not endpoint.startswith(tuple(expected)):
+            raise TransportError(f"found the endpoint {endpoint!r:.300}; expected {'... or '.join(expected)}...")
+        self._use_thread(socket, endpoint)
+        if self._door is not None and endpoint.startswith(_TCP):
             try:
                 self._door.introduce(socket, peer)
             except KeyError as error:

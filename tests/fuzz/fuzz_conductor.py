@@ -37,6 +37,7 @@ from manyhands.protocol.messages import (
     Absent,
     Connect,
     Fault,
+    Fetch,
     LinkHello,
     Message,
     NodeHello,
@@ -357,4 +358,5 @@ def _in_place(sender: str) -> dict[str, Message]:
         "link hello": LinkHello(PROTOCOL_VERSION, CERTIFICATE, SESSION.name, sender, hello.role, ("dx",)),
         "offer": Offer(NODES[0], "ipc:///s/anew"),
         "absent": Absent(NODES[0]),
+        "fetch": Fetch(0),
     }

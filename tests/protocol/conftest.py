@@ -53,7 +53,7 @@ class Ends:
             transport.close()
 
 
-@pytest.fixture(params=["memory", "ipc", "tcp", "tcp with keys"])
+@pytest.fixture(params=["memory", "ipc", "tcp", "tcp with keys", "ipc beside tcp with keys"])
 def ends(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Ends]:
     process: Callable[[str], Transport]
     if request.param == "memory":
@@ -63,8 +63,10 @@ def ends(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Ends]:
         process = lambda _name: ZmqTransport.ipc(tmp_path)  # noqa: E731
     elif request.param == "tcp":
         process = lambda _name: ZmqTransport.tcp()  # noqa: E731
-    else:
+    elif request.param == "tcp with keys":
         process = lambda name: ZmqTransport.tcp(ring(name))  # noqa: E731
+    else:
+        process = lambda name: ZmqTransport.tcp(ring(name), tmp_path)  # noqa: E731
     both = Ends(process("supervisor"), process("dx"), request.param, process)
     yield both
     both.close()

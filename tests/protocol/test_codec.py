@@ -20,6 +20,7 @@ from manyhands.protocol.messages import (
     Connect,
     Echo,
     Fault,
+    Fetch,
     Force,
     Grasp,
     LinkHello,
@@ -28,7 +29,9 @@ from manyhands.protocol.messages import (
     Observation,
     Offer,
     PathKey,
+    Piece,
     Probe,
+    PromiseStatus,
     Reaction,
     Ready,
     Refusal,
@@ -58,6 +61,16 @@ finite = st.floats(allow_nan=False, allow_infinity=False)
 numbers = st.floats(allow_nan=False)
 endpoints = st.dictionaries(names, st.text(printable, min_size=1, max_size=limits.MAX_ENDPOINT), max_size=4)
 figures = st.dictionaries(names, numbers, max_size=4)
+statuses = st.builds(
+    PromiseStatus,
+    names,
+    names,
+    st.lists(names, max_size=2).map(tuple),
+    st.none() | finite,
+    st.none() | finite,
+    figures,
+    texts,
+)
 values = hnp.arrays(np.float64, st.integers(1, limits.MAX_PORTS), elements=finite)
 traces = hnp.arrays(np.float64, hnp.array_shapes(min_dims=2, max_dims=2, min_side=0, max_side=5), elements=numbers)
 
@@ -106,10 +119,18 @@ MESSAGES: dict[type[Any], st.SearchStrategy[Message]] = {
         st.dictionaries(names, names, max_size=3),
         st.lists(names, max_size=3).map(tuple),
         *[st.lists(texts, max_size=3).map(tuple)] * 3,
+        st.lists(statuses, max_size=3).map(tuple),
     ),
     Wave: st.builds(Wave, counts, st.lists(finite, min_size=1, max_size=limits.MAX_PORTS).map(tuple), finite),
     PathKey: st.builds(
         PathKey, st.binary(min_size=8, max_size=8), st.binary(min_size=32, max_size=32), st.integers(1, 65535)
+    ),
+    Fetch: st.builds(Fetch, st.integers(0, limits.MAX_PART_BYTES - 1)),
+    Piece: st.builds(
+        Piece,
+        st.integers(0, limits.MAX_PART_BYTES - 1),
+        st.integers(1, limits.MAX_PART_BYTES),
+        st.binary(min_size=1, max_size=500),
     ),
     Grasp: st.builds(Grasp, values),
     Release: st.just(Release()),
@@ -273,6 +294,10 @@ HELLO = LinkHello(1, "c", "s", "n", Role.DEVICE, ("p",))
         (Wave(0, (1.0,), "0"), "Wave.shipped: found '0'; expected a float"),
         (PathKey(b"", bytes(32), 1), "PathKey.connection: found 0 bytes; expected 8 bytes"),
         (PathKey(bytes(8), bytes(32), 0), "PathKey.port: found 0; expected an integer from 1 to 65535"),
+        (Fetch(2**24), "Fetch.at: found 16777216; expected an integer from 0 to 16777215"),
+        (Piece(0, 0, b"x"), "Piece.total: found 0; expected an integer from 1"),
+        (Piece(0, 1, b""), "Piece.content: found 0 bytes; expected 1 to 65536 bytes"),
+        (Piece(0, 2**24, bytes(65537)), "Piece.content: found 65537 bytes; expected 1 to 65536 bytes"),
         (Rung(16), "Rung.rung: found 16; expected an integer from 0 to 15"),
         (Offer("cx", ""), "Offer.endpoint: found ''; expected a printable name"),
         (Probe(-1), "Probe.sent: found -1; expected an integer from 0"),

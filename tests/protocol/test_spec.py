@@ -116,7 +116,8 @@ def test_what_is_dropped_in_the_order_in_which_it_is_seen() -> None:
 
 
 def test_messages_that_are_declared_can_be_sent() -> None:
-    declared = {kind for kind in vars(messages).values() if dataclasses.is_dataclass(kind)} - {messages.Signal}
+    declared = {kind for kind in vars(messages).values() if dataclasses.is_dataclass(kind)}
+    declared -= {messages.Signal, messages.PromiseStatus}  # parts of messages
     assert declared == set(LAYOUTS)
 
 

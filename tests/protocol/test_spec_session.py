@@ -38,6 +38,7 @@ from manyhands.protocol.gate import DROP_REASONS
 from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
     Fault,
+    Fetch,
     Message,
     NodeHello,
     Probe,
@@ -57,6 +58,7 @@ from ..support.spec_text import SPEC, listed, table
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 SAID: dict[type[Message], Message] = {
+    Fetch: Fetch(0),
     NodeHello: NodeHello(PROTOCOL_VERSION, "id", "s", "dx", Role.DEVICE, 1, {}),
     Probe: Probe(1),
     Ready: Ready(),
@@ -76,7 +78,7 @@ def test_the_supervisors_view_of_a_node() -> None:
     rows = []
     for state, kind in conductor.TRANSITIONS:
         session = conductor.Conductor(Topology(nodes, dict.fromkeys(nodes, ()), ()), "id", "s", 0)
-        session.states["dx"] = state
+        session.states["dx"], session.parts["dx"] = state, b"part"
         told = session.receive("dx", SAID[kind], 0)
         answers = [type(i.message).__name__ for i in told if isinstance(i, conductor.Send) and i.node == "dx"]
         rows.append([state.value, kind.__name__, session.states["dx"].value, ", ".join(answers) or "nothing"])

@@ -11,6 +11,7 @@ import zmq
 from zmq.utils.monitor import parse_monitor_message, recv_monitor_message
 
 from manyhands.protocol.clock import Duration
+from manyhands.protocol.keys import KeyRing, new_pair
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_SOCKET_PATH
 from manyhands.protocol.transport import TransportError
 from manyhands.protocol.transport.door import event_of
@@ -271,3 +272,31 @@ def test_one_question_finds_the_frames_of_all_links_in_their_order(make: Callabl
     finally:
         theirs.close()
         ours.close()
+
+
+def test_beside_tcp_a_link_without_an_address_is_a_file_that_needs_no_key(tmp_path: Path) -> None:
+    """And one with an address is neither in the directory nor open to a program without a key."""
+    ring = KeyRing("cx", new_pair(), {})
+    transport = ZmqTransport.tcp(ring, tmp_path)
+    try:
+        local, endpoint = transport.bind("cx-dx", "dx")
+        assert endpoint == f"ipc://{tmp_path}/cx-dx"
+        foreign = ForeignProgram()
+        foreign.connect(zmq.PAIR, endpoint).send(b"here")
+        assert local.recv(LONG) == b"here"
+        foreign.leave()
+        with pytest.raises(TransportError, match="no public key of dx"):
+            transport.bind("cx-dx.1", "dx", "127.0.0.1:*")
+        with pytest.raises(TransportError, match=r"expected ipc://\.\.\. or tcp://\.\.\."):
+            transport.connect("inproc://x", "dx")
+    finally:
+        transport.close()
+
+
+def test_a_node_elsewhere_connects_to_no_file(tmp_path: Path) -> None:
+    transport = ZmqTransport.of("tcp", None)
+    try:
+        with pytest.raises(TransportError, match=r"expected tcp://\.\.\."):
+            transport.connect(f"ipc://{tmp_path}/cx-dx", "dx")
+    finally:
+        transport.close()
