@@ -6,7 +6,8 @@ rung 0 comes with the handshakes, and the bundle has only the D_V of the ladder'
 
 A bundle names the node, its peers and its limits (:class:`Common`, :class:`Peer`, :class:`Limits`), and the rungs of
 the ladder. A device's bundle also has the source of its motion (:data:`Source`): a simulated hand, a recorded motion,
-or a person at a browser. Arrays are written with their shape (:func:`plain`, :func:`array`).
+a person at a browser, or the driver of another package. Arrays are written with their shape (:func:`plain`,
+:func:`array`).
 """
 
 from __future__ import annotations
@@ -24,10 +25,12 @@ from typing import Any, Final, NamedTuple, TypeAlias, TypeVar
 import numpy as np
 
 from manyhands.design.files import open_new, read_regular
-from manyhands.design.levels.contract import DeviceShare, loop_gain
+from manyhands.design.levels.contract import DeviceShare
+from manyhands.design.models.coupling import loop_gain
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix
+from manyhands.nodes.device.specification import NO_DELAY, DeviceTiming
 from manyhands.nodes.environment.energy import EnergyBudget
-from manyhands.nodes.environment.model import ModelName
+from manyhands.nodes.factory import FactoryName
 from manyhands.protocol.clock import from_seconds
 from manyhands.protocol.messages import Role, Start
 
@@ -45,6 +48,7 @@ class Peer:
         ports: the ports that the link carries, in order.
         binds: whether *this* node binds the link's endpoint.
         address: the address that this node binds (tcp), host:port; empty for any port of the loopback.
+        certificate: the id that the two ends of the link share; empty where it is the node's own.
     """
 
     name: str
@@ -52,6 +56,7 @@ class Peer:
     ports: tuple[str, ...]
     binds: bool
     address: str = ""
+    certificate: str = ""
 
 
 @dataclass(frozen=True)
@@ -62,7 +67,8 @@ class Common:
         session: the session's name.
         name: the node's name.
         role: the node's role.
-        certificate: id of the certificate (or of the uncertified session) that all nodes must share.
+        certificate: id of the certificate (or of the uncertified session) that all nodes must share; at the site of a
+            wave link, the id of its part (:func:`manyhands.launch.plan.bundles.part_id`).
         period: T, s.
         clock: :data:`REALTIME` or :data:`SIMULATED`.
         transport: "ipc" or "tcp".
@@ -107,6 +113,11 @@ class Common:
                 f"found {self.telemetry_first} ticks to the first telemetry; expected at most {self.telemetry_ticks}, "
                 "as to every other"
             )
+
+    @property
+    def folder(self) -> Path | None:
+        """The session's directory; None for a node on another machine."""
+        return Path(self.directory) if self.directory else None
 
 
 @dataclass(frozen=True)
@@ -296,7 +307,27 @@ class RecordedMotion:
         return len(self.values)
 
 
-Source: TypeAlias = SimulatedHand | BrowserHand | RecordedMotion
+@dataclass(frozen=True)
+class PluginDevice:
+    """A device that a driver of another package moves (:mod:`manyhands.nodes.device.plugin`).
+
+    Attributes:
+        driver: the driver's factory.
+        axes: number of axes.
+        axis_map: by port, the name of the driver's axis, after a minus where it points the other way; empty for the
+            driver's axes in their order.
+        scale: by which displacements grow from the driver to the ports, and forces shrink; dimensionless.
+        timing: the age of its samples and the delay of its forces, as the session promises them.
+    """
+
+    driver: FactoryName
+    axes: int
+    axis_map: tuple[str, ...] = ()
+    scale: float = 1.0
+    timing: DeviceTiming = NO_DELAY
+
+
+Source: TypeAlias = SimulatedHand | BrowserHand | RecordedMotion | PluginDevice
 """The source of a device's motion."""
 
 
@@ -338,10 +369,27 @@ def _motion(data: Any) -> RecordedMotion:
     return RecordedMotion(array(data["damping"]), times, values)
 
 
+def _plugin(data: Any) -> PluginDevice:
+    timing = data["timing"]
+    jitter = None if timing["age_jitter"] is None else float(timing["age_jitter"])
+    return PluginDevice(
+        _factory(data["driver"]),
+        int(data["axes"]),
+        tuple(str(name) for name in data["axis_map"]),
+        float(data["scale"]),
+        DeviceTiming(float(timing["sample_age"]), jitter, float(timing["actuation_delay"])),
+    )
+
+
+def _factory(data: Any) -> FactoryName:
+    return FactoryName(data["factory"], dict(data["parameters"]), str(data.get("folder", "")))
+
+
 _KINDS: Final[Mapping[str, tuple[type[Any], Callable[[Any], Source]]]] = {
     "simulated": (SimulatedHand, _hand),
     "browser": (BrowserHand, lambda data: BrowserHand(_hand(data["physics"]))),
     "trace": (RecordedMotion, _motion),
+    "plugin": (PluginDevice, _plugin),
 }
 
 
@@ -415,6 +463,11 @@ class DeviceBundle:
             raise ValueError(f"found rungs for delays of {taus} s; expected them to grow")
 
     @property
+    def timing(self) -> DeviceTiming:
+        """How late the device measures and acts, beside its loop; not at all unless a driver's hardware does."""
+        return self.source.timing if isinstance(self.source, PluginDevice) else NO_DELAY
+
+    @property
     def allowed(self) -> float:
         """How far the device's ledger may fall below 0, J: in wall time by its tank, where it has one."""
         return self.tank or 0.0 if self.time == WALL else 0.0
@@ -424,7 +477,7 @@ class DeviceBundle:
         """The promise at each rung, computed once."""
         T = self.common.period
         return tuple(
-            DevicePromise(rung.share.share * self.osp, loop_gain(rung.share.kappa, T, self.osp)) for rung in self.rungs
+            DevicePromise(rung.share.share * self.osp, loop_gain(self.osp, T, rung.share.kappa)) for rung in self.rungs
         )
 
 
@@ -558,7 +611,7 @@ class EnvironmentBundle:
     feedthrough_rungs: Mapping[str, tuple[Matrix, ...]] = field(default_factory=dict)
     independent: bool = True
     enforce: bool = False
-    model: ModelName | None = None
+    model: FactoryName | None = None
     masses: tuple[str, ...] = ()
     longest_tau: float = 0.0
     budgets: tuple[EnergyBudget, ...] = ()
@@ -595,6 +648,28 @@ class ObserverBundle:
 
 Bundle = DeviceBundle | CouplingBundle | EnvironmentBundle | ObserverBundle
 _B = TypeVar("_B", DeviceBundle, CouplingBundle, EnvironmentBundle, ObserverBundle)
+
+
+def foreign_code(bundle: Bundle) -> FactoryName | None:
+    """The factory of another package's code that the node of this bundle runs; None for none."""
+    if isinstance(bundle, EnvironmentBundle):
+        return bundle.model
+    if isinstance(bundle, DeviceBundle) and isinstance(bundle.source, PluginDevice):
+        return bundle.source.driver
+    return None
+
+
+def elsewhere(bundle: Bundle) -> Any:
+    """The same bundle for, or from, another machine: without a folder of this one in which code is looked for."""
+    code = foreign_code(bundle)
+    if code is None:
+        return bundle
+    code = dataclasses.replace(code, folder="")
+    if isinstance(bundle, EnvironmentBundle):
+        return dataclasses.replace(bundle, model=code)
+    if isinstance(bundle, DeviceBundle) and isinstance(bundle.source, PluginDevice):
+        return dataclasses.replace(bundle, source=dataclasses.replace(bundle.source, driver=code))
+    raise AssertionError("no other bundle names code")
 
 
 def save(bundle: Bundle, path: Path) -> None:
@@ -660,7 +735,10 @@ def _optional_array(data: Any) -> Matrix | None:
 
 
 def _common(data: Any) -> Common:
-    peers = tuple(Peer(p["name"], Role(p["role"]), tuple(p["ports"]), p["binds"], p["address"]) for p in data["peers"])
+    peers = tuple(
+        Peer(p["name"], Role(p["role"]), tuple(p["ports"]), p["binds"], p["address"], p["certificate"])
+        for p in data["peers"]
+    )
     common = Common(**{**data, "role": Role(data["role"]), "ports": tuple(data["ports"]), "peers": peers})
     for name, fits in _FITS.items():
         if not fits(getattr(common, name)):
@@ -704,6 +782,10 @@ def _is_time(value: Any) -> bool:
     return type(value) in (float, int) and 0.0 <= value < 1e9
 
 
+def _is_peer(peer: Peer) -> bool:
+    return _are_texts((peer.name, peer.address, peer.certificate, *peer.ports)) and type(peer.binds) is bool
+
+
 def _are_texts(values: Any) -> bool:
     return all(type(value) is str for value in values)
 
@@ -716,7 +798,7 @@ _FITS: dict[str, Callable[[Any], bool]] = {
     "clock": lambda clock: clock in CLOCKS,
     "public": lambda keys: type(keys) is dict and _are_texts(keys.values()),
     "ports": _are_texts,
-    "peers": lambda peers: all(_are_texts((p.name, p.address, *p.ports)) and type(p.binds) is bool for p in peers),
+    "peers": lambda peers: all(map(_is_peer, peers)),
     "telemetry_ticks": lambda ticks: type(ticks) is int and 0 < ticks <= MAX_TELEMETRY_TICKS,
     "telemetry_first": lambda ticks: type(ticks) is int and 0 < ticks <= MAX_TELEMETRY_TICKS,
     "rate": lambda rate: _is_time(rate) and rate > 0.0,
@@ -734,7 +816,7 @@ _READ: dict[str, Any] = {
     "Phi_E": _optional_array,
     "enforce": _flag,
     "independent": _flag,
-    "model": lambda data: None if data is None else ModelName(data["factory"], dict(data["parameters"])),
+    "model": lambda data: None if data is None else _factory(data),
     "masses": lambda data: tuple(str(name) for name in data),
     "longest_tau": _tau,
     "budgets": lambda all_: tuple(EnergyBudget(float(b["power"]), float(b["energy"]), float(b["store"])) for b in all_),

@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 from typing import Final
 
 from manyhands.design.files import open_new
-from manyhands.nodes.bundle import MAX_FILE_BYTES, Bundle, BundleError, encoded
+from manyhands.nodes.bundle import MAX_FILE_BYTES, Bundle, BundleError, elsewhere, encoded
 
 STDIN: Final = Path("-")
 """In place of a bundle's file."""
@@ -33,7 +33,7 @@ def handed_over(bundle: Bundle, key: bytes) -> bytes:
         key: the content of the file of its private key.
     """
     bundle = replace(bundle, common=replace(bundle.common, directory="", private=""))
-    return json.dumps({"bundle": json.loads(encoded(bundle)), "key": json.loads(key)}).encode() + b"\n"
+    return json.dumps({"bundle": json.loads(encoded(elsewhere(bundle))), "key": json.loads(key)}).encode() + b"\n"
 
 
 @contextmanager

@@ -1,156 +1,171 @@
-"""An invitation: one file with all that a second user needs to take a seat of a session on a different machine.
+"""An invitation: a line of text with all that a second user needs to find a session and to be known there.
 
-It holds where the session listens, the bundles of the seat's device and coupling, and their private keys. So it is
-handled like a private key: mode 0600, no links, of bounded length, and no message quotes it. It grants the seat's own
-rights and no others: the motion of its device, and the forces at its own ports.
+    manyhands://HOST:PORT/SESSION/SEAT/DEVICE/KEY/SECRET
+
+KEY is the public key of the session's hub, and SECRET the private key of the seat's device, each of 32 bytes in
+base64url without padding. Names are percent-encoded, and no character has a meaning to a shell. What else the guest
+needs, it fetches from the session when it joins (:mod:`manyhands.nodes.seat_part`). So an invitation stays good while
+its key does.
+
+It is handled like a private key: it goes over a secure channel, into files of mode 0600, never onto a command line, and
+no message quotes it. It grants the seat's own rights and no others: the motion of its device, and the forces at its own
+ports.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
+import base64
+import binascii
+import getpass
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
+from urllib.parse import quote, unquote
+
+import zmq
+from zmq.utils import z85
 
 from manyhands.design.files import replacing
-from manyhands.nodes.bundle import (
-    REALTIME,
-    BundleError,
-    Common,
-    CouplingBundle,
-    DeviceBundle,
-    decoded,
-    encoded,
-)
-from manyhands.protocol.keys import KeyPair, KeyRing, read
-from manyhands.protocol.transport.zeromq import is_address
+from manyhands.protocol.keys import KeyPair, KeyRing, private_line
+from manyhands.protocol.limits import MAX_NAME
+from manyhands.protocol.transport.zeromq import HUB, is_address
 
-MAX_BYTES: Final = 16 * 2**20
-"""The greatest length of an invitation: that of two bundles, one with a recorded motion of minutes."""
+PREFIX: Final = "manyhands://"
 
-_KIND: Final = "manyhands invitation"
-_VERSION: Final = 1
+MAX_CHARACTERS: Final = 4096
+"""The greatest length of an invitation; one of the longest names, all percent-encoded, needs no more."""
+
 _MOST_HOST: Final = 253  # characters of a DNS name
+_SECRET_BYTES: Final = 32
+_WRITER: Final = "manyhands host"
+_EXPECTED: Final = f"a line that begins with {PREFIX}, as {_WRITER} writes it"
+
+
+class InvitationError(Exception):
+    """A text is no invitation; the message quotes no key."""
 
 
 @dataclass(frozen=True)
 class Invitation:
-    """What one seat's user needs.
+    """What one seat's user needs to reach the session.
 
     Attributes:
         address: where the session listens, HOST:PORT; the host may be a DNS name.
-        device: the bundle of the seat's device.
-        coupling: that of its coupling, which has a wave link and runs in the device's process.
-        pairs: the key pair of both nodes, by name.
+        session: the session's name.
+        seat: the name of the seat, which is that of its coupling.
+        device: the name of its device.
+        hub: the hub's public key.
+        pair: the key pair of the device.
     """
 
     address: str
-    device: DeviceBundle
-    coupling: CouplingBundle
-    pairs: Mapping[str, KeyPair]
+    session: str
+    seat: str
+    device: str
+    hub: str
+    pair: KeyPair
 
     @property
-    def session(self) -> str:
-        """The session's name."""
-        return self.coupling.common.session
+    def ring(self) -> KeyRing:
+        """The device's keys, with which the rest is fetched."""
+        return KeyRing(self.device, self.pair, {HUB: self.hub})
 
     @property
-    def seat(self) -> str:
-        """The name of the seat, which is that of its coupling."""
-        return self.coupling.common.name
+    def line(self) -> str:
+        """The invitation as text, which holds a secret."""
+        names = (quote(name, safe="") for name in (self.session, self.seat, self.device))
+        keys = (_encoded(self.hub), _encoded(self.pair.secret))
+        return PREFIX + "/".join((self.address, *names, *keys))
 
     def at(self, address: str) -> Invitation:
         """The same invitation, with the session at a different address.
 
         Raises:
-            BundleError: the address has another form than HOST:PORT.
+            InvitationError: the address has another form than HOST:PORT.
         """
-        return replace(self, address=_address(address, "--address"))
-
-    def ring(self, common: Common) -> KeyRing:
-        """The keys of one of the two nodes."""
-        others = {name: key for name, key in common.public.items() if name != common.name}
-        return KeyRing(common.name, self.pairs[common.name], others)
+        return replace(self, address=_address(address, "--connect"))
 
     def save(self, path: Path) -> None:
-        """Write the invitation (mode 0600); an existing file is replaced.
+        """Write the line to a file (mode 0600); an existing file is replaced.
 
         Raises:
-            BundleError: it is longer than an invitation may be.
             OSError: the file cannot be written.
         """
-        members = {
-            "format": _KIND,
-            "version": _VERSION,
-            "address": self.address,
-            "device": json.loads(encoded(self.device)),
-            "coupling": json.loads(encoded(self.coupling)),
-            "keys": {name: {"public": pair.public, "secret": pair.secret} for name, pair in self.pairs.items()},
-        }
-        content = json.dumps(members, allow_nan=False).encode() + b"\n"
-        if len(content) > MAX_BYTES:
-            raise BundleError(f"{path}: found an invitation of {len(content)} bytes; expected at most {MAX_BYTES}")
         with replacing(path, mode=0o600) as file:
-            file.write(content)
+            file.write(self.line.encode("ascii") + b"\n")
 
 
-def load_invitation(path: Path) -> Invitation:
-    """Read an invitation, and check it as far as one machine can.
+def parsed(text: str, place: str) -> Invitation:
+    """The invitation of a line; ``place`` says in errors where it stands.
 
     Raises:
-        KeyFileError: the file cannot be read, is open to others, a link or too long, or is no invitation.
-        BundleError: a part of it is wrong; the message names the part, and quotes no key.
+        InvitationError: the text is none.
     """
-    members = {"address", "device", "coupling", "keys"}
-    data = read(path, _KIND, members, MAX_BYTES, private=True, writer="manyhands host")
-    address = _address(data["address"], f"{path}: address")
-    device = decoded(data["device"], DeviceBundle, path)
-    coupling = decoded(data["coupling"], CouplingBundle, path)
-    problem = _problem(device, coupling)
-    if problem is not None:
-        raise BundleError(f"{path}: {problem}; expected an invitation as manyhands host writes it")
-    keys = data["keys"]
-    nodes = (device.common, coupling.common)
-    if not isinstance(keys, dict) or keys.keys() != {common.name for common in nodes}:
-        raise BundleError(f"{path}: keys: found other members; expected a key of the device and one of the coupling")
-    invitation = Invitation(address, device, coupling, {c.name: _pair(keys[c.name], c, path) for c in nodes})
+    text = text.strip()
+    fields = text.removeprefix(PREFIX).split("/")
+    if not text.startswith(PREFIX) or len(text) > MAX_CHARACTERS or len(fields) != 6:
+        raise InvitationError(f"{place}: found no invitation; expected {_EXPECTED}, whole")
+    address = _address(fields[0], place)
+    session, seat, device = (_name(field, place) for field in fields[1:4])
+    if seat == device:
+        raise InvitationError(f"{place}: found one name for seat and device; expected {_EXPECTED}")
     try:
-        for common in nodes:
-            invitation.ring(common)
-    except ValueError as error:  # its text names no secret
-        raise BundleError(f"{path}: keys: {error}") from error
+        hub, secret = (_decoded(field) for field in fields[4:])
+        invitation = Invitation(address, session, seat, device, hub, _pair(secret))
+        invitation.ring  # noqa: B018 -- it checks the keys
+    except ValueError:  # its text might quote a key
+        raise InvitationError(f"{place}: found a damaged key; expected the whole line, copied once more") from None
     return invitation
 
 
-def _problem(device: DeviceBundle, coupling: CouplingBundle) -> str | None:
-    """What is wrong with two bundles as those of a seat; None if nothing is."""
-    one, other = device.common, coupling.common
-    if (one.session, one.certificate) != (other.session, other.certificate):
-        return "found bundles of two sessions"
-    if one.name == other.name:
-        return "found one name for two nodes"
-    if one.ports != other.ports or not one.ports:
-        return "found a coupling of other ports than the device's"
-    if one.peers or len(other.peers) != 1 or other.peers[0].binds:
-        return "found other peers than the environment"
-    if coupling.wave is None:
-        return "found a coupling without a wave link"
-    if {one.clock, other.clock} != {REALTIME}:
-        return "found a clock other than the realtime clock"
-    if not (one.public and other.public):
-        return "found a bundle without public keys"
-    return None
+def read_invitation(path: Path | None) -> Invitation:
+    """Read an invitation from its file, or, without a file, the line that the user pastes or a program writes.
+
+    Raises:
+        KeyFileError: the file cannot be read, is open to others, a link or too long.
+        InvitationError: the text is no invitation.
+    """
+    if path is None:
+        if sys.stdin.isatty():
+            return parsed(getpass.getpass("invitation (it is not shown): "), "the invitation")
+        return parsed(sys.stdin.readline(MAX_CHARACTERS + 1), "standard input")
+    if str(path).startswith(PREFIX.rstrip("/")):  # a Path has one slash of the two
+        raise InvitationError(
+            "found an invitation on the command line, where other users of this machine can read it; expected its "
+            "file, or manyhands join alone, which asks for it"
+        )
+    return parsed(private_line(path, MAX_CHARACTERS, _WRITER), str(path))
 
 
-def _pair(data: Any, common: Common, path: Path) -> KeyPair:
+def _encoded(key: str) -> str:
+    return base64.urlsafe_b64encode(z85.decode(key.encode())).decode().rstrip("=")
+
+
+def _decoded(text: str) -> str:
+    """The key in Z85.
+
+    Raises:
+        ValueError: the text is no key.
+    """
     try:
-        pair = KeyPair(data["public"], data["secret"])
-    except (KeyError, TypeError, ValueError, AttributeError):  # the error's text might quote the secret
-        raise BundleError(f"{path}: keys: found no key pair of {common.name!r:.100}; expected one") from None
-    if common.public.get(common.name) != pair.public:
-        raise BundleError(f"{path}: keys: found a pair of {common.name!r:.100} that its bundle does not know")
-    return pair
+        data = base64.b64decode(text + "=" * (-len(text) % 4), altchars=b"-_", validate=True)
+    except binascii.Error as error:
+        raise ValueError("found no base64url") from error
+    if len(data) != _SECRET_BYTES or _encoded(key := z85.encode(data).decode()) != text:
+        raise ValueError(f"found {len(data)} bytes; expected {_SECRET_BYTES}")
+    return key
+
+
+def _pair(secret: str) -> KeyPair:
+    return KeyPair(zmq.curve_public(secret.encode()).decode(), secret)
+
+
+def _name(text: str, place: str) -> str:
+    name = unquote(text) if text.isascii() else ""
+    if not (1 <= len(name) <= MAX_NAME and name.isprintable()) or quote(name, safe="") != text:
+        raise InvitationError(f"{place}: found {text!r:.100} as a name; expected {_EXPECTED}")
+    return name
 
 
 def is_guest_address(text: object) -> bool:
@@ -168,7 +183,7 @@ def is_guest_address(text: object) -> bool:
     )
 
 
-def _address(text: object, place: str) -> str:
-    if not isinstance(text, str) or not is_guest_address(text):
-        raise BundleError(f"{place}: found {text!r:.100}; expected HOST:PORT, such as ball.example.org:7400")
+def _address(text: str, place: str) -> str:
+    if not is_guest_address(text):
+        raise InvitationError(f"{place}: found {text!r:.100}; expected HOST:PORT, such as ball.example.org:7400")
     return text

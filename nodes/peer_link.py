@@ -151,6 +151,11 @@ class PeerLink:
         return self.gate.dropped
 
     @property
+    def strays(self) -> int:
+        """The number of frames that were not admitted."""
+        return sum(self.gate.dropped.values())
+
+    @property
     def stamp(self) -> int:
         """The stamp of the latest signal admitted, ns; 0 before the first."""
         return self.gate.stamp
@@ -514,7 +519,7 @@ def hello_to(common: Common, peer: Peer, feedthrough: Values | None) -> LinkHell
     informed = feedthrough is not None and peer.role is Role.ENVIRONMENT
     return LinkHello(
         PROTOCOL_VERSION,
-        common.certificate,
+        peer.certificate or common.certificate,
         common.session,
         common.name,
         common.role,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, TypeVar
@@ -29,7 +29,7 @@ from manyhands.nodes.bundle import (
 from manyhands.nodes.lifetime import Life, Sight, Stopped
 from manyhands.nodes.log import Log, LogEvent, log_path
 from manyhands.nodes.peer_link import bind_links
-from manyhands.nodes.realtime import FIFO_PRIORITY, Granted, RealtimeWishes, prepare, restore
+from manyhands.nodes.realtime import Granted, RealtimeWishes, pin_guest, prepare, restore
 from manyhands.nodes.supervisor_line import ControlLine, Refused
 from manyhands.protocol.clock import Instant, RealtimeClock
 from manyhands.protocol.handshake import HandshakeRefused, HandshakeTimeout
@@ -173,11 +173,13 @@ def run_together(
     """
     members: list[HostedNode] = []
     transports: list[Transport] = []
+    if remote and nodes[0][0].clock != SIMULATED:
+        pin_guest(nodes[0][0].name)
     try:
         try:
             require_descriptors(node_needs(sum(len(common.peers) for common, _, _ in nodes)))
             for common, node, ring in nodes:
-                transport: Transport = ZmqTransport.of(common.transport, Path(common.directory), ring)
+                transport: Transport = ZmqTransport.of(common.transport, common.folder, ring)
                 transports.append(transport)
                 control = ControlLine(transport, common, _log_of(common), host)
                 members.append(HostedNode(common, node, transport, control))
@@ -203,24 +205,20 @@ def _log_of(common: Common) -> Log:
 def run_members(members: Sequence[HostedNode], life: Life, remote: bool, engage: Engage | None = None) -> int:
     """Run the nodes to their end, and report how they ended to the supervisor and the log; returns the exit code."""
     common, control = members[0].common, members[0].control
-    # one fault ends a session's own process; a guest's nodes are lost one by one
-    faulted = members if remote else members[:1]
     if remote:
-        life.watch = control.connection
+        life.watch = lambda: _first(member.control.joining(RealtimeClock().now()) for member in members)
     try:
         code = _converse(members, life, remote, engage)
     except Stopped:
         code = _stopped(members, life) if remote else EXIT_OK
     except (HandshakeRefused, Refused) as error:
-        for member in faulted:
-            member.control.fault(str(error), life)
+        _fault(members, str(error), life, remote)
         print(error, file=sys.stderr)  # noqa: T201 -- the process's own error channel
         control.log.note(LogEvent.REFUSED, reason=str(error))
         code = EXIT_REFUSED
     except (HandshakeTimeout, TransportError, ValueError) as error:
         text = str(error) if isinstance(error, HandshakeTimeout) else f"{common.name}: {error}"
-        for member in faulted:
-            member.control.fault(text, life)
+        _fault(members, text, life, remote)
         print(error, file=sys.stderr)  # noqa: T201
         control.log.note(LogEvent.FAULT, text=text)
         code = EXIT_FAILED
@@ -268,8 +266,7 @@ def _converse(members: Sequence[HostedNode], life: Life, remote: bool, engage: E
         # from now on a Stop is the supervisor's answer to the last message, and no longer a request to end
         life.watch = leader.control.connection
     if life.failure is not None:
-        for member in members if remote else members[:1]:
-            member.control.fault(life.failure, life)
+        _fault(members, life.failure, life, remote)
         print(life.failure, file=sys.stderr)  # noqa: T201 -- the process's own error channel
         return EXIT_FAILED
     if remote and life.orphaned:
@@ -279,10 +276,20 @@ def _converse(members: Sequence[HostedNode], life: Life, remote: bool, engage: E
     return EXIT_OK
 
 
+def _fault(members: Sequence[HostedNode], text: str, life: Life, remote: bool) -> None:
+    """Report a fault: one ends a session's own process, and a guest's nodes are lost one by one."""
+    for member in members if remote else members[:1]:
+        member.control.fault(text, life)
+
+
 def _sight(members: Sequence[HostedNode], now: Instant) -> Sight:
     """What a guest in its loop sees of the supervisor, on the lines of all its nodes."""
-    seen = [member.control.sight(now) for member in members]
-    return next((sight for sight in seen if sight is not Sight.PRESENT), Sight.PRESENT)
+    return _first(member.control.sight(now) for member in members)
+
+
+def _first(seen: Iterable[Sight]) -> Sight:
+    """The first that is not PRESENT, of the lines of all nodes; every line is looked at."""
+    return next((sight for sight in list(seen) if sight is not Sight.PRESENT), Sight.PRESENT)
 
 
 def _connect(member: HostedNode, life: Life) -> None:
@@ -303,14 +310,10 @@ def _connect(member: HostedNode, life: Life) -> None:
 
 
 def _prepare(leader: HostedNode) -> Granted | None:
-    """Ask the machine for real-time scheduling and locked memory; None under the simulated clock.
-
-    Only a node on ipc asks for a priority: over tcp strangers could send it work, and it would keep its processor.
-    """
+    """Ask the machine for real-time scheduling and locked memory; None under the simulated clock."""
     if leader.common.clock == SIMULATED:
         return None
-    priority = FIFO_PRIORITY if leader.common.transport == "ipc" else 0
-    granted = prepare(RealtimeWishes(priority=priority, links=len(leader.common.peers)))
+    granted = prepare(RealtimeWishes(links=len(leader.common.peers)))
     for name, grant in granted.grants().items():
         leader.control.log.note(LogEvent.GRANTED, wish=name, granted=grant.granted, said=grant.answer)
     return granted

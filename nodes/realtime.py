@@ -10,14 +10,15 @@ once, several times what a node uses, for code that never runs. Where the limit 
 locked, for under MCL_FUTURE every allocation beyond the limit fails.
 
 **SCHED_FIFO** is for a process that is pinned to one processor. It is set for the loop's thread and for ZeroMQ's, which
-is one above, so that a frame leaves when it is sent and not when the loop waits next. The loop waits for ZeroMQ's
-thread in any case, so a priority of the loop alone gains nothing (docs/decisions/0017-timing.md has figures). Where a
-process has more than :data:`FEW_LINKS` links, both threads have the loop's priority: ZeroMQ's thread then works only
+is one above, so that a frame leaves when it is sent and not when the loop waits next. A loop waits for the thread that
+moves its frames, so a priority of the loop alone gains nothing there (docs/decisions/0017-timing.md has figures). Where
+a process has more than :data:`FEW_LINKS` links, both threads have the loop's priority: ZeroMQ's thread then works only
 while the loop waits or yields, and moves the frames of all links at once. One above, it would take the processor for
-every single frame. The process asks for SCHED_FIFO when frames have gone over the links: ZeroMQ's thread then runs. A
-thread that is still starting is left as it is. Children and later threads do not inherit it. A loop that never waits
-does not keep its processor for ever: RLIMIT_RTTIME ends a process of which a thread has computed for
-:data:`RUNAWAY_TIME` without waiting once (SIGXCPU).
+every single frame. ZeroMQ's thread for TCP keeps ordinary scheduling, at the nice value :data:`NETWORK_NICE`: strangers
+can send it work, and under SCHED_FIFO it would keep its processor, or be ended. The process asks for SCHED_FIFO when
+frames have gone over the links: ZeroMQ's thread then runs. A thread that is still starting is left as it is. Children
+and later threads do not inherit it. A loop that never waits does not keep its processor for ever: RLIMIT_RTTIME ends a
+process of which a thread has computed for :data:`RUNAWAY_TIME` without waiting once (SIGXCPU).
 """
 
 from __future__ import annotations
@@ -25,12 +26,14 @@ from __future__ import annotations
 import ctypes
 import os
 import resource
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol
 
 from manyhands.protocol.clock import Duration, from_seconds
+from manyhands.protocol.transport.zeromq import NETWORK_THREAD
 
 CAP_IPC_LOCK: Final = 14  # linux/capability.h
 CAP_SYS_NICE: Final = 23
@@ -38,6 +41,7 @@ CAP_SYS_NICE: Final = 23
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4  # asm-generic/mman.h
 _PR_GET_TIMERSLACK: Final = 30  # linux/prctl.h
 _ZEROMQ_THREAD: Final = "ZMQbg/"  # libzmq's names of its threads begin with this
+_NETWORK_THREAD: Final = f"{_ZEROMQ_THREAD}IO/{NETWORK_THREAD}"
 _EVERY_USER: Final = ["0", "0", "4294967295"]  # /proc/self/uid_map of the first user namespace
 
 
@@ -95,6 +99,14 @@ class System(Protocol):
 
     def schedule(self, wanted: Scheduling) -> int:
         """Schedule the calling thread and ZeroMQ's threads as ``wanted``; returns the number of these threads.
+
+        Raises:
+            OSError: the kernel refuses.
+        """
+        ...
+
+    def favour_network(self, nice: int) -> int:
+        """Give ZeroMQ's thread for TCP this nice value; returns the number of such threads, 0 or 1.
 
         Raises:
             OSError: the kernel refuses.
@@ -163,6 +175,13 @@ class Linux:
             os.sched_setscheduler(thread, wanted.policy, os.sched_param(priority))
         return len(threads)
 
+    def favour_network(self, nice: int) -> int:
+        """See :class:`System`."""
+        threads = _threads(lambda name: name == _NETWORK_THREAD)
+        for thread in threads:
+            os.setpriority(os.PRIO_PROCESS, thread, nice)  # for Linux, a thread is a process here
+        return len(threads)
+
     def processors(self) -> set[int]:
         """See :class:`System`."""
         return os.sched_getaffinity(0)
@@ -179,13 +198,18 @@ class Linux:
 
 
 def _zeromq_threads() -> list[int]:
-    """The ids of ZeroMQ's threads that have begun their work, which is when they take their names.
+    """The ids of ZeroMQ's threads that have begun their work, which is when they take their names, but that for TCP.
 
     Before that, such a thread reads its scheduling and sets it again. If the scheduling changed in between, the kernel
     could refuse the second call, and libzmq would abort the process.
     """
+    return _threads(lambda name: name.startswith(_ZEROMQ_THREAD) and name != _NETWORK_THREAD)
+
+
+def _threads(of_name: Callable[[str], bool]) -> list[int]:
+    """The ids of this process's threads whose names are such."""
     threads = Path("/proc/self/task").iterdir()
-    return [int(thread.name) for thread in threads if (thread / "comm").read_text().startswith(_ZEROMQ_THREAD)]
+    return [int(thread.name) for thread in threads if of_name((thread / "comm").read_text().rstrip("\n"))]
 
 
 def _status(key: str) -> str:
@@ -195,6 +219,7 @@ def _status(key: str) -> str:
 
 
 FIFO_PRIORITY: Final = 10  # of 1 ... 99; interrupt threads of a PREEMPT_RT kernel have 50
+NETWORK_NICE: Final = -10  # nine tenths of a processor for which threads at nice 0 compete; a flood cannot take it all
 RUNAWAY_TIME: Final = from_seconds(0.5)  # hundreds of ticks; a loop waits several times in each
 FEW_LINKS: Final = 4  # with more, it costs less to move all their frames at once than to send each without delay
 RESERVE: Final = 64 * 2**20  # bytes that a loop may still map: thread stacks, arenas, telemetry
@@ -235,7 +260,7 @@ class Granted:
         memory_locked: pages in use stay in memory.
         fifo: the scheduling is SCHED_FIFO.
         timer_slack: the timer slack is the least there is, which :class:`manyhands.protocol.clock.RealtimeClock` sets.
-        pinned: the process is pinned to one processor; the supervisor does that at its start.
+        pinned: the process is pinned to one processor; the supervisor does that at its start, and a guest itself.
         before: the scheduling that :func:`restore` sets again; None where it was not changed.
     """
 
@@ -273,6 +298,21 @@ def prepare(wishes: RealtimeWishes, system: System | None = None) -> Granted:
     return Granted(_lock(wishes, asked), fifo, _slack(asked), pinned, before)
 
 
+def pin_guest(name: str) -> None:
+    """Pin the process of a node on another machine to one processor where it may ask for a real-time priority.
+
+    The supervisor pins the processes of its own machine, where it knows them all. A guest knows itself alone, so its
+    name chooses: several guests on one machine mostly share the processors. Call this before ZeroMQ's threads start,
+    which inherit it.
+
+    Args:
+        name: the node's.
+    """
+    if may_raise():
+        processors = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {processors[zlib.crc32(name.encode()) % len(processors)]})
+
+
 def restore(granted: Granted, system: System | None = None) -> None:
     """Give back locked memory, priority and its limit; call this in the thread that called :func:`prepare`.
 
@@ -284,6 +324,7 @@ def restore(granted: Granted, system: System | None = None) -> None:
         asked.unlock_memory()
     if granted.before is not None:
         _schedule_as_before(granted.before, asked)
+        _favour_network(asked, 0)
 
 
 def _schedule_as_before(before: Scheduling, system: System) -> None:
@@ -357,7 +398,16 @@ def _raise(wishes: RealtimeWishes, system: System, pinned: bool) -> tuple[Grant,
             False, f"SCHED_FIFO {priority}: {error.strerror}; its control group may have no real-time share"
         ), None
     wild = f"ended after {wishes.runaway / 1e9:g} s without a wait"
-    return Grant(True, f"SCHED_FIFO {priority} for {threads} threads, {wild}"), before
+    network = _favour_network(system, NETWORK_NICE)
+    return Grant(True, f"SCHED_FIFO {priority} for {threads} threads, {wild}{network}"), before
+
+
+def _favour_network(system: System, nice: int) -> str:
+    """Give ZeroMQ's thread for TCP this nice value; returns what was granted, as the end of a sentence."""
+    try:
+        return f"; nice {nice} for the thread of TCP" if system.favour_network(nice) else ""
+    except OSError as error:
+        return f"; nice 0 for the thread of TCP ({error.strerror})"
 
 
 def _slack(system: System) -> Grant:

@@ -20,6 +20,8 @@ from manyhands.nodes.bundle import (
     DeviceBundle,
     EnvironmentBundle,
     ObserverBundle,
+    elsewhere,
+    foreign_code,
     load,
     role_of,
 )
@@ -27,6 +29,7 @@ from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.environment.node import EnvironmentNode
+from manyhands.nodes.factory import require_allowed
 from manyhands.nodes.handed_over import STDIN, end_with_input, taken_over
 from manyhands.nodes.lifetime import Life, Stopped
 from manyhands.nodes.observer.node import observe
@@ -42,7 +45,9 @@ MAKERS: dict[Role, tuple[type[Any], Callable[[Any], Node]]] = {
 }
 
 
-def join(name: str, bundle_path: Path, private: Path | None, endpoint: str, host: str | None) -> int:
+def join(
+    name: str, bundle_path: Path, private: Path | None, endpoint: str, host: str | None, allowed: str | None = None
+) -> int:
     """Run one node of a session whose supervisor is at ``endpoint``; returns the exit code (130 on Ctrl-C).
 
     Args:
@@ -51,16 +56,25 @@ def join(name: str, bundle_path: Path, private: Path | None, endpoint: str, host
         private: its private key's file; by default the bundle's own name with the suffix ``.key``.
         endpoint: ``tcp://HOST:PORT`` of the supervisor (or an ``ipc://`` path).
         host: the address of this machine that others reach; needed only by a node that others connect to.
+        allowed: the factory of another package whose code the bundle may run here; None for none.
     """
     life = Life(None)
     try:
-        code = _join(life, name, bundle_path, private, endpoint, host)
+        code = _join(life, name, bundle_path, private, endpoint, host, allowed)
     except Stopped:
         code = EXIT_OK
     return code if life.signal is None or code != EXIT_OK else 128 + life.signal
 
 
-def _join(life: Life, name: str, bundle_path: Path, private: Path | None, endpoint: str, host: str | None) -> int:
+def _join(
+    life: Life,
+    name: str,
+    bundle_path: Path,
+    private: Path | None,
+    endpoint: str,
+    host: str | None,
+    allowed: str | None,
+) -> int:
     try:
         with taken_over(name) if bundle_path == STDIN else nullcontext(bundle_path) as path:
             role = role_of(path)
@@ -70,7 +84,9 @@ def _join(life: Life, name: str, bundle_path: Path, private: Path | None, endpoi
             ring = key_ring(common, private or path.with_suffix(".key")) if common.public else None
         if bundle_path == STDIN:
             end_with_input()
-        bundle = dataclasses.replace(bundle, common=common)
+        else:  # over standard input it comes from this user's own launch --on
+            require_allowed(foreign_code(bundle), allowed)
+        bundle = elsewhere(dataclasses.replace(bundle, common=common))
         if make is None:
             return observe(bundle, life, ring)
         node = make(bundle)

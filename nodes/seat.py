@@ -1,6 +1,7 @@
 """A guest at a seat: the device and the coupling of a wave link, in one process on the guest's own machine.
 
-    read the invitation -> welcome -> measure -> ask -> shake hands -> tick ... -> let go by a ramp -> report
+    read the invitation -> fetch its part of the session -> welcome -> measure -> ask -> shake hands -> tick ...
+    -> let go by a ramp -> report
 
 **Before it engages** the guest measures how long frames take to the session and back. From that and from b follows what
 will be felt (:class:`FeltDistance`), which the user is asked about. Nothing moves before the answer: the coupling takes
@@ -16,25 +17,34 @@ from __future__ import annotations
 import dataclasses
 import math
 import select
+import signal
 import socket
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Final
 
 import numpy as np
 
-from manyhands.nodes.bundle import BundleError, Common, CouplingBundle
+from manyhands.nodes.bundle import BundleError, Common, CouplingBundle, elsewhere, foreign_code
 from manyhands.nodes.device.colocated import CarriedBlock, ColocatedNode
 from manyhands.nodes.device.drivers import driver_of
-from manyhands.nodes.invitation import Invitation, load_invitation
+from manyhands.nodes.factory import FactoryError, require_allowed
+from manyhands.nodes.invitation import Invitation, InvitationError, read_invitation
 from manyhands.nodes.lifetime import Life, Sight, Stopped
 from manyhands.nodes.process import EXIT_BAD_INPUT, EXIT_OK, EXIT_REFUSED, Node, run_together
-from manyhands.nodes.supervisor_line import ControlLine
+from manyhands.nodes.seat_part import SeatPart, decoded_part
+from manyhands.nodes.supervisor_line import PATIENCE, REPEAT_WAITS, ControlLine, Refused, require_hub
+from manyhands.nodes.wave_link.felt import stiffness_and_mass
 from manyhands.protocol.clock import Duration, RealtimeClock, from_seconds, seconds
+from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.keys import KeyFileError, KeyRing
-from manyhands.protocol.messages import presentable
+from manyhands.protocol.limits import MAX_CONTROL_BYTES
+from manyhands.protocol.messages import Fetch, Piece, presentable
+from manyhands.protocol.transport import Link, TransportError
+from manyhands.protocol.transport.zeromq import ZmqTransport
 
 MEASURING: Final = 1.0
 """How long the way to the session is measured before the user is asked, s."""
@@ -43,6 +53,7 @@ TIME_TO_ANSWER: Final = 45.0
 """How long the question waits for its answer, s: the session keeps the seat for a minute."""
 
 _GLANCE: Final = 0.1  # s, between two looks at the life while waiting for the user
+_LONG_WAITS: Final = 50  # waits for a part before the user is told that nothing comes: ten seconds
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,7 +102,7 @@ def felt(coupling: CouplingBundle, trips: Sequence[Duration]) -> FeltDistance:
     play_out = seconds(Duration(max(trips) - least)) + 0.5 * (coupling.common.period + coupling.wave.peer_period)
     R = seconds(least) + play_out
     b = np.linalg.eigvalsh(coupling.wave.b)
-    return FeltDistance(seconds(least), play_out, 2.0 * float(b[0]) / R, 0.5 * float(b[-1]) * R)
+    return FeltDistance(seconds(least), play_out, *stiffness_and_mass((float(b[0]), float(b[-1])), R))
 
 
 class SeatLife(Life):
@@ -150,19 +161,64 @@ class SeatNode(ColocatedNode):
             life.stopping = True
 
 
-def take_seat(path: Path, address: str | None, yes: bool) -> int:
+def fetch(link: Link, invitation: Invitation, life: Life) -> bytes:
+    """What the session sends to the guest of an invitation, piece by piece.
+
+    Args:
+        link: to the session's hub, with the key of the invitation.
+        invitation: whose it is.
+        life: whether the guest should still wait.
+
+    Raises:
+        Stopped: the user has asked to end.
+        Refused: the session cannot be reached, or knows the invitation's key no longer.
+        BundleError: the pieces do not fit each other.
+    """
+    content, total, waits = bytearray(), 1, 0
+    asking = True
+    while len(content) < total:
+        if asking:
+            link.send(encode(Fetch(len(content))))
+        frame = link.recv(PATIENCE)
+        if frame is None:
+            life.check()
+            if life.stopping:
+                raise Stopped
+            waits += 1
+            require_hub(link, invitation.seat, f"tcp://{invitation.address}", waits)
+            if waits == _LONG_WAITS:
+                _say(
+                    f"{invitation.session}: no answer yet: somebody may have taken the seat {invitation.seat} with "
+                    "this invitation; waiting for it to be free; Ctrl-C ends"
+                )
+            # the hub may still hold an earlier connection, and drops what comes over this one meanwhile
+            asking = waits % REPEAT_WAITS == 0
+            continue
+        match decode(frame, MAX_CONTROL_BYTES):
+            case Piece(at, whole, piece) if at == len(content) and (whole == total or not content):
+                content += piece
+                total, asking = whole, True
+            case _:  # the answer to a Fetch that was repeated
+                asking = False
+    if len(content) > total:
+        raise BundleError(f"what {invitation.session!r:.100} has sent: found {len(content)} bytes; expected {total}")
+    return bytes(content)
+
+
+def take_seat(path: Path | None, address: str | None, yes: bool, allowed: str | None = None) -> int:
     """Join the session of an invitation, and stay until Ctrl-C or the session's end; returns the exit code.
 
     Args:
-        path: the invitation's file.
+        path: the invitation's file; None asks the user for the line.
         address: where the session listens, HOST:PORT; None for the address in the invitation.
         yes: whether to engage without a question.
+        allowed: the factory of another package whose code the session may run here; None for none.
     """
     try:
-        invitation = load_invitation(path)
+        invitation = read_invitation(path)
         if address is not None:
             invitation = invitation.at(address)
-    except (BundleError, KeyFileError) as error:
+    except (InvitationError, KeyFileError) as error:
         _say(f"error: {error}")
         return EXIT_BAD_INPUT
     host = invitation.address.rpartition(":")[0]
@@ -170,24 +226,31 @@ def take_seat(path: Path, address: str | None, yes: bool) -> int:
         socket.getaddrinfo(host.strip("[]"), None, type=socket.SOCK_STREAM)
     except OSError as error:
         _say(
-            f"error: {host}: cannot be looked up: {error.strerror}; expected the session's host, or --address HOST:PORT"
+            f"error: {host}: cannot be looked up: {error.strerror}; expected the session's host, or --connect HOST:PORT"
         )
         return EXIT_REFUSED
-    life = SeatLife()
-    _say(f"{invitation.session}: going to take the seat {invitation.seat} at {invitation.address}")
-    visit = _Visit(invitation, host, yes)
-    try:
-        code = visit.stay(life)
+    life: SeatLife | None = None
+    try:  # from its first line on: a life raises at any instant
+        life = SeatLife()
+        _say(f"{invitation.session}: going to take the seat {invitation.seat} at {invitation.address}")
+        code = _Visit(invitation, host, yes, allowed).stay(life)
     except Stopped:
         code = EXIT_OK
-    return code if life.signal is None or code != EXIT_OK else 128 + life.signal
+    except Refused as error:
+        _say(f"error: {error}")
+        code = EXIT_REFUSED
+    except (BundleError, FactoryError, TransportError) as error:
+        _say(f"error: {error}")
+        code = EXIT_BAD_INPUT
+    ended_by = signal.SIGINT if life is None else life.signal
+    return code if ended_by is None or code != EXIT_OK else 128 + ended_by
 
 
 class _Visit:
     """The attempts of one user to join one session, one after the other."""
 
-    def __init__(self, invitation: Invitation, host: str, yes: bool) -> None:
-        self._invitation, self._host, self._sure = invitation, host, yes
+    def __init__(self, invitation: Invitation, host: str, yes: bool, allowed: str | None) -> None:
+        self._invitation, self._host, self._sure, self._allowed = invitation, host, yes, allowed
         self._lines: Sequence[ControlLine] = ()
 
     def stay(self, life: SeatLife) -> int:
@@ -203,37 +266,50 @@ class _Visit:
             _say(f"{self._invitation.session}: the session was lost; joining again")
 
     def _attempt(self, life: SeatLife) -> int:
-        invitation = self._invitation
-        device = dataclasses.replace(invitation.device, common=self._placed(invitation.device.common))
-        coupling = dataclasses.replace(invitation.coupling, common=self._placed(invitation.coupling.common))
+        part = self._fetched(life)
+        device = elsewhere(dataclasses.replace(part.device, common=self._placed(part.device.common)))
+        coupling = dataclasses.replace(part.coupling, common=self._placed(part.coupling.common))
         carried = CarriedBlock(coupling)
         try:
             node = SeatNode(device, driver_of(device), [carried])
         except (ValueError, OverflowError) as error:
             _say(f"error: {error}")
             return EXIT_BAD_INPUT
-        nodes: list[tuple[Common, Node, KeyRing | None]] = [(device.common, node, invitation.ring(device.common)),
-                 (coupling.common, carried, invitation.ring(coupling.common))]  # fmt: skip
+        nodes: list[tuple[Common, Node, KeyRing | None]] = [(device.common, node, part.ring(device.common)),
+                 (coupling.common, carried, part.ring(coupling.common))]  # fmt: skip
         try:
-            return run_together(nodes, life, True, self._host, self._engage)
+            return run_together(nodes, life, True, self._host, partial(self._engage, coupling))
         finally:
             node.close()
+
+    def _fetched(self, life: Life) -> SeatPart:
+        """The seat's part of the session as it runs now; of its code, the user must have allowed what it names."""
+        invitation = self._invitation
+        transport = ZmqTransport(None, True, invitation.ring)
+        try:
+            link = transport.join(f"tcp://{invitation.address}", invitation.device)
+            part = decoded_part(fetch(link, invitation, life), invitation)
+        finally:
+            transport.close()
+        require_allowed(foreign_code(part.device), self._allowed)
+        return part
 
     def _placed(self, common: Common) -> Common:
         # no directory, whatever the invitation says: its author must not choose where this machine writes files
         control = f"tcp://{self._invitation.address}"
         return dataclasses.replace(common, transport="tcp", control=control, directory="", private="")
 
-    def _engage(self, lines: Sequence[ControlLine], life: Life) -> None:
+    def _engage(self, coupling: CouplingBundle, lines: Sequence[ControlLine], life: Life) -> None:
         """Measure, report what will be felt, and ask.
 
         Raises:
             Stopped: the user does not want it.
             ValueError: no frame came back.
         """
-        period = self._invitation.coupling.common.period
+        period = coupling.common.period
         trips = lines[0].round_trips(RealtimeClock(), life, math.ceil(MEASURING / period), from_seconds(period))
-        _say(felt(self._invitation.coupling, trips).sentence())
+        _say(f"{self._invitation.seat}: ports {', '.join(coupling.common.ports)}, a tick every {1e3 * period:.3g} ms")
+        _say(felt(coupling, trips).sentence())
         if not self._sure and not answered_yes(f"take the seat {self._invitation.seat}? [y/N] ", life.check):
             _say("not joined")
             life.stopping = True

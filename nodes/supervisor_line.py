@@ -43,10 +43,10 @@ from manyhands.protocol.messages import (
 from manyhands.protocol.transport import Link, Transport, TransportError, Trouble
 
 NOT_AT_ALL = Duration(0)
-_PATIENCE = from_seconds(0.2)  # one wait for an answer, after which the node checks its life and the connection
+PATIENCE = from_seconds(0.2)  # one wait for an answer, after which the node checks its life and the connection
 _LAST_WORD_WAITS = 10  # waits for the confirmation of the last message
 _JOINING_WAITS = 300  # waits for a supervisor that is not there yet: a minute
-_REPEAT_WAITS = 5  # waits before a guest sends its hello again
+REPEAT_WAITS = 5  # waits before a guest sends its hello again
 _PROBES = 32  # exchanges for the clock's offset
 _PROBE_TICKS = 5  # between two probes of a guest that measures its way to the supervisor
 _ALIVE_EVERY = from_seconds(1.0)  # between two signs of life of a guest
@@ -97,10 +97,12 @@ class ControlLine:
         self._link: Link = transport.join(common.control, common.name)
         self._lossless = common.clock == SIMULATED
         self._due = Instant(0)
+        self._shown = Instant(-1)  # when the latest sign of life was sent
         self._words: deque[Word] = deque(maxlen=_WORDS_KEPT)
         self._host = host
         self.stop: Stop | None = None
         self._introduction: Message | None = None
+        self._welcomed = False
         self.absent: set[str] = set()
         self._generation = 0
         self.dropped = 0
@@ -123,7 +125,7 @@ class ControlLine:
             Stopped: the node should end.
         """
         self._await(Welcome, life)
-        self._introduction = None
+        self._introduction, self._welcomed = None, True
         endpoints = self._await(Connect, life).endpoints
         return {peer: self._reached(endpoint) for peer, endpoint in endpoints.items()}
 
@@ -136,7 +138,18 @@ class ControlLine:
         return self._await(Start, life)
 
     def publish(self, telemetry: Telemetry) -> None:
-        """Send telemetry; where the supervisor reads too slowly, drop and count it, so that the loop is not disturbed.
+        """Send telemetry, as :meth:`post` does; raises what that raises."""
+        self.post(self.frame(telemetry))
+
+    def frame(self, telemetry: Telemetry) -> bytes:
+        """The frame of a telemetry, to which the connections that were not admitted are added."""
+        if refused := sum(self._transport.refused().values()):
+            total = telemetry.figures.get(names.NOT_ADMITTED, 0.0) + refused
+            telemetry = replace(telemetry, figures={**telemetry.figures, names.NOT_ADMITTED: total})
+        return encode(telemetry)
+
+    def post(self, frame: bytes) -> None:
+        """Send a telemetry's frame; where the supervisor reads too slowly, drop and count it, for the loop's sake.
 
         The transport decides here as well on connections that ask to be admitted, and the log is written. Under the
         simulated clock no telemetry may be dropped, for there a recording must be complete.
@@ -144,10 +157,7 @@ class ControlLine:
         Raises:
             TelemetryLost: the telemetry cannot be queued, under the simulated clock.
         """
-        if refused := sum(self._transport.refused().values()):
-            total = telemetry.figures.get(names.NOT_ADMITTED, 0.0) + refused
-            telemetry = replace(telemetry, figures={**telemetry.figures, names.NOT_ADMITTED: total})
-        if not self._link.send(encode(telemetry)):
+        if not self._link.send(frame):
             if self._lossless:
                 raise TelemetryLost("the supervisor reads telemetry too slowly; record less, or not at all")
             self.dropped += 1
@@ -165,7 +175,7 @@ class ControlLine:
             sent = clock.now()
             self._send(Probe(sent))
             while (echo := self._await(Echo, life)).sent != sent:
-                self.malformed += 1  # the answer to no probe of this node
+                self.malformed += echo.sent != self._shown  # the answer to no probe of this node
             exchanges.append(Exchange(sent, echo.heard, echo.answered, clock.now()))
         return offset_of(exchanges)
 
@@ -214,17 +224,28 @@ class ControlLine:
         """Whether the supervisor can still be reached, for a guest that is not in its loop."""
         return Sight.GONE if self._link.trouble() is Trouble.LOST else Sight.PRESENT
 
-    def sight(self, now: Instant) -> Sight:
-        """As :meth:`connection`, for a guest in its loop, where a Stop may come at any time.
+    def joining(self, now: Instant) -> Sight:
+        """As :meth:`connection`, for a guest that the supervisor has welcomed and that waits for something else.
 
-        Other messages wait for :meth:`listen`. The guest sends a Probe once a second: so the supervisor sees that it
-        lives, however long its ticks take.
+        The guest sends a Probe once a second: so the supervisor sees that it lives, however long it has to wait.
         """
-        if now >= self._due:
-            self._due = Instant(now + _ALIVE_EVERY)
-            self._send(Probe(now))
+        if self._welcomed:
+            self._show_life(now)
+        return self.connection()
+
+    def sight(self, now: Instant) -> Sight:
+        """As :meth:`joining`, for a guest in its loop, where a Stop may come at any time.
+
+        Other messages wait for :meth:`listen`.
+        """
+        self._show_life(now)
         self._read(NOT_AT_ALL)
         return Sight.ENDING if self.stop is not None else self.connection()
+
+    def _show_life(self, now: Instant) -> None:
+        if now >= self._due:
+            self._due, self._shown = Instant(now + _ALIVE_EVERY), now
+            self._send(Probe(now))
 
     def listen(self, timeout: Duration = NOT_AT_ALL) -> Word | None:
         """The supervisor's next message to a node in its loop, or None; waits at most ``timeout``, by default 0."""
@@ -296,7 +317,7 @@ class ControlLine:
         frame, queued = encode(message), False
         for _ in range(_LAST_WORD_WAITS):
             queued = queued or self._link.send(frame)  # several tries, for telemetry may still fill the queue
-            answer = self._link.recv(_PATIENCE)
+            answer = self._link.recv(PATIENCE)
             life.check()
             if answer is None:
                 if life.orphaned or self._link.trouble() is not None:  # no supervisor is left to confirm it
@@ -310,14 +331,14 @@ class ControlLine:
     def _await(self, kind: type[_M], life: Life) -> _M:
         waits = 0
         while True:
-            frame = self._link.recv(_PATIENCE)
+            frame = self._link.recv(PATIENCE)
             if frame is None:
                 life.check()
                 if life.stopping:
                     raise Stopped
                 waits += 1
-                self._require_connection(waits)
-                if self._introduction is not None and waits % _REPEAT_WAITS == 0 and self._link.trouble() is None:
+                require_hub(self._link, self._common.name, self._common.control, waits)
+                if self._introduction is not None and waits % REPEAT_WAITS == 0 and self._link.trouble() is None:
                     self._send(self._introduction)
                 continue
             message = decode(frame, MAX_CONTROL_BYTES)
@@ -332,16 +353,27 @@ class ControlLine:
                 self.absent.add(message.peer)
                 self._words.append(message)
                 continue
-            self.malformed += 1
+            self.malformed += not (isinstance(message, Echo) and message.sent == self._shown)
 
-    def _require_connection(self, waits: int) -> None:
-        """Give up: at once where the supervisor refuses this node, after a minute where no supervisor answers."""
-        trouble = self._link.trouble()
-        if trouble is None or trouble is Trouble.LOST:
-            return
-        if trouble in (Trouble.NOBODY, Trouble.BROKEN_OFF) and waits < _JOINING_WAITS:  # it may be busy starting
-            return
-        raise Refused(
-            f"{self._common.name}: cannot join the supervisor at {self._common.control}: {trouble}; see that the "
-            "session runs there, and that bundle and key are of its present keys"
-        )
+
+def require_hub(link: Link, name: str, control: str, waits: int) -> None:
+    """Give up: at once where the supervisor refuses this node, after a minute where no supervisor answers.
+
+    Args:
+        link: to the supervisor's hub.
+        name: of this node.
+        control: the hub's endpoint.
+        waits: how often :data:`PATIENCE` has passed without an answer.
+
+    Raises:
+        Refused: there is no use in waiting.
+    """
+    trouble = link.trouble()
+    if trouble is None or trouble is Trouble.LOST:
+        return
+    if trouble in (Trouble.NOBODY, Trouble.BROKEN_OFF) and waits < _JOINING_WAITS:  # it may be busy starting
+        return
+    raise Refused(
+        f"{name}: cannot join the supervisor at {control}: {trouble}; see that the session runs there, and that "
+        "bundle and key are of its present keys"
+    )

@@ -9,6 +9,7 @@
 | ``leaving@k`` | device | 1: with the sample of tick k it begins to let go, by the ramp and for good |
 | ``frozen:cx@k`` | environment | 1: from tick k on the coupling cx was sent no force |
 | ``returned:cx@k`` | environment | 1: from tick k on it was again |
+| ``raised@k`` | environment | 1: in tick k it raised the forces of all couplings again by the ramp |
 | ``linked:cx@k`` | environment | 1: in tick k the tool took its place from the first wave of a life of cx's wave link |
 
 Rows and events travel in one telemetry message, so a recording that has the rows has the events as well. An audit
@@ -26,7 +27,9 @@ from typing import Final, NamedTuple
 MOST_EVENTS: Final = 512
 """The most events of one telemetry; further releases are only counted in the figure of all releases, which shows it."""
 
-_FIGURE: Final = re.compile(r"(?:(began|jumped|released|rung|leaving)|(frozen|returned|linked):(.+))@([0-9]{1,15})")
+_FIGURE: Final = re.compile(
+    r"(?:(began|jumped|released|rung|leaving|raised)|(frozen|returned|linked):(.+))@([0-9]{1,15})"
+)
 _MOST_VALUE: Final = 2.0**53
 
 
@@ -41,6 +44,7 @@ class Kind(StrEnum):
     FROZEN = "frozen"
     RETURNED = "returned"
     LINKED = "linked"
+    RAISED = "raised"
 
 
 class TickEvent(NamedTuple):
@@ -84,6 +88,11 @@ class TickEvents:
     def activate(self, tick: int, coupling: str) -> None:
         """Record that the environment sends ``coupling`` its force again from ``tick`` on."""
         self._figures[f"{Kind.RETURNED}:{coupling}@{tick}"] = 1.0
+
+    def raise_again(self, tick: int) -> None:
+        """Record that the environment raised the forces of all couplings again in ``tick``, by the ramp."""
+        if len(self._figures) < MOST_EVENTS:
+            self._figures[f"{Kind.RAISED}@{tick}"] = 1.0
 
     def link(self, tick: int, coupling: str) -> None:
         """Record that a life of the wave link of ``coupling`` begins with the tool's place in ``tick``."""

@@ -8,7 +8,8 @@ from manyhands.nodes.bundle import DeviceBundle
 from manyhands.nodes.device.colocated import colocated
 from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.device.node import DeviceNode
-from manyhands.nodes.process import main, main_together
+from manyhands.nodes.device.plugin import DriverFailure
+from manyhands.nodes.process import EXIT_FAILED, main, main_together
 
 
 def run(carried: list[Path]) -> int:
@@ -17,16 +18,20 @@ def run(carried: list[Path]) -> int:
     Args:
         carried: the bundles of the couplings.
     """
-    with ExitStack() as ending:
+    try:
+        with ExitStack() as ending:
 
-        def driver(bundle: DeviceBundle) -> Driver:
-            made = driver_of(bundle)
-            ending.callback(made.close)
-            return made
+            def driver(bundle: DeviceBundle) -> Driver:
+                made = driver_of(bundle)
+                ending.callback(made.close)
+                return made
 
-        if carried:
-            return main_together(DeviceBundle, lambda bundle: colocated(bundle, driver(bundle), carried))
-        return main(DeviceBundle, lambda bundle: DeviceNode(bundle, driver(bundle)))
+            if carried:
+                return main_together(DeviceBundle, lambda bundle: colocated(bundle, driver(bundle), carried))
+            return main(DeviceBundle, lambda bundle: DeviceNode(bundle, driver(bundle)))
+    except DriverFailure as error:  # while it was closed
+        print(error, file=sys.stderr)  # noqa: T201 -- there is no line to the supervisor any more
+        return EXIT_FAILED
 
 
 if __name__ == "__main__":

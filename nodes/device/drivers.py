@@ -22,8 +22,9 @@ from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 from manyhands.nodes.arithmetic import Floats, dot, linear_map
-from manyhands.nodes.bundle import WALL, BrowserHand, DeviceBundle, RecordedMotion, SimulatedHand
+from manyhands.nodes.bundle import WALL, BrowserHand, DeviceBundle, PluginDevice, RecordedMotion, SimulatedHand
 from manyhands.nodes.device.intent import SampledSignal
+from manyhands.nodes.device.plugin import plugin_driver
 from manyhands.nodes.device.pointer import pointer_hand, pointer_of
 from manyhands.nodes.device.simulated import Hand, HeldDeviceDriver, OwnTimeDriver, intent_hand
 from manyhands.nodes.device.wall_time import WallTimeDriver
@@ -198,8 +199,10 @@ class WallTimeTrace(WallTimeDriver):
 def driver_of(bundle: DeviceBundle) -> Driver:
     """The driver of the source that the bundle names; the caller closes it.
 
+    Where the source is a driver of another package, this imports and runs that package's code.
+
     Raises:
-        ValueError: the bundle's numbers make no device.
+        ValueError: the bundle's numbers make no device, or the driver of another package cannot be made.
         TransportError: the socket of its pointer cannot be opened.
     """
     T, wall = bundle.common.period, bundle.time == WALL
@@ -210,6 +213,8 @@ def driver_of(bundle: DeviceBundle) -> Driver:
             return WallTimeTrace(motion, T) if wall else TraceDriver(motion, T)
         case BrowserHand(physics):
             return _held(pointer_hand(physics, bundle.limits, T, pointer_of(bundle.common), wall), T, wall)
+        case PluginDevice() as device:
+            return plugin_driver(device, bundle)
 
 
 def _held(hand: Hand, T: float, wall: bool) -> Driver:

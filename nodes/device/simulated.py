@@ -9,15 +9,14 @@ A :class:`Hand` holds the device. That of an :class:`IntentHand` has an intentio
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from manyhands.design.models.device import HeldDevice, held_device
-from manyhands.design.models.statespace import Matrix, StateSpace
+from manyhands.design.models.device import HeldDevice, exponential_less_identity, held_device
+from manyhands.design.models.statespace import StateSpace
 from manyhands.nodes.arithmetic import NARROW, Floats, Rows, dot, linear_map, minus, plus
 from manyhands.nodes.bundle import SimulatedHand
 from manyhands.nodes.device.intent import Intent, intent_from
@@ -52,7 +51,7 @@ class Transitions:
         self._mask = 2**bits - 1
         # the last digit first; its matrices, n x len(M), as lists where these beat numpy, and as an array
         self._tables: list[tuple[int, list[Rows], Any]] = []
-        unit = _series(M * seconds(Duration(1)))  # exp(M t) - I, for the nanoseconds of the present digit
+        unit = exponential_less_identity(M * seconds(Duration(1)))  # for the nanoseconds of the present digit
         for shift in range(0, longest.bit_length(), bits):
             most = min(longest >> shift, self._mask)
             table = np.zeros((1, *M.shape))
@@ -87,19 +86,6 @@ _MOST_ENTRIES: Final = 512
 
 _FEW_BITS: Final = 5
 """Bits of a digit for greater matrices: a period of 1 ms has four digits, and 123 matrices."""
-
-
-def _series(X: Matrix) -> Matrix:
-    """exp(X) - I, with an error that is small against X: Taylor's series of X 2^-s, and s doublings."""
-    norm = float(np.abs(X).sum(axis=0).max())
-    halvings = max(0, math.frexp(norm)[1] + 6)  # to a norm below 2^-6, where nine terms suffice
-    X = X * 0.5**halvings
-    Q = X
-    for k in range(9, 1, -1):
-        Q = X + X @ Q / k
-    for _ in range(halvings):
-        Q = 2.0 * Q + Q @ Q
-    return Q
 
 
 class Plant:

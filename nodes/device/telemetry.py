@@ -126,6 +126,7 @@ class DeviceTelemetry:
         rung: DeviceRung,
         driver_figures: Callable[[], Mapping[str, float]] = dict,
         interface: DeviceInterface | None = None,
+        jitter: Duration = Duration(0),  # noqa: B008 -- a number
     ) -> None:
         """No tick yet.
 
@@ -134,7 +135,9 @@ class DeviceTelemetry:
             rung: the rung in force, with the delays and periods that it covers.
             driver_figures: returns the driver's own figures for each telemetry.
             interface: of a device in wall time; None for one in its own.
+            jitter: by how much the age of a sample may vary, ns: two samples may be further apart by so much.
         """
+        self._jitter = jitter
         self._common, self._driver_figures, self._interface = common, driver_figures, interface
         self.ticks = self.stale = self.released = self.jumps = 0
         self._late = self._tau_breaches = self._period_breaches = 0
@@ -214,7 +217,7 @@ class DeviceTelemetry:
         if self._sampled is not None:
             between = Duration(sampled - self._sampled)
             self._true_period.add(between / 1e3)
-            if not self._covers(between):
+            if not self._covers(Duration(between + self._jitter)):
                 self._period_breaches += 1
         self._sampled, self._tau_before = sampled, tau
         if applied > due + self._period:

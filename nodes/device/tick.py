@@ -12,6 +12,11 @@ A device in its own time (:class:`OwnTimeTick`) makes one period of each sample.
 (:class:`WallTimeTick`) what was sent for a tick stays as it is until the tick is answered, so that its account knows
 what the couplings received. They know of no motion since then, so the work that the hand intended since then counts
 with the next tick.
+
+**Latency.** Where a driver states that its samples are old, or its forces act late
+(:mod:`manyhands.nodes.device.specification`), the interface of the device takes each sample to be older by both. Only
+the time from a sample to a force counts, so one shift stands for both. The loop keeps the samples' instants in order:
+its schedule goes on where the last force acts before the next sample was taken.
 """
 
 from __future__ import annotations
@@ -25,6 +30,7 @@ from manyhands.nodes.bundle import WALL, DeviceBundle
 from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.drivers import Driver
 from manyhands.nodes.device.interface import DeviceInterface, interface_of
+from manyhands.nodes.device.plugin import PluginDriver
 from manyhands.protocol.clock import Instant, from_seconds
 
 Instants = tuple[Instant, Instant, Instant]
@@ -56,6 +62,9 @@ class DeviceTick(ABC):
         self._zero: Floats = [0.0] * len(common.ports)
         self._at = self._row_at = Instant(0)  # of the last sample, and of the row's
         self._first = True
+        self._latency = from_seconds(bundle.timing.latency)
+        # of a driver of another package: what it really exerts of the force that it was given
+        self._exerted = driver.exerted if isinstance(driver, PluginDriver) else None
         self.driver = driver
         self.guard = guard or Guard(bundle.limits, common.period, common.ports)
         self.core = DeviceCore(*bundle.promises[0], common.period, bundle.allowed)
@@ -82,7 +91,7 @@ class DeviceTick(ABC):
             self.x, self.sent = x, goal
         elif first:
             self.x, self._row_at = x, at
-            self.sent = interface.send(x, goal, at)
+            self.sent = interface.send(x, goal, Instant(at - self._latency))
             if interface.shortened:
                 self.driver.apply(interface.exerted, at, interface.until)
         return self.sent
@@ -144,6 +153,8 @@ class OwnTimeTick(DeviceTick):
     def book(self) -> None:
         """Count the period in the ledger."""
         # not before the force is applied: ZeroMQ's thread may send x(k) only while this one waits
+        if self._exerted is not None:
+            self._exerted(self._held)
         work = self.driver.intended_work()
         self.core.sample(self.x)
         self.core.apply(self._held, work)
@@ -189,7 +200,8 @@ class WallTimeTick(DeviceTick):
         """Do the accounts: e(k) from what the driver measured, the ledger from what the couplings know."""
         moved, interface = self._moved, self.wall_interface
         self.x_a = None if moved is None else list(map(float, moved))
-        ended = interface.applied(self.x_a, self._applied, self._held, self._until)
+        exerted = self._held if self._exerted is None else self._exerted(self._held)
+        ended = interface.applied(self.x_a, self._applied, exerted, self._until)
         self.instants = (self._row_at, self._applied, ended)
         # not before the force is applied: ZeroMQ's thread may send x(k) only while this one waits
         self._count(self.driver.intended_work())

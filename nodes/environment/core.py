@@ -339,7 +339,7 @@ def environment_core(bundle: EnvironmentBundle, D_V: Vector, blocks: Blocks | No
         blocks: the ports of each coupling; None for one block of all ports.
 
     Raises:
-        ModelError: the model cannot be made.
+        FactoryError: the model cannot be made.
         ValueError: the bundle has neither matrices nor a model, or the core cannot be made with this D_V.
     """
     common, E = bundle.common, bundle.E

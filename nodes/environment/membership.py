@@ -323,6 +323,7 @@ class Members:
 
         Devices behind wave links have not waited.
         """
+        self.events.raise_again(tick)
         for member in self.all:
             if not member.linked and member.membership.state is Membership.ACTIVE and member.wanted == member.rung:
                 self._core.clutches.freeze(member.index)

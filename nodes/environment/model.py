@@ -1,8 +1,7 @@
-"""A user's own model as the environment: how a session names it, how it is made, and how it is asked for forces.
+"""A user's own model as the environment: how it is made, and how it is asked for forces.
 
-A session names a factory, "package.module:function", that is importable where the environment runs. The environment
-calls the factory once with the ports, the period and the session's parameters. It asks the model that the factory
-returns for forces once a tick.
+A session names the model's factory (:mod:`manyhands.nodes.factory`). The environment's process calls it once, and asks
+the model that it returns for forces once a tick.
 
 **The model is trusted code.** It runs in the environment's process with that process's rights, and nothing here
 confines it: to start a session that names a model is to run the model's code. It receives no key and no socket, and of
@@ -15,24 +14,18 @@ holds up its ticks; devices then let go by themselves, as for every environment 
 
 from __future__ import annotations
 
-import importlib
-import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.nodes.lifetime import Stopped
+from manyhands.nodes.factory import FactoryError, FactoryName, in_one_line, made_by
 
 Vector = NDArray[np.float64]
 
 MOST_FORCE = 1e9
 """The greatest force of a model, N. Beyond it a force is a mistake; its square is still exact enough for a ledger."""
-
-FACTORY = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", re.ASCII)
-"""The form of a factory's name: package.module:function."""
 
 
 class EnvironmentModel(Protocol):
@@ -53,53 +46,19 @@ class EnvironmentModel(Protocol):
         ...
 
 
-class ModelError(ValueError):
-    """A model cannot be made; the message names it and the reason."""
-
-
 class ModelFailure(Exception):
     """A model gave no usable answer; the message names it, the tick, what was found and what was expected."""
 
 
-@dataclass(frozen=True)
-class ModelName:
-    """The model that a session names.
-
-    Attributes:
-        factory: "package.module:function".
-        parameters: the factory's third argument, plain data.
-
-    Raises:
-        ValueError: the factory's name does not have that form.
-    """
-
-    factory: str
-    parameters: Mapping[str, Any]
-
-    def __post_init__(self) -> None:
-        if not FACTORY.fullmatch(self.factory):
-            raise ValueError(f"found the model {self.factory!r:.80}; expected package.module:factory")
-
-
-def make_model(name: ModelName, ports: tuple[str, ...], T: float) -> EnvironmentModel:
+def make_model(name: FactoryName, ports: tuple[str, ...], T: float) -> EnvironmentModel:
     """Import a factory and call it for the model of these ports with the period T (s).
 
     Raises:
-        ModelError: the factory cannot be imported or fails, or its result has no method ``react``.
+        FactoryError: the factory cannot be imported or fails, or its result has no method ``react``.
     """
-    module, _, function = name.factory.partition(":")
-    try:
-        factory = getattr(importlib.import_module(module), function)
-        model = factory(ports, T, dict(name.parameters))
-    except Stopped:
-        raise  # the process is to end; this is no failure of the model
-    except (Exception, SystemExit) as error:  # foreign code: every exception is reported with the model's name
-        raise ModelError(
-            f"the model {name.factory} cannot be made: found {_in_one_line(error)}; "
-            "expected a factory of (ports, period, parameters) on Python's import path"
-        ) from error
+    model = made_by(name, "model", ports, T)
     if not callable(getattr(model, "react", None)):
-        raise ModelError(
+        raise FactoryError(
             f"the model {name.factory} cannot be asked: found {type(model).__name__}; expected an object with "
             "react(x_e, k)"
         )
@@ -129,7 +88,7 @@ class AskedModel:
             # a copy: the model may change the array that it has returned
             f = np.array(self._react(x_e, k), dtype=np.float64)
         except (Exception, SystemExit) as error:  # noqa: BLE001 -- foreign code: no exception of its may end the loop unnamed
-            return self._failed(k, _in_one_line(error), "forces in N")
+            return self._failed(k, in_one_line(error), "forces in N")
         m = len(self._ports)
         if f.shape != (m,):
             return self._failed(k, f"an answer of the shape {f.shape}", f"{m} forces, one a port")
@@ -143,12 +102,3 @@ class AskedModel:
     def _failed(self, k: int, found: str, expected: str) -> Vector:
         self.failure = f"the model {self._name} failed at tick {k}: found {found}; expected {expected}; mend the model"
         return self._none
-
-
-def _in_one_line(error: BaseException) -> str:
-    """An exception in one line of bounded length; its text comes from the model, and may be anything."""
-    try:
-        text = str(error)
-    except Exception:  # noqa: BLE001 -- a text that cannot be made must not hide that there was an error
-        text = "without a text"
-    return f"{type(error).__name__}: {text[:200]}" if text else type(error).__name__

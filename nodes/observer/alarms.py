@@ -1,9 +1,10 @@
 """What a person should know of a running session at once, since when, and what to do about it: pure.
 
 An alarm is raised when its cause is first seen, and cleared when the cause has been absent for a while. So a cause that
-comes and goes with every telemetry message is one alarm and not ten a second. The sentences of the session (notices,
-incidents, faults) report what has happened, so they are never cleared. Whether delays are worth an alarm is decided in
-one place, for the notices (:mod:`manyhands.launch.run.breaches`): every machine has a late tick now and then.
+comes and goes with every telemetry message is one alarm and not ten a second. Most causes are promises that are not
+kept (:mod:`manyhands.nodes.observer.health`), so none stands beside a health that is ok. Incidents and faults report
+what has happened, so they are never cleared. Whether delays are worth an alarm is decided in one place, for the notices
+(:mod:`manyhands.launch.run.breaches`): every machine has a late tick now and then.
 """
 
 from __future__ import annotations
@@ -13,8 +14,17 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Final
 
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.observer.scene import Health, NodeScene, Scene
+from manyhands.nodes.observer.health import (
+    PROMISES,
+    Health,
+    Promise,
+    PromiseState,
+    grouped,
+    is_present,
+    missed,
+    sentence,
+)
+from manyhands.nodes.observer.scene import Scene
 from manyhands.protocol.clock import Instant, from_seconds
 
 HOLD: Final = from_seconds(2.0)
@@ -25,12 +35,6 @@ UNHEARD: Final = from_seconds(3.0)
 
 MOST_ALARMS: Final = 1000
 """The most alarms that are kept. Above it the cleared ones go first, then the oldest. Sentences alone may be 384."""
-
-LEDGER_BOUND: Final = 0.0
-"""J: the least that a ledger's margin may be; its bound is -V(psi_0) = 0, less what lateness may put in."""
-
-LEDGER_ROUNDING: Final = 1e-9
-"""The largest rounding error of a long session's sums, J, of ledgers and of interface accounts."""
 
 
 class AlarmLevel(StrEnum):
@@ -50,60 +54,82 @@ class Alarm:
         level: its severity.
         text: what has happened.
         advice: what to do.
-        since: when it was first seen.
-        cleared: when its cause was last seen, if it is gone; None while it lasts.
+        since: when it began, s of the session's time.
+        earlier: whether it may have begun before that: it was there at the first look.
+        cleared: when its cause was last seen, s, if it is gone; None while it lasts.
     """
 
     key: str
     level: AlarmLevel
     text: str
     advice: str
-    since: Instant
-    cleared: Instant | None = None
+    since: float
+    earlier: bool = False
+    cleared: float | None = None
 
 
 @dataclass(frozen=True)
 class AlarmCause:
-    """A cause that is present now, and raises an alarm; ``lasting`` if it cannot be undone."""
+    """A cause that is present now, and raises an alarm.
+
+    Attributes:
+        key, level, text, advice: of the alarm.
+        lasting: whether it cannot be undone.
+        since: when it began, s of the session's time; None where only its first sight is known.
+    """
 
     key: str
     level: AlarmLevel
     text: str
     advice: str
     lasting: bool = False
+    since: float | None = None
 
 
-_AWAY: Final = "See the log of the node; a session with faults: {restarts: N} brings it back by itself."
-_NODE_ADVICE: Final = {
-    Health.AWAY: _AWAY,
-    Health.SILENT: "Its process runs but sends nothing: see whether it hangs or the machine is overloaded.",
-    Health.LATE: "The machine is too slow for the period: run manyhands doctor, and close other programs.",
+_LATE_ADVICE: Final = "The machine is too slow for the period: run manyhands doctor, and close other programs."
+_BROKEN: Final = {
+    Promise.DELAY: AlarmLevel.WARNING,
+    Promise.PERIOD: AlarmLevel.WARNING,
+    Promise.FORCE: AlarmLevel.WARNING,
+    Promise.PACE: AlarmLevel.WARNING,
 }
-_NODE_TEXT: Final = {
-    Health.SILENT: "no telemetry has come from it for a while",
-    Health.LATE: "more of its ticks are late than is usual on any machine",
+"""The level of the alarm of a broken promise that is not a fault: an assumption of the certificate that does not hold.
+"""
+
+_STAYS_CERTIFIED: Final = "The session bounds what this may cost, and stays certified."
+
+_ENFORCED: Final = {
+    Promise.PRESENCE: AlarmLevel.WARNING,
+    Promise.PUNCTUALITY: AlarmLevel.WARNING,
 }
-_NODE_LEVEL: Final = {Health.AWAY: AlarmLevel.FAULT, Health.SILENT: AlarmLevel.FAULT, Health.LATE: AlarmLevel.WARNING}
+"""The level of the alarm of an enforced promise that a user is affected by. Lateness that is enforced raises none,
+unless it is worth a notice."""
 
 
 def causes(scene: Scene, now: Instant) -> Iterator[AlarmCause]:
     """Every cause that is present in this scene, in no order of severity."""
+    yield from _promises(scene)
     yield from _sentences(scene)
     for node in scene.nodes.values():
-        yield from _of_node(node)
-        yield from _ledger(node)
-        yield from _account(node, scene)
-    if scene.frozen:
-        yield AlarmCause(
-            "frozen",
-            AlarmLevel.WARNING,
-            f"{scene.frozen} of the session's couplings {'is' if scene.frozen == 1 else 'are'} frozen",
-            "Their users take no part until their signals come in time again; the others go on, still certified.",
-        )
-    for name, late in scene.frozen_late.items():
-        advice = "Check its user's machine and network; if they cannot be faster, design for a longer tau."
-        yield AlarmCause(f"{name} late", AlarmLevel.WARNING, late.sentence(name), advice, True)
+        if node.health is Health.LATE:
+            text = f"{node.name}: more of its ticks are late than is usual on any machine"
+            yield AlarmCause(f"{node.name} late", AlarmLevel.WARNING, text, _LATE_ADVICE)
     yield from _unheard(scene, now)
+
+
+def _promises(scene: Scene) -> Iterator[AlarmCause]:
+    """One cause for each promise that is not kept now, and each of its states."""
+    notices = () if scene.condition is None else scene.condition.notices
+    for row in grouped(row for row in missed(scene.promises) if is_present(row)):
+        promise, broken, noticed = Promise(row.promise), row.state == PromiseState.BROKEN, row.remark in notices
+        level = _BROKEN.get(promise, AlarmLevel.FAULT) if broken else _ENFORCED.get(promise)
+        if level is None and not noticed:
+            continue
+        advice = PROMISES[promise].advice
+        if noticed:  # the notice itself says what to do
+            advice = "What the certificate proves does not cover this." if broken else _STAYS_CERTIFIED
+        text = row.remark or sentence(row)
+        yield AlarmCause(f"{row.promise} {row.state}", level or AlarmLevel.WARNING, text, advice, since=row.since)
 
 
 def _sentences(scene: Scene) -> Iterator[AlarmCause]:
@@ -111,47 +137,15 @@ def _sentences(scene: Scene) -> Iterator[AlarmCause]:
     if condition is None:
         return
     for text in condition.faults:
-        yield AlarmCause(
-            f"fault: {text}", AlarmLevel.FAULT, text, "The run counts as failed: see its report and logs.", True
-        )
+        advice = "The run counts as failed: see its report and logs."
+        yield AlarmCause(f"fault: {text}", AlarmLevel.FAULT, text, advice, True)
+    about_promises = {row.remark for row in scene.promises}
     for text in condition.notices:
-        advice = "An assumption of the certificate was broken: what it proves does not cover this."
-        yield AlarmCause(f"notice: {text}", AlarmLevel.WARNING, text, advice, True)
+        if text not in about_promises:
+            advice = "An assumption of the certificate was broken: what it proves does not cover this."
+            yield AlarmCause(f"notice: {text}", AlarmLevel.WARNING, text, advice, True)
     for text in condition.incidents:
         yield AlarmCause(f"incident: {text}", AlarmLevel.NOTE, text, "Nothing: the session survived it.", True)
-
-
-def _of_node(node: NodeScene) -> Iterator[AlarmCause]:
-    level = _NODE_LEVEL.get(node.health)
-    if level is None or node.state == "leaving":
-        return
-    text = _NODE_TEXT.get(node.health, node.state)
-    yield AlarmCause(f"{node.name} {node.health}", level, f"{node.name}: {text}", _NODE_ADVICE[node.health])
-
-
-def _ledger(node: NodeScene) -> Iterator[AlarmCause]:
-    margin = node.figures.get(names.LEDGER_MARGIN, 0.0)
-    if margin < LEDGER_BOUND - LEDGER_ROUNDING:
-        yield AlarmCause(
-            f"{node.name} ledger",
-            AlarmLevel.FAULT,
-            f"{node.name}: its ledger fell {-margin:.3g} J below its bound",
-            "It broke its promise of passivity: let go of it, and check that it is as passive as declared (osp).",
-        )
-
-
-def _account(node: NodeScene, scene: Scene) -> Iterator[AlarmCause]:
-    certificate, least = scene.about.certificate, node.figures.get(names.INTERFACE_LEAST, 0.0)
-    if certificate is None or not least < -certificate.tank - LEDGER_ROUNDING:
-        return
-    lateness = f"{node.name}: lateness has put {-least:.3g} J into the loop, more than the {certificate.tank:.3g} J"
-    if certificate.bounded:
-        text = f"{lateness} that its interface has to keep to"
-        advice = "See whether its process was stopped or its clock changed; if not, report it: the bound is proved."
-    else:
-        text = f"{lateness} of faults.tank; it is counted and not bounded"
-        advice = "Let the device bound it (faults: {lateness: enforce}), or design for a longer tau (design.tau: auto)."
-    yield AlarmCause(f"{node.name} account", AlarmLevel.FAULT, text, advice)
 
 
 def _unheard(scene: Scene, now: Instant) -> Iterator[AlarmCause]:
@@ -179,34 +173,42 @@ class Alarms:
     def __init__(self) -> None:
         """No alarm yet."""
         self._alarms: dict[str, Alarm] = {}
-        self._seen: dict[str, Instant] = {}
+        self._seen: dict[str, tuple[Instant, float]] = {}  # the clock of the onlooker, and the session's time
         self._lasting: set[str] = set()
+        self._first: float | None = None  # the session's time at the first look that showed it
         self.version = 0
 
     def look(self, scene: Scene, now: Instant) -> None:
-        """Raise and clear alarms, as the scene at ``now`` requires."""
+        """Raise and clear alarms, as the scene at ``now`` requires; ``now`` is a time of the onlooker's own clock."""
+        time = scene.time
+        if self._first is None and scene.condition is not None:
+            self._first = time
         for cause in causes(scene, now):
-            self._seen[cause.key] = now
+            self._seen[cause.key] = now, time
             standing = self._alarms.get(cause.key)
             if standing is None or standing.cleared is not None:
                 self._alarms.pop(cause.key, None)  # raised again: a new alarm, at the end
-                self._put(Alarm(cause.key, cause.level, cause.text, cause.advice, now))
+                since = time if cause.since is None else cause.since
+                earlier = cause.since is None and self._first is not None and time <= self._first
+                self._put(Alarm(cause.key, cause.level, cause.text, cause.advice, since, earlier))
                 if cause.lasting:
                     self._lasting.add(cause.key)
             elif standing.text != cause.text:
                 self._put(replace(standing, text=cause.text))
         for key, alarm in list(self._alarms.items()):
-            if alarm.cleared is None and key not in self._lasting and now - self._seen[key] > HOLD:
-                self._put(replace(alarm, cleared=self._seen[key]))
+            seen, seen_time = self._seen[key]
+            if alarm.cleared is None and key not in self._lasting and now - seen > HOLD:
+                self._put(replace(alarm, cleared=seen_time))
         self._forget()
 
     def listed(self) -> list[Alarm]:
         """The alarms that last, the gravest first, then the cleared ones; within each severity the latest first."""
 
-        def order(alarm: Alarm) -> tuple[bool, int, int]:
+        def order(alarm: Alarm) -> tuple[bool, int, float]:
             return alarm.cleared is not None, -_GRAVITY[alarm.level], -alarm.since
 
-        return sorted(self._alarms.values(), key=order)
+        latest_first = [*self._alarms.values()][::-1]  # for those of one instant
+        return sorted(latest_first, key=order)
 
     def _put(self, alarm: Alarm) -> None:
         self._alarms[alarm.key] = alarm

@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import os
 import sys
-from pathlib import Path
 
 from manyhands.nodes.bundle import ObserverBundle
 from manyhands.nodes.json_number import json_number
@@ -61,7 +60,7 @@ _TIMEOUT = from_seconds(0.2)
 def observe(bundle: ObserverBundle, life: Life, ring: KeyRing | None) -> int:
     """Print the session's observations until the session or the observer ends; returns the exit code."""
     common, core = bundle.common, ObserverCore()
-    transport = ZmqTransport.of(common.transport, Path(common.directory), ring)
+    transport = ZmqTransport.of(common.transport, common.folder, ring)
     try:
         control = ControlLine(transport, common)
         life.watch = control.connection

@@ -14,20 +14,31 @@ import dataclasses
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from enum import StrEnum
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
 from manyhands.design.files import read_regular, replacing
 from manyhands.nodes import telemetry as names
+from manyhands.nodes.bundle import REALTIME
+from manyhands.nodes.observer.health import (
+    AWAY_STATES,
+    FREE_STATE,
+    Health,
+    Promise,
+    PromiseState,
+    readable,
+    session_health,
+    worse,
+)
+from manyhands.nodes.observer.health_model import Terms
 from manyhands.nodes.own_ticks import session_tick
 from manyhands.nodes.wave_link.felt import FeltLink, felt_link
 from manyhands.protocol.channels import Topic, links_at, topics_of
 from manyhands.protocol.clock import Instant, from_seconds
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
-from manyhands.protocol.messages import Condition, Observation, Role
+from manyhands.protocol.messages import Condition, Observation, PromiseStatus, Role
 
 ABOUT: Final = "about.json"
 """The file's name in the run's directory."""
@@ -129,6 +140,8 @@ class About:
         certificate: None for an uncertified session.
         environment: the environment's type.
         observers: what each observer may read, by name, as in the session file.
+        seats: the device of each seat that users take and leave while the session runs, by the seat's name, which is
+            that of its coupling.
     """
 
     session: str
@@ -148,6 +161,25 @@ class About:
     certificate: CertificateAbout | None
     environment: str
     observers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    seats: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def terms(self) -> Terms:
+        """What the session promises."""
+        certificate = self.certificate
+        return Terms(
+            period=self.period,
+            roles={name: node.role for name, node in self.nodes.items()},
+            rates={name: self.rate_of(name) for name, node in self.nodes.items() if node.period is not None},
+            realtime=self.clock == REALTIME,
+            wall=tuple(name for name, node in self.nodes.items() if node.wall),
+            certified=certificate is not None,
+            tank=0.0 if certificate is None else certificate.tank,
+            bounded=certificate is not None and certificate.bounded,
+            enforced=() if certificate is None else certificate.enforced,
+            linked=self.linked,
+            seats=self.seats,
+        )
 
     def period_of(self, node: str) -> float:
         """T of a node, s; the session's for a name that is no node's."""
@@ -242,6 +274,7 @@ def _about(data: Any) -> About:
             "reach": _numbers(data["reach"]),
             "certificate": None if certificate is None else _certificate(certificate),
             "observers": {_text(name): _texts(reads) for name, reads in data["observers"].items()},
+            "seats": {_known(name, nodes): _known(device, nodes) for name, device in data["seats"].items()},
         }
     )
     for name, kind in _SCALARS.items():
@@ -328,25 +361,10 @@ LATE_SHARE: Final = 0.01
 """A greater part of late ticks between two rates makes a node's health LATE."""
 
 
-class Health(StrEnum):
-    """The health of a node or a link, at a glance; a later value is worse."""
-
-    OK = "ok"
-    WAITING = "waiting"  # it has not begun, or has nothing more to do
-    LATE = "late"  # more of its ticks are late than is usual on any machine
-    FROZEN = "frozen"  # it takes no part, and the others go on
-    SILENT = "silent"  # it runs, but sends no telemetry
-    AWAY = "away"  # its process died, or failed
-
-
-_SEVERITY: Final = {health: place for place, health in enumerate(Health)}
-
 STATE_HEALTH: Final = {
     "running": Health.OK,
-    "lost": Health.AWAY,
-    "gone for good": Health.AWAY,
-    "failed": Health.AWAY,
-    "leaving": Health.AWAY,
+    FREE_STATE: Health.FREE,
+    **dict.fromkeys(AWAY_STATES, Health.AWAY),
 }
 """The health that follows from a node's state; every other state means WAITING."""
 
@@ -365,6 +383,7 @@ class NodeScene:
         received: when its latest telemetry came; None if none has.
         late: whether more of its latest ticks than usual were late.
         silent: whether the supervisor has received no telemetry for a while, though the node runs.
+        frozen: whether it is a coupling that takes no part now.
     """
 
     name: str
@@ -376,6 +395,7 @@ class NodeScene:
     received: Instant | None = None
     late: bool = False
     silent: bool = False
+    frozen: bool = False
     _since: tuple[Instant, int, float] | None = None
 
     @property
@@ -386,6 +406,8 @@ class NodeScene:
             return health
         if self.silent:
             return Health.SILENT
+        if self.frozen:
+            return Health.FROZEN
         return Health.LATE if self.late else Health.OK
 
     def take(self, observation: Observation, now: Instant) -> None:
@@ -403,11 +425,42 @@ class NodeScene:
             self._since = now, observation.tick, late
         self.tick, self.figures, self.received = observation.tick, dict(observation.figures), now
 
-    def stand(self, state: str, silent: bool) -> None:
+    def stand(self, state: str, silent: bool, frozen: bool = False) -> None:
         """Set the state that the supervisor reports; a node that does not run, or is silent, has no rate."""
-        self.state, self.silent = state, silent
+        self.state, self.silent, self.frozen = state, silent, frozen
         if STATE_HEALTH.get(state) is not Health.OK or silent:
             self._since, self.rate, self.late = None, None, False
+
+
+@dataclass(frozen=True)
+class Seat:
+    """A seat of a session, and who is in it.
+
+    Attributes:
+        name: of the seat, which is that of its coupling.
+        device: its user's.
+        state: ``free``, ``joining`` or ``in``.
+        felt: the delay, stiffness and mass of its wave link; None while that is not known.
+        health: of its two nodes.
+    """
+
+    name: str
+    device: str
+    state: str
+    felt: FeltLink | None
+    health: Health
+
+    def sentence(self) -> str:
+        """Who is in, with delay, felt stiffness and mass, and health."""
+        if self.health is Health.FREE:
+            return f"seat {self.name}: free"
+        felt = "" if self.felt is None else f", {self.felt.figures()}"
+        return f"seat {self.name}: {self.state}{felt}, {self.health}"
+
+    def as_plain(self) -> dict[str, Any]:
+        """As a JSON object."""
+        felt = None if self.felt is None else self.felt.as_plain()
+        return {"device": self.device, "state": self.state, "felt": felt, "health": self.health.value}
 
 
 class Scene:
@@ -435,9 +488,10 @@ class Scene:
                 self.nodes[node].take(message, now)
                 return message
             case Condition():
-                self.condition = message
+                self.condition = replace(message, promises=readable(message.promises))
+                frozen = self.frozen
                 for name, seen in self.nodes.items():
-                    seen.stand(message.states.get(name, ""), name in message.silent)
+                    seen.stand(message.states.get(name, ""), name in message.silent, name in frozen)
                 return message
             case _:
                 self.malformed += 1
@@ -455,19 +509,15 @@ class Scene:
         return rates[0] if rates else None
 
     @property
-    def frozen(self) -> int:
-        """Number of couplings that are frozen now, as the environment reports; a figure that makes no sense counts
-        as none.
-        """
-        counts = (n.figures.get(names.FROZEN, 0.0) for n in self.nodes.values() if n.role is Role.ENVIRONMENT)
-        return round(sum(value for value in counts if 0.0 < value < math.inf))
+    def promises(self) -> tuple[PromiseStatus, ...]:
+        """How each promise stands, as the supervisor shows it; empty before any condition arrived."""
+        return () if self.condition is None else self.condition.promises
 
     @property
-    def frozen_late(self) -> dict[str, names.CouplingLateness]:
-        """Couplings that are frozen because the others waited for them again and again, as the environment reports."""
-        worlds = (node.figures for node in self.nodes.values() if node.role is Role.ENVIRONMENT)
-        late = [item for figures in worlds for item in names.lateness_by_coupling(figures, figures).items()]
-        return {name: lateness for name, lateness in late if lateness.frozen}
+    def frozen(self) -> tuple[str, ...]:
+        """The couplings that are frozen now."""
+        rows = (row for row in self.promises if row.promise == Promise.PRESENCE and row.until is None)
+        return tuple(name for row in rows if row.state == PromiseState.ENFORCED for name in row.who)
 
     def covered_tau(self, device: str) -> float:
         """The delay (s) that the certificate covers for a device now: that of its couplings' rung."""
@@ -498,10 +548,28 @@ class Scene:
 
     @property
     def health(self) -> Health:
-        """The session's health: that of its worst node, and at least FROZEN if any coupling is."""
-        worst = max((node.health for node in self.nodes.values()), key=_SEVERITY.__getitem__, default=Health.WAITING)
-        return max(worst, Health.FROZEN, key=_SEVERITY.__getitem__) if self.frozen else worst
+        """The session's health: that of its worst node, or that of its promises, whichever is worse."""
+        return worse(session_health(self.promises), *(node.health for node in self.nodes.values()))
+
+    @property
+    def time(self) -> float:
+        """The session's time, s: that of its latest tick."""
+        return self.tick * self.about.period
 
     def link_health(self, link: LinkAbout) -> Health:
-        """The health of a link: that of the worse of its two ends."""
-        return max((self.nodes[end].health for end in link.ends), key=_SEVERITY.__getitem__)
+        """The health of a link: that of the worse of its two ends; free where one end is a free seat."""
+        ends = [self.nodes[end].health for end in link.ends]
+        return Health.FREE if Health.FREE in ends else worse(*ends)
+
+    @property
+    def lobby(self) -> tuple[Seat, ...]:
+        """Every seat of the session, in its order."""
+        links = self.felt_links
+        return tuple(self._seat(name, device, links.get(name)) for name, device in self.about.seats.items())
+
+    def _seat(self, name: str, device: str, felt: FeltLink | None) -> Seat:
+        ends = [self.nodes[name], self.nodes[device]]
+        health = worse(*(end.health for end in ends))
+        there = all(end.state == "running" for end in ends)
+        word = "free" if health is Health.FREE else "in" if there else "joining"
+        return Seat(name, device, word, felt if there else None, health)

@@ -12,7 +12,6 @@ infinite value or NaN is null.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -27,7 +26,6 @@ from manyhands.nodes.recorder.format import (
     MAX_TIME_NS,
     MESSAGE_ENCODING,
     METADATA,
-    OTHER_SCHEMAS,
     SCHEMA_ENCODING,
     SEQUENCES,
     SUPERVISOR,
@@ -37,13 +35,12 @@ from manyhands.nodes.recorder.format import (
     encode_condition,
     encode_figures,
     media_type,
-    schema_of,
 )
 from manyhands.nodes.recorder.mcap import Tape
-from manyhands.protocol.channels import CONDITION, TELEMETRY, Columns, Topic, topic_name
+from manyhands.protocol.channels import CONDITION, TELEMETRY, Columns, Topic
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
-from manyhands.protocol.messages import Condition, Observation, Role, Stop, Values
+from manyhands.protocol.messages import Condition, Observation, Stop, Values
 
 _BLOCK: Final = 128  # ticks
 
@@ -118,6 +115,23 @@ def row_texts(values: NDArray[np.float64], one: bool) -> list[bytes]:
         for word in (b"nan", b"-inf", b"inf"):
             text = text.replace(word, b"null")
     return text[1:-1].split(b", ") if one else text[2:-2].split(b"], [")
+
+
+def trace_messages(
+    topic: Topic, ticks: Ticks, values: Values
+) -> tuple[NDArray[np.uint64], tuple[Sequence[bytes], ...]]:
+    """The messages of one trace: the length of each, bytes, and their pieces, which are to be joined in their order.
+
+    Args:
+        topic: of the trace.
+        ticks: those of its rows, at least one.
+        values: ticks x columns.
+    """
+    one = topic.columns is Columns.ONE
+    rows, count = row_texts(values, one), len(values)
+    key, end = f'"{topic.trace}": {"" if one else "["}'.encode(), b"}" if one else b"]}"
+    lengths = ticks.lengths + lengths_of(rows) + np.uint64(len(key) + len(end))
+    return lengths, (ticks.beginnings, (key,) * count, rows, (end,) * count)
 
 
 CHUNK_BYTES: Final = 1024 * 1024
@@ -209,40 +223,34 @@ class RecorderCore:
             if node in self._recorded.devices:
                 self.tick = max(self.tick, session_tick(tick - 1, self._recorded.rate_of(node)) + 1)
         if observation.figures:
-            channel = self._channel(node, TELEMETRY, None)
+            channel = self._channel(node, TELEMETRY)
             time = start + self._since_start(node, tick)
             self._tape.message(channel, time, tick % SEQUENCES, encode_figures(tick, observation.figures))
 
     def _write_trace(self, node: str, topic: Topic, ticks: Ticks, values: Values) -> None:
-        one = topic.columns is Columns.ONE
-        rows, count = row_texts(values, one), len(values)
-        key, end = f'"{topic.trace}": {"" if one else "["}'.encode(), b"}" if one else b"]}"
-        lengths = ticks.lengths + lengths_of(rows) + np.uint64(len(key) + len(end))
-        columns = (ticks.beginnings, (key,) * count, rows, (end,) * count)
-        self._tape.messages(self._channel(node, topic.name, topic), ticks.times, ticks.sequences, lengths, columns)
+        lengths, columns = trace_messages(topic, ticks, values)
+        self._tape.messages(self._channel(node, topic), ticks.times, ticks.sequences, lengths, columns)
 
-    def _channel(self, node: str, name: str, topic: Topic | None) -> int:
+    def _channel(self, node: str, topic: Topic | str) -> int:
         """The channel of a node's topic; its record is written before its first message."""
+        name = topic if isinstance(topic, str) else topic.name
         number = self._channels.get((node, name))
         if number is None:
-            about = {"node": node, "role": self._recorded.roles.get(node, Role.SUPERVISOR).value}
-            if topic is not None:
-                columns = json.dumps(self._recorded.columns(node, topic), ensure_ascii=False)
-                about |= {"symbol": topic.symbol, "unit": topic.unit, "columns": columns}
-            title, text = OTHER_SCHEMAS[name] if topic is None else schema_of(topic)
-            if title not in self._schemas:
-                self._schemas[title] = self._tape.schema(title, SCHEMA_ENCODING, text)
-            full = topic_name(self._recorded.session, node, name)
-            number = self._tape.channel(full, MESSAGE_ENCODING, self._schemas[title], about)
+            about = self._recorded.channel(node, topic)
+            if about.schema not in self._schemas:
+                self._schemas[about.schema] = self._tape.schema(about.schema, SCHEMA_ENCODING, about.schema_text)
+            number = self._tape.channel(
+                about.topic, MESSAGE_ENCODING, self._schemas[about.schema], dict(about.metadata)
+            )
             self._channels[node, name] = number
         return number
 
     def _note(self, condition: Condition, time: int) -> None:
-        """Write the session's condition, unless nothing but the time has changed."""
+        """Write the session's condition, unless nothing but the time and the costs has changed."""
         before, self._condition = self._condition, condition
-        if before is not None and replace(condition, elapsed=before.elapsed) == before:
+        if before is not None and _without_figures(condition) == _without_figures(before):
             return
-        channel = self._channel(SUPERVISOR, CONDITION, None)
+        channel = self._channel(SUPERVISOR, CONDITION)
         data = encode_condition(self.tick, condition)
         if self._start is not None:  # before that the time of tick 0 is not known
             time = self._start + self._since_start(SUPERVISOR, self.tick)
@@ -275,3 +283,9 @@ class RecorderCore:
         """Close the file; returns its rest, with the index that viewers look for at the end."""
         self._tape.finish()
         return self._tape.take()
+
+
+def _without_figures(condition: Condition) -> Condition:
+    """A condition without what grows all the time: its time, and what its promises have cost."""
+    promises = (replace(status, until=None, cost={}) for status in condition.promises)
+    return replace(condition, elapsed=0.0, promises=tuple(promises))

@@ -17,8 +17,9 @@ from typing import Any, Final
 from manyhands import __version__
 from manyhands.nodes.bundle import REALTIME
 from manyhands.nodes.json_number import json_number
-from manyhands.protocol.channels import CONDITION, TELEMETRY, Columns, Topic, links_at, topics_of
-from manyhands.protocol.messages import Condition, Role
+from manyhands.nodes.observer.health import as_plain
+from manyhands.protocol.channels import CONDITION, TELEMETRY, Columns, Topic, links_at, topic_name, topics_of
+from manyhands.protocol.messages import Condition, PromiseStatus, Role
 
 FORMAT: Final = "manyhands-recording"
 VERSION: Final = "2"
@@ -65,6 +66,16 @@ _NUMBER: Final = {"type": "number", "nullable": True}  # a single type: viewers 
 _TIME: Final = {"type": "number", "description": "kT, s since tick 0, to the nanosecond"}
 _TEXT: Final = {"type": "string"}
 _TEXTS: Final = {"type": "array", "items": _TEXT}
+_FIGURES: Final = {"type": "object", "properties": {}, "additionalProperties": _NUMBER}
+_PROMISE: Final = {
+    "type": "object",
+    "properties": {
+        **dict.fromkeys(("promise", "state", "remark"), _TEXT),
+        "who": _TEXTS,
+        **dict.fromkeys(("since", "until"), _NUMBER),
+        "cost": _FIGURES,
+    },
+}
 
 
 def schema_of(topic: Topic) -> tuple[str, str]:
@@ -72,23 +83,25 @@ def schema_of(topic: Topic) -> tuple[str, str]:
     one = topic.columns is Columns.ONE
     value = _NUMBER if one else {"type": "array", "items": _NUMBER}
     about = f"{topic.symbol}, {topic.unit}{'' if one else ', in the order of the columns'}; null: not a finite number"
-    return _schema(topic.name, {TIME: _TIME, topic.trace: {**value, "description": about}})
+    return object_schema(topic.name, {TIME: _TIME, topic.trace: {**value, "description": about}})
 
 
-def _schema(name: str, properties: Mapping[str, Any]) -> tuple[str, str]:
+def object_schema(name: str, properties: Mapping[str, Any]) -> tuple[str, str]:
+    """Name and text of a JSON schema of messages with a tick and these properties, all of them required."""
     every = {TICK: {"type": "integer", "description": "k, from 0"}, **properties}
     return f"manyhands.{name}", json.dumps({"type": "object", "properties": every, "required": [*every]})
 
 
 OTHER_SCHEMAS: Final[Mapping[str, tuple[str, str]]] = {
-    TELEMETRY: _schema(TELEMETRY, {FIGURES: {"type": "object", "properties": {}, "additionalProperties": _NUMBER}}),
-    CONDITION: _schema(
+    TELEMETRY: object_schema(TELEMETRY, {FIGURES: _FIGURES}),
+    CONDITION: object_schema(
         CONDITION,
         {
             "phase": _TEXT,
             "elapsed": {"type": "number", "description": "since the first tick, s, by the clock on the wall"},
             "states": {"type": "object", "properties": {}, "additionalProperties": _TEXT},
             **dict.fromkeys(("silent", "notices", "incidents", "faults"), _TEXTS),
+            "promises": {"type": "array", "items": _PROMISE},
         },
     ),
 }
@@ -135,9 +148,15 @@ def encode_condition(tick: int, condition: Condition) -> bytes:
             "notices": condition.notices,
             "incidents": condition.incidents,
             "faults": condition.faults,
+            "promises": [_without_null(as_plain(status)) for status in condition.promises],
         },
         ensure_ascii=False,
     ).encode()
+
+
+def _without_null(plain: Mapping[str, Any]) -> dict[str, Any]:
+    """An object without the keys that hold null, which its schema would not allow."""
+    return {key: value for key, value in plain.items() if value is not None}
 
 
 def decode_condition(plain: Any) -> tuple[int, Condition]:
@@ -150,16 +169,52 @@ def decode_condition(plain: Any) -> tuple[int, Condition]:
         case {"tick": int(tick), "phase": str(phase), "elapsed": elapsed, "states": dict(states)} if (
             0 <= tick < 2** 63 and all(type(state) is str for state in states.values())
         ):
-            sentences = (_texts(plain.get(key)) for key in ("silent", "notices", "incidents", "faults"))
-            return tick, Condition(phase, _number(elapsed), states, *sentences)
+            silent, notices, incidents, faults = (
+                _texts(plain.get(key)) for key in ("silent", "notices", "incidents", "faults")
+            )
+            promises = _promises(plain.get("promises", []))  # recordings before 0.7 have none
+            return tick, Condition(phase, _number(elapsed), states, silent, notices, incidents, faults, promises)
         case _:
             raise ValueError("found another object; expected tick and condition")
+
+
+def _promises(found: object) -> tuple[PromiseStatus, ...]:
+    if not isinstance(found, list):
+        raise ValueError("found no list of promises; expected one")
+    return tuple(map(_status, found))
+
+
+def _status(plain: Any) -> PromiseStatus:
+    match plain:
+        case {"promise": str(promise), "state": str(state), "remark": str(remark), "cost": dict(cost)}:
+            since, until = (None if (at := plain.get(key)) is None else _number(at) for key in ("since", "until"))
+            costs = {str(unit): math.nan if value is None else _number(value) for unit, value in cost.items()}
+            return PromiseStatus(promise, state, _texts(plain.get("who")), since, until, costs, remark)
+        case _:
+            raise ValueError("found another object; expected how a promise stands")
 
 
 def _texts(found: object) -> tuple[str, ...]:
     if not isinstance(found, list) or not all(type(text) is str for text in found):
         raise ValueError("found no list of texts; expected one")
     return tuple(found)
+
+
+@dataclass(frozen=True)
+class ChannelAbout:
+    """What a viewer has to know of a channel before its first message.
+
+    Attributes:
+        topic: its full name, ``/session/node/topic``.
+        schema: the name of its messages' JSON schema.
+        schema_text: the schema.
+        metadata: node, role, and of a topic of the table symbol, unit, and the names of the columns as a JSON list.
+    """
+
+    topic: str
+    schema: str
+    schema_text: str
+    metadata: Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -204,6 +259,20 @@ class Recorded:
     def columns(self, node: str, topic: Topic) -> tuple[str, ...]:
         """Names of the columns of a node's topic."""
         return topic.columns_of(self.ports[node], self.masses, self.links_of(node))
+
+    def channel(self, node: str, topic: Topic | str) -> ChannelAbout:
+        """A node's channel, the same in a recording and on a live connection.
+
+        Args:
+            node: its name.
+            topic: a topic of the table, or the name of one of :data:`OTHER_SCHEMAS`.
+        """
+        metadata = {"node": node, "role": self.roles.get(node, Role.SUPERVISOR).value}
+        if isinstance(topic, str):
+            return ChannelAbout(topic_name(self.session, node, topic), *OTHER_SCHEMAS[topic], metadata)
+        columns = json.dumps(self.columns(node, topic), ensure_ascii=False)
+        metadata |= {"symbol": topic.symbol, "unit": topic.unit, "columns": columns}
+        return ChannelAbout(topic_name(self.session, node, topic.name), *schema_of(topic), metadata)
 
     def behind_wave_link(self, node: str) -> bool:
         """Whether a wave link stands between a device or coupling and the environment."""

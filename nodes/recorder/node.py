@@ -25,18 +25,20 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from manyhands.design.files import open_new
 from manyhands.nodes.lifetime import Life
 from manyhands.nodes.process import EXIT_FAILED, EXIT_OK
-from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import Recorded
-from manyhands.nodes.recorder.mcap import RecordingFile
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
 from manyhands.protocol.messages import presentable
 from manyhands.protocol.transport import Link, TransportError
 from manyhands.protocol.transport.zeromq import HUB, ZmqTransport
+
+if TYPE_CHECKING:  # a supervisor that records nothing needs neither them nor their libraries
+    from manyhands.nodes.recorder.core import RecorderCore
+    from manyhands.nodes.recorder.mcap import RecordingFile
 
 
 class PlanError(Exception):
@@ -223,6 +225,9 @@ def to_pipe(fd: int) -> SendStatus:
 
 def record(plan: RecordingPlan, life: Life, clock: Clock, send: SendStatus) -> int:
     """Record until the session is over or nothing more can be written; returns the exit code."""
+    from manyhands.nodes.recorder.core import RecorderCore
+    from manyhands.nodes.recorder.mcap import RecordingFile
+
     os.nice(NICENESS)
     core = RecorderCore(plan.recorded, plan.attachments, plan.started)
     try:

@@ -123,6 +123,12 @@ class _End(PeerLink):
         return {**self._gate.dropped, "old_tick": 0}
 
     @property
+    def strays(self) -> int:
+        """The number of frames that were no waves of this link."""
+        dropped = self._gate.dropped
+        return sum(dropped.values()) - dropped["old_tick"]
+
+    @property
     def stamp(self) -> int:
         """0, for waves have no stamps."""
         return 0

@@ -54,7 +54,8 @@ MAKE_UP: Final = 0.25
 """The greatest force of the wave that makes up for an outage, N."""
 
 LONGEST_SKIP: Final = 0.25
-"""Time without ticks beyond which a face plays nothing of it, and takes the time line up by the ramp, s."""
+"""The longest time without ticks whose waves a face books, s; after a longer one it takes the time line up by the
+ramp."""
 
 _MAKE_UP_TIME: Final = 0.3  # time constant of the same, s
 _SPARE: Final = 1.0  # time constant with which spare energy goes to the other face, s

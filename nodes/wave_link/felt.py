@@ -33,6 +33,10 @@ class FeltLink:
     silences: int
     deaf: bool
 
+    def figures(self) -> str:
+        """Round trip, felt stiffness and felt mass, with their units."""
+        return f"R = {1e3 * self.round_trip:.3g} ms, K = {self.stiffness:.4g} N/m, M = {1e3 * self.mass:.3g} g"
+
     def sentence(self, coupling: str, over: bool = False) -> str:
         """The figures as a sentence about the link of ``coupling``.
 
@@ -68,6 +72,17 @@ class FeltLink:
         }
 
 
+def stiffness_and_mass(impedance: tuple[float, float], R: float) -> tuple[float, float]:
+    """K = 2 b/R, N/m, in the softest direction, and M = b R/2, kg, in the heaviest.
+
+    Args:
+        impedance: the least and the greatest eigenvalue of b, N*s/m.
+        R: the round trip, s.
+    """
+    softest, heaviest = impedance
+    return 2.0 * softest / R, 0.5 * heaviest * R
+
+
 def felt_link(
     coupling: str,
     impedance: tuple[float, float],
@@ -89,5 +104,5 @@ def felt_link(
     if not all(0.0 <= value < math.inf for pair in found for value in pair) or not 0.0 < R < math.inf:
         return None
     tanks, limited, silences, deaf = found
-    softest, heaviest = impedance
-    return FeltLink(R, 2.0 * softest / R, 0.5 * heaviest * R, tanks, int(sum(limited)), int(sum(silences)), any(deaf))
+    felt = stiffness_and_mass(impedance, R)
+    return FeltLink(R, *felt, tanks, int(sum(limited)), int(sum(silences)), any(deaf))

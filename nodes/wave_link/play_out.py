@@ -168,8 +168,10 @@ class PlayOut:
         self._latest = [-math.inf] * (outliers + 1)
 
     def measured(self) -> float:
-        """The depth, ticks of the sender, at which no message since :meth:`measure` would have come too late."""
-        least = next((late for late in sorted(self._latest) if late > -math.inf), 0.0)
+        """The depth at which no message since :meth:`measure` would have come too late, except its outliers; ticks of
+        the sender.
+        """
+        least = min((late for late in self._latest if late > -math.inf), default=0.0)
         return max(0.0, least - self._total / (self._ticks - 1) + 1.0) if self._ticks > 1 else 0.0
 
     def _measure(self) -> None:

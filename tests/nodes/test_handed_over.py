@@ -69,7 +69,7 @@ def test_what_is_no_bundle_and_key_is_refused(content: bytes, monkeypatch: pytes
 
 def ended(name: str, given: bytes) -> tuple[int, str]:
     """The end of a node that nobody's session awaits, whose input ends after this."""
-    words = ("node", name, "--session", "-", "--connect", "tcp://127.0.0.1:9")
+    words = ("node", name, "--bundle", "-", "--connect", "tcp://127.0.0.1:9")
     with subprocess.Popen(
         [*MANYHANDS, *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     ) as process:

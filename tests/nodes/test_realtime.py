@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -17,6 +18,7 @@ from manyhands.nodes.realtime import (
     CAP_SYS_NICE,
     FEW_LINKS,
     FIFO_PRIORITY,
+    NETWORK_NICE,
     Linux,
     RealtimeWishes,
     Scheduling,
@@ -47,7 +49,8 @@ class Answers:
         self.refuses = refuses
         self.locked = False
         self.now = ORDINARY
-        self.keeps_reset = False
+        self.keeps_reset = self.unfavoured = False
+        self.nice = 0
 
     def capable(self, capability: int) -> bool:
         return capability in self.capabilities
@@ -79,6 +82,12 @@ class Answers:
         if self.keeps_reset and not wanted.policy & os.SCHED_RESET_ON_FORK:
             raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
         self.now = wanted
+        return 1
+
+    def favour_network(self, nice: int) -> int:
+        if self.unfavoured:
+            raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+        self.nice = nice
         return 1
 
     def processors(self) -> set[int]:
@@ -161,6 +170,25 @@ def test_who_may_not_have_children_inherit_again_goes_back_without() -> None:
     assert system.now == Scheduling(os.SCHED_RESET_ON_FORK, 0, ORDINARY.runaway)
 
 
+def test_the_thread_for_tcp_is_favoured_and_never_raised() -> None:
+    system = Answers(priority_limit=99)
+    granted = prepare(RealtimeWishes(), system)
+    assert (system.nice, granted.fifo.granted) == (NETWORK_NICE, True)
+    assert granted.fifo.answer.endswith("; nice -10 for the thread of TCP")
+    restore(granted, system)
+    assert system.nice == 0
+
+
+def test_a_machine_that_refuses_the_nice_value_grants_the_rest() -> None:
+    system = Answers(priority_limit=99)
+    system.unfavoured = True
+    granted = prepare(RealtimeWishes(), system)
+    assert granted.fifo.granted
+    assert granted.fifo.answer.endswith("; nice 0 for the thread of TCP (Operation not permitted)")
+    restore(granted, system)
+    assert system.now == ORDINARY
+
+
 def test_every_grant_and_every_refused_wish_is_reported() -> None:
     granted = prepare(RealtimeWishes(memory=False, priority=0), Answers())
     assert all(grant.answer for grant in granted.grants().values())
@@ -230,6 +258,51 @@ context.destroy(linger=0)
 """
     )
     assert done.returncode == 0, done.stderr
+
+
+@permitted
+def test_a_stranger_over_tcp_reaches_no_thread_with_a_priority(tmp_path: Path) -> None:
+    """Of a transport with both: the thread of ipc is raised, and that of TCP only favoured, whatever it has to do."""
+    done = run(
+        PREPARED
+        + f"""
+from manyhands.protocol.transport.zeromq import ZmqTransport
+transport = ZmqTransport.tcp(directory=Path({str(tmp_path)!r}))
+for address in ("", "127.0.0.1:*"):
+    one, endpoint = transport.bind(f"link{{len(address)}}", "peer", address)
+    assert endpoint.startswith("tcp" if address else "ipc"), endpoint
+    other = transport.connect(endpoint, "peer")
+    assert other.send(b"") and one.recv(None) == b""
+times = lambda: {{(t / "comm").read_text().strip(): int((t / "schedstat").read_text().split()[2])
+                 for t in Path("/proc/self/task").iterdir()}}
+def woken():  # by frames of the link over TCP, the last of the two
+    before = times()
+    for _ in range(50):
+        one.send(b"")
+        other.recv(None)
+    return {{name for name, count in times().items() if name.startswith("ZMQbg/IO") and count > before[name] + 25}}
+granted = prepare(RealtimeWishes(memory=False))
+assert granted.fifo.granted, granted
+found = policies()
+assert found["ZMQbg/IO/0"] == os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, found
+assert found["ZMQbg/IO/1"] == os.SCHED_OTHER, found
+tcp = next(int(t.name) for t in Path("/proc/self/task").iterdir() if (t / "comm").read_text() == "ZMQbg/IO/1\\n")
+assert os.getpriority(os.PRIO_PROCESS, tcp) < 0
+assert woken() == {{"ZMQbg/IO/1"}}, times()
+restore(granted)
+assert os.getpriority(os.PRIO_PROCESS, tcp) == 0
+transport.close()
+"""
+    )
+    assert done.returncode == 0, done.stderr
+
+
+@permitted
+def test_a_guest_pins_itself_to_a_processor_that_its_name_chooses() -> None:
+    several = sorted(os.sched_getaffinity(0))
+    code = "import os\nfrom manyhands.nodes.realtime import pin_guest\npin_guest({!r})\nprint(*os.sched_getaffinity(0))"
+    found = {int(run(code.format(f"d{i}"), pin=False).stdout) for i in range(8)}  # ValueError: several, or none
+    assert found == set(several) if len(several) <= 2 else found <= set(several)
 
 
 @permitted

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 
@@ -9,7 +10,9 @@ import pytest
 
 from manyhands.nodes import supervisor_line as control_module
 from manyhands.nodes.bundle import Common, Peer
+from manyhands.nodes.lifetime import Life as RealLife
 from manyhands.nodes.lifetime import Sight, Stopped
+from manyhands.nodes.process import EXIT_FAILED, HostedNode, run_members
 from manyhands.nodes.supervisor_line import ControlLine, Refused, TelemetryLost
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds
 from manyhands.protocol.codec import decode, encode
@@ -207,7 +210,7 @@ def test_an_absent_or_busy_supervisor_is_given_a_minute(line: AnsweringLine, tro
     line.state = trouble
     with pytest.raises(Refused, match=str(trouble)):
         control(line).peers_endpoints(Life())  # type: ignore[arg-type]
-    assert line.waits * control_module._PATIENCE == 60 * SECOND
+    assert line.waits * control_module.PATIENCE == 60 * SECOND
     line.waits = 0
     line.state = None
     with pytest.raises(Stopped):  # one that is there, and takes its time, is waited for
@@ -304,6 +307,67 @@ class Test_a_guest_in_its_loop:
         assert line.said == [Probe(k * SECOND) for k in (1, 2, 3, 4)]
 
 
+class Test_a_guest_that_waits_to_be_let_in:
+    def test_it_shows_that_it_lives_once_it_is_welcome(self, line: AnsweringLine) -> None:
+        one = control(line)
+        assert one.joining(Instant(SECOND)) is Sight.PRESENT
+        assert line.said == []  # the supervisor would take it for a stranger
+        line.say(Welcome(), Connect({}))
+        one.peers_endpoints(Life())  # type: ignore[arg-type]
+        for tenth in range(21):
+            one.joining(Instant(SECOND + tenth * SECOND // 10))
+        assert line.said == [Probe(k * SECOND) for k in (1, 2, 3)]
+        line.say(Echo(3 * SECOND, 0, 0), Start(10**9, 5))
+        assert one.start(Life()) == Start(10**9, 5)  # type: ignore[arg-type]
+        assert one.malformed == 0
+
+    def test_a_line_that_is_lost_is_an_end(self, line: AnsweringLine) -> None:
+        one = control(line)
+        line.state = Trouble.LOST
+        assert one.joining(Instant(0)) is Sight.GONE
+
+
+class OfTwoNodes:
+    """A node of a process of two, which has no peers."""
+
+    def establish(self, links: Mapping[str, Link]) -> None:
+        assert not links
+
+
+def test_a_guest_whose_second_line_is_lost_ends_before_its_loop(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first node has all it needs; the second waits for a Start that cannot come any more."""
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # the process is not the guest's
+    lines = AnsweringLine(), AnsweringLine()
+    controls = [control(one) for one in lines]
+    clock = iter(range(0, 10**12, 1000))
+
+    def answer(message: Message) -> list[Message]:
+        now = next(clock)
+        match message:
+            case NodeHello():
+                return [Welcome(), Connect({})]
+            case Probe(sent):
+                return [Echo(sent, now, now)]
+            case Ready():
+                return [Start(10**9, 5)]
+        return []
+
+    def until_ready(message: Message) -> list[Message]:
+        if isinstance(message, Ready):
+            lines[1].state = Trouble.LOST
+            return []
+        return answer(message)
+
+    lines[0].answer, lines[1].answer = answer, until_ready
+    members = [HostedNode(common(), OfTwoNodes(), Doors(one), own) for one, own in zip(lines, controls, strict=True)]  # type: ignore[arg-type]
+    life = RealLife(None)
+    assert run_members(members, life, remote=True) == EXIT_FAILED
+    assert life.orphaned
+    assert "lost the supervisor" in capsys.readouterr().err
+
+
 class Test_the_last_word:
     def test_it_stays_until_it_was_heard(self, line: AnsweringLine) -> None:
         line.say(Echo(0, 0, 0), Start(0, 0), Stop("reported"))
@@ -324,7 +388,7 @@ class Test_the_last_word:
 
     def test_it_gives_up_in_the_end(self, line: AnsweringLine) -> None:
         control(line).report(REPORT, Life())  # type: ignore[arg-type]
-        assert line.waits * control_module._PATIENCE == 2 * SECOND
+        assert line.waits * control_module.PATIENCE == 2 * SECOND
 
     def test_nobody_there_is_not_waited_for(self, line: AnsweringLine) -> None:
         control(line).report(REPORT, Life(looks=1, orphaned=True))  # type: ignore[arg-type]

@@ -45,6 +45,16 @@ def test_a_device_that_leaves_reports_the_tick_of_the_sample_with_which_it_begin
     assert [*events_in(events.take(20, 30))] == []
 
 
+def test_an_environment_that_raises_all_forces_in_every_tick_fits_a_telemetry() -> None:
+    events = TickEvents()
+    events.take(0, 10)
+    for tick in range(10, 10 + 3 * MOST_EVENTS):
+        events.raise_again(tick)
+    told = events.take(10, 20)
+    assert len(told) == MOST_EVENTS
+    assert next(events_in(told)) == TickEvent(Kind.RAISED, 10, 1)
+
+
 def test_releases_of_one_telemetry_are_bounded() -> None:
     events = TickEvents()
     for tick in range(2 * MOST_EVENTS):

@@ -2,14 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 from manyhands.design.models.device import held_device, zero_order_hold
 from manyhands.design.models.operators import RationalMatrix
 from manyhands.design.models.statespace import StateSpace
+from manyhands.launch.conformance.driver import (
+    RELEASE,
+    SIGN,
+    SILENCE,
+    STALE,
+    SWAPPED,
+    UNIT,
+    Bench,
+    Push,
+    check_driver,
+)
+from manyhands.launch.conformance.judgement import Conformance
+from manyhands.launch.conformance.timing import CallTimer
 from manyhands.nodes.device.drivers import Driver
 from manyhands.nodes.device.intent import intent_from
+from manyhands.nodes.device.specification import DeviceSpecification
+from manyhands.protocol.clock import SimulatedClock
 from tests.support.instants import instant
 from tests.support.small_drivers import Make, T, both, browser, carried, dragged, simulated, trace, waving
 
@@ -26,6 +43,16 @@ def make(request: pytest.FixtureRequest) -> Make:
 @pytest.fixture
 def driver(make: Make) -> Driver:
     return make()
+
+
+@pytest.mark.parametrize("make", [simulated, browser], ids=["simulated", "browser"])
+def test_in_wall_time_our_own_drivers_pass_the_suite_for_everybodys(make: Callable[..., Driver]) -> None:
+    """``manyhands check-driver`` runs it; drivers in their own time ignore the instants that it is about."""
+    stated = DeviceSpecification((8.0, 8.0), (1.0, 1.0), (3.0, 3.0), mass=(0.2, 0.2), hardware=False)
+    bench = Bench(make(wall=True), T, SimulatedClock(), CallTimer(lambda: 0, lambda: 0))
+    found = list(check_driver(bench, stated, Push()))
+    assert {judgement.verdict for judgement in found} == {Conformance.KEPT}, found
+    assert {RELEASE, SIGN, SILENCE, STALE, SWAPPED, UNIT} <= {judgement.check for judgement in found}
 
 
 def test_displacements_are_one_finite_entry_an_axis_from_rest(driver: Driver) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,10 @@ import pytest
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
-from manyhands.nodes.bundle import REALTIME, DeviceBundle
+from manyhands.nodes.bundle import REALTIME, DeviceBundle, PluginDevice
 from manyhands.nodes.device.node import DeviceNode
+from manyhands.nodes.device.specification import DeviceTiming
+from manyhands.nodes.factory import FactoryName
 from manyhands.nodes.peer_link import PeerLink, hello_to
 from manyhands.nodes.timeouts import STALE_TICKS
 from manyhands.protocol.clock import Duration, Instant
@@ -44,8 +47,8 @@ class SteppedTime:
 class Coupling:
     """The other end of the device's link: it answers at once, then falls silent, then answers by ``later``."""
 
-    def __init__(self, time: SteppedTime, later: Callable[[int], Force | None]) -> None:
-        self._time, self._later = time, later
+    def __init__(self, time: SteppedTime, later: Callable[[int], Force | None], takes: int = 0) -> None:
+        self._time, self._later, self._takes = time, later, takes  # ns until an answer is there
         self._coming: deque[bytes] = deque()
         self.samples: list[Sample] = []
 
@@ -60,6 +63,7 @@ class Coupling:
 
     def recv(self, timeout: Duration) -> bytes | None:
         if self._coming:
+            self._time.ns += self._takes
             return self._coming.popleft()
         self._time.ns += timeout
         return None
@@ -109,12 +113,21 @@ class Alone:
     """A device in its loop, with everything around it the test's."""
 
     def __init__(
-        self, prepared: Prepared, life: Any, line: Any, later: Callable[[int], Force | None], **hand: Any
+        self,
+        prepared: Prepared,
+        life: Any,
+        line: Any,
+        later: Callable[[int], Force | None],
+        latency: DeviceTiming | None = None,
+        takes: int = 0,
+        **hand: Any,
     ) -> None:
         bundle = cut(prepared, RunPlan(REALTIME, None, ""))["dx"]
         assert isinstance(bundle, DeviceBundle)
+        if latency is not None:
+            bundle = replace(bundle, source=PluginDevice(FactoryName("some:driver", {}), 1, timing=latency))
         self.time, self.line, self.life = SteppedTime(), line, life
-        self.hand, self.coupling = MovingDriver(self.time, life, **hand), Coupling(self.time, later)
+        self.hand, self.coupling = MovingDriver(self.time, life, **hand), Coupling(self.time, later, takes)
         node = self.node = DeviceNode(bundle, self.hand, self.time)  # type: ignore[arg-type]
         (peer,) = bundle.common.peers
         own = hello_to(bundle.common, peer, None)
@@ -190,6 +203,40 @@ def test_a_process_that_did_not_run_is_counted_apart(
     assert report.counts["suspended"] == 1
     assert report.figures["suspended_us"] == pytest.approx(300e3, rel=0.01)
     assert report.figures["suspended_energy"] >= 0.0
+
+
+@pytest.mark.parametrize(("takes", "every"), [(0, 1), (600_000, 1), (700_000, 2)])
+def test_a_latency_is_a_part_of_every_delay_and_no_sample_is_older_than_the_last_force(
+    in_wall_time: Prepared, new_life: Callable[[], Any], new_line: Callable[[], Any], takes: int, every: int
+) -> None:
+    """A force that acts after the next sample was really taken makes the tick late, and that sample is left out."""
+    latency = DeviceTiming(1e-4, 0.0, 3e-4)
+
+    def answer(tick: int) -> Force:
+        return Force(tick, 0, np.array([1.0]))
+
+    one = Alone(in_wall_time, new_life(), new_line(), answer, latency=latency, takes=takes, periods=30)
+    assert set(np.diff(one.hand.sampled)) == {every * PERIOD}
+    figures = one.node.report().percentiles["tau_us"]
+    assert list(figures.values()) == pytest.approx([400.0 + takes / 1e3] * len(figures), rel=0.01)
+    assert one.node.report().counts["late"] == (29 if every == 2 else 0)
+
+
+@pytest.mark.parametrize(("age", "jitter", "breaches"), [(0.0, None, 0), (1e-4, 0.0, 0), (1e-4, None, 28)])
+def test_the_age_of_samples_that_varies_is_a_part_of_the_period(
+    in_wall_time: Prepared,
+    new_life: Callable[[], Any],
+    new_line: Callable[[], Any],
+    age: float,
+    jitter: float | None,
+    breaches: int,
+) -> None:
+    """The session is certified for punctual samples alone."""
+    one = Alone(
+        in_wall_time, new_life(), new_line(), lambda tick: Force(tick, 0, np.array([1.0])),
+        latency=DeviceTiming(age, jitter), periods=30,
+    )  # fmt: skip
+    assert one.node.report().counts["period_breaches"] == breaches
 
 
 def test_while_it_runs_free_its_limits_hold(alone: Callable[..., Alone]) -> None:

@@ -20,6 +20,7 @@ from manyhands.nodes.environment.clutch import LET_GO, NEXT, RAMP, SLOWEST, WORK
 from manyhands.nodes.environment.core import EnvironmentCore
 from manyhands.nodes.environment.energy import EnergyBudget
 
+from ...support.cases import cases
 from ...support.reaction import react
 
 T = 1e-3
@@ -190,7 +191,7 @@ def test_freezing_begins_with_the_next_react() -> None:
 # --- the whole loop
 
 
-@settings(max_examples=60)
+@settings(max_examples=cases(30, 60))
 @given(
     seed=st.integers(0, 2**32 - 1),
     blocks=partitions,

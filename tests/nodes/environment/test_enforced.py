@@ -15,8 +15,10 @@ from hypothesis import strategies as st
 from manyhands.design.models.network import Network, NetworkLink
 from manyhands.nodes.environment.core import EnvironmentCore
 from manyhands.nodes.environment.enforced import BlackBox, EnforcedCore, LinearLaw
-from manyhands.nodes.environment.model import MOST_FORCE, AskedModel, ModelError, ModelName, make_model
+from manyhands.nodes.environment.model import MOST_FORCE, AskedModel, make_model
+from manyhands.nodes.factory import FactoryError, FactoryName
 
+from ...support.cases import cases
 from ...support.reaction import react
 
 T = 1e-3
@@ -154,7 +156,7 @@ def test_a_model_that_pushes_for_ever_moves_nobody() -> None:
     assert core.ledger.total == 0.0
 
 
-@settings(max_examples=8)
+@settings(max_examples=cases(4, 8))
 @given(
     stiffness=st.floats(10.0, 5000.0),
     damping=st.floats(0.0, 1.0),
@@ -356,7 +358,7 @@ def importable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 def test_a_factory_receives_ports_period_and_parameters(importable: str) -> None:
     parameters: Mapping[str, Any] = {"stiffness": 3.0}
-    model = make_model(ModelName(f"{importable}:Spring", parameters), PORTS, T)
+    model = make_model(FactoryName(f"{importable}:Spring", parameters), PORTS, T)
     assert model.told == (PORTS, T, parameters)  # type: ignore[attr-defined]
     np.testing.assert_array_equal(model.react(np.ones(3), 0), [-3.0, -3.0, -3.0])
 
@@ -371,17 +373,17 @@ def test_a_factory_receives_ports_period_and_parameters(importable: str) -> None
     ],
 )
 def test_a_factory_that_makes_no_model_is_named(importable: str, function: str, found: str) -> None:
-    with pytest.raises(ModelError) as caught:
-        make_model(ModelName(f"{importable}:{function}", {}), PORTS, T)
+    with pytest.raises(FactoryError) as caught:
+        make_model(FactoryName(f"{importable}:{function}", {}), PORTS, T)
     assert f"the model {importable}:{function} {found}" in str(caught.value)
 
 
 def test_a_module_that_is_not_there_is_named() -> None:
-    with pytest.raises(ModelError, match=r"nowhere\.at_all:f cannot be made: found ModuleNotFoundError"):
-        make_model(ModelName("nowhere.at_all:f", {}), PORTS, T)
+    with pytest.raises(FactoryError, match=r"nowhere\.at_all:f cannot be made: found ModuleNotFoundError"):
+        make_model(FactoryName("nowhere.at_all:f", {}), PORTS, T)
 
 
 @pytest.mark.parametrize("name", ["", "f", ":f", "m:", "m:f.g", "../m:f", "m:f()", "m:f\n", "m f:g", "m:f:g"])
 def test_names_that_are_none(name: str) -> None:
     with pytest.raises(ValueError, match=r"expected package\.module:factory"):
-        ModelName(name, {})
+        FactoryName(name, {})

@@ -22,6 +22,7 @@ from manyhands.nodes.environment.late_arrivals import LateArrivals
 from manyhands.nodes.environment.membership import FIRST_PAUSE, LEAD, MOST_AHEAD, Member, Members, Membership
 from manyhands.nodes.environment.node import EnvironmentNode
 from manyhands.nodes.peer_link import PeerLink, Received
+from manyhands.nodes.tick_events import Kind, TickEvent, events_in
 from manyhands.nodes.timeouts import Timeouts
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock
 from manyhands.protocol.codec import encode
@@ -358,6 +359,7 @@ def test_a_member_that_waited_in_vain_rejoins_by_a_ramp(world: TwoCouplings) -> 
     world.together(3)
     world.members.let_in_again(world.tick)
     first = world.tick
+    assert TickEvent(Kind.RAISED, first, 1) in events_in(world.members.events.take(0, first))
     world.together(2)
     assert world.forces("cx")[first] == world.forces("cy")[first] == 0.0
     assert world.members.all_active

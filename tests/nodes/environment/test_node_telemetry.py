@@ -15,9 +15,10 @@ from manyhands.launch.session import load_session
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import EnvironmentBundle
 from manyhands.nodes.environment.core import environment_core
-from manyhands.nodes.environment.node import EnvironmentTelemetry
+from manyhands.nodes.environment.node import EnvironmentTelemetry, TelemetryLater
 from manyhands.nodes.peer_link import WaveRow
 from manyhands.nodes.tick_events import TickEvents
+from manyhands.protocol.messages import Telemetry
 
 SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 T = 0.001
@@ -136,3 +137,29 @@ def test_without_wave_links_there_are_no_such_rows(new_line: Callable[[], Any]) 
     account.publish(line, core, {}, {}, TickEvents())
     (told,) = line.telemetry
     assert told.traces.keys() == {"x_e", "q", "ledger"}
+
+
+def test_telemetry_that_is_sent_later_takes_a_step_in_each_tick() -> None:
+    """Frames are sent in their order, none is kept back at the end, and no step both makes a frame and sends one."""
+    steps: list[str] = []
+
+    class Line:
+        def frame(self, telemetry: Telemetry) -> bytes:
+            steps.append(f"frame {telemetry.tick}")
+            return bytes([telemetry.tick])
+
+        def post(self, frame: bytes) -> None:
+            steps.append(f"post {frame[0]}")
+
+    later = TelemetryLater(Line())  # type: ignore[arg-type]
+    taken = []
+    for tick in range(8):
+        before = len(steps)
+        if tick in {1, 5, 6}:
+            later.publish(Telemetry(tick, {}, {}))
+        else:
+            later.step()
+        taken.append(steps[before:])
+    later.finish()
+    assert taken == [[], [], ["frame 1"], ["post 1"], [], [], ["frame 5", "post 5"], ["frame 6"]]
+    assert steps[-1] == "post 6"

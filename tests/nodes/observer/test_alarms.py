@@ -6,12 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from manyhands.nodes.observer.alarms import HOLD, MOST_ALARMS, UNHEARD, Alarm, AlarmLevel, Alarms
+from manyhands.nodes.observer.health import Health
 from manyhands.nodes.observer.scene import About, Scene
 from manyhands.protocol.clock import Instant, from_seconds
+from manyhands.protocol.codec import decode, encode
+from manyhands.protocol.limits import MAX_CONTROL_BYTES
+from manyhands.protocol.messages import Condition
 
-from ...support.observed_session import ABOUT, UNCERTIFIED, conditioned, observed
+from ...support.observed_session import ABOUT, UNCERTIFIED, conditioned, judged, observed
 
 NO_TRACE: dict[str, np.ndarray[tuple[int, ...], np.dtype[np.float64]]] = {}
 START = Instant(10**9)
@@ -23,7 +29,7 @@ def at(seconds: float) -> Instant:
 
 def looked(*frames: bytes, about: About = ABOUT) -> tuple[Scene, Alarms]:
     scene, alarms = Scene(about), Alarms()
-    for frame in frames:
+    for frame in (*frames, judged(*frames, about=about)):
         assert scene.take(frame, START) is not None
     alarms.look(scene, START)
     return scene, alarms
@@ -64,15 +70,17 @@ def test_a_session_that_is_well_has_none() -> None:
             "waited for vl in 53 ticks, 0.117 s in all, and it was frozen for that 2 times",
         ),
         (
-            observed("environment", 100, NO_TRACE, frozen=2.0),
+            observed("environment", 100, NO_TRACE, frozen=2.0, **{"frozen:vl@90": 1.0, "frozen:vr@95": 1.0}),
             AlarmLevel.WARNING,
-            "2 of the session's couplings are frozen",
+            "vl is frozen: it takes no part, and the others go on; vr is frozen",
         ),
     ],
 )
 def test_what_raises_an_alarm(frame: bytes, level: AlarmLevel, words: str) -> None:
-    alarm = only(looked(frame)[1])
-    assert (alarm.level, alarm.since, alarm.cleared) == (level, START, None)
+    scene, alarms = looked(frame)
+    alarm = only(alarms)
+    since = 0.09 if "frozen" in words and "waited" not in words else scene.time
+    assert (alarm.level, alarm.since, alarm.cleared) == (level, since, None)
     assert words in alarm.text
     assert alarm.advice
 
@@ -123,21 +131,21 @@ def test_a_rung_that_makes_no_sense_covers_what_the_certificate_does(rung: float
 
 
 def test_an_alarm_clears_once_its_cause_is_absent_long_enough() -> None:
-    scene, alarms = looked(conditioned(silent=("vr",)))
+    scene, alarms = looked(observed("left", 700, NO_TRACE), conditioned(silent=("vr",)))
     scene.take(conditioned(), at(0.1))
     alarms.look(scene, Instant(START + HOLD))
     assert only(alarms).cleared is None
     alarms.look(scene, Instant(START + HOLD + 1))
-    assert only(alarms).cleared == START
+    assert only(alarms).cleared == pytest.approx(0.7)
 
 
 def test_what_comes_and_goes_is_one_alarm() -> None:
     scene, alarms = looked(conditioned(silent=("vr",)))
     version = alarms.version
     for step in range(1, 20):
-        scene.take(conditioned(silent=("vr",) if step % 2 else ()), at(step * 0.5))
+        scene.take(judged(conditioned(silent=("vr",) if step % 2 else ())), at(step * 0.5))
         alarms.look(scene, at(step * 0.5))
-    assert (only(alarms).since, only(alarms).cleared) == (START, None)
+    assert (only(alarms).since, only(alarms).cleared) == (0.0, None)
     assert alarms.version == version
 
 
@@ -145,9 +153,10 @@ def test_what_is_raised_again_is_a_new_one() -> None:
     scene, alarms = looked(conditioned(silent=("vr",)))
     scene.take(conditioned(), at(1.0))
     alarms.look(scene, at(10.0))
-    scene.take(conditioned(silent=("vr",)), at(11.0))
+    late = observed("left", 11_000, NO_TRACE), conditioned(silent=("vr",))
+    scene.take(judged(*late), at(11.0))
     alarms.look(scene, at(11.0))
-    assert (only(alarms).since, only(alarms).cleared) == (at(11.0), None)
+    assert (only(alarms).since, only(alarms).cleared) == (11.0, None)
 
 
 def test_what_has_happened_is_not_cleared() -> None:
@@ -173,6 +182,36 @@ def test_the_gravest_come_first_and_the_cleared_last() -> None:
     alarms.look(scene, at(10.0))
     assert [alarm.text for alarm in alarms.listed()][:3] == ["f", "n", "i"]
     assert alarms.listed()[3].cleared is not None
+
+
+FIGURES = st.dictionaries(
+    st.sampled_from(["tau_breaches", "period_breaches", "clipped", "saturated", "ledger_margin", "interface_min",
+                     "interface_ticks", "let_go", "late", "frozen_late_vl", "waited_ticks_vl", "waited_us_vl",
+                     "frozen:vl@50", "returned:vl@90", "frozen:vr@20"]),
+    st.floats(-1.0, 1e6),
+)  # fmt: skip
+
+
+@given(
+    st.lists(st.tuples(st.sampled_from([*ABOUT.nodes]), st.integers(1, 50), FIGURES), max_size=8),
+    st.lists(st.sampled_from([*ABOUT.nodes]), max_size=1).map(tuple),
+    st.booleans(),
+)
+def test_no_alarm_but_a_note_stands_beside_a_health_that_is_ok(
+    told: list[tuple[str, int, dict[str, float]]], silent: tuple[str, ...], noticed: bool
+) -> None:
+    frames = [observed(node, 100 * tick, NO_TRACE, **figures) for node, tick, figures in told]
+    shown = decode(judged(*frames, conditioned(silent=silent)), MAX_CONTROL_BYTES)
+    assert isinstance(shown, Condition)
+    if noticed:  # a notice comes of the same figures as its row
+        rows = tuple(replace(row, remark=f"{row.promise}!") if row.state != "kept" else row for row in shown.promises)
+        shown = replace(shown, promises=rows, notices=tuple(dict.fromkeys(row.remark for row in rows if row.remark)))
+    scene, alarms = Scene(ABOUT), Alarms()
+    for frame in (*frames, encode(shown)):
+        scene.take(frame, START)
+    alarms.look(scene, START)
+    if any(alarm.level is not AlarmLevel.NOTE for alarm in alarms.listed()):
+        assert scene.health is not Health.OK, alarms.listed()
 
 
 def test_no_more_are_kept_than_so_many() -> None:

@@ -95,7 +95,7 @@ class Test_its_process:
 
     def started(self, folder: Path, endpoint: str, **more: object) -> subprocess.Popen[bytes]:
         self.bundle(folder)
-        command = ["-P", "-m", "manyhands", "node", "watch", "--session", "watch.bundle", "--connect", endpoint]
+        command = ["-P", "-m", "manyhands", "node", "watch", "--bundle", "watch.bundle", "--connect", endpoint]
         return subprocess.Popen([sys.executable, *command], cwd=folder, stderr=subprocess.PIPE, **more)  # type: ignore[call-overload,no-any-return]
 
     def test_it_joins_prints_and_ends_with_the_session(self, transport: ZmqTransport, tmp_path: Path) -> None:

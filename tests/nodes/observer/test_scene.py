@@ -10,7 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manyhands.nodes import telemetry as names
-from manyhands.nodes.observer.scene import LATE_SHARE, RATE_OVER, About, Health, LinkAbout, NodeAbout, Scene
+from manyhands.nodes.observer.health import Health
+from manyhands.nodes.observer.health_model import HealthModel
+from manyhands.nodes.observer.scene import LATE_SHARE, RATE_OVER, About, LinkAbout, NodeAbout, Scene
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Condition, Observation, Role, Stop
@@ -33,14 +35,17 @@ class Seen:
 
     def __init__(self) -> None:
         self.scene, self.at = Scene(about()), 0
+        self.model = HealthModel(about().terms)
 
     def tell(self, node: str, tick: int, after: int = STEP, **figures: float) -> None:
         self.at += after
+        self.model.take(node, tick, figures)
         self.scene.take(encode(Observation(node, tick, figures, {"x": np.zeros((1, 1))})), Instant(self.at))
 
     def condition(self, silent: tuple[str, ...] = (), phase: str = "running", **states: str) -> None:
         stand = {"d": "running", "c": "running", "environment": "running", **states}
-        self.scene.take(encode(Condition(phase, 1.0, stand, silent)), Instant(self.at))
+        self.model.look(stand, silent, self.at / 1e9)
+        self.scene.take(encode(Condition(phase, 1.0, stand, silent, promises=self.model.rows())), Instant(self.at))
 
     def telemetries(self, node: str, count: int, ticks: int = 100, late: int = 0) -> None:
         """So many telemetries, with so many ticks and late ones between any two."""
@@ -110,7 +115,7 @@ def test_how_a_node_is(state: str, silent: bool, late: int, health: Health) -> N
 
 def test_before_anything_is_heard_all_wait() -> None:
     scene = Scene(about())
-    assert (scene.tick, scene.rate, scene.frozen, scene.condition) == (0, None, 0, None)
+    assert (scene.tick, scene.rate, scene.frozen, scene.condition) == (0, None, (), None)
     assert scene.health is Health.WAITING
     assert scene.link_health(scene.about.links[0]) is Health.WAITING
 
@@ -127,14 +132,17 @@ def test_links_show_their_worse_end_and_sessions_their_worst_node() -> None:
 
 @pytest.mark.parametrize(
     ("frozen", "health"),
-    [(0.0, Health.OK), (2.0, Health.FROZEN), (math.nan, Health.OK), (-1.0, Health.OK), (math.inf, Health.OK)],
+    [(0.0, Health.OK), (1.0, Health.FROZEN), (math.nan, Health.OK), (-1.0, Health.OK), (math.inf, Health.OK)],
 )
 def test_frozen_couplings_are_the_sessions_health(frozen: float, health: Health) -> None:
     seen = Seen()
     seen.condition()
-    seen.tell("environment", 100, **{names.FROZEN: frozen})
+    seen.tell("environment", 100, **({"frozen:c@50": frozen} if frozen != 0.0 else {}))
+    seen.condition()
     assert seen.scene.health is health
-    assert seen.scene.frozen == (2 if frozen == 2.0 else 0)
+    assert seen.scene.frozen == (("c",) if frozen == 1.0 else ())
+    assert seen.scene.nodes["c"].health is health  # it is named
+    assert [seen.scene.link_health(link) for link in seen.scene.about.links] == [health, health]
     seen.condition(d="lost")
     assert seen.scene.health is Health.AWAY  # which is worse
 
@@ -164,5 +172,5 @@ def test_whatever_comes_is_taken_in_or_counted(frames: list[bytes | Observation 
         assert (got is not None) == known
         taken += got is not None
         assert scene.health in Health
-        assert scene.frozen >= 0
+        assert set(scene.frozen) <= set(scene.nodes)
     assert scene.malformed == len(frames) - taken

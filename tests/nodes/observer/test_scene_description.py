@@ -27,7 +27,10 @@ WHOLE = About(
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("about", [WHOLE, replace(WHOLE, certificate=None, observers={}, masses={}, springs=())])
+@pytest.mark.parametrize(
+    "about",
+    [WHOLE, replace(WHOLE, certificate=None, observers={}, masses={}, springs=()), replace(WHOLE, seats={"cx": "dx"})],
+)
 def test_round_trip(about: About, tmp_path: Path) -> None:
     about.save(tmp_path)
     assert About.load(tmp_path) == about
@@ -53,6 +56,9 @@ def without(key: str) -> str:
 
 
 DAMAGED = {
+    "a seat of no node": changed(seats={"cy": "dx"}),
+    "a seat without a device": changed(seats={"cx": "dy"}),
+    "seats in a list": changed(seats=["cx"]),
     "empty": "",
     "cut": changed()[:100],
     "no object": "[]",

@@ -8,8 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from manyhands.nodes.observer.health import Health
 from manyhands.nodes.observer.scene import About, AboutError, Scene
 from manyhands.protocol.clock import Instant
+from manyhands.protocol.codec import encode
+from manyhands.protocol.messages import Condition, PromiseStatus
 
 from ...support.observed_frames import ABOUT, telemetry
 
@@ -53,6 +56,38 @@ def test_what_is_felt_of_a_link_is_known_once_both_ends_have_reported() -> None:
     scene.take(telemetry("environment", 1000, **{f"{name}_cx": v for name, v in figures.items()}), Instant(0))
     assert scene.felt_links.keys() == {"cx"}
     assert scene.felt_links["cx"].round_trip == pytest.approx(2.625e-3)
+
+
+CALM = {"wave_tank": 5e-3, "wave_clipped": 0.0, "wave_silences": 0.0, "wave_deaf": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("states", "figures", "line", "health"),
+    [
+        ({"d": "free", "cx": "free"}, True, "seat cx: free", Health.FREE),
+        ({"d": "free", "cx": "starting"}, False, "seat cx: joining, waiting", Health.WAITING),
+        ({"d": "ready", "cx": "running"}, False, "seat cx: joining, waiting", Health.WAITING),
+        ({}, False, "seat cx: in, ok", Health.OK),
+        ({}, True, "seat cx: in, R = 5 ms, K = 8000 N/m, M = 50 g, ok", Health.OK),
+        ({"silent": "d"}, True, "seat cx: in, R = 5 ms, K = 8000 N/m, M = 50 g, silent", Health.SILENT),
+        ({"frozen": "cx"}, True, "seat cx: in, R = 5 ms, K = 8000 N/m, M = 50 g, frozen", Health.FROZEN),
+    ],
+)
+def test_the_lobby_shows_who_is_in(states: dict[str, str], figures: bool, line: str, health: Health) -> None:
+    scene = Scene(replace(LINKED, seats={"cx": "d"}))
+    if figures:
+        scene.take(telemetry("cx", 4000, wave_lag_us=4e3, **CALM), Instant(0))
+        world = {"wave_lag_us_cx": 1e3, **{f"{name}_cx": value for name, value in CALM.items()}}
+        scene.take(telemetry("environment", 1000, **world), Instant(0))
+    stand = {**dict.fromkeys(LINKED.nodes, "running"), **states}
+    silent, frozen = (tuple(name for name in [stand.pop(what, "")] if name) for what in ("silent", "frozen"))
+    rows = tuple(PromiseStatus("presence", "enforced", (name,), 1.0) for name in frozen)
+    scene.take(encode(Condition("running", 1.0, stand, silent, promises=rows)), Instant(0))
+    [seat] = scene.lobby
+    assert (seat.sentence(), seat.health) == (line, health)
+    assert seat.as_plain()["state"] == line.split(": ")[1].split(",")[0]
+    assert (scene.link_health(LINKED.links[2]) is Health.FREE) == ("free" in stand.values())
+    assert (scene.health is Health.OK) == (health in (Health.FREE, Health.OK))
 
 
 def test_the_delay_that_is_covered_is_that_of_the_devices_own_certificate() -> None:

@@ -26,7 +26,7 @@ from manyhands.nodes.recorder.format import Recorded, decode_condition, decode_f
 from manyhands.nodes.recorder.mcap import RecordingFile
 from manyhands.nodes.recorder.node import PlanError, RecordingPlan
 from manyhands.protocol.codec import encode
-from manyhands.protocol.messages import Condition, Observation, Role, Stop, Telemetry
+from manyhands.protocol.messages import Condition, Observation, PromiseStatus, Role, Stop, Telemetry
 
 SENTENCES = ("silent", "notices", "incidents", "faults")
 numbers = st.floats() | st.sampled_from([math.nan, math.inf, -math.inf])
@@ -86,8 +86,27 @@ class Test_layout:
         assert (tick, figures["c"], math.isnan(figures["a"])) == (3, 0.1, True)
 
     def test_a_condition_round_trips(self) -> None:
-        condition = Condition("running", 0.5, {"a": "running"}, ("a",), ("ä: so",), ("b\nc",), ("d",))
+        promises = (PromiseStatus("delay", "kept", since=0.0),
+                    PromiseStatus("pace", "broken", ("ä", "b"), 0.5, 1.5, {"x": 0.25, "s": 3.0}, "slow"))  # fmt: skip
+        condition = Condition("running", 0.5, {"a": "running"}, ("a",), ("ä: so",), ("b\nc",), ("d",), promises)
         assert decode_condition(json.loads(encode_condition(7, condition))) == (7, condition)
+
+    def test_a_condition_of_a_version_without_promises_is_read(self) -> None:
+        plain = json.loads(encode_condition(7, Condition("over", 0.5, {}, (), ("n",))))
+        del plain["promises"]
+        assert decode_condition(plain) == (7, Condition("over", 0.5, {}, (), ("n",)))
+
+    def test_a_condition_in_which_only_costs_grow_is_written_once(self) -> None:
+        core = RecorderCore(RECORDED, {}, started=0)
+        sizes = []
+        for step in range(4):
+            row = PromiseStatus("delay", "enforced", ("a",), 0.1, None, {"ticks": 1.0 + step}, "")
+            core.take(encode(Condition("running", 0.1 * step, {"a": "running"}, promises=(row,))), step)
+            sizes.append(len(core.cut()))
+        assert sizes[0] > 0
+        assert sizes[1:] == [0, 0, 0]
+        core.take(encode(Condition("running", 0.5, {"a": "running"}, promises=(replace(row, state="broken"),))), 5)
+        assert len(core.cut()) > 0
 
     @pytest.mark.parametrize(
         "plain",
@@ -104,6 +123,23 @@ class Test_layout:
             {"tick": 1, "phase": "p", "elapsed": 1.0, "states": {"a": 1}, **{key: [] for key in SENTENCES}},
             {"tick": 1, "phase": "p", "elapsed": 1.0, "states": {}, **{key: [1] for key in SENTENCES}},
             {"tick": 1, "phase": "p", "elapsed": 1.0, "states": {}},
+            *(
+                {
+                    "tick": 1,
+                    "phase": "p",
+                    "elapsed": 1.0,
+                    "states": {},
+                    **{key: [] for key in SENTENCES},
+                    "promises": bad,
+                }
+                for bad in (
+                    5,
+                    [5],
+                    [{"promise": "p", "state": "s", "remark": "", "cost": {}}],
+                    [{"promise": "p", "state": "s", "remark": "", "cost": {"J": "1"}, "who": []}],
+                    [{"promise": "p", "state": "s", "remark": "", "cost": {}, "who": [], "since": "1"}],
+                )
+            ),
         ],
     )
     def test_what_is_none_is_refused(self, plain: object) -> None:

@@ -1,0 +1,298 @@
+"""A driver of another package: its base class (:class:`DeviceDriver`), and what stands between it and the loop.
+
+A session names the driver's factory (:mod:`manyhands.nodes.factory`). The device's process calls it, and nothing else
+does. :class:`PluginDriver` makes a :class:`manyhands.nodes.device.drivers.Driver` of the result: it maps the axes,
+checks every answer, and names the driver where one is of no use.
+
+**The session promises, the driver states, and the process compares.** A certificate is designed without running the
+driver, from the numbers in the session file. The driver states its own numbers when it is made
+(:mod:`manyhands.nodes.device.specification`). A session that promises more than its driver states is refused before
+anything moves.
+
+**A driver's code is trusted, its answers are not.** An exception, a wrong number of entries, or a displacement that is
+not finite ends the device's node with the driver's name, after one last release.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+from manyhands.nodes import telemetry as names
+from manyhands.nodes.arithmetic import Floats
+from manyhands.nodes.bundle import SIMULATED, DeviceBundle, PluginDevice
+from manyhands.nodes.device.specification import AxisMap, DeviceSpecification, promises_too_much
+from manyhands.nodes.factory import FactoryError, FactoryName, in_one_line, made_by
+from manyhands.nodes.lifetime import Stopped
+from manyhands.protocol.clock import Instant
+
+REQUIRED: Final = (
+    "specification", "sample", "apply", "release", "close", "exerted", "idle", "figures",
+)  # fmt: skip
+"""The methods of a driver; the last three have a default in :class:`DeviceDriver`."""
+
+
+class DeviceDriver(ABC):
+    """The base class of a driver of another package; a loop calls it from one thread, in every period.
+
+    Instants count from tick 0's instant in ns, and never decrease. Forces and displacements are those of the device's
+    own axes.
+    """
+
+    @abstractmethod
+    def specification(self) -> DeviceSpecification:
+        """What the driver states of its device; called once, before anything else."""
+
+    @abstractmethod
+    def sample(self, tick: int, at: Instant) -> Sequence[float]:
+        """The newest displacement, m, one entry for each axis; it must not wait for a newer one.
+
+        Args:
+            tick: counts the calls from 0.
+            at: the instant of the call.
+        """
+
+    @abstractmethod
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Sequence[float] | None:
+        """Exert the force f (N) from now on, and hold it until the next call.
+
+        Args:
+            f: the force, N, one entry for each axis.
+            at: the instant of the call.
+            until: from this instant on the device has to exert no force by itself, even if no call follows: the
+                watchdog of its amplifier. None leaves that to the watchdog's own time.
+
+        Returns:
+            The displacement at ``at``, m, where the device measures it; None otherwise.
+        """
+
+    @abstractmethod
+    def release(self, at: Instant) -> Sequence[float] | None:
+        """Exert no force from now on; returns as :meth:`apply`. The loop calls it when it has no force in time."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Exert no force, and release the device's files and sockets. A second call does nothing."""
+
+    def exerted(self) -> Sequence[float] | None:
+        """The force that the device really exerts since the last :meth:`apply`, N; None where it cannot tell.
+
+        The loop asks for it when nobody waits, once a tick.
+        """
+        return None
+
+    def idle(self, due: Instant) -> None:
+        """Do work that was put off; the next sample is due at ``due``."""
+        del due
+
+    def figures(self) -> Mapping[str, float]:
+        """Figures of its own for the telemetry, at most a few; called ten times a second."""
+        return {}
+
+
+class DriverFailure(ValueError):
+    """A driver failed or gave no usable answer; the message names it, the call, what was found and what was right.
+
+    Attributes:
+        raised: whether it raised an exception; otherwise its answer was of no use.
+    """
+
+    def __init__(self, text: str, raised: bool) -> None:
+        super().__init__(text)
+        self.raised = raised
+
+
+def axis_map_of(device: PluginDevice, own: tuple[str, ...]) -> AxisMap:
+    """The map of a session's device to a driver with these names of its axes.
+
+    Raises:
+        FactoryError: the driver has another number of axes, or no such axis.
+    """
+    if len(own) != device.axes:
+        raise FactoryError(
+            f"the driver {device.driver.factory}: found {len(own)} axes ({', '.join(own)}); expected {device.axes}, "
+            "the dof of the session's device"
+        )
+    wanted = device.axis_map or own
+    for name in wanted:
+        if name.removeprefix("-") not in own:
+            raise FactoryError(
+                f"axis_map: found the axis {name!r:.40}; expected one of {', '.join(own)}, which the driver "
+                f"{device.driver.factory} has, with or without a minus"
+            )
+    axes = tuple(own.index(name.removeprefix("-")) for name in wanted)
+    return AxisMap(axes, tuple(-1.0 if name.startswith("-") else 1.0 for name in wanted), device.scale)
+
+
+def made_driver(name: FactoryName, ports: tuple[str, ...], T: float) -> tuple[DeviceDriver, DeviceSpecification]:
+    """Make a driver, and ask it what it states.
+
+    Raises:
+        FactoryError: the factory fails, or its result is no driver.
+    """
+    made: DeviceDriver = made_by(name, "driver", ports, T)
+    if lacks := [method for method in REQUIRED if not callable(getattr(made, method, None))]:
+        raise FactoryError(
+            f"the driver {name.factory} cannot be used: found {type(made).__name__} without {', '.join(lacks)}; "
+            "expected a subclass of manyhands.nodes.device.plugin.DeviceDriver"
+        )
+    try:
+        stated: object = made.specification()
+    except Stopped:
+        raise
+    except (Exception, SystemExit) as error:  # foreign code: every exception is named
+        raise FactoryError(f"the driver {name.factory}: specification: found {in_one_line(error)}") from error
+    if not isinstance(stated, DeviceSpecification):
+        raise FactoryError(
+            f"the driver {name.factory}: specification: found {type(stated).__name__}; expected a DeviceSpecification"
+        )
+    return made, stated
+
+
+class PluginDriver:
+    """A :class:`manyhands.nodes.device.drivers.Driver` around one of another package."""
+
+    def __init__(self, name: str, driver: DeviceDriver, axis_map: AxisMap, latency: float) -> None:
+        """Map and check a driver.
+
+        Args:
+            name: of its factory, for messages.
+            driver: the driver.
+            axis_map: from its axes to the ports.
+            latency: of the device, s. Where it is not 0, the driver's displacement at a force is not that of its
+                instant, and is not used.
+        """
+        self._name, self._driver, self._measures = name, driver, latency == 0.0
+        m = self._m = len(axis_map.axes)
+        self._to_ports = list(zip(axis_map.axes, axis_map.gains, strict=True))
+        port_of = {axis: port for port, axis in enumerate(axis_map.axes)}
+        self._to_axes = [(port_of[axis], axis_map.gains[port_of[axis]]) for axis in range(m)]
+        self._zero: Floats = [0.0] * m
+        self._F = self._zero  # in the driver's axes, N
+        self._failed = False
+        self._unexerted, self._most_unexerted = 0, 0.0
+
+    @property
+    def axes(self) -> int:
+        """Number of axes."""
+        return self._m
+
+    def sample(self, tick: int, at: Instant) -> Floats:
+        """The driver's newest displacement at the ports, m."""
+        try:
+            X = list(map(float, self._driver.sample(tick, at)))
+        except (Exception, SystemExit) as error:  # foreign code: every exception is named
+            raise self._raised("sample", error, "a displacement") from error
+        if len(X) != self._m or not all(map(math.isfinite, X)):
+            raise self._unusable("sample", X, f"{self._m} finite displacements in m")
+        return [gain * X[axis] for axis, gain in self._to_ports]
+
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Floats | None:
+        """Exert f (N) of the ports; returns the displacement only where the device measures it without latency."""
+        self._F = [gain * f[port] for port, gain in self._to_axes]
+        try:
+            X = self._driver.apply(self._F.copy(), at, until)
+        except (Exception, SystemExit) as error:  # foreign code: every exception is named
+            raise self._raised("apply", error, "a displacement or None") from error
+        return None if X is None else self._at_ports("apply", X)
+
+    def release(self, at: Instant) -> Floats | None:
+        """Exert no force; after a failure of the driver, what it raises once more is not reported."""
+        self._F = self._zero
+        try:
+            X = self._driver.release(at)
+        except (Exception, SystemExit) as error:  # foreign code: every exception is named
+            if self._failed:
+                return None
+            raise self._raised("release", error, "a displacement or None") from error
+        return None if X is None or self._failed else self._at_ports("release", X)
+
+    def exerted(self, held: Floats) -> Floats:
+        """The force that the device really exerts, N, at the ports; ``held`` itself where it is that, or unknown."""
+        try:
+            given = self._driver.exerted()
+            F = None if given is None else list(map(float, given))
+        except (Exception, SystemExit) as error:  # foreign code: every exception is named
+            raise self._raised("exerted", error, "a force or None") from error
+        if F is None or F == self._F:
+            return held
+        if len(F) != self._m or not all(map(math.isfinite, F)):
+            raise self._unusable("exerted", F, f"{self._m} finite forces in N, or None")
+        self._unexerted += 1
+        self._most_unexerted = max(self._most_unexerted, *(abs(a - b) for a, b in zip(F, self._F, strict=True)))
+        return [F[axis] / gain for axis, gain in self._to_ports]
+
+    def idle(self, due: Instant) -> None:
+        """Let the driver do what it has put off."""
+        try:
+            self._driver.idle(due)
+        except (Exception, SystemExit) as error:  # foreign code: every exception is named
+            raise self._raised("idle", error, "no exception") from error
+
+    def intended_work(self) -> float:
+        """0: the intention of a person's hand is not known."""
+        return 0.0
+
+    def figures(self) -> Mapping[str, float]:
+        """The driver's figures, and what the device did not exert of the forces that it was given."""
+        try:
+            found = {f"{names.DRIVER}{key}": float(value) for key, value in self._driver.figures().items()}
+        except (Exception, SystemExit) as error:  # foreign code: every exception is named
+            raise self._raised("figures", error, "numbers by name") from error
+        if self._unexerted:
+            found |= {names.UNEXERTED: float(self._unexerted), names.UNEXERTED_MOST: self._most_unexerted}
+        return found
+
+    def close(self) -> None:
+        """Close the driver; after a failure, what it raises once more is not reported."""
+        try:
+            self._driver.close()
+        except (Exception, SystemExit) as error:  # foreign code: every exception is named
+            if not self._failed:
+                raise self._raised("close", error, "no exception") from error
+
+    def _at_ports(self, call: str, X: Sequence[float]) -> Floats | None:
+        """A displacement of the driver at the ports, m; None where it is not that of its instant."""
+        if len(X) != self._m or not all(map(math.isfinite, X)):
+            raise self._unusable(call, X, f"{self._m} finite displacements in m, or None")
+        return [gain * float(X[axis]) for axis, gain in self._to_ports] if self._measures else None
+
+    def _raised(self, call: str, error: BaseException, expected: str) -> DriverFailure:
+        self._failed = True
+        text = f"the driver {self._name} failed in {call}: found {in_one_line(error)}; expected {expected}"
+        return DriverFailure(text, raised=True)
+
+    def _unusable(self, call: str, found: object, expected: str) -> DriverFailure:
+        self._failed = True
+        text = f"the driver {self._name} failed in {call}: found {found!r:.80}; expected {expected}"
+        return DriverFailure(text, raised=False)
+
+
+def plugin_driver(device: PluginDevice, bundle: DeviceBundle) -> PluginDriver:
+    """Import and make the driver that a device's bundle names, and hold the session to what it states.
+
+    Raises:
+        FactoryError: the driver cannot be made, is hardware under the simulated clock, or the session promises more
+            than it states.
+    """
+    name, ports = device.driver.factory, bundle.common.ports
+    driver, stated = made_driver(device.driver, ports, bundle.common.period)
+    try:
+        axis_map = axis_map_of(device, stated.axes)
+        if stated.hardware and bundle.common.clock == SIMULATED:
+            raise FactoryError(
+                f"the driver {name}: found hardware under the {SIMULATED} clock; expected the realtime clock, for a "
+                "mechanism moves in real time"
+            )
+        limits = bundle.limits.force, bundle.limits.displacement, bundle.limits.speed
+        if found := list(promises_too_much(stated, axis_map, limits, device.timing)):
+            raise FactoryError(
+                f"devices.{bundle.common.name}: the session promises more than its driver {name} states: "
+                + "; ".join(found)
+            )
+    except FactoryError:
+        driver.close()
+        raise
+    return PluginDriver(name, driver, axis_map, device.timing.latency)

@@ -1,0 +1,164 @@
+"""What a device's driver states of itself: its limits, its timing, its axes (:class:`DeviceSpecification`).
+
+**Delay.** A driver states the greatest age of its samples, by how much the age varies, and the delay of its actuator.
+With age a and delay d the force that answers a sample acts a + d later than the loop sees. So the *latency* a + d is a
+part of tau, and the variation of a is a part of the period tolerance.
+
+**Axes.** With the map of the session (:class:`AxisMap`), port i is the driver's axis j(i) with the sign s(i), and the
+scale c > 0:
+
+    x_i = c s(i) X_j(i),        F_j(i) = c s(i) f_i,
+
+so that the power f^T dx = F^T dX is the same on both sides.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+ROUNDING = 1e-9
+"""Relative; a limit that is stated in another frame than it is compared in is rounded."""
+
+
+@dataclass(frozen=True)
+class DeviceTiming:
+    """How late a device measures and acts, beside the loop.
+
+    Attributes:
+        sample_age: the greatest time from the instant of a displacement to the return of ``sample``, s.
+        age_jitter: by how much that age varies, s; None for all of it.
+        actuation_delay: the greatest time from the call of ``apply`` until the force acts, s.
+
+    Raises:
+        ValueError: a number is negative or not finite, or the jitter is greater than the age.
+    """
+
+    sample_age: float = 0.0
+    age_jitter: float | None = None
+    actuation_delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        for what, value in (("sample_age", self.sample_age), ("actuation_delay", self.actuation_delay)):
+            if not 0.0 <= value < math.inf:
+                raise ValueError(f"{what}: found {value!r:.40}; expected a time in s, at least 0")
+        if not 0.0 <= self.jitter <= self.sample_age:
+            raise ValueError(f"age_jitter: found {self.jitter!r:.40}; expected from 0 s to the sample_age")
+
+    @property
+    def latency(self) -> float:
+        """The part of tau that the loop does not see: age and delay together, s."""
+        return round(self.sample_age + self.actuation_delay, 12)
+
+    @property
+    def jitter(self) -> float:
+        """By how much the time between two samples may differ from the time between their calls, s."""
+        return self.sample_age if self.age_jitter is None else self.age_jitter
+
+
+NO_DELAY = DeviceTiming()
+"""Of a device that measures and acts at the instants of its calls."""
+
+
+@dataclass(frozen=True)
+class DeviceSpecification:
+    """What a driver states of its device, in its own axes and in m, N and m/s (or rad, N·m and rad/s).
+
+    Attributes:
+        force: the greatest force of each axis, N, which the hardware can hold.
+        displacement: the greatest displacement from 0 of each axis, m: the workspace.
+        speed: the greatest speed of each axis that the driver measures rightly, m/s.
+        timing: the age of its samples and the delay of its forces.
+        axes: names of its axes in their order, which a session's ``axis_map`` refers to; numbers from 0 unless given.
+        mass: the moving mass that a push meets on each axis, kg (or kg·m²); None where it is not known. The suite of
+            ``check-driver`` alone uses it.
+        hardware: whether forces act on a real mechanism, in real time. A simulated counterpart states False: it moves
+            by the instants of the calls, and also takes part under the simulated clock.
+
+    Raises:
+        ValueError: the numbers are not one for each axis, or out of their range.
+    """
+
+    force: tuple[float, ...]
+    displacement: tuple[float, ...]
+    speed: tuple[float, ...]
+    timing: DeviceTiming = NO_DELAY
+    axes: tuple[str, ...] = ()
+    mass: tuple[float, ...] | None = None
+    hardware: bool = True
+
+    def __post_init__(self) -> None:
+        m = len(self.force)
+        if not self.axes:
+            object.__setattr__(self, "axes", tuple(str(axis) for axis in range(m)))
+        for what in ("force", "displacement", "speed", "mass"):
+            values = getattr(self, what)
+            if what == "mass" and values is None:
+                continue
+            if len(values) != m or not m or not all(0.0 < value < math.inf for value in values):
+                expected = f"{m or 'one or more'} finite numbers greater than 0, one an axis"
+                raise ValueError(f"{what}: found {values!r:.60}; expected {expected}")
+        if len(self.axes) != m or len(set(self.axes)) != m:
+            raise ValueError(f"axes: found {self.axes!r:.60}; expected {m} names, each once")
+
+
+@dataclass(frozen=True)
+class AxisMap:
+    """Which axis of the driver each port is.
+
+    Attributes:
+        axes: by port, the number of the driver's axis.
+        signs: by port, 1.0 or -1.0.
+        scale: c, by which displacements grow and forces shrink towards the ports; dimensionless, greater than 0.
+
+    Raises:
+        ValueError: the axes are no permutation, a sign is neither, or the scale is not greater than 0.
+    """
+
+    axes: tuple[int, ...]
+    signs: tuple[float, ...]
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        m = len(self.axes)
+        if sorted(self.axes) != list(range(m)) or len(self.signs) != m or {*self.signs} - {1.0, -1.0}:
+            raise ValueError(f"found the axes {self.axes} with the signs {self.signs}; expected each axis once, ±1")
+        if not 0.0 < self.scale < math.inf:
+            raise ValueError(f"found the scale {self.scale}; expected a finite number greater than 0")
+
+    @property
+    def gains(self) -> tuple[float, ...]:
+        """By port, c s(i)."""
+        return tuple(self.scale * sign for sign in self.signs)
+
+
+def promises_too_much(
+    stated: DeviceSpecification,
+    axis_map: AxisMap,
+    limits: tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]],
+    timing: DeviceTiming,
+) -> Iterator[str]:
+    """A sentence for each number of a session that promises more than its driver states.
+
+    Args:
+        stated: by the driver, in its own axes.
+        axis_map: of the session.
+        limits: of the session, by port: force (N), displacement (m) and speed (m/s).
+        timing: of the session.
+    """
+    c = axis_map.scale
+    own = ((stated.force, 1.0 / c, "N"), (stated.displacement, c, "m"), (stated.speed, c, "m/s"))
+    for what, promised, (of_driver, factor, unit) in zip(("force", "displacement", "speed"), limits, own, strict=True):
+        for port, axis in enumerate(axis_map.axes):
+            most = factor * of_driver[axis]
+            if promised[port] > most * (1.0 + ROUNDING):
+                yield f"limits.{what}: found {promised[port]:g} {unit}; expected at most {most:g} {unit}"
+                break
+    for what, promise, own_time in (
+        ("sample_age", timing.sample_age, stated.timing.sample_age),
+        ("age_jitter", timing.jitter, stated.timing.jitter),
+        ("actuation_delay", timing.actuation_delay, stated.timing.actuation_delay),
+    ):
+        if promise < own_time * (1.0 - ROUNDING):
+            yield f"{what}: found {promise:g} s; expected at least {own_time:g} s"

@@ -1,0 +1,315 @@
+"""The health of a session: how each of its promises stands, by whom, since when, and at what cost. Pure.
+
+Each promise is *kept*; or it was about to be missed and is *enforced* by what the session does about it; or it is
+*broken*. :data:`PROMISES` is the table of all promises. A row states how one of them stands
+(:class:`~manyhands.protocol.messages.PromiseStatus`). :mod:`manyhands.nodes.observer.health_model` makes the rows. The
+supervisor shows them in each condition. Page, `top`, `list` and the report print these rows, and an audit makes them
+again from the recorded telemetry. So all of them speak of the same things in the same words.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from types import MappingProxyType
+from typing import Any, Final
+
+from manyhands.nodes.json_number import json_number
+from manyhands.protocol.limits import MAX_SENTENCES
+from manyhands.protocol.messages import PromiseStatus
+
+
+class Health(StrEnum):
+    """The health of a node, a link or a session, at a glance; a later value is worse."""
+
+    FREE = "free"  # a seat that nobody has taken
+    OK = "ok"
+    WAITING = "waiting"  # it has not begun, or has nothing more to do
+    ENFORCED = "enforced"  # of a session: a promise is enforced now
+    LATE = "late"  # more of its ticks are late than is usual on any machine
+    SLOW = "slow"  # of a session: it runs slower than its period
+    FROZEN = "frozen"  # it takes no part, and the others go on
+    SILENT = "silent"  # it runs, but sends no telemetry
+    AWAY = "away"  # its process died, or failed
+    BROKEN = "broken"  # of a session: what its certificate needs does not hold
+
+
+SEVERITY: Final = {health: place for place, health in enumerate(Health)}
+
+
+def worse(*healths: Health) -> Health:
+    """The worst of these."""
+    return max(healths, key=SEVERITY.__getitem__)
+
+
+class PromiseState(StrEnum):
+    """How a promise stands; a later value is graver."""
+
+    KEPT = "kept"
+    ENFORCED = "enforced"
+    UNCHECKED = "not checked"  # of an audit: the recording does not hold what would show it
+    BROKEN = "broken"
+
+
+GRAVITY: Final = {state: place for place, state in enumerate(PromiseState)}
+
+
+class Promise(StrEnum):
+    """What is promised; :data:`PROMISES` states each."""
+
+    CERTIFICATE = "certificate"
+    RECORD = "record"
+    PASSIVITY = "passivity"
+    DELAY = "delay"
+    PERIOD = "period"
+    LATENESS = "lateness energy"
+    FORCE = "force limits"
+    LEVEL = "declared level"
+    LINK = "wave link"
+    MOTION = "motion limits"
+    BUDGET = "energy budget"
+    PRESENCE = "presence"
+    PUNCTUALITY = "punctuality"
+    PACE = "pace"
+
+
+@dataclass(frozen=True)
+class PromiseText:
+    """What a promise is, in words.
+
+    Attributes:
+        claim: the promise, to follow its party.
+        needed: whether the certificate needs it: a run in which it is broken is covered by no proof.
+        advice: what to do where it is not kept.
+    """
+
+    claim: str
+    needed: bool
+    advice: str
+
+
+_FASTER: Final = (
+    "Close other programs, design for what this machine needs (design.tau: auto), or compare rates: manyhands doctor."
+)
+PROMISES: Final[Mapping[Promise, PromiseText]] = MappingProxyType({
+    Promise.CERTIFICATE: PromiseText(
+        "the certificate is proved, and it is this session's", True, "Certify the session again: manyhands design."
+    ),
+    Promise.RECORD: PromiseText(
+        "what was recorded follows from what the others sent, by the certified arithmetic", True,
+        "Something was changed after it was recorded, or computed otherwise: see the first number that differs.",
+    ),
+    Promise.PASSIVITY: PromiseText(
+        "the energy that it gives off stays within its promised level", True,
+        "It broke its promise of passivity: let go of it, and check that it is as passive as declared (osp).",
+    ),
+    Promise.DELAY: PromiseText("each force acts at most tau after its sample", True, _FASTER),
+    Promise.PERIOD: PromiseText("samples are no further apart than the certificate covers", True, _FASTER),
+    Promise.LATENESS: PromiseText(
+        "lateness puts in no more energy than faults.tank", True,
+        "See whether its process was stopped or its clock changed; with faults: {lateness: enforce} it is bounded.",
+    ),
+    Promise.FORCE: PromiseText(
+        "its forces stay within their limits, about which the certificate is", True,
+        "Raise the limits of force, or soften the world: the certificate does not cover a force that was cut.",
+    ),
+    Promise.LEVEL: PromiseText(
+        "the environment keeps its declared level, by a passivity controller where it would not", True,
+        "Nothing: the controller keeps the level. To feel the model unchanged, declare a lower level.",
+    ),
+    Promise.LINK: PromiseText(
+        "waves come in time, and cost no more than its tanks hold", True,
+        "Nothing: the tool is held while no wave comes. Look after the network between the two ends.",
+    ),
+    Promise.MOTION: PromiseText(
+        "it stays within its limits of displacement and speed, or lets go", False,
+        "Nothing: it let go until it was within its limits again. Raise the limits if the device can do more.",
+    ),
+    Promise.BUDGET: PromiseText(
+        "it puts no more energy into the others than its budget", False,
+        "Nothing: its force is scaled until it is within its budget again.",
+    ),
+    Promise.PRESENCE: PromiseText(
+        "it takes part in every tick", False,
+        "The others go on, still certified. See its log, its machine and its network; it is let in again by a ramp.",
+    ),
+    Promise.PUNCTUALITY: PromiseText(
+        "it does not make the others wait again and again", False,
+        "Check its user's machine and network; if they cannot be faster, design for a longer tau.",
+    ),
+    Promise.PACE: PromiseText(
+        "the session keeps up with the clock", False,
+        "Close other programs, use a longer period or colocate: true, and see manyhands doctor.",
+    ),
+})  # fmt: skip
+"""Every promise, the gravest first."""
+
+SESSION: Final = "session"
+"""The party of what the whole session promises."""
+
+ORDER: Final = {promise.value: place for place, promise in enumerate(PROMISES)}
+
+AWAY_STATES: Final = ("lost", "gone for good", "failed", "leaving")
+"""The states of a node, as the supervisor names them, in which it takes no part."""
+
+FREE_STATE: Final = "free"
+"""The state of a seat that nobody has taken."""
+
+
+def most_grave(rows: Iterable[PromiseStatus]) -> tuple[PromiseStatus, ...]:
+    """As many rows as a condition may have: all promises, and of what is not kept the gravest; in the table's order."""
+    ordered = sorted(rows, key=lambda row: (ORDER.get(row.promise, len(ORDER)), -GRAVITY[PromiseState(row.state)]))
+    if len(ordered) <= MAX_SENTENCES:
+        return tuple(ordered)
+    gravest = sorted(ordered, key=lambda row: (row.state != PromiseState.KEPT, -GRAVITY[PromiseState(row.state)]))
+    kept = {id(row) for row in gravest[:MAX_SENTENCES]}
+    return tuple(row for row in ordered if id(row) in kept)
+
+
+def readable(rows: Iterable[PromiseStatus]) -> tuple[PromiseStatus, ...]:
+    """The rows whose promise and state are known here; others may come from another version."""
+    states = {state.value for state in PromiseState}
+    return tuple(row for row in rows if row.promise in ORDER and row.state in states)
+
+
+def session_health(rows: Iterable[PromiseStatus]) -> Health:
+    """What the promises say of a session's health now.
+
+    What the certificate needs and was broken once stays broken. Everything else counts while it lasts.
+    """
+    return worse(Health.OK, *(_health_of(row) for row in rows))
+
+
+def _health_of(row: PromiseStatus) -> Health:
+    if row.state == PromiseState.BROKEN and PROMISES[Promise(row.promise)].needed:
+        return Health.BROKEN
+    if row.state == PromiseState.KEPT or row.until is not None:
+        return Health.OK
+    if row.state == PromiseState.BROKEN:
+        return Health.SLOW if row.promise == Promise.PACE else Health.OK  # the nodes who are away show it themselves
+    return Health.FROZEN if row.promise == Promise.PRESENCE else Health.ENFORCED
+
+
+def is_present(row: PromiseStatus) -> bool:
+    """Whether a row counts now: its state lasts, or what the certificate needs was broken."""
+    broken = row.state == PromiseState.BROKEN and PROMISES[Promise(row.promise)].needed
+    return row.until is None or broken
+
+
+def missed(rows: Iterable[PromiseStatus]) -> list[PromiseStatus]:
+    """The rows of promises that were not kept by themselves, the gravest first."""
+    found = [row for row in rows if row.state != PromiseState.KEPT]
+    return sorted(found, key=lambda row: (row.until is not None, -GRAVITY[PromiseState(row.state)]))
+
+
+def holds(rows: Iterable[PromiseStatus]) -> bool:
+    """Whether all that the certificate needs was kept or enforced."""
+    broken = (PromiseState.BROKEN, PromiseState.UNCHECKED)
+    return not any(row.state in broken for row in rows if PROMISES[Promise(row.promise)].needed)
+
+
+def grouped(rows: Iterable[PromiseStatus]) -> list[PromiseStatus]:
+    """One row for each promise and state, of all its parties: since the first of them, until the last, costs added."""
+    out: dict[tuple[str, str], PromiseStatus] = {}
+    for row in rows:
+        before = out.get((row.promise, row.state))
+        if before is None:
+            out[row.promise, row.state] = row
+            continue
+        sinces = [at for at in (before.since, row.since) if at is not None]
+        until = None if before.until is None or row.until is None else max(before.until, row.until)
+        cost = {unit: before.cost.get(unit, 0.0) + row.cost.get(unit, 0.0) for unit in {**before.cost, **row.cost}}
+        remark = before.remark if row.remark in before.remark else f"{before.remark}; {row.remark}".removeprefix("; ")
+        out[row.promise, row.state] = replace(
+            before, who=(*before.who, *row.who), since=min(sinces, default=None), until=until, cost=cost, remark=remark
+        )
+    return list(out.values())
+
+
+def condensed(rows: Iterable[PromiseStatus]) -> list[PromiseStatus]:
+    """The rows for people: of a promise that some do not keep, no row says that all others do; and one row for all
+    parties of a promise and state, where more than :data:`MOST_ROWS` would be about it.
+    """
+    rows = list(rows)
+    missing = {row.promise for row in missed(rows)}
+    shown = [row for row in rows if row.state != PromiseState.KEPT or row.promise not in missing]
+    alike = Counter((row.promise, row.state) for row in shown)
+    many = {key for key, count in alike.items() if count > MOST_ROWS}
+    one = {(row.promise, row.state): row for row in grouped(shown)}
+    out: dict[tuple[str, ...], PromiseStatus] = {}
+    for row in shown:
+        key = row.promise, row.state
+        if key in many:
+            out.setdefault(key, one[key])
+        else:
+            out[*key, *row.who] = row
+    return list(out.values())
+
+
+MOST_ROWS: Final = 3
+"""The most parties of one promise and state that have a row each, where people read them."""
+
+
+def as_plain(row: PromiseStatus) -> dict[str, Any]:
+    """A row as a JSON object."""
+    cost = {unit: json_number(value) for unit, value in row.cost.items()}
+    return {**dataclasses.asdict(row), "who": list(row.who), "cost": cost}
+
+
+_MOST_NAMED: Final = 4
+
+
+def parties(who: tuple[str, ...]) -> str:
+    """The parties of a row, for people."""
+    if not who:
+        return "all"
+    more = f" and {len(who) - _MOST_NAMED} more" if len(who) > _MOST_NAMED else ""
+    return ", ".join(who[:_MOST_NAMED]) + more
+
+
+def when(row: PromiseStatus) -> str:
+    """Since when a row holds, and until when, s of the session's time; empty for a promise that is kept."""
+    if row.state == PromiseState.KEPT or row.since is None:
+        return ""
+    return f"{row.since:.1f} s" if row.until is None else f"{row.since:.1f} s to {row.until:.1f} s"
+
+
+def cost_text(cost: Mapping[str, float]) -> str:
+    """What a row has cost, with units; empty where it is nothing."""
+    return ", ".join(_priced(unit, value) for unit, value in cost.items() if math.isfinite(value) and value > 0.0)
+
+
+def _priced(unit: str, value: float) -> str:
+    if unit in ("ticks", "times"):
+        return f"{value:.0f} {unit.removesuffix('s') if value == 1.0 else unit}"
+    if unit == "J":
+        return f"{value:.3g} J" if value >= 1.0 else f"{1e3 * value:.3g} mJ"
+    if unit == "x":
+        return f"{value:.2f} of real time"
+    return f"{value:.3g} {unit}"
+
+
+def cells(row: PromiseStatus) -> tuple[str, str, str, str, str]:
+    """Promise, state, parties, time and cost of a row, as texts of a table."""
+    return row.promise, row.state, parties(row.who), when(row), cost_text(row.cost)
+
+
+def sentence(row: PromiseStatus) -> str:
+    """A row that is not kept, as a sentence."""
+    by = "by" if row.state == PromiseState.BROKEN else "at"
+    cost = cost_text(row.cost)
+    text = f"{row.promise}: {row.state} {by} {parties(row.who)}"
+    time = when(row)
+    since = f" since {time}" if row.until is None else f" from {time}"
+    return text + (since if time else "") + (f" ({cost})" if cost else "")
+
+
+def summary(rows: Iterable[PromiseStatus]) -> str:
+    """The promises that are not kept now, with their parties, in a line; empty where all are kept."""
+    present = grouped(row for row in missed(rows) if is_present(row))
+    parts = [f"{row.promise} {row.state} ({parties(row.who)})" for row in present]
+    return "; ".join(parts)

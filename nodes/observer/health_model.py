@@ -1,0 +1,418 @@
+"""Makes the rows of a session's health from the telemetry of its nodes: pure.
+
+The supervisor keeps one :class:`HealthModel` from the first tick on; an audit keeps another, which it feeds with the
+recorded telemetry. Times are the session's own: tick times T. Telemetry comes ten times a second, and a count in it
+gives no tick. So what is only counted has begun up to a tenth of a second before its row says.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Final
+
+from manyhands.nodes import telemetry as names
+from manyhands.nodes.observer.health import FREE_STATE, PROMISES, SESSION, Promise, PromiseState, most_grave
+from manyhands.nodes.own_ticks import session_tick
+from manyhands.nodes.tick_events import Kind, events_in
+from manyhands.protocol.messages import PromiseStatus, Role
+
+LEDGER_ROUNDING: Final = 1e-9
+"""The largest rounding error of a long session's sums, J, of ledgers and of interface accounts."""
+
+HOLD: Final = 2.0
+"""For how long nothing must be added to a cost before a state counts as over, s of the session's time."""
+
+PACE_WINDOW: Final = 5.0
+"""The time that the pace is measured over, s: telemetry comes in batches of a tenth of a second."""
+
+PACE_SHARE: Final = 0.05
+"""The part of :data:`PACE_WINDOW` by which a session may fall behind the clock without a word."""
+
+PACE_LEAST: Final = 0.25
+"""The time in s that it must fall behind by at least, which is more than two batches of telemetry."""
+
+
+@dataclass(frozen=True)
+class Terms:
+    """What a session has promised, as far as its health depends on it.
+
+    Attributes:
+        period: T, s.
+        roles: of every node.
+        rates: ticks of a node in one of the session's, for nodes with a period of their own.
+        realtime: whether the session keeps up with a clock.
+        wall: the devices in wall time, whose interface can bound what lateness puts in.
+        certified: whether it has a certificate.
+        tank: E_0, J.
+        bounded: whether devices keep to that bound, so that lateness is enforced and breaks nothing.
+        enforced: parties whose level is enforced instead of proved.
+        linked: the couplings with a wave link.
+        seats: the device of each seat, by its coupling.
+    """
+
+    period: float
+    roles: Mapping[str, Role]
+    rates: Mapping[str, float] = field(default_factory=dict)
+    realtime: bool = False
+    wall: tuple[str, ...] = ()
+    certified: bool = False
+    tank: float = 0.0
+    bounded: bool = False
+    enforced: tuple[str, ...] = ()
+    linked: tuple[str, ...] = ()
+    seats: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def promises(self) -> Iterator[Promise]:
+        """The promises that this session makes, the gravest first."""
+        late = self.certified and self.realtime
+        made = {
+            Promise.PASSIVITY: self.certified,
+            Promise.DELAY: late,
+            Promise.PERIOD: late,
+            Promise.LATENESS: late and bool(self.wall),
+            Promise.FORCE: True,
+            Promise.LEVEL: bool(self.enforced),
+            Promise.LINK: bool(self.linked),
+            Promise.MOTION: True,
+            Promise.PRESENCE: True,
+            Promise.PUNCTUALITY: self.realtime,
+            Promise.PACE: self.realtime,
+        }
+        return (promise for promise, given in made.items() if given)
+
+
+@dataclass(frozen=True)
+class _Counter:
+    """A promise of a node that figures of its telemetry count.
+
+    Attributes:
+        promise: the promise.
+        grows: the figure that grows whenever the promise is not kept by itself.
+        cost: by unit, the figure with the cost.
+    """
+
+    promise: Promise
+    grows: str
+    cost: Mapping[str, str]
+
+
+_COUNTERS: Final = (
+    _Counter(Promise.DELAY, names.TAU_BREACHES, {"ticks": names.TAU_BREACHES}),
+    _Counter(Promise.PERIOD, names.PERIOD_BREACHES, {"ticks": names.PERIOD_BREACHES}),
+    _Counter(Promise.FORCE, names.CLIPPED, {"ticks": names.CLIPPED}),
+    _Counter(Promise.FORCE, names.SATURATED, {"ticks": names.SATURATED}),
+    _Counter(Promise.MOTION, names.LET_GO, {"times": names.LET_GO}),
+    _Counter(Promise.LEVEL, names.ENFORCED_TICKS, {"ticks": names.ENFORCED_TICKS, "J": names.ENFORCED_ENERGY}),
+    _Counter(Promise.LINK, names.WAVE_CLIPPED, {"ticks": names.WAVE_CLIPPED}),
+)
+"""Counters of a node about itself."""
+
+_OF_COUPLINGS: Final = (
+    _Counter(Promise.BUDGET, names.SCALED, {"ticks": names.SCALED, "J": names.GIVEN}),
+    _Counter(Promise.LINK, f"{names.WAVE_CLIPPED}_", {"ticks": f"{names.WAVE_CLIPPED}_"}),
+    _Counter(Promise.LINK, f"{names.WAVE_SILENCES}_", {"times": f"{names.WAVE_SILENCES}_"}),
+)
+"""Counters of the environment about a coupling, whose name follows."""
+
+_THERE: Final = ("", "running", "done", "ended", FREE_STATE)
+"""The states of a running session's node that is there, or has done its part; empty where none is known yet."""
+
+
+@dataclass
+class _Entry:
+    """One promise of one party that is not, or was not, kept by itself."""
+
+    state: PromiseState
+    since: float
+    last: float
+    until: float | None = None  # when it was ended
+    lasts: bool = False  # until it is ended, however long its cost stays the same
+    cost: dict[tuple[str, str], float] = field(default_factory=dict)  # by the figure that counts it, and by unit
+    remark: str = ""
+
+    def price(self, unit: str) -> float:
+        """The cost in a unit, over all figures that count it."""
+        return sum(value for (_, of), value in self.cost.items() if of == unit)
+
+
+class HealthModel:
+    """How the promises of one session stand.
+
+    Attributes:
+        now: the session's time, s: that of the latest tick that any node has reported.
+    """
+
+    def __init__(self, terms: Terms) -> None:
+        """All promises are kept; ``terms`` states which there are."""
+        self._terms, self.now = terms, 0.0
+        self._entries: dict[tuple[Promise, str], _Entry] = {}
+        self._counts: dict[tuple[str, str], tuple[float, float]] = {}  # by node and figure: of former processes, latest
+        self._seen: dict[tuple[str, str], float] = {}
+        self._pace = _Pace(terms.period)
+        self._free: frozenset[str] = frozenset()
+        self._made = {*terms.promises, Promise.BUDGET}
+
+    def forget(self, node: str) -> None:
+        """``node`` has a new process, which counts from 0."""
+        for key, (before, latest) in self._counts.items():
+            if key[0] == node:
+                self._counts[key] = before + latest, 0.0
+
+    def take(self, node: str, tick: int, figures: Mapping[str, float]) -> None:
+        """Take in the figures of a node's telemetry; unknown nodes and figures that make no sense change nothing.
+
+        Args:
+            node: its name.
+            tick: the tick after its last.
+            figures: its figures.
+        """
+        role = self._terms.roles.get(node)
+        if role is None:
+            return
+        events = list(events_in({name: value for name, value in figures.items() if "@" in name}))
+        if any(event.kind is Kind.BEGAN and event.tick > 0 for event in events):
+            self.forget(node)
+        at = self._time(node, tick)
+        self.now = max(self.now, at)
+        for counter in _COUNTERS:
+            if counter.grows not in figures:
+                continue
+            cost = {unit: self._total(node, figure, figures) for unit, figure in counter.cost.items()}
+            self._count(counter.promise, node, counter.grows, self._grown(node, counter.grows, figures), at, cost)
+        if figures.get(names.WAVE_DEAF, 0.0) > 0.0:
+            self._go_on(Promise.LINK, node, at)
+        self._energy(node, at, figures)
+        if role is Role.ENVIRONMENT:
+            self._couplings(node, at, figures)
+            for event in events:
+                if event.kind is Kind.FROZEN and event.peer in self._terms.roles:
+                    self._freeze(event.peer, self._time(node, event.tick))
+                elif event.kind is Kind.RETURNED:
+                    self._end(Promise.PRESENCE, event.peer, self._time(node, event.tick))
+
+    def look(self, states: Mapping[str, str], silent: Collection[str], elapsed: float) -> None:
+        """Take in what the supervisor knows while the session runs.
+
+        Args:
+            states: of each node, as the supervisor names them.
+            silent: the nodes that run, and have sent no telemetry for a while.
+            elapsed: the time since the first tick by the supervisor's clock, s.
+        """
+        self._free = frozenset(name for name, state in states.items() if state == FREE_STATE)
+        for name in self._free:
+            for promise in Promise:
+                self._end(promise, name, self.now)
+        seats = {*self._terms.seats, *self._terms.seats.values()}  # their users come when they like
+        for name, state in states.items():
+            away = name in silent or (state not in _THERE and name not in seats)
+            entry = self._entries.get((Promise.PRESENCE, name))
+            if away and (entry is None or entry.state is not PromiseState.BROKEN or not entry.lasts):
+                self._begin(Promise.PRESENCE, name, PromiseState.BROKEN, self.now)
+            elif not away and state == "running" and entry is not None and entry.state is PromiseState.BROKEN:
+                self._end(Promise.PRESENCE, name, self.now)
+            if away:
+                word = "no telemetry has come from it for a while" if name in silent else state
+                self._entries[Promise.PRESENCE, name].remark = f"{name}: {word}"
+        if self._terms.realtime:
+            self._keep_pace(elapsed)
+
+    def rows(self, remarks: Mapping[Promise, str] = MappingProxyType({})) -> tuple[PromiseStatus, ...]:
+        """How each promise stands: a row for each party that does not keep it by itself, and one for all others.
+
+        Args:
+            remarks: what has happened to a promise and what to do, where the session has a sentence about that.
+        """
+        out: list[PromiseStatus] = []
+        made = {*self._terms.promises, *(promise for promise, _ in self._entries)}
+        for promise in (promise for promise in PROMISES if promise in made):
+            out.append(PromiseStatus(promise.value, PromiseState.KEPT.value, since=0.0))
+            for party in (*self._terms.roles, SESSION):
+                entry = self._entries.get((promise, party))
+                if entry is not None:
+                    out.append(self._row(promise, party, entry, remarks.get(promise, "")))
+        return most_grave(out)
+
+    def _row(self, promise: Promise, party: str, entry: _Entry, remark: str) -> PromiseStatus:
+        quiet = not entry.lasts and self.now - entry.last > HOLD
+        cost = {unit: entry.price(unit) for unit in dict.fromkeys(unit for _, unit in entry.cost)}
+        if promise is Promise.PRESENCE and entry.lasts:
+            cost["s"] = cost.get("s", 0.0) + self.now - entry.since
+        cost = {unit: value for unit, value in cost.items() if value > 0.0}
+        until = entry.last if entry.until is None and quiet else entry.until
+        return PromiseStatus(
+            promise.value, entry.state.value, (party,), entry.since, until, cost, remark or entry.remark
+        )
+
+    def _time(self, node: str, tick: int) -> float:
+        return session_tick(tick, self._terms.rates.get(node, 1.0)) * self._terms.period
+
+    def _total(self, node: str, figure: str, figures: Mapping[str, float]) -> float:
+        """A figure that only grows, over all processes of the node."""
+        before, latest = self._counts.get((node, figure), (0.0, 0.0))
+        value = figures.get(figure, latest)
+        if not 0.0 <= value < math.inf:
+            value = latest
+        if value < latest:  # a new process, of which no event came
+            before += latest
+        self._counts[node, figure] = before, value
+        return before + value
+
+    def _grown(self, node: str, figure: str, figures: Mapping[str, float]) -> bool:
+        """Whether a figure has grown since this was last asked."""
+        before, total = self._seen.get((node, figure), 0.0), self._total(node, figure, figures)
+        self._seen[node, figure] = total
+        return total > before
+
+    def _count(
+        self, promise: Promise, party: str, figure: str, grown: bool, at: float, cost: Mapping[str, float]
+    ) -> None:
+        """Count what a figure reports of a promise of ``party``, whose cost may have grown."""
+        entry = self._entries.get((promise, party))
+        if grown and promise in self._made:
+            entry = entry or self._begin(promise, party, self._state(promise, party), at, lasts=False)
+            entry.last, entry.until = at, None
+        if entry is not None:
+            entry.cost |= {(figure, unit): value for unit, value in cost.items()}
+
+    def _go_on(self, promise: Promise, party: str, at: float) -> None:
+        """A state that was counted goes on, though nothing is added to its cost."""
+        entry = self._entries.get((promise, party))
+        if entry is not None and party not in self._free:
+            entry.last, entry.until = at, None
+
+    def _state(self, promise: Promise, party: str) -> PromiseState:
+        """The state of a promise that is not kept by itself."""
+        terms = self._terms
+        if promise in (Promise.DELAY, Promise.PERIOD):
+            return PromiseState.ENFORCED if terms.bounded and party in terms.wall else PromiseState.BROKEN
+        if promise is Promise.FORCE:  # the limit itself holds; without a certificate nothing else was promised
+            return PromiseState.BROKEN if terms.certified else PromiseState.ENFORCED
+        return PromiseState.ENFORCED
+
+    def _energy(self, node: str, at: float, figures: Mapping[str, float]) -> None:
+        """The ledger of a party, and the interface account of a device."""
+        if not self._terms.certified:
+            return
+        margin = figures.get(names.LEDGER_MARGIN, 0.0)
+        if margin < -LEDGER_ROUNDING:
+            entry = self._entries.get((Promise.PASSIVITY, node))
+            entry = entry or self._begin(Promise.PASSIVITY, node, PromiseState.BROKEN, at)
+            entry.cost[node, "J"] = max(entry.cost.get((node, "J"), 0.0), -margin)
+            entry.remark = f"{node}: its ledger fell {entry.price('J'):.3g} J below its bound"
+        least = figures.get(names.INTERFACE_LEAST, 0.0)
+        put_in = max(0.0, -least) if math.isfinite(least) else 0.0
+        cost = {"ticks": self._total(node, names.INTERFACE_TICKS, figures), "J": put_in}
+        if self._terms.bounded:
+            self._count(Promise.LATENESS, node, node, self._grown(node, names.INTERFACE_TICKS, figures), at, cost)
+        if Promise.LATENESS in self._made and put_in > self._terms.tank + LEDGER_ROUNDING:
+            entry = self._entries.get((Promise.LATENESS, node))
+            if entry is None or entry.state is not PromiseState.BROKEN:
+                entry = self._begin(Promise.LATENESS, node, PromiseState.BROKEN, at)
+            entry.cost |= {(node, unit): value for unit, value in cost.items()}
+            kept_to = (
+                "that its interface has to keep to"
+                if self._terms.bounded
+                else "of faults.tank; it is counted and not bounded"
+            )
+            bound = f"{self._terms.tank:.3g} J {kept_to}"
+            entry.remark = f"{node}: lateness has put {put_in:.3g} J into the loop, more than the {bound}"
+
+    def _couplings(self, node: str, at: float, figures: Mapping[str, float]) -> None:
+        """What the environment reports of its couplings."""
+        for counter in _OF_COUPLINGS:
+            for figure in [name for name in figures if name.startswith(counter.grows)]:
+                party = figure.removeprefix(counter.grows)
+                if party not in self._terms.roles or party in self._free:
+                    continue
+                cost = {unit: self._total(node, f"{of}{party}", figures) for unit, of in counter.cost.items()}
+                self._count(counter.promise, party, figure, self._grown(node, figure, figures), at, cost)
+        for party in self._terms.linked:
+            if figures.get(f"{names.WAVE_DEAF}_{party}", 0.0) > 0.0:
+                self._go_on(Promise.LINK, party, at)
+        for party, late in names.lateness_by_coupling(figures, figures).items():
+            if late.frozen and party in self._terms.roles:
+                grown = self._grown(node, f"{names.WAITED_TICKS}{party}", figures)
+                cost = {"ticks": float(late.ticks), "s": late.time / 1e6, "times": float(late.frozen)}
+                self._count(Promise.PUNCTUALITY, party, node, grown, at, cost)
+                if (entry := self._entries.get((Promise.PUNCTUALITY, party))) is not None:
+                    entry.remark = late.sentence(party)
+
+    def _freeze(self, coupling: str, at: float) -> None:
+        entry = self._entries.get((Promise.PRESENCE, coupling))
+        if coupling not in self._free and (entry is None or not entry.lasts):
+            entry = self._begin(Promise.PRESENCE, coupling, PromiseState.ENFORCED, at)
+            entry.cost["", "times"] = entry.cost.get(("", "times"), 0.0) + 1.0
+            entry.remark = f"{coupling} is frozen: it takes no part, and the others go on"
+
+    def _begin(self, promise: Promise, party: str, state: PromiseState, at: float, *, lasts: bool = True) -> _Entry:
+        """Begin a state; what it has cost before is kept."""
+        before = self._entries.get((promise, party))
+        cost = {} if before is None else dict(before.cost)
+        if before is not None and before.lasts:  # what it was until now, and is now in a graver way
+            at = before.since
+        entry = self._entries[promise, party] = _Entry(state, at, at, lasts=lasts, cost=cost)
+        return entry
+
+    def _end(self, promise: Promise, party: str, at: float) -> None:
+        entry = self._entries.get((promise, party))
+        if (
+            entry is None
+            or entry.until is not None
+            or (entry.state is PromiseState.BROKEN and PROMISES[promise].needed)
+        ):
+            return  # what the certificate needs and was broken stays broken
+        if promise is Promise.PRESENCE:
+            entry.cost["", "s"] = entry.cost.get(("", "s"), 0.0) + max(at, entry.since) - entry.since
+        entry.lasts, entry.until = False, max(at, entry.since)
+
+    def _keep_pace(self, elapsed: float) -> None:
+        found = self._pace.look(elapsed, self.now)
+        key = (Promise.PACE, SESSION)
+        if found is None:
+            self._end(*key, self.now)
+            return
+        if key not in self._entries or not self._entries[key].lasts:
+            before = self._entries.get(key)
+            entry = self._begin(*key, PromiseState.BROKEN, self.now)
+            entry.remark = self._pace.sentence() if before is None else before.remark  # it is reported once
+        self._entries[key].cost = {("", "x"): found, ("", "s"): self._pace.behind}
+
+
+class _Pace:
+    """How fast a session goes by the clock."""
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self._seen: deque[tuple[float, float]] = deque()  # elapsed and session's time, s
+        self._first: tuple[float, float] | None = None
+        self.behind = 0.0  # s, since the first look
+        self._ratio = 1.0
+
+    def look(self, elapsed: float, now: float) -> float | None:
+        """The part of its own speed at which the session went lately; None while that is enough or not yet known."""
+        if now <= 0.0 or (self._seen and elapsed <= self._seen[-1][0]):
+            return None if not self._seen or self._ratio >= 1.0 else self._ratio
+        self._first = self._first or (elapsed, now)
+        self._seen.append((elapsed, now))
+        while len(self._seen) > 2 and elapsed - self._seen[1][0] >= PACE_WINDOW:
+            self._seen.popleft()
+        then, began = self._seen[0]
+        over, done = elapsed - then, now - began
+        self.behind = max(0.0, elapsed - self._first[0] - (now - self._first[1]))
+        slow = over - done > max(PACE_SHARE * over, PACE_LEAST)
+        self._ratio = done / over if slow else 1.0
+        return self._ratio if slow else None
+
+    def sentence(self) -> str:
+        """The pace, and what to do, as a sentence."""
+        rate = 1.0 / self._period
+        return (
+            f"the session runs slower than its period: {self._ratio:.2f} of real time, {self._ratio * rate:.4g} of "
+            f"{rate:.4g} ticks a second. Close other programs, use a longer period or colocate: true (manyhands doctor "
+            "compares them); delay and period say what is still certified"
+        )

@@ -1,0 +1,243 @@
+"""A driver of another package: its axes, what it states, what it exerts, and how it fails."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.prepare import Prepared, prepare
+from manyhands.launch.session import load_session
+from manyhands.nodes import telemetry as names
+from manyhands.nodes.bundle import REALTIME, SIMULATED, DeviceBundle, Limits, PluginDevice, load, save
+from manyhands.nodes.device.drivers import driver_of
+from manyhands.nodes.device.plugin import DriverFailure, PluginDriver, made_driver
+from manyhands.nodes.device.specification import AxisMap, DeviceSpecification, DeviceTiming
+from manyhands.nodes.device.tick import WallTimeTick
+from manyhands.nodes.factory import FactoryError, FactoryName
+from manyhands.protocol.clock import Instant
+
+from ...support.instants import instant
+from ...support.plugin_drivers import Counterpart, Raising, WrongAnswer
+
+SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
+MADE = "tests.support.plugin_drivers:Counterpart"
+T = 1e-3
+
+
+def plugin(kind: type[Any] = Counterpart, axis_map: AxisMap | None = None, **parameters: Any) -> tuple[Any, Any]:
+    driver = kind(("x", "y", "z"), T, parameters)
+    return driver, PluginDriver("some:driver", driver, axis_map or AxisMap((0, 1, 2), (1.0,) * 3), 0.0)
+
+
+@lru_cache
+def example1() -> Prepared:
+    return prepare(load_session(SESSIONS / "example1.yaml"))
+
+
+def bundle_for(device: PluginDevice, clock: str = REALTIME, **limits: tuple[float, ...]) -> DeviceBundle:
+    """The bundle of a device of Example 1, moved by another driver."""
+    bundle = cut(example1(), RunPlan(clock, None, ""))["dx"]
+    assert isinstance(bundle, DeviceBundle)
+    within: dict[str, Any] = {"force": (8.0,), "displacement": (0.2,), "speed": (2.0,)} | limits
+    return replace(bundle, source=device, limits=Limits(**within))
+
+
+def named(**parameters: Any) -> FactoryName:
+    return FactoryName(MADE, parameters)
+
+
+def test_axes_signs_and_scale_keep_the_power() -> None:
+    rng = np.random.default_rng(1)
+    axis_map = AxisMap((2, 0, 1), (-1.0, 1.0, -1.0), 2.5)
+    driver, mapped = plugin(axis_map=axis_map, damping=0.0)
+    x = np.array(mapped.sample(0, instant(0)))
+    X = np.array(driver.x)
+    for tick in range(1, 50):
+        f = rng.normal(size=3)
+        mapped.apply(f.tolist(), instant(tick - 1))
+        before = X, x
+        x, X = np.array(mapped.sample(tick, instant(tick))), np.array(driver.x)
+        work = f @ (x - before[1])
+        assert work == pytest.approx(np.array(driver.commanded) @ (X - before[0]), rel=1e-9)
+    np.testing.assert_allclose(x, [-2.5 * X[2], 2.5 * X[0], -2.5 * X[1]])
+
+
+@pytest.mark.parametrize(
+    ("axes", "signs", "scale"), [((0, 0), (1.0, 1.0), 1.0), ((0, 1), (1.0, 2.0), 1.0), ((0, 1), (1.0, 1.0), 0.0)]
+)
+def test_maps_that_are_none(axes: tuple[int, ...], signs: tuple[float, ...], scale: float) -> None:
+    with pytest.raises(ValueError, match="expected"):
+        AxisMap(axes, signs, scale)
+
+
+@pytest.mark.parametrize(
+    ("stated", "found"),
+    [
+        ({"force": (1.0, 2.0)}, "displacement: found"),
+        ({"displacement": (0.0,)}, "displacement: found"),
+        ({"speed": (float("inf"),)}, "speed: found"),
+        ({"mass": (-1.0,)}, "mass: found"),
+        ({"axes": ("x", "y")}, "axes: found"),
+        ({"force": ()}, "force: found"),
+    ],
+)
+def test_specifications_that_are_none(stated: dict[str, Any], found: str) -> None:
+    whole: dict[str, Any] = {"force": (1.0,), "displacement": (1.0,), "speed": (1.0,)} | stated
+    with pytest.raises(ValueError, match=found):
+        DeviceSpecification(**whole)
+
+
+@pytest.mark.parametrize("timing", [{"sample_age": -1.0}, {"actuation_delay": float("nan")}, {"age_jitter": 0.1}])
+def test_timings_that_are_none(timing: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match="found"):
+        DeviceTiming(**timing)
+
+
+def test_a_bundle_is_read_as_it_was_written(tmp_path: Path) -> None:
+    device = PluginDevice(named(mass=0.3), 1, ("-0",), 2.0, DeviceTiming(2e-4, 1e-4, 1e-4))
+    save(bundle_for(device), tmp_path / "dx.bundle")
+    read = load(tmp_path / "dx.bundle", DeviceBundle)
+    assert read.source == device
+    assert read.timing == device.timing
+
+
+@pytest.mark.parametrize(
+    ("parameters", "timing", "limits", "found"),
+    [
+        ({}, {}, {"force": (9.0,)}, "limits.force: found 9 N; expected at most 8 N"),
+        ({}, {}, {"displacement": (0.3,)}, "limits.displacement: found 0.3 m; expected at most 0.2 m"),
+        ({}, {}, {"speed": (3.0,)}, "limits.speed: found 3 m/s; expected at most 2 m/s"),
+        (
+            {"sample_age": 3e-4, "age_jitter": 0.0},
+            {"sample_age": 2e-4},
+            {},
+            "sample_age: found 0.0002 s; expected at least 0.0003 s",
+        ),
+        ({"actuation_delay": 3e-4}, {}, {}, "actuation_delay: found 0 s; expected at least 0.0003 s"),
+        (
+            {"sample_age": 3e-4},
+            {"sample_age": 3e-4, "age_jitter": 1e-4},
+            {},
+            "age_jitter: found 0.0001 s; expected at least 0.0003 s",
+        ),
+    ],
+)
+def test_a_session_that_promises_more_than_its_driver_states_is_refused(
+    parameters: dict[str, float], timing: dict[str, float], limits: dict[str, tuple[float, ...]], found: str
+) -> None:
+    device = PluginDevice(named(timing=parameters), 1, timing=DeviceTiming(**timing))
+    with pytest.raises(FactoryError) as caught:
+        driver_of(bundle_for(device, **limits))
+    assert str(caught.value) == f"devices.dx: the session promises more than its driver {MADE} states: {found}"
+
+
+def test_limits_are_compared_at_the_ports() -> None:
+    """With the scale 2 the session may state half the force, and twice the way and the speed."""
+    device = PluginDevice(named(), 1, scale=2.0)
+    driver_of(bundle_for(device, force=(4.0,), displacement=(0.4,), speed=(4.0,))).close()
+    with pytest.raises(FactoryError, match="found 8 N; expected at most 4 N"):
+        driver_of(bundle_for(device, force=(8.0,)))
+
+
+def test_hardware_is_refused_under_the_simulated_clock() -> None:
+    device = PluginDevice(named(hardware=True), 1)
+    driver_of(bundle_for(device)).close()
+    with pytest.raises(FactoryError, match="found hardware under the simulated clock; expected the realtime clock"):
+        driver_of(replace(bundle_for(device, SIMULATED), time="own"))
+
+
+@pytest.mark.parametrize(
+    ("device", "found"),
+    [
+        (PluginDevice(named(), 1, ("y",)), "axis_map: found the axis 'y'; expected one of 0"),
+        (PluginDevice(FactoryName("builtins:dict", {}), 1), "cannot be made: found TypeError"),
+        (PluginDevice(FactoryName("builtins:isinstance", {}), 1), "cannot be made: found TypeError"),
+        (PluginDevice(FactoryName("nowhere.at_all:f", {}), 1), "cannot be made: found ModuleNotFoundError"),
+    ],
+)
+def test_a_driver_that_cannot_be_made_is_named(device: PluginDevice, found: str) -> None:
+    with pytest.raises(FactoryError) as caught:
+        driver_of(bundle_for(device))
+    assert found in str(caught.value)
+
+
+def test_what_is_no_driver_is_told_by_what_it_lacks() -> None:
+    with pytest.raises(FactoryError, match=r"found tuple without specification, sample, apply, release, close"):
+        made_driver(FactoryName("tests.nodes.device.test_plugin:no_driver", {}), ("x",), T)
+
+
+def no_driver(ports: tuple[str, ...], period: float, parameters: dict[str, Any]) -> tuple[str, ...]:
+    return ports
+
+
+def test_a_failure_names_the_driver_and_the_call_and_the_release_after_it_raises_nothing() -> None:
+    class AlwaysRaising(Raising):
+        def release(self, at: Instant) -> None:
+            raise OSError("still no such device")
+
+        def close(self) -> None:
+            raise OSError("still no such device")
+
+    _, mapped = plugin(AlwaysRaising)
+    mapped.sample(0, instant(0))
+    with pytest.raises(DriverFailure) as caught:
+        mapped.apply([1.0, 0.0, 0.0], instant(0))
+    assert str(caught.value) == (
+        "the driver some:driver failed in apply: found OSError: no such device; expected a displacement or None"
+    )
+    assert caught.value.raised
+    assert mapped.release(instant(0)) is None
+    mapped.close()
+
+
+def test_an_answer_of_no_use_is_no_exception_of_the_driver() -> None:
+    _, mapped = plugin(WrongAnswer)
+    with pytest.raises(DriverFailure, match=r"failed in sample: found \[nan, nan, nan\]; expected 3 finite") as caught:
+        mapped.sample(0, instant(0))
+    assert not caught.value.raised
+
+
+def test_what_the_hardware_exerts_is_counted_and_mapped_back() -> None:
+    axis_map = AxisMap((1, 0, 2), (1.0, -1.0, 1.0), 2.0)
+    _, mapped = plugin(axis_map=axis_map, clip=1.0)
+    mapped.sample(0, instant(0))
+    small, large = [0.1, 0.2, 0.3], [0.1, 2.0, 0.3]
+    mapped.apply(small, instant(0))
+    assert mapped.exerted(small) is small
+    assert names.UNEXERTED not in mapped.figures()
+    mapped.apply(large, instant(0))  # 4 N on the driver's axis 0, which clips it to 1 N: half a newton at the port
+    assert mapped.exerted(large) == [0.1, 0.5, 0.3]
+    assert mapped.figures() == {names.UNEXERTED: 1.0, names.UNEXERTED_MOST: 3.0}
+
+
+def test_the_account_is_kept_with_the_force_that_was_exerted() -> None:
+    """A device that is pushed less than it was told to gives the couplings less: its account sees the true force."""
+    accounts = []
+    for clip in (8.0, 0.5):
+        bundle = bundle_for(PluginDevice(named(clip=clip), 1))
+        tick = WallTimeTick(replace(bundle, time="wall", tank=None), driver_of(bundle))
+        for k in range(50):
+            at = Instant(k * 1_000_000)
+            tick.sample(k, at)
+            tick.exert([2.0], at)
+            tick.book()
+        assert tick.wall_interface.exerted == [min(2.0, clip)]
+        accounts.append(tick.wall_interface.account.energy)
+        expected = {names.UNEXERTED: 50.0, names.UNEXERTED_MOST: 1.5} if clip < 2.0 else {}
+        assert dict(tick.driver.figures()) == expected
+    assert accounts[1] > accounts[0]
+
+
+def test_a_device_with_a_latency_does_not_say_where_it_was() -> None:
+    """What a driver returns at a force is then older than the force."""
+    device = PluginDevice(named(), 1, timing=DeviceTiming(1e-4))
+    driver = driver_of(bundle_for(device))
+    driver.sample(0, instant(0))
+    assert driver.apply([1.0], instant(0)) is None
+    assert driver_of(bundle_for(PluginDevice(named(), 1))).apply([1.0], instant(0)) is not None

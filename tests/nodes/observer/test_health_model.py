@@ -1,0 +1,348 @@
+"""The model of health: telemetry and events go in, and each promise's state, party, time and cost come out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from manyhands.nodes.observer.health import (
+    Health,
+    Promise,
+    PromiseState,
+    grouped,
+    holds,
+    is_present,
+    missed,
+    sentence,
+    session_health,
+    summary,
+)
+from manyhands.nodes.observer.health_model import HOLD, HealthModel, Terms
+from manyhands.protocol.codec import decode, encode
+from manyhands.protocol.limits import MAX_CONTROL_BYTES
+from manyhands.protocol.messages import Condition, PromiseStatus, Role
+
+T = 1e-3
+ROLES = {"dx": Role.DEVICE, "dy": Role.DEVICE, "cx": Role.COUPLING, "cy": Role.COUPLING, "world": Role.ENVIRONMENT}
+TERMS = Terms(T, ROLES, realtime=True, wall=("dx", "dy"), certified=True, tank=0.005, bounded=True)
+COUNTED = replace(TERMS, bounded=False)
+OWN_TIME = replace(TERMS, wall=())
+UNCERTIFIED = replace(TERMS, certified=False, tank=0.0, bounded=False)
+SIMULATED = replace(TERMS, realtime=False, wall=())
+SEATED = replace(TERMS, linked=("cx",), seats={"cx": "dx"})
+RUNNING = dict.fromkeys(ROLES, "running")
+
+Told = tuple[str, int, Mapping[str, float]]
+
+
+def model(terms: Terms, *told: Told) -> HealthModel:
+    found = HealthModel(terms)
+    for node, tick, figures in told:
+        found.take(node, tick, figures)
+    return found
+
+
+def only(found: HealthModel) -> PromiseStatus:
+    [row] = missed(found.rows())
+    return row
+
+
+def test_a_session_that_is_well_keeps_all_its_promises() -> None:
+    quiet = {"tau_breaches": 0.0, "ledger_margin": 0.0, "interface_min": 0.0, "interface_ticks": 0.0, "clipped": 0.0}
+    rows = model(TERMS, ("dx", 100, quiet), ("world", 100, {"frozen": 0.0, "began@0": 1.0})).rows()
+    assert {row.state for row in rows} == {"kept"}
+    assert [row.promise for row in rows] == [
+        "passivity", "delay", "period", "lateness energy", "force limits", "motion limits", "presence", "punctuality",
+        "pace",
+    ]  # fmt: skip
+    assert (session_health(rows), holds(rows), summary(rows)) == (Health.OK, True, "")
+
+
+@pytest.mark.parametrize(
+    ("terms", "promises"),
+    [
+        (UNCERTIFIED, {"force limits", "motion limits", "presence", "punctuality", "pace"}),
+        (SIMULATED, {"passivity", "force limits", "motion limits", "presence"}),
+        (OWN_TIME,
+         {"passivity", "delay", "period", "force limits", "motion limits", "presence", "punctuality", "pace"}),
+        (replace(SIMULATED, enforced=("environment",), linked=("cx",)),
+         {"passivity", "force limits", "declared level", "wave link", "motion limits", "presence"}),
+    ],
+)  # fmt: skip
+def test_a_session_promises_what_its_kind_can(terms: Terms, promises: set[str]) -> None:
+    assert {row.promise for row in model(terms).rows()} == promises
+
+
+ENFORCED, BROKEN, KEPT = PromiseState.ENFORCED, PromiseState.BROKEN, PromiseState.KEPT
+
+
+@pytest.mark.parametrize(
+    ("terms", "node", "figures", "promise", "state", "who", "cost"),
+    [
+        (TERMS, "dx", {"tau_breaches": 14.0}, Promise.DELAY, ENFORCED, "dx", {"ticks": 14.0}),
+        (COUNTED, "dx", {"tau_breaches": 14.0}, Promise.DELAY, BROKEN, "dx", {"ticks": 14.0}),
+        (OWN_TIME, "dx", {"tau_breaches": 14.0}, Promise.DELAY, BROKEN, "dx", {"ticks": 14.0}),
+        (TERMS, "dy", {"period_breaches": 3.0}, Promise.PERIOD, ENFORCED, "dy", {"ticks": 3.0}),
+        (COUNTED, "dy", {"period_breaches": 3.0}, Promise.PERIOD, BROKEN, "dy", {"ticks": 3.0}),
+        (TERMS, "dx", {"interface_ticks": 2.0, "interface_min": -0.004}, Promise.LATENESS, ENFORCED, "dx",
+         {"ticks": 2.0, "J": 0.004}),
+        (TERMS, "dx", {"interface_min": -0.25}, Promise.LATENESS, BROKEN, "dx", {"J": 0.25}),
+        (COUNTED, "dx", {"interface_min": -0.25}, Promise.LATENESS, BROKEN, "dx", {"J": 0.25}),
+        (TERMS, "cx", {"ledger_margin": -0.25}, Promise.PASSIVITY, BROKEN, "cx", {"J": 0.25}),
+        (TERMS, "dx", {"clipped": 7.0}, Promise.FORCE, BROKEN, "dx", {"ticks": 7.0}),
+        (UNCERTIFIED, "dx", {"clipped": 7.0}, Promise.FORCE, ENFORCED, "dx", {"ticks": 7.0}),
+        (TERMS, "cx", {"saturated": 7.0}, Promise.FORCE, BROKEN, "cx", {"ticks": 7.0}),
+        (TERMS, "dx", {"let_go": 1.0}, Promise.MOTION, ENFORCED, "dx", {"times": 1.0}),
+        (replace(TERMS, enforced=("world",)), "world", {"enforced_ticks": 9.0, "enforced_energy": 0.5}, Promise.LEVEL,
+         ENFORCED, "world", {"ticks": 9.0, "J": 0.5}),
+        (TERMS, "world", {"scaled_cx": 12.0, "given_cx": 0.02}, Promise.BUDGET, ENFORCED, "cx",
+         {"ticks": 12.0, "J": 0.02}),
+        (TERMS, "world", {"frozen:cy@95": 1.0}, Promise.PRESENCE, ENFORCED, "cy", {"times": 1.0, "s": 0.005}),
+        (TERMS, "world", {"waited_ticks_cx": 53.0, "waited_us_cx": 117e3, "frozen_late_cx": 2.0}, Promise.PUNCTUALITY,
+         ENFORCED, "cx", {"ticks": 53.0, "s": 0.117, "times": 2.0}),
+        (SEATED, "cx", {"wave_clipped": 4.0}, Promise.LINK, ENFORCED, "cx", {"ticks": 4.0}),
+        (SEATED, "world", {"wave_silences_cx": 1.0, "wave_deaf_cx": 1.0}, Promise.LINK, ENFORCED, "cx", {"times": 1.0}),
+    ],
+)  # fmt: skip
+def test_what_a_figure_says_of_a_promise(
+    terms: Terms,
+    node: str,
+    figures: Mapping[str, float],
+    promise: Promise,
+    state: PromiseState,
+    who: str,
+    cost: Mapping[str, float],
+) -> None:
+    found = model(terms, (node, 100, figures))
+    row = only(found)
+    since = 0.095 if promise is Promise.PRESENCE else 0.1
+    assert (row.promise, row.state, row.who, row.since, row.until) == (promise, state, (who,), since, None)
+    assert row.cost == pytest.approx(cost)
+    broken = state is BROKEN
+    assert holds(found.rows()) == (not broken)
+    expected = Health.BROKEN if broken else Health.FROZEN if promise is Promise.PRESENCE else Health.ENFORCED
+    assert session_health(found.rows()) is expected
+    [kept] = [row for row in found.rows() if row.promise == promise and row.state == KEPT] or [row]
+    assert kept.who in ((), (who,))  # all others keep it
+    assert who in sentence(row)
+    assert f"{promise} {state} ({who})" in summary(found.rows())
+
+
+@pytest.mark.parametrize(
+    ("terms", "node", "figures"),
+    [
+        (UNCERTIFIED, "dx", {"tau_breaches": 9.0, "ledger_margin": -1.0, "interface_min": -1.0}),
+        (SIMULATED, "dx", {"tau_breaches": 9.0}),
+        (TERMS, "dx", {"interface_min": -0.005 - 1e-12}),  # rounding
+        (TERMS, "cx", {"ledger_margin": -1e-10}),
+        (TERMS, "stranger", {"clipped": 9.0}),
+        (TERMS, "world", {"frozen:stranger@50": 1.0, "scaled_stranger": 3.0, "waited_ticks_stranger": 3.0}),
+        (TERMS, "world", {"waited_ticks_cx": 3.0, "waited_us_cx": 900.0, "frozen_late_cx": 0.0}),  # now and then
+        *[(TERMS, "dx", {"clipped": bad, "ledger_margin": -bad, "let_go": bad}) for bad in (math.nan,)],
+        *[(TERMS, "dx", {"clipped": bad, "let_go": bad}) for bad in (math.inf, -3.0)],
+    ],
+)
+def test_what_was_not_promised_or_makes_no_sense_changes_nothing(
+    terms: Terms, node: str, figures: Mapping[str, float]
+) -> None:
+    assert missed(model(terms, (node, 100, figures)).rows()) == []
+
+
+def test_a_frozen_coupling_comes_back_and_what_it_missed_stays() -> None:
+    found = model(TERMS, ("world", 200, {"frozen:cx@150": 1.0}), ("world", 500, {"returned:cx@420": 1.0}))
+    row = only(found)
+    assert (row.since, row.until) == (0.15, 0.42)
+    assert row.cost == pytest.approx({"times": 1.0, "s": 0.27})
+    assert session_health(found.rows()) is Health.OK
+    found.take("world", 900, {"frozen:cx@850": 1.0})
+    row = only(found)
+    assert (row.since, row.until) == (0.85, None)
+    assert row.cost == pytest.approx({"times": 2.0, "s": 0.27 + 0.05})
+    assert session_health(found.rows()) is Health.FROZEN
+
+
+def test_what_is_enforced_is_over_when_its_cost_stays_the_same() -> None:
+    found = model(TERMS, ("dx", 100, {"tau_breaches": 3.0}), ("dx", 200, {"tau_breaches": 5.0}))
+    rest = round(HOLD / T)
+    found.take("dx", 200 + rest, {"tau_breaches": 5.0})
+    assert only(found).until is None
+    found.take("dx", 300 + rest, {"tau_breaches": 5.0})
+    row = only(found)
+    assert (row.since, row.until, row.cost) == (0.1, 0.2, {"ticks": 5.0})
+    assert not is_present(row)
+    assert session_health(found.rows()) is Health.OK
+
+
+def test_what_the_certificate_needs_and_was_broken_stays_broken() -> None:
+    found = model(COUNTED, ("dx", 100, {"tau_breaches": 3.0}), ("dx", 9000, {"tau_breaches": 3.0}))
+    row = only(found)
+    assert (row.since, row.until) == (0.1, 0.1)
+    assert is_present(row)
+    assert session_health(found.rows()) is Health.BROKEN
+    assert not holds(found.rows())
+
+
+@pytest.mark.parametrize("event", [True, False])
+def test_costs_are_those_of_all_processes_of_a_node(event: bool) -> None:
+    found = model(TERMS, ("dx", 100, {"let_go": 3.0}))
+    found.take("dx", 300, {"let_go": 1.0, **({"began@200": 1.0} if event else {})})
+    assert only(found).cost == {"times": 4.0}
+    found.forget("dx")
+    found.take("dx", 400, {"let_go": 4.0})
+    assert only(found).cost == {"times": 8.0}
+
+
+def test_a_node_of_its_own_period_counts_the_sessions_time() -> None:
+    found = model(replace(TERMS, rates={"dx": 4.0}), ("dx", 400, {"let_go": 1.0}))
+    assert (found.now, only(found).since) == (0.1, 0.1)
+
+
+def test_a_node_that_is_away_or_silent_breaks_its_presence_until_it_is_back() -> None:
+    found = model(TERMS, ("world", 1000, {}))
+    found.look(RUNNING | {"dx": "lost"}, (), 1.1)
+    row = only(found)
+    assert (row.promise, row.state, row.who, row.since, row.remark) == ("presence", "broken", ("dx",), 1.0, "dx: lost")
+    assert session_health(found.rows()) is Health.OK  # the node shows it itself
+    found.look(RUNNING | {"dx": "starting"}, (), 1.2)
+    assert only(found).until is None
+    found.take("world", 1500, {})
+    found.look(RUNNING, ("cy",), 1.6)
+    back, silent = sorted(missed(found.rows()), key=lambda row: row.who, reverse=True)
+    assert (back.who, back.until, back.cost) == (("dx",), 1.5, {"s": 0.5})
+    assert (silent.who, silent.since, silent.remark) == (("cy",), 1.5, "cy: no telemetry has come from it for a while")
+
+
+@pytest.mark.parametrize("state", ["lost", "starting", "connecting", "shaking hands", "ready", "leaving", "failed"])
+def test_who_is_on_the_way_back_is_away_but_for_the_user_of_a_seat(state: str) -> None:
+    found = model(TERMS, ("world", 1000, {}))
+    found.look(RUNNING | {"dx": state}, (), 1.1)
+    assert (only(found).who, only(found).remark) == (("dx",), f"dx: {state}")
+    seated = model(SEATED, ("world", 1000, {}))
+    seated.look(RUNNING | {"dx": state}, (), 1.1)
+    assert missed(seated.rows()) == []
+
+
+@pytest.mark.parametrize("state", ["running", "done", "ended", "free"])
+def test_who_has_done_its_part_is_not_away(state: str) -> None:
+    found = model(SEATED, ("world", 1000, {}))
+    found.look(dict.fromkeys(ROLES, state), (), 1.1)
+    assert missed(found.rows()) == []
+
+
+def test_a_frozen_coupling_whose_process_dies_is_away_since_it_froze() -> None:
+    found = model(TERMS, ("world", 200, {"frozen:cx@150": 1.0}))
+    found.look(RUNNING | {"cx": "lost"}, (), 0.3)
+    row = only(found)
+    assert (row.state, row.since) == (BROKEN, 0.15)
+
+
+def test_a_free_seat_breaks_no_promise() -> None:
+    found = model(SEATED, ("world", 1000, {"wave_deaf_cx": 1.0, "frozen": 1.0}))
+    free = {"cx": "free", "dx": "free"}
+    found.look(RUNNING | free, (), 1.1)
+    assert missed(found.rows()) == []
+    found.look(RUNNING, (), 1.2)
+    found.take("world", 2000, {"frozen:cx@1900": 1.0, "wave_silences_cx": 1.0, "wave_deaf_cx": 1.0})
+    assert {row.promise for row in missed(found.rows()) if row.until is None} == {"presence", "wave link"}
+    found.look(RUNNING | free, (), 2.2)
+    found.take("world", 9000, {"wave_silences_cx": 1.0, "wave_deaf_cx": 1.0, "frozen:cx@8950": 1.0})
+    assert [row for row in missed(found.rows()) if is_present(row)] == []
+
+
+def paced(ratio: float, seconds: float, terms: Terms = TERMS) -> HealthModel:
+    """A session at a part of its own speed, whose telemetry comes in batches, seen five times a second."""
+    found = HealthModel(terms)
+    for step in range(1, round(5 * seconds) + 1):
+        elapsed = step / 5
+        found.take("world", int(elapsed * ratio / T) // 100 * 100, {})
+        found.look(RUNNING, (), elapsed)
+    return found
+
+
+@pytest.mark.parametrize("seconds", [0.6, 2.0, 8.0, 40.0])
+@pytest.mark.parametrize("ratio", [1.0, 0.97])
+def test_a_session_that_keeps_up_says_nothing_of_its_pace(ratio: float, seconds: float) -> None:
+    assert missed(paced(ratio, seconds).rows()) == []
+
+
+@pytest.mark.parametrize("ratio", [0.25, 0.5, 0.9])
+def test_a_session_slower_than_its_period_says_so_with_the_ratio(ratio: float) -> None:
+    found = paced(ratio, 20.0)
+    row = only(found)
+    assert (row.promise, row.state, row.who, row.until) == ("pace", "broken", ("session",), None)
+    assert row.cost["x"] == pytest.approx(ratio, abs=0.03)
+    assert row.cost["s"] == pytest.approx(20.0 * (1.0 - ratio), abs=0.4)
+    assert session_health(found.rows()) is Health.SLOW
+    assert holds(found.rows())  # no proof is about the clock
+    assert "of real time" in row.remark
+    assert "of 1000 ticks a second" in row.remark
+    assert "manyhands doctor" in row.remark
+
+
+def test_the_pace_is_reported_once_however_often_it_is_lost() -> None:
+    found = paced(0.5, 10.0)
+    first = only(found).remark
+    tick, elapsed = 5000, 10.0
+    for ratio, steps in ((1.0, 60), (0.3, 60)):
+        for _ in range(steps):
+            tick, elapsed = tick + round(200 * ratio), elapsed + 0.2
+            found.take("world", tick, {})
+            found.look(RUNNING, (), elapsed)
+        over = only(found).until is not None
+        assert over == (ratio == 1.0)
+    assert only(found).remark == first
+
+
+def test_the_simulated_clock_has_no_pace() -> None:
+    assert missed(paced(0.1, 10.0, SIMULATED).rows()) == []
+
+
+def test_remarks_belong_to_what_is_not_kept() -> None:
+    found = model(TERMS, ("dx", 100, {"tau_breaches": 1.0}), ("dy", 100, {"tau_breaches": 1.0}))
+    rows = found.rows({Promise.DELAY: "forces came late"})
+    assert {(row.who, row.remark) for row in rows if row.promise == "delay"} == {
+        ((), ""), (("dx",), "forces came late"), (("dy",), "forces came late"),
+    }  # fmt: skip
+    [both] = grouped(missed(rows))
+    assert (both.who, both.cost, both.remark) == (("dx", "dy"), {"ticks": 2.0}, "forces came late")
+    assert sentence(both) == "delay: enforced at dx, dy since 0.1 s (2 ticks)"
+
+
+NODES = st.sampled_from([*ROLES, "stranger"])
+FIGURES = st.dictionaries(
+    st.sampled_from(
+        ["tau_breaches", "clipped", "ledger_margin", "interface_min", "interface_ticks", "let_go", "wave_silences_cx",
+         "wave_deaf_cx", "scaled_cx", "waited_ticks_cx", "waited_us_cx", "frozen_late_cx", "frozen:cx@7",
+         "returned:cx@9", "frozen:dx@3", "began@5"]
+    ),
+    st.floats(),
+)  # fmt: skip
+STATES = st.dictionaries(NODES, st.sampled_from(["running", "lost", "free", "starting", "odd"]))
+
+
+@given(
+    st.lists(
+        st.one_of(
+            st.tuples(NODES, st.integers(0, 2**62), FIGURES),
+            st.tuples(STATES, st.lists(NODES, max_size=2), st.floats(0.0, 1e9)),
+        ),
+        max_size=12,
+    )
+)
+def test_whatever_comes_the_rows_fit_a_condition(news: Sequence[tuple[object, ...]]) -> None:
+    found = HealthModel(SEATED)
+    for one in news:
+        if isinstance(one[0], str):
+            found.take(*one)  # type: ignore[arg-type]  # as hypothesis built it
+        else:
+            found.look(*one)  # type: ignore[arg-type]  # likewise
+        rows = found.rows()
+        sent = Condition("running", 0.0, {}, promises=rows)
+        assert decode(encode(sent), MAX_CONTROL_BYTES) == sent
+        assert session_health(rows) in Health
+        assert all(row.since is None or row.since >= 0.0 for row in rows)
