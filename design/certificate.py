@@ -26,14 +26,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from manyhands.design.errors import CertificateError
 from manyhands.design.files import read_regular, replacing
 from manyhands.design.levels.contract import ENERGY, ENFORCED, DeviceShare, Levels
-from manyhands.design.models.coupling import CouplingBlock, Partition, SpringDamper, realisations
+from manyhands.design.models.brief import brief, brief_names, brief_repr
+from manyhands.design.models.coupling import CouplingBlock, Partition, SpringDamper, realisations, spring_damper_of
 from manyhands.design.models.environment import (
     DeclaredEnvironment,
     DelayedNetwork,
@@ -44,7 +46,7 @@ from manyhands.design.models.environment import (
 )
 from manyhands.design.models.network import METHODS, Network, NetworkLink
 from manyhands.design.models.operators import Rational
-from manyhands.design.models.statespace import Matrix, StateSpace, matrix
+from manyhands.design.models.statespace import LinearSystem, Matrix, StateSpace, matrix
 from manyhands.design.models.weights import Filter, Transparency
 from manyhands.design.problem import (
     CouplingRequest,
@@ -58,6 +60,9 @@ from manyhands.design.problem import (
     Wish,
 )
 from manyhands.design.wave_link import WaveLinkFace, WorldPromise, face_of
+
+if TYPE_CHECKING:
+    from manyhands.design.frequency_responses import FrequencyResponses
 
 MOST_DELAY = 64  # ticks; the order of the delayed environment grows with it
 
@@ -344,6 +349,8 @@ class TransparencyClaim:
     gamma: float
     P: Matrix
 
+    __repr__ = brief_repr
+
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
@@ -391,6 +398,91 @@ class Certificate:
     def blocks(self) -> tuple[StateSpace, ...]:
         """The realisation of each block of V."""
         return realisations(self.coupling, self.loop.period)
+
+    @property
+    def V(self) -> LinearSystem:
+        """The coupling, discrete, from force (N) to the displacement between hand and tool (m), m x m."""
+        V = self.loop.partition.join(self.blocks)
+        return LinearSystem(V.A, V.B, V.C, V.D, self.loop.period)
+
+    @property
+    def E(self) -> LinearSystem:
+        """The environment, discrete, from the tools' displacement (m) to the force on them (N), m x m.
+
+        Raises:
+            ValueError: the environment is declared by its level, and has no matrices.
+        """
+        environment = self.loop.environment
+        if isinstance(environment, DeclaredEnvironment):
+            raise ValueError("found an environment that is declared by its level; expected one with matrices")
+        E = environment.environment(self.loop.period)
+        return LinearSystem(E.A, E.B, E.C, E.D, self.loop.period)
+
+    @property
+    def stiffness(self) -> Matrix:
+        """K of the coupling, m x m, N/m; of a linear coupling V(1)^-1, its stiffness for slow motions."""
+        return self._springs.stiffness
+
+    @property
+    def damping(self) -> Matrix:
+        """B of the coupling, m x m, N*s/m; of a linear coupling by :func:`.spring_damper_of`, for slow motions."""
+        return self._springs.damping
+
+    @cached_property
+    def _springs(self) -> SpringDamper:
+        return self.spring_damper or spring_damper_of(self.loop.partition.join(self.blocks), self.loop.period)
+
+    def frequency_responses(self, omega: ArrayLike | None = None) -> FrequencyResponses:
+        """E, V, and the impedance F(E, V) that the hands feel, over frequency.
+
+        Args:
+            omega: rad/s, at most pi/T; by default a grid that resolves every resonance.
+
+        Raises:
+            ValueError: the environment has no matrices, or a frequency is out of range.
+
+        Example:
+            >>> import manyhands as mh
+            >>> found = mh.design(mh.load("example1")).frequency_responses([1.0])
+            >>> abs(found.V[0, 0, 0] * 1110.2).round(3)    # at 1 rad/s a spring of 1110.2 N/m
+            np.float64(1.0)
+        """
+        from manyhands.design.frequency_responses import responses_of  # a reader of certificates needs none
+
+        return responses_of(self, omega)
+
+    @classmethod
+    def load(cls, path: Path | str) -> Certificate:
+        """The certificate in a file. It is read only; :func:`manyhands.launch.api.verify` proves it.
+
+        Raises:
+            CertificateError: the file is not readable, not a certificate, or not of a known version.
+
+        Example:
+            >>> import manyhands as mh
+            >>> mh.design("example1").save("example1.cert.json")
+            >>> mh.Certificate.load("example1.cert.json").loop.period
+            0.001
+        """
+        return load(Path(path))[0]
+
+    def save(self, path: Path | str) -> None:
+        """Write the certificate's file, whole or not at all.
+
+        Raises:
+            OSError: nothing can be written there.
+        """
+        save(self, Path(path))
+
+    def __repr__(self) -> str:
+        loop, springs = self.loop, self.spring_damper
+        K = "linear blocks" if springs is None else f"K = {brief(springs.stiffness)} N/m"
+        gamma = "" if self.transparency is None else f", gamma {self.transparency.gamma:.4g}"
+        margin = f"{self.margins['(10)']:.4g} N·s/m" if "(10)" in self.margins else "not stated"
+        return (
+            f"Certificate({loop.session}: blocks {brief_names(loop.partition.names)}, {K}, T = {loop.period:g} s, "
+            f"tau = {loop.tau:g} s, margin {margin}{gamma}, id {self.id[:16] or 'none'})"
+        )
 
     @cached_property
     def spring_damper(self) -> SpringDamper | None:

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 
 class DesignError(Exception):
-    """Base class of the errors of ``manyhands.design``."""
+    """Base class of the errors of ``manyhands.design``.
+
+    Example:
+        >>> import manyhands as mh
+        >>> session = mh.load("example1", {"environment.delay": 1})
+        >>> try:
+        ...     mh.design(session)
+        ... except mh.DesignError as error:
+        ...     print(type(error).__name__)
+        Infeasible
+    """
 
 
 class Infeasible(DesignError):
@@ -13,6 +23,15 @@ class Infeasible(DesignError):
     Attributes:
         condition: the condition that fails, with its number in [Bianchini2010]_ if it has one.
         relax: changes that could make the condition hold, each with a figure if one is known.
+
+    Example:
+        >>> import manyhands as mh
+        >>> given = {"coupling": "given", "stiffness": 3000.0}
+        >>> try:
+        ...     mh.design(mh.load("example1", {"design": given}))
+        ... except mh.Infeasible as error:
+        ...     print(error.relax[0])
+        a stiffness below 2740 N/m
     """
 
     def __init__(self, condition: str, relax: tuple[str, ...]) -> None:

@@ -36,6 +36,7 @@ from manyhands.design.certificate import Certificate, content
 from manyhands.design.errors import DesignError, Infeasible
 from manyhands.design.levels.contract import DeviceShare, margin_of
 from manyhands.design.levels.spring_damper import centred, greatest_level, stiffest
+from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import SpringDamper
 from manyhands.design.models.statespace import Matrix, symmetric_part
 from manyhands.design.problem import (
@@ -73,6 +74,8 @@ class Ladder:
     rungs: tuple[Certificate, ...]
     independent: bool
     Phi_E: Matrix
+
+    __repr__ = brief_repr
 
     @property
     def taus(self) -> tuple[float, ...]:

@@ -12,8 +12,9 @@ from typing import Literal
 
 import numpy as np
 
-from manyhands.design.levels.contract import NO_DELAY_GAIN, loop_gain
-from manyhands.design.models.coupling import Partition, SpringDamper
+from manyhands.design.levels.contract import NO_DELAY_GAIN
+from manyhands.design.models.brief import brief_repr
+from manyhands.design.models.coupling import Partition, SpringDamper, loop_gain
 from manyhands.design.models.environment import DeclaredEnvironment, Environment
 from manyhands.design.models.integrators import Split
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix, symmetric_part
@@ -35,6 +36,8 @@ class DeviceLevel:
     name: str
     ports: tuple[int, ...]
     level: Matrix
+
+    __repr__ = brief_repr
 
     def __post_init__(self) -> None:
         m = len(self.ports)
@@ -116,6 +119,8 @@ class SpringDamperGiven:
     coupling: SpringDamper
     aim: Transparency | None = None
 
+    __repr__ = brief_repr
+
 
 @dataclass(frozen=True, eq=False)
 class LinearGiven:
@@ -123,6 +128,8 @@ class LinearGiven:
 
     blocks: tuple[StateSpace, ...]
     aim: Transparency | None = None
+
+    __repr__ = brief_repr
 
 
 @dataclass(frozen=True)
@@ -156,6 +163,8 @@ class HapticLoop:
     environment: Environment
     tau: float = 0.0
     period_tolerance: float = 0.0
+
+    __repr__ = brief_repr
 
     def __post_init__(self) -> None:
         m = len(self.ports)
@@ -219,7 +228,7 @@ class HapticLoop:
 
     def loop_gain(self, kappa: float) -> tuple[Matrix, ...]:
         """K = kappa T Delta_D^{-1} by block of V, m_i x m_i, m/N; kappa = 1/2 is (8)."""
-        return tuple(loop_gain(kappa, self.period, Delta) for Delta in self.Delta_D_blocks)
+        return tuple(loop_gain(Delta, self.period, kappa) for Delta in self.Delta_D_blocks)
 
     @cached_property
     def K(self) -> Matrix:

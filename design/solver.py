@@ -18,12 +18,12 @@ from collections.abc import Callable
 from typing import Any
 
 import clarabel
-import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_discrete_lyapunov, svd
 
+from manyhands.design import convex as cp
 from manyhands.design.errors import SolverFailure
 from manyhands.design.models.statespace import Matrix, StateSpace, symmetric_part
 

@@ -20,9 +20,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache
+from importlib.metadata import version
 from typing import Any
 
-import cvxpy
 import numpy as np
 from scipy.linalg import eigh
 
@@ -32,6 +33,7 @@ from manyhands.design.levels.contract import DeviceShare, Levels, least_coupling
 from manyhands.design.levels.device import PIECES, device_share, gain_for_share, greatest_share
 from manyhands.design.levels.environment import lack_of_passivity
 from manyhands.design.levels.spring_damper import centred, stiffest
+from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import CouplingBlock, SpringDamper, realisations
 from manyhands.design.models.environment import DeclaredEnvironment, NetworkBox
 from manyhands.design.models.statespace import StateSpace, symmetric_part
@@ -88,6 +90,8 @@ class Found:
     interrupted: bool = False
     device: DeviceShare | None = None
     levels: tuple[BlockLevel, ...] = ()
+
+    __repr__ = brief_repr
 
 
 def search(loop: HapticLoop, wanted: CouplingRequest, progress: Progress | None = None) -> Found:
@@ -226,9 +230,12 @@ def _with_tolerance(loop: HapticLoop) -> str:
     return f" with periods up to {1.0 + loop.period_tolerance:g} T" if loop.period_tolerance else ""
 
 
+_version = cache(version)  # it reads the package's metadata, and a world has hundreds of designs
+
+
 def tools() -> dict[str, str | int]:
     """The solver and the versions that a design was computed with, for the certificate."""
-    return {"solver": SOLVER.lower(), "cvxpy": cvxpy.__version__, "numpy": np.__version__}
+    return {"solver": SOLVER.lower(), "cvxpy": _version("cvxpy"), "numpy": np.__version__}
 
 
 def _transparent_springs(loop: HapticLoop, aim: Transparency, progress: Progress | None) -> Found:
@@ -319,6 +326,8 @@ class Designed:
     history: tuple[float, ...]
     watched: str
     interrupted: bool
+
+    __repr__ = brief_repr
 
 
 def design(loop: HapticLoop, wanted: CouplingRequest, progress: Progress | None = None) -> Designed:

@@ -47,9 +47,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import cvxpy as cp
 import numpy as np
 
+from manyhands.design import convex as cp
 from manyhands.design.errors import Infeasible, SolverFailure
 from manyhands.design.levels.contract import ENERGY, ENFORCED, NO_DELAY_GAIN, DeviceShare, Levels, margin
 from manyhands.design.levels.device import device_share, least_gain

@@ -43,9 +43,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-import cvxpy as cp
 import numpy as np
 
+from manyhands.design import convex as cp
 from manyhands.design.errors import DesignError, Infeasible, NotConverged, SolverFailure, TooLarge
 from manyhands.design.models.coupling import SpringDamper
 from manyhands.design.models.environment import DeclaredEnvironment

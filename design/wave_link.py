@@ -25,6 +25,7 @@ from typing import Any, Final
 import numpy as np
 
 from manyhands.design.errors import Infeasible
+from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import Partition
 from manyhands.design.models.environment import DeclaredEnvironment, Environment
 from manyhands.design.models.statespace import Matrix, matrix, symmetric_part
@@ -104,6 +105,8 @@ class WaveLinkFace(DeclaredEnvironment):
     round_trip: float | None = None
     mass: Matrix | None = None
 
+    __repr__ = brief_repr
+
     def __post_init__(self) -> None:
         m = len(self.ports)
         if len(self.harvest) != m:
@@ -147,6 +150,8 @@ class WorldPromise(DeclaredEnvironment):
 
     enforced: bool = field(init=False, default=True)
     id: str = ""
+
+    __repr__ = brief_repr
 
     def __eq__(self, other: object) -> bool:
         """Equal when every number is."""

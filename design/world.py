@@ -29,6 +29,7 @@ import numpy as np
 
 from manyhands.design.certificate import describe_environment, identity, matrices_by_block, pretty, storage_of
 from manyhands.design.files import replacing
+from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import Partition
 from manyhands.design.models.environment import Environment
 from manyhands.design.models.statespace import Matrix, matrix
@@ -53,6 +54,8 @@ class FaceTerms:
     b: Matrix
     tank: float
 
+    __repr__ = brief_repr
+
 
 @dataclass(frozen=True, eq=False)
 class InTickTerms:
@@ -67,6 +70,8 @@ class InTickTerms:
     id: str
     ports: tuple[str, ...]
     level: Matrix
+
+    __repr__ = brief_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +93,8 @@ class WorldTerms:
     environment: Environment
     wave_links: Mapping[str, FaceTerms]
     in_tick: InTickTerms | None
+
+    __repr__ = brief_repr
 
     @property
     def ports(self) -> tuple[str, ...]:
@@ -132,6 +139,8 @@ class World(WorldTerms):
     margins: Mapping[str, float]
     method: Mapping[str, str | int]
     id: str = ""
+
+    __repr__ = brief_repr
 
 
 def world_terms(

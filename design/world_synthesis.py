@@ -7,7 +7,7 @@ energy of a network, by the greatest multiple of the identity that an environmen
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -16,7 +16,6 @@ from manyhands.design.errors import Infeasible, SolverFailure
 from manyhands.design.levels.contract import ENERGY, ENFORCED
 from manyhands.design.levels.environment import RESERVES, lack_of_passivity, storage
 from manyhands.design.levels.network import diagonal_level
-from manyhands.design.models.coupling import Partition
 from manyhands.design.models.environment import (
     DeclaredEnvironment,
     Environment,
@@ -26,38 +25,26 @@ from manyhands.design.models.environment import (
 from manyhands.design.models.statespace import Matrix
 from manyhands.design.proof import prove_world
 from manyhands.design.statics import check_environment
-from manyhands.design.world import CONDITION_A, World, world_content, world_terms
+from manyhands.design.world import CONDITION_A, World, WorldTerms, world_content
 
 Progress = Callable[[str], None]
 
 _ROUNDING = 1e-12  # of the level: (A) need not be strict, and the proof decides it exactly
 
 
-def design_world(
-    session: str,
-    period: float,
-    environment: Environment,
-    partition: Partition,
-    links: Mapping[str, tuple[Matrix, float]],
-    progress: Progress | None = None,
-) -> World:
+def design_world(terms: WorldTerms, progress: Progress | None = None) -> World:
     """Find a level with which the world keeps its contracts, and prove it.
 
     Args:
-        session: its name.
-        period: T, s.
-        environment: with the ports of all couplings.
-        partition: the couplings' ports.
-        links: b (N*s/m) and E_0 (J) of each coupling with a wave link.
+        terms: what is asked of the world.
         progress: called with a line of text for each step.
 
     Raises:
         Infeasible: the environment lacks passivity where a wave link meets it.
         SolverFailure: the level does not survive the proof.
     """
-    check_environment(environment)
-    terms = world_terms(session, period, environment, partition, links)
-    Phi_E, P_E, method = _level(environment, period, progress)
+    check_environment(terms.environment)
+    Phi_E, P_E, method = _level(terms.environment, terms.period, progress)
     margin = float(np.linalg.eigvalsh(terms.promised() - Phi_E)[0])
     if margin < -_ROUNDING * float(np.max(np.abs(Phi_E))):
         raise _lacking(-margin, "so its declared level says", "a declared level of 0 or less at every such port")

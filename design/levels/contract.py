@@ -12,6 +12,7 @@ from typing import Final, Literal
 
 import numpy as np
 
+from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import Partition
 from manyhands.design.models.statespace import Matrix, symmetric_part
 
@@ -70,17 +71,6 @@ class DeviceShare:
         return 1.0 / self.weight - t * t / room if room > 0.0 else 0.0
 
 
-def loop_gain(kappa: float, period: float, Delta_D: Matrix) -> Matrix:
-    """K = kappa T Delta_D^{-1} of the loop transformation, m/N; kappa = 1/2 is (8).
-
-    Args:
-        kappa: dimensionless.
-        period: T, s.
-        Delta_D: symmetric positive definite, N*s/m.
-    """
-    return symmetric_part(kappa * period * np.linalg.inv(Delta_D))
-
-
 @dataclass(frozen=True, eq=False)
 class Levels:
     """Levels and storage matrices that are claimed to satisfy Theorem 3, in physical units.
@@ -103,9 +93,19 @@ class Levels:
     P_E: Matrix | Literal["energy", "enforced"]
     P_V: tuple[Matrix | None, ...]
 
+    __repr__ = brief_repr
+
 
 def loop_inequality(Delta_G: Matrix, Delta_V: Matrix, Phi_E: Matrix) -> Matrix:
-    """The left-hand side of (10), 2m x 2m, N*s/m; its least eigenvalue is the certificate's margin."""
+    """The left-hand side of (10), 2m x 2m, N*s/m; its least eigenvalue is the certificate's margin.
+
+    Example:
+        >>> import numpy as np
+        >>> from manyhands import passivity
+        >>> D, V, Phi = (np.array([[level]]) for level in (1.37, 1.668, -0.463))
+        >>> np.linalg.eigvalsh(passivity.loop_inequality(D, V, Phi)).round(3).tolist()
+        [1.496, 2.468]
+    """
     return np.block([[Delta_G - Phi_E, -Phi_E], [-Phi_E, Delta_V - Phi_E]])
 
 
@@ -128,6 +128,12 @@ def least_coupling_level(Delta_G: Matrix, Phi_E: Matrix) -> Matrix:
 
     Raises:
         ValueError: Delta_G - Phi_E is not positive definite, so that (10) holds for no Delta_V.
+
+    Example:
+        >>> import numpy as np
+        >>> from manyhands import passivity
+        >>> passivity.least_coupling_level(np.array([[1.37]]), np.array([[0.5]])).round(3).tolist()
+        [[0.787]]
     """
     rest = symmetric_part(Delta_G - Phi_E)
     if float(np.linalg.eigvalsh(rest)[0]) <= 0.0:

@@ -57,7 +57,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import schur, solve_triangular
-from scipy.optimize import minimize_scalar
 
 from manyhands.design.errors import Infeasible, SolverFailure
 from manyhands.design.models.coupling import Partition
@@ -395,6 +394,8 @@ def _refined(limit: Callable[[float], float], low: float, high: float, t: float,
     """The least of t and the minimum that a bounded search finds between two angles, with its angle."""
     if not low < high:
         return t, worst
+    from scipy.optimize import minimize_scalar  # it is slow to import, and only this function needs it
+
     result = minimize_scalar(limit, bounds=(low, high), method="bounded", options={"xatol": _BRACKET * high})
     better = result.fun < t - _EIGENVALUE_ROUNDING * abs(t)  # at 0 and pi the ends of the interval are the minima
     return (float(result.fun), float(result.x)) if better else (t, worst)

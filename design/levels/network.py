@@ -25,6 +25,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from manyhands.design.levels.environment import LoopMargins
+from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import Partition
 from manyhands.design.models.network import GROUND, Network
 from manyhands.design.models.statespace import Matrix, symmetric_part
@@ -62,7 +63,14 @@ def link_matrices(network: Network) -> tuple[csc_array, csc_array]:
 
 
 def dissipation_matrix(network: Network, T: float) -> csc_array:
-    """Z = B + T/2 K, (m+n) x (m+n), sparse, N*s/m."""
+    """Z = B + T/2 K, (m+n) x (m+n), sparse, N*s/m.
+
+    Example:
+        >>> from manyhands import passivity
+        >>> wall = passivity.Network(("hand",), (), (passivity.NetworkLink(("hand", "ground"), 1000.0, 0.2),))
+        >>> passivity.dissipation_matrix(wall, T=0.001).toarray().tolist()      # B + T K / 2, N*s/m
+        [[0.7]]
+    """
     K, B = link_matrices(network)
     Z = csc_array(B + T / 2.0 * K)
     Z.eliminate_zeros()
@@ -179,6 +187,8 @@ class StructuredLevel:
     blocks: tuple[Matrix, ...]
     witness: Matrix
 
+    __repr__ = brief_repr
+
 
 def structured_level(Z: csc_array, partition: Partition, weights: Matrix | None = None) -> StructuredLevel:
     """A level with the structure of V by weighted diagonal dominance, for networks of any size.
@@ -192,6 +202,13 @@ def structured_level(Z: csc_array, partition: Partition, weights: Matrix | None 
         Z: :func:`dissipation_matrix` of the network.
         partition: of its m ports.
         weights: m entries > 0, such as the devices' levels; the levels are to be proportional to them. None: all equal.
+
+    Example:
+        >>> from manyhands import passivity
+        >>> wall = passivity.Network(("hand",), (), (passivity.NetworkLink(("hand", "ground"), 1000.0, 0.2),))
+        >>> Z, each = passivity.dissipation_matrix(wall, 0.001), passivity.Partition(("c",), ((0,),))
+        >>> passivity.structured_level(Z, each)
+        StructuredLevel(blocks=(0.699999), witness=[1])
     """
     m, size = partition.size, Z.shape[0]
     _, component = connected_components(Z, directed=False)

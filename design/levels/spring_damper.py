@@ -29,9 +29,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import cvxpy as cp
 import numpy as np
 
+from manyhands.design import convex as cp
 from manyhands.design.errors import Infeasible
 from manyhands.design.models.coupling import SpringDamper
 from manyhands.design.models.statespace import Matrix, symmetric_part

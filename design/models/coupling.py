@@ -31,7 +31,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix, symmetric_part
 
 
@@ -45,10 +47,19 @@ class Partition:
 
     Raises:
         ValueError: a port in no block or in two, an empty block, or two blocks of one name.
+
+    Example:
+        >>> import numpy as np
+        >>> from manyhands import passivity
+        >>> blocks = passivity.Partition(("left", "right"), ((0, 2), (1,)))
+        >>> [part.tolist() for part in blocks.restrict(np.diag([1.0, 2.0, 3.0]))]
+        [[[1.0, 0.0], [0.0, 3.0]], [[2.0]]]
     """
 
     names: tuple[str, ...]
     blocks: tuple[tuple[int, ...], ...]
+
+    __repr__ = brief_repr
 
     def __post_init__(self) -> None:
         ports = sorted(port for block in self.blocks for port in block)
@@ -112,10 +123,18 @@ class SpringDamper:
 
     Raises:
         ValueError: unequal shapes, not symmetric.
+
+    Example:
+        >>> from manyhands import passivity
+        >>> V = passivity.SpringDamper([[1000.0]], [[0.3]]).realisation(T=0.001)
+        >>> print(f"{1.0 / V.response(1.0)[0, 0].real:.0f} N/m at rest")
+        1000 N/m at rest
     """
 
     stiffness: Matrix
     damping: Matrix
+
+    __repr__ = brief_repr
 
     def __post_init__(self) -> None:
         K = matrix(self.stiffness)
@@ -162,6 +181,29 @@ class SpringDamper:
         )
 
 
+def spring_damper_of(V: StateSpace, T: float) -> SpringDamper:
+    """What a coupling is for slow motions: the K and B of V^{-1}(z) = K + B (z-1)/(Tz) + O((z-1)^2).
+
+        K = V(1)^{-1},    B = T K C (I - A)^{-2} B_V K,    their symmetric parts
+
+    For a coupling of springs and dampers they are its own, up to rounding.
+
+    Args:
+        V: discrete, force (N) to displacement (m), without a pole at z = 1.
+        T: period, s.
+
+    Raises:
+        ValueError: V has a pole at z = 1, or V(1) is singular: no static stiffness exists.
+    """
+    try:
+        shifted = np.linalg.solve(np.eye(V.order) - V.A, V.B)
+        K = np.linalg.inv(V.C @ shifted + V.D)
+        slope = V.C @ np.linalg.solve(np.eye(V.order) - V.A, shifted)
+    except np.linalg.LinAlgError:
+        raise ValueError("found a pole of V at z = 1, or a singular V(1); expected a static stiffness") from None
+    return SpringDamper(symmetric_part(K), symmetric_part(T * K @ slope @ K))
+
+
 CouplingBlock = SpringDamper | StateSpace
 """One block of V: springs and dampers, or a discrete linear system from force (N) to displacement (m)."""
 
@@ -175,13 +217,31 @@ def realisations(coupling: tuple[CouplingBlock, ...], T: float) -> tuple[StateSp
     return tuple(part.realisation(T) if isinstance(part, SpringDamper) else part for part in coupling)
 
 
-def loop_gain(Delta_D: Matrix, T: float) -> Matrix:
-    """K = T/2 Delta_D^{-1} of (8), m x m, m/N; Delta_D in N*s/m, T in s."""
-    return symmetric_part(T / 2.0 * np.linalg.inv(Delta_D))
+def loop_gain(Delta_D: ArrayLike, T: float, kappa: float = 0.5) -> Matrix:
+    """K = kappa T Delta_D^{-1} of the loop transformation, m x m, m/N; kappa = 1/2, without delay, is (8).
+
+    Args:
+        Delta_D: symmetric positive definite, N*s/m.
+        T: period, s.
+        kappa: dimensionless.
+
+    Example:
+        >>> from manyhands import passivity
+        >>> passivity.loop_gain([[1.37]], T=0.001).round(6).tolist()
+        [[0.000365]]
+    """
+    return symmetric_part(kappa * T * np.linalg.inv(matrix(Delta_D)))
 
 
 def transformed_device(G: StateSpace, K: Matrix, T: float) -> StateSpace:
-    """G_hat = (z-1)/(Tz) [G + K], from force (N) to velocity (m/s)."""
+    """G_hat = (z-1)/(Tz) [G + K], from force (N) to velocity (m/s).
+
+    Example:
+        >>> from manyhands import passivity
+        >>> G = passivity.StateSpace([[0.5]], [[0.001]], [[1.0]], [[0.0]])
+        >>> passivity.transformed_device(G, passivity.loop_gain([[1.37]], 0.001), T=0.001)
+        StateSpace(A=[2 x 2], B=[2 x 1], C=[1 x 2], D=0.364964)
+    """
     return _difference(StateSpace(G.A, G.B, G.C, G.D + K), T)
 
 
@@ -189,6 +249,12 @@ def transformed_coupling(V: StateSpace, K: Matrix, T: float) -> StateSpace:
     """V_hat = (z-1)/(Tz) [V - K], from force (N) to velocity (m/s), in the realisation (12).
 
     The state is (xi, u_{k-1}): the state of V, then the force of the tick before.
+
+    Example:
+        >>> from manyhands import passivity
+        >>> V, K = passivity.StateSpace.static([[1.0 / 1000.0]]), passivity.loop_gain([[1.37]], 0.001)
+        >>> passivity.analyse(passivity.transformed_coupling(V, K, T=0.001)).holds
+        True
     """
     return _difference(StateSpace(V.A, V.B, V.C, V.D - K), T)
 
@@ -198,6 +264,12 @@ def transformed_environment(E: StateSpace, T: float) -> StateSpace:
 
     This realisation is general, but not minimal if the state of E contains x_e already. A network has a minimal one,
     :meth:`manyhands.design.models.network.Network.transformed_environment`.
+
+    Example:
+        >>> from manyhands import passivity
+        >>> wall = passivity.StateSpace.static([[1000.0]])
+        >>> passivity.analyse(passivity.transformed_environment(wall, T=0.001)).holds
+        True
     """
     n, m = E.order, E.inputs
     return StateSpace(

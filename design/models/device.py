@@ -17,10 +17,10 @@ checked separately from the intention.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import expm
 
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix
 
@@ -92,8 +92,25 @@ def zero_order_hold(system: StateSpace, T: float) -> StateSpace:
     exp([A B; 0 0] T) = [A_d B_d; 0 I].
     """
     n, p = system.order, system.inputs
-    exponential = expm(np.block([[system.A, system.B], [np.zeros((p, n + p))]]) * T)
-    return StateSpace(exponential[:n, :n], exponential[:n, n:], system.C, system.D)
+    step = exponential_less_identity(np.block([[system.A, system.B], [np.zeros((p, n + p))]]) * T)[:n]
+    return StateSpace(step[:, :n] + np.eye(n), step[:, n:], system.C, system.D)
+
+
+def exponential_less_identity(X: Matrix) -> Matrix:
+    """exp(X) - I, with an error that is small against X: Taylor's series of X 2^-s, and s doublings.
+
+    With Q(t) = exp(X t) - I, a doubling is Q(2t) = 2 Q(t) + Q(t) Q(t). For small t, exp(X t) itself would hold X in the
+    last digits of numbers near 1 only, and each squaring would double their error.
+    """
+    norm = float(np.abs(X).sum(axis=0).max(initial=0.0))
+    halvings = max(0, math.frexp(norm)[1] + 6)  # to a norm below 2^-6, where nine terms suffice
+    X = X * 0.5**halvings
+    Q = X
+    for k in range(9, 1, -1):
+        Q = X + X @ Q / k
+    for _ in range(halvings):
+        Q = 2.0 * Q + Q @ Q
+    return Q
 
 
 def held_device(

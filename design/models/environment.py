@@ -20,6 +20,7 @@ from typing import Literal, NoReturn, Protocol
 import numpy as np
 
 from manyhands.design.errors import Infeasible
+from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.integrators import Split, delayed_split, delayed_system, split_system
 from manyhands.design.models.network import Method, Network, NetworkLink, discretise, realise, substitute
 from manyhands.design.models.operators import Rational
@@ -90,6 +91,8 @@ class NetworkBox:
     low: Network
     high: Network
 
+    __repr__ = brief_repr
+
     def __post_init__(self) -> None:
         low, high = self.low, self.high
         same = (
@@ -154,6 +157,8 @@ class DelayedNetwork(WithoutEnergy):
     network: Network
     delay: int
 
+    __repr__ = brief_repr
+
     def __post_init__(self) -> None:
         if self.delay < 1:
             raise ValueError(f"expected a delay of a tick or more, found {self.delay}")
@@ -192,6 +197,8 @@ class StateSpaceEnvironment(_Discretised):
     system: StateSpace
     method: Method | None = None
     delay: int = 0
+
+    __repr__ = brief_repr
 
     def __post_init__(self) -> None:
         m = len(self.ports)
@@ -235,6 +242,8 @@ class TransferEnvironment(_Discretised):
     method: Literal["backward-euler", "tustin"] = "backward-euler"
     delay: int = 0
 
+    __repr__ = brief_repr
+
     def __post_init__(self) -> None:
         m = len(self.ports)
         if len(self.entries) != m or any(len(row) != m for row in self.entries):
@@ -269,6 +278,8 @@ class DeclaredEnvironment(WithoutEnergy):
     ports: tuple[str, ...]
     level: Matrix
     enforced: bool = True
+
+    __repr__ = brief_repr
 
     def __post_init__(self) -> None:
         m = len(self.ports)

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from manyhands.design.errors import Infeasible
+from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix, symmetric_part
 from manyhands.design.passivity.storage import storage_inequality
 
@@ -38,6 +39,8 @@ class Split:
 
     stiffness: Matrix
     rest: StateSpace
+
+    __repr__ = brief_repr
 
     def environment(self, T: float) -> StateSpace:
         """E with its integrators again, in the state (eta, u_): Rest's state and the displacement of the tick before.

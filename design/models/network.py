@@ -34,6 +34,8 @@ from typing import Literal
 import numpy as np
 
 from manyhands.design.errors import Infeasible
+from manyhands.design.models.brief import brief_repr
+from manyhands.design.models.device import zero_order_hold
 from manyhands.design.models.integrators import Split
 from manyhands.design.models.operators import Rational, companion_forms
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix, symmetric_part
@@ -51,6 +53,11 @@ class NetworkLink:
         ends: two of the network's ports, masses, or :data:`GROUND`.
         stiffness: k >= 0, N/m.
         damping: b >= 0, N*s/m.
+
+    Example:
+        >>> from manyhands import passivity
+        >>> passivity.NetworkLink(("hand", "ground"), stiffness=500.0, damping=0.2)
+        NetworkLink(ends=('hand', 'ground'), stiffness=500.0, damping=0.2)
     """
 
     ends: tuple[str, str]
@@ -70,11 +77,20 @@ class Network:
     Raises:
         ValueError: a name used twice, a link to an unknown end or to itself, a parameter that is negative or not
             finite, a mass that is not positive.
+
+    Example:
+        >>> from manyhands import passivity
+        >>> Link = passivity.NetworkLink
+        >>> ball = passivity.Network(("hand",), (("ball", 0.5),), (Link(("hand", "ball"), 2000.0, 0.3),))
+        >>> ball.environment(T=0.001)
+        StateSpace(A=[3 x 3], B=[3 x 1], C=[1 x 3], D=2289.47)
     """
 
     ports: tuple[str, ...]
     masses: tuple[tuple[str, float], ...]
     links: tuple[NetworkLink, ...]
+
+    __repr__ = brief_repr
 
     def __post_init__(self) -> None:
         names = [*self.ports, *(name for name, _ in self.masses), GROUND]
@@ -309,9 +325,6 @@ def discretise(system: StateSpace, method: Method, T: float) -> StateSpace:
     A, B, C, D = system.A, system.B, system.C, system.D
     n = system.order
     if method == "zoh":
-        # scipy is slow to import, and only this method needs it
-        from manyhands.design.models.device import zero_order_hold
-
         return zero_order_hold(system, T)
     step = T if method == "backward-euler" else T / 2.0
     if n and not np.linalg.cond(np.eye(n) - step * A) < _SINGULAR:

@@ -30,10 +30,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from manyhands.design.models.brief import brief_repr
 
 Matrix = NDArray[np.float64]
 
@@ -76,6 +78,13 @@ class StateSpace:
 
     Raises:
         ValueError: shapes that do not fit each other, or an entry that is not finite.
+
+    Example:
+        >>> from manyhands import passivity
+        >>> spring = passivity.StateSpace.static([[1.0 / 500.0]])      # m/N
+        >>> lag = passivity.StateSpace([[0.5]], [[1.0]], [[0.001]], [[0.0]])
+        >>> lag, float(lag.response(1.0)[0, 0].real)
+        (StateSpace(A=0.5, B=1, C=0.001, D=0), 0.002)
     """
 
     A: Matrix
@@ -83,6 +92,8 @@ class StateSpace:
     C: Matrix
     D: Matrix
     static_gain: Matrix | None = None
+
+    __repr__ = brief_repr
 
     def __post_init__(self) -> None:
         A = matrix(self.A)
@@ -123,6 +134,14 @@ class StateSpace:
         m, p = gain.shape
         return cls(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((m, 0)), gain)
 
+    @classmethod
+    def of(cls, system: HasMatrices) -> StateSpace:
+        """The matrices of any object with A, B, C and D: of ``control.ss``, ``scipy.signal.StateSpace`` and the like.
+
+        Its sample time is not kept: functions that depend on it have the argument ``time``.
+        """
+        return cls(system.A, system.B, system.C, system.D)
+
     @property
     def order(self) -> int:
         """Number n of states."""
@@ -151,6 +170,59 @@ class StateSpace:
             outputs[k] = self.C @ state + self.D @ u
             state = self.A @ state + self.B @ u
         return outputs
+
+
+class HasMatrices(Protocol):
+    """A linear system of any library, by its matrices."""
+
+    @property
+    def A(self) -> Any:
+        """N x n."""
+
+    @property
+    def B(self) -> Any:
+        """N x p."""
+
+    @property
+    def C(self) -> Any:
+        """M x n."""
+
+    @property
+    def D(self) -> Any:
+        """M x p."""
+
+
+class LinearSystem(NamedTuple):
+    """A linear system with its sample time, in the form that other libraries take: ``control.ss(*system)``.
+
+    SciPy takes it as it is, as in ``scipy.signal.dstep(system)``.
+
+    Attributes:
+        A: n x n.
+        B: n x p.
+        C: m x n.
+        D: m x p.
+        dt: the sample time, s; 0 for continuous time.
+
+    Example:
+        >>> import manyhands as mh
+        >>> import scipy.signal
+        >>> V = mh.design(mh.load("example1")).V
+        >>> V
+        LinearSystem(3 states, 3 inputs, 3 outputs, dt=0.001)
+        >>> scipy.signal.dstep(V, n=3)[1][0][:, 0].round(6)     # m, after a step of 1 N at the first port
+        array([0.00073 , 0.000868, 0.000895])
+    """
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+    dt: float
+
+    def __repr__(self) -> str:
+        n, (m, p) = len(self.A), self.D.shape
+        return f"LinearSystem({n} states, {p} inputs, {m} outputs, dt={self.dt:g})"
 
 
 def frequency_response(system: StateSpace, angles: Matrix) -> NDArray[np.complex128]:

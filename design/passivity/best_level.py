@@ -27,10 +27,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
-import cvxpy as cp
 import numpy as np
 
+from manyhands.design import convex as cp
 from manyhands.design.errors import Infeasible, SolverFailure
+from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import Partition
 from manyhands.design.models.statespace import Matrix, StateSpace, Time, in_discrete_time, symmetric_part
 from manyhands.design.passivity.frequency import (
@@ -81,6 +82,8 @@ class ProvedLevel:
     value: float
     P: Matrix
     bound: float | None
+
+    __repr__ = brief_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,6 +283,12 @@ def greatest_output_level(
         Infeasible: no level of this shape exists.
         ValueError: an argument has the wrong shape, or the output is zero in some direction, where any level holds.
         SolverFailure: the solver gave no usable answer.
+
+    Example:
+        >>> from manyhands import passivity
+        >>> lag = passivity.StateSpace([[0.5]], [[0.5]], [[1.0]], [[1.0]])
+        >>> print(f"{passivity.greatest_output_level(lag).value:.4f}")
+        0.5000
     """
     return _greatest(system, shape, "output", Phi, time)
 
@@ -299,6 +308,12 @@ def greatest_input_level(
         Infeasible: no level of this shape exists, as for an unstable system.
         ValueError: an argument has the wrong shape.
         SolverFailure: the solver gave no usable answer.
+
+    Example:
+        >>> from manyhands import passivity
+        >>> lag = passivity.StateSpace([[0.5]], [[0.5]], [[1.0]], [[1.0]])
+        >>> print(f"{passivity.greatest_input_level(lag).value:.4f}")
+        0.6667
     """
     return _greatest(system, shape, "input", Delta, time)
 

@@ -28,6 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from manyhands.design.errors import Infeasible, SolverFailure
+from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.statespace import (
     Matrix,
     StateSpace,
@@ -53,11 +54,18 @@ class Dissipative:
 
     Raises:
         ValueError: P or Delta has the wrong shape, P is not positive definite, or N(P) <= 0 fails.
+
+    Example:
+        >>> from manyhands import passivity
+        >>> passivity.mass_with_damping([[0.2]], [[1.37]])
+        Dissipative(system=StateSpace(A=-6.85, B=5, C=1, D=0), P=0.1, Delta=1.37)
     """
 
     system: StateSpace
     P: Matrix
     Delta: Matrix
+
+    __repr__ = brief_repr
 
     def __post_init__(self) -> None:
         n = self.system.order
@@ -91,6 +99,13 @@ def continuous_storage_inequality(
         P: n x n symmetric.
         Delta: m x m, output level.
         Phi: m x m, input level.
+
+    Example:
+        >>> import numpy as np
+        >>> from manyhands import passivity
+        >>> device = passivity.mass_with_damping([[0.2]], [[1.37]])
+        >>> passivity.continuous_storage_inequality(device.system, device.P, device.Delta).round(12).tolist()
+        [[0.0, 0.0], [0.0, 0.0]]
     """
     Delta, Phi = checked_levels(system, Delta, Phi)
     A, B, C, D = system.A, system.B, system.C, system.D
@@ -113,6 +128,12 @@ def device_level(system: StateSpace, shape: Shape = "matrix") -> ProvedLevel:
     Raises:
         Infeasible: no level of this shape exists.
         SolverFailure: the solver gave no usable answer.
+
+    Example:
+        >>> from manyhands import passivity
+        >>> device = passivity.mass_with_damping([[0.2]], [[1.37]])
+        >>> print(f"{passivity.device_level(device.system).value:.3f} N*s/m")
+        1.370 N*s/m
     """
     return greatest_output_level(system, shape, time="continuous")
 
@@ -126,6 +147,11 @@ def mass_with_damping(mass: Matrix, damping: Matrix) -> Dissipative:
 
     Raises:
         ValueError: wrong shapes, or M not symmetric positive definite.
+
+    Example:
+        >>> from manyhands import passivity
+        >>> passivity.mass_with_damping(mass=[[0.2]], damping=[[1.37]]).Delta.tolist()
+        [[1.37]]
     """
     M = matrix(mass)
     m = M.shape[0]
@@ -142,6 +168,12 @@ def passive_operator(system: StateSpace) -> Dissipative:
     Raises:
         Infeasible: the hand is not passive.
         SolverFailure: the hand is too near to the edge for a decision.
+
+    Example:
+        >>> from manyhands import passivity
+        >>> hand = passivity.StateSpace([[-10.0]], [[1.0]], [[20.0]], [[1.0]])      # a damper behind a spring
+        >>> passivity.passive_operator(hand).Delta.tolist()
+        [[0.0]]
     """
     return _proved(system, np.zeros((system.inputs, system.inputs)), "the hand is not a passive operator")
 
@@ -152,6 +184,13 @@ def device_with_level(system: StateSpace, Delta_D: Matrix) -> Dissipative:
     Raises:
         Infeasible: the device is not Delta_D-OSP.
         SolverFailure: the device is too near to the edge for a decision.
+
+    Example:
+        >>> import numpy as np
+        >>> from manyhands import passivity
+        >>> system = passivity.mass_with_damping([[0.2]], [[1.37]]).system
+        >>> passivity.device_with_level(system, np.array([[1.0]])).Delta.tolist()
+        [[1.0]]
     """
     return _proved(system, Delta_D, "the device is not output strictly passive with this level")
 
@@ -175,6 +214,13 @@ def feedback_with_passive(device: StateSpace, operator: StateSpace) -> StateSpac
 
     Raises:
         ValueError: sizes differ, or the algebraic loop I + D_D D_H is singular.
+
+    Example:
+        >>> from manyhands import passivity
+        >>> hand = passivity.StateSpace([[-10.0]], [[1.0]], [[20.0]], [[1.0]])
+        >>> device = passivity.mass_with_damping([[0.2]], [[1.37]]).system
+        >>> passivity.feedback_with_passive(device, hand)
+        StateSpace(A=[2 x 2], B=[2 x 1], C=[1 x 2], D=0)
     """
     m = device.inputs
     if {device.outputs, operator.inputs, operator.outputs} != {m}:
@@ -204,6 +250,13 @@ def lemma3(device: Dissipative, operator: Dissipative) -> Dissipative:
 
     Raises:
         ValueError: sizes differ, the loop is not well posed, or the hand's level is not >= 0.
+
+    Example:
+        >>> from manyhands import passivity
+        >>> hand = passivity.StateSpace([[-10.0]], [[1.0]], [[20.0]], [[1.0]])
+        >>> device = passivity.mass_with_damping([[0.2]], [[1.37]])
+        >>> passivity.lemma3(device, passivity.passive_operator(hand)).Delta.tolist()
+        [[1.37]]
     """
     if float(np.linalg.eigvalsh(operator.Delta)[0]) < 0.0:
         raise ValueError("found a hand with a negative output level, expected a passive hand")
@@ -212,7 +265,14 @@ def lemma3(device: Dissipative, operator: Dissipative) -> Dissipative:
 
 
 def theorem1(devices: Sequence[Dissipative]) -> Dissipative:
-    """Devices (held or not) side by side: blockdiag(Delta_Di)-OSP (6), with the sum of their storages, checked."""
+    """Devices (held or not) side by side: blockdiag(Delta_Di)-OSP (6), with the sum of their storages, checked.
+
+    Example:
+        >>> from manyhands import passivity
+        >>> two = [passivity.mass_with_damping([[0.2]], [[b]]) for b in (1.37, 2.0)]
+        >>> passivity.theorem1(two).Delta.tolist()
+        [[1.37, 0.0], [0.0, 2.0]]
+    """
     return Dissipative(
         parallel_blocks([device.system for device in devices]),
         block_diagonal([device.P for device in devices]),

@@ -46,12 +46,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cvxpy as cp
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import matrix_balance, solve_discrete_lyapunov
 
+from manyhands.design import convex as cp
 from manyhands.design.errors import SolverFailure
+from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.statespace import (
     Matrix,
     StateSpace,
@@ -331,6 +332,8 @@ class Analysis:
     reason: str
     frequency: float | None = None
 
+    __repr__ = brief_repr
+
 
 def analyse(
     system: StateSpace, Delta: Matrix | None = None, Phi: Matrix | None = None, time: Time = "discrete"
@@ -346,6 +349,13 @@ def analyse(
     Raises:
         ValueError: the system is not square, or a level is not symmetric m x m.
         SolverFailure: the system is too near to the edge for a decision in floating point.
+
+    Example:
+        >>> import numpy as np
+        >>> from manyhands import passivity
+        >>> lag = passivity.StateSpace([[0.5]], [[0.5]], [[1.0]], [[1.0]])
+        >>> passivity.analyse(lag).holds, passivity.analyse(lag, Delta=np.array([[1.0]])).holds
+        (True, False)
     """
     Delta, Phi = checked_levels(system, Delta, Phi)
     discrete, rate = in_discrete_time(system, time)

@@ -22,9 +22,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import cvxpy as cp
 import numpy as np
 
+from manyhands.design import convex as cp
 from manyhands.design.errors import SolverFailure
 from manyhands.design.models.statespace import Matrix, StateSpace, symmetric_part
 from manyhands.design.passivity.lemma1 import checked_levels, scaled, verified_margin
@@ -42,6 +42,14 @@ def lemma2_matrix(system: StateSpace, Q: Matrix, Delta: Matrix, Phi: Matrix | No
 
     Raises:
         ValueError: Delta is not positive definite, or a level of the wrong shape.
+
+    Example:
+        >>> import numpy as np
+        >>> from manyhands import passivity
+        >>> lag, Delta = passivity.StateSpace([[0.5]], [[0.5]], [[1.0]], [[1.0]]), np.array([[0.2]])
+        >>> Q = np.linalg.inv(passivity.storage_by_lemma2(lag, Delta))
+        >>> bool(np.linalg.eigvalsh(passivity.lemma2_matrix(lag, Q, Delta))[0] > 0.0)
+        True
     """
     Delta, Phi = _strict_levels(system, Delta, Phi)
     n, m = system.order, system.inputs
@@ -58,7 +66,16 @@ def lemma2_matrix(system: StateSpace, Q: Matrix, Delta: Matrix, Phi: Matrix | No
 
 
 def schur_matrix(system: StateSpace, P: Matrix, Delta: Matrix, Phi: Matrix | None = None) -> Matrix:
-    """The matrix of (4), (2n+2m) x (2n+2m), for P > 0; arguments as in :func:`lemma2_matrix`."""
+    """The matrix of (4), (2n+2m) x (2n+2m), for P > 0; arguments as in :func:`lemma2_matrix`.
+
+    Example:
+        >>> import numpy as np
+        >>> from manyhands import passivity
+        >>> lag, Delta = passivity.StateSpace([[0.5]], [[0.5]], [[1.0]], [[1.0]]), np.array([[0.2]])
+        >>> P = passivity.storage_by_lemma2(lag, Delta)
+        >>> bool(np.linalg.eigvalsh(passivity.schur_matrix(lag, P, Delta))[0] > 0.0)
+        True
+    """
     n, m = system.order, system.inputs
     Q: Matrix = np.asarray(np.linalg.inv(P), dtype=np.float64)
     congruence = np.eye(2 * n + 2 * m)
@@ -79,6 +96,14 @@ def lemma2_expression(Q: Any, AQ: Any, B: Any, CQ: Any, D: Any, Sigma: Any, Phi:
         D: m x m.
         Sigma: m x m, Delta^{-1}.
         Phi: m x m.
+
+    Example:
+        >>> import cvxpy as cp
+        >>> import numpy as np
+        >>> from manyhands import passivity
+        >>> Q, one = cp.Variable((1, 1), symmetric=True), np.eye(1)
+        >>> passivity.lemma2_expression(Q, 0.5 * Q, 0.5 * one, Q, one, 5.0 * one, 0.0 * one).shape
+        (4, 4)
     """
     n, m = B.shape
     corner = (D + D.T) / 2 - Phi
@@ -106,6 +131,15 @@ def storage_by_lemma2(system: StateSpace, Delta: Matrix, Phi: Matrix | None = No
     Raises:
         ValueError: Delta is not positive definite, or a level of the wrong shape.
         SolverFailure: the solver's Q does not survive its check in Lemma 1.
+
+    Example:
+        >>> import numpy as np
+        >>> from manyhands import passivity
+        >>> lag = passivity.StateSpace([[0.5]], [[0.5]], [[1.0]], [[1.0]])
+        >>> Delta = np.array([[0.2]])
+        >>> Q = passivity.storage_by_lemma2(lag, Delta)
+        >>> Q is not None
+        True
     """
     Delta, Phi = _strict_levels(system, Delta, Phi)
     units = scaled(system)

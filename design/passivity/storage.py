@@ -41,6 +41,14 @@ def storage_inequality(system: StateSpace, P: Matrix, Delta: Matrix | None = Non
         P: n x n symmetric.
         Delta: m x m, output level.
         Phi: m x m, input level.
+
+    Example:
+        >>> import numpy as np
+        >>> from manyhands import passivity
+        >>> lag = passivity.StateSpace([[0.5]], [[0.5]], [[1.0]], [[1.0]])
+        >>> P = passivity.analyse(lag).P
+        >>> bool(np.linalg.eigvalsh(passivity.storage_inequality(lag, P))[-1] < 0.0)
+        True
     """
     A, B, C, D = system.A, system.B, system.C, system.D
     m = system.inputs

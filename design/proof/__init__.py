@@ -6,8 +6,8 @@ exact rational numbers, rebuilds E_hat and V_hat from the physical data, and pro
 and the parties, and the arithmetic last. ``world`` proves the certificate of a world, and that certificates meet it.
 """
 
-from manyhands.design.proof.finding import Finding, ProofInputError
+from manyhands.design.proof.finding import Finding, Proof, ProofInputError
 from manyhands.design.proof.prove import prove
 from manyhands.design.proof.world import prove_together, prove_world
 
-__all__ = ["Finding", "ProofInputError", "prove", "prove_together", "prove_world"]
+__all__ = ["Finding", "Proof", "ProofInputError", "prove", "prove_together", "prove_world"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 class ProofInputError(ValueError):
@@ -33,6 +33,38 @@ class Finding:
     argument: str = ""
     enforced: bool = False
     assumed: bool = False
+
+    def about(self, prefix: str) -> Finding:
+        """The same finding, with ``prefix`` before its condition."""
+        return replace(self, condition=prefix + self.condition)
+
+
+@dataclass(frozen=True)
+class Proof:
+    """The findings about one certificate; true if all of them hold.
+
+    Attributes:
+        subject: what was proved, for the reader.
+        findings: in the order of the proof.
+    """
+
+    subject: str
+    findings: tuple[Finding, ...]
+
+    @property
+    def failing(self) -> tuple[Finding, ...]:
+        """The findings that do not hold."""
+        return tuple(finding for finding in self.findings if not finding.holds)
+
+    def __bool__(self) -> bool:
+        return not self.failing
+
+    def __repr__(self) -> str:
+        if not self.failing:
+            return f"Proof({self.subject}: proved, {len(self.findings)} findings)"
+        first = self.failing[0]
+        because = f" ({first.argument})" if first.argument else ""
+        return f"Proof({self.subject}: not proved, {first.condition}: found {first.value:.6g}{because})"
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from manyhands.design.synthesis import design
 
 from ..support.cases import cases
 
-CASES = int(os.environ.get("MANYHANDS_SOUNDNESS_CASES", cases(60, 300)))
+CASES = int(os.environ.get("MANYHANDS_SOUNDNESS_CASES", cases(40, 300)))
 HANDS = 4  # hands and forgeries are cheap, designs are not
 FORGERIES = 5
 # Positions at rest have an eigenvalue 1, and 1 twice where masses drift: rounding splits that by its root, 1.5e-8 of

@@ -16,6 +16,8 @@ from manyhands.design.models.statespace import Matrix, StateSpace
 from manyhands.design.problem import HapticLoop
 from manyhands.design.theorem3 import certify_given, devices, joint_levels
 
+from ..support.cases import cases
+
 NO_SHRINKING = [Phase.generate]  # shrinking semidefinite programs takes minutes
 
 
@@ -70,7 +72,7 @@ def test_the_joint_program_agrees_on_the_papers_couplings(
 
 
 @given(st.data())
-@settings(max_examples=40, phases=NO_SHRINKING)
+@settings(max_examples=cases(20, 40), phases=NO_SHRINKING)
 def test_the_joint_program_and_the_exact_way_agree_on_random_loops(problems, data: st.DataObject) -> None:
     """One semidefinite program over everything, against closed form and level set; masses that drift are among them."""
     loop = data.draw(problems.loops(tied=data.draw(st.booleans())))

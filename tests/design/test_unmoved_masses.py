@@ -35,7 +35,9 @@ from manyhands.design.problem import (
 from manyhands.design.proof import prove
 from manyhands.design.synthesis import design
 
-SESSIONS = int(os.environ.get("MANYHANDS_UNMOVED_SESSIONS", "20"))  # of each class
+from ..support.cases import cases
+
+SESSIONS = int(os.environ.get("MANYHANDS_UNMOVED_SESSIONS", cases(10, 20)))  # of each class
 NEAR_K = 1e-3  # V of the other code's static spring is this part above the loop gain K
 ENOUGH = 3e-4  # of Delta_D: the margin of (10) from which the other code calls a session feasible
 
@@ -233,6 +235,7 @@ def sessions(linear: bool) -> Iterator[LoopCase]:
         yield LoopCase(loop, network, delay, random_request(rng, loop, linear))
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("linear", [False, True], ids=["spring-damper", "linear"])
 def test_what_an_lmi_of_other_code_finds_feasible_is_certified(linear: bool) -> None:
     certified, drawn, refused, late = 0, 0, [], 0

@@ -10,6 +10,7 @@ from scipy.signal import cont2discrete
 from manyhands.design.models.device import HeldDevice, held_device, zero_order_hold
 from manyhands.design.models.operators import RationalMatrix
 from manyhands.design.models.statespace import StateSpace
+from tests.support.exponential import errors
 
 FINE = 400  # substeps of a tick, for integrals by Simpson's rule
 
@@ -34,6 +35,29 @@ def test_the_sampling_is_exact(problems, data: st.DataObject, T: float) -> None:
         np.testing.assert_allclose(mine, scipys, rtol=1e-10, atol=1e-12)
     halves = zero_order_hold(continuous, T / 2.0)
     np.testing.assert_allclose(halves.A @ halves.A, found.A, rtol=1e-9, atol=1e-11)
+
+
+@given(st.data(), st.sampled_from([1e-9, 1e-5, 1e-3, 5e-3]))
+@settings(max_examples=40)
+def test_the_exponential_is_exact_to_the_last_digit(problems, data: st.DataObject, T: float) -> None:
+    device = data.draw(held(problems))
+    system = device.continuous()
+    below = np.zeros((system.inputs, system.order + system.inputs))
+    found = errors(np.vstack([np.hstack([system.A, system.B]), below]) * T)
+    assert found.ours <= 4.0 * np.finfo(float).eps
+
+
+@pytest.mark.parametrize("norm", [1.0, 10.0, 100.0, 1000.0])
+def test_the_exponential_of_a_stiff_system_is_as_exact_as_scipys(norm: float) -> None:
+    """Modes that die within a period, beside slow ones: there a squaring costs digits, and ours has more of them."""
+    rng = np.random.default_rng(3)
+    for _ in range(10):
+        n = int(rng.integers(2, 10))
+        damped, turning = rng.normal(size=(2, n, n))
+        A = 3.0 * (turning - turning.T) - damped @ damped.T
+        A *= norm / np.abs(A).sum(axis=0).max()
+        ours, scipys = errors(np.block([[A, norm * rng.normal(size=(n, 2))], [np.zeros((2, n + 2))]]))
+        assert ours <= max(2.0 * scipys, 8.0 * np.finfo(float).eps)
 
 
 @given(st.data(), st.integers(0, 2**32 - 1))

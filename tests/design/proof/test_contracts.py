@@ -22,7 +22,7 @@ from manyhands.design.problem import DeviceLevel, HapticLoop, SpringDamperWanted
 from manyhands.design.proof import ProofInputError, prove, prove_together, prove_world
 from manyhands.design.synthesis import design
 from manyhands.design.wave_link import WaveLinkFace, WorldPromise, in_tick_id, wave_link_id
-from manyhands.design.world import world_content
+from manyhands.design.world import world_content, world_terms
 from manyhands.design.world_synthesis import design_world
 
 from ...support.cases import cases
@@ -96,7 +96,7 @@ def in_tick() -> Data:
 def world() -> Data:
     links = [NetworkLink((port, "hub"), 3000.0, 0.2) for port in PORTS] + [NetworkLink(("hub", GROUND), 2600.0, 0.5)]
     network = Network(PORTS, (("hub", 3.0),), tuple(links))
-    made = design_world("test", T, network, Partition(("cab", "cc"), ((0, 1), (2,))), {"cab": (B, TANK)})
+    made = design_world(world_terms("test", T, network, Partition(("cab", "cc"), ((0, 1), (2,))), {"cab": (B, TANK)}))
     return {"id": made.id, **world_content(made)}
 
 
