@@ -7,25 +7,35 @@ shows before any design how much stiffness a faster transport or a shorter perio
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from manyhands.design.budget import Felt, Stiffness, environment_share, felt_over, stiffest
 from manyhands.design.files import replacing
+from manyhands.design.models.brief import brief_names, brief_repr
 from manyhands.design.models.environment import StateSpaceEnvironment
 from manyhands.design.models.statespace import Matrix
 from manyhands.design.problem import HapticLoop
+from manyhands.extras import require
 from manyhands.launch.files import TargetError, require_target
+from manyhands.launch.plan.prepare import haptic_loop
 from manyhands.launch.plan.sites import site
+from manyhands.launch.recordings.recording import data_frame
 from manyhands.launch.session import Session
 from manyhands.nodes.json_number import json_number
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.axes import Axes
+    from matplotlib.lines import Line2D
 
 TICK_PARTS = (0.0, 0.125, 0.25, 0.5, 0.75, 1.0)  # the delays shown, in periods, besides the session's own delay
 PERIODS = (0.25e-3, 0.5e-3, 1e-3, 2e-3, 4e-3)  # s: the periods shown, besides the session's own period
@@ -59,6 +69,8 @@ class DeviceBudget:
     against_delay: tuple[Stiffness, ...]
     against_period: tuple[Stiffness, ...]
 
+    __repr__ = brief_repr
+
 
 @dataclass(frozen=True, eq=False)
 class DelayBudget:
@@ -70,12 +82,74 @@ class DelayBudget:
         share_at: the share of the devices' levels that the environment takes at a period (s); 0 for a passive
             environment, infinite for one with which nothing can be certified.
         devices: one budget for each device.
+        wave_links: what is felt at most over each wave link.
     """
 
     loop: HapticLoop
     periods: tuple[float, ...]
     share_at: Callable[[float], float]
     devices: tuple[DeviceBudget, ...]
+    wave_links: tuple[WaveLinkBudget, ...] = ()
+
+    def at(self, tau: float, T: float | None = None) -> dict[str, Stiffness]:
+        """The stiffness that can be certified for each device, by name.
+
+        Args:
+            tau: the longest delay inside the tick, s, 0 ... T.
+            T: period, s; by default the session's.
+
+        Raises:
+            ValueError: T is not positive and finite, or tau is outside 0 ... T.
+
+        Example:
+            >>> import manyhands as mh
+            >>> budget = mh.budget(mh.load("example1"))
+            >>> [round(budget.at(tau)["dx"].certified) for tau in (0.0, 0.0005, 0.001)]       # N/m
+            [2740, 1096, 685]
+        """
+        period = self.loop.period if T is None else T
+        if not 0.0 < period < np.inf:
+            raise ValueError(f"T: found {period!r} s, expected a finite positive period")
+        share = self.share_at(period)
+        return {device.name: _limits(self.loop, device.level, period, tau, share) for device in self.devices}
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """The budget against the delay, at the session's period, as a table: a row for each device and delay.
+
+        The columns are ``device``, ``T_s``, ``tau_s``, ``certified_N/m``, ``colgate_N/m`` and ``kappa``, which is NaN
+        where nothing can be certified.
+        """
+        rows = [(device.name, row) for device in self.devices for row in device.against_delay]
+        return {
+            "device": np.array([name for name, _ in rows]),
+            "T_s": np.array([row.T for _, row in rows]),
+            "tau_s": np.array([row.tau for _, row in rows]),
+            "certified_N/m": np.array([row.certified for _, row in rows]),
+            "colgate_N/m": np.array([row.colgate for _, row in rows]),
+            "kappa": np.array([np.nan if row.kappa is None else row.kappa for _, row in rows]),
+        }
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The table of :meth:`columns` as a data frame.
+
+        Raises:
+            RecordingError: pandas is not installed.
+        """
+        return data_frame(self.columns())
+
+    def __repr__(self) -> str:
+        limits = [f"{name} {row.certified:.4g} N/m" for name, row in self.at(self.loop.tau).items()]
+        T, tau = self.loop.period, self.loop.tau
+        return f"DelayBudget({self.loop.session}: T = {T:g} s, tau = {tau:g} s, {brief_names(limits)})"
+
+
+def session_budget(session: Session) -> DelayBudget:
+    """The budget of every device of a session, and of its wave links.
+
+    Raises:
+        NotCertified: the delay is to be measured, and has not been.
+    """
+    return replace(budget(haptic_loop(session)), wave_links=wave_link_budgets(session))
 
 
 def budget(loop: HapticLoop, share_at: Callable[[float], float] | None = None) -> DelayBudget:
@@ -135,6 +209,8 @@ class WaveLinkBudget:
     tau: float
     round_trip: float | None
     at: Callable[[float, float], Felt]
+
+    __repr__ = brief_repr
 
     @property
     def round_trips(self) -> tuple[float, ...]:
@@ -281,7 +357,7 @@ def _environment_text(found: DelayBudget) -> str:
     return f"The environment takes {share:.1%} of what the devices dissipate; the certified limits leave it that."
 
 
-def plot_budget(found: DelayBudget, path: Path, links: Sequence[WaveLinkBudget] = ()) -> None:
+def plot_budget(found: DelayBudget, path: Path) -> None:
     """Plot the stiffness over the delay for several periods, certified and Colgate's, with a panel for each level.
 
     With wave links the picture is about them instead: what is felt over the round trip, with a panel for each link.
@@ -290,90 +366,121 @@ def plot_budget(found: DelayBudget, path: Path, links: Sequence[WaveLinkBudget] 
         TargetError: the suffix is not that of a plot, or the folder does not exist.
     """
     require_picture(path)
-    if links:
-        _plot_wave_links(found.loop.session, links[:_MOST_PANELS], path)
+    if found.wave_links:
+        _plot_wave_links(found.loop.session, found.wave_links[:_MOST_PANELS], path)
         return
-    # the plotter takes most of a second to import; the tables do not need it
-    from matplotlib import colormaps
-    from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+    from matplotlib.figure import Figure  # the plotter takes most of a second to import; the tables do not need it
 
-    loop = found.loop
     panels = _groups(found.devices)[:_MOST_PANELS]
-    periods = _periods(loop, [part * loop.period for part in _PLOTTED_PERIODS])
     figure = Figure(figsize=(8.0, 0.6 + 3.6 * len(panels)), layout="constrained", facecolor="white")
     rows = figure.subplots(len(panels), 1, squeeze=False, sharex=True)[:, 0]
-    colours = colormaps["viridis"](np.linspace(0.0, 0.8, len(periods)))  # dark to light, distinct in grey too
     for axes, (names, device) in zip(rows, panels, strict=True):
-        for T, colour in zip(periods, colours, strict=True):
-            delays = np.linspace(0.0, T, _PLOTTED_DELAYS)
-            curve = [_limits(loop, device.level, T, float(min(tau, T)), found.share_at(T)) for tau in delays]
-            certified = np.array([row.certified if row.certified > 0.0 else np.nan for row in curve])
-            axes.plot(1e3 * delays, certified, color=colour, linewidth=1.8)
-            axes.plot(1e3 * delays, [row.colgate for row in curve], color=colour, linewidth=1.2, linestyle="--")
-        own = next(row for row in device.against_delay if row.tau == loop.tau)
-        if own.certified > 0.0:
-            axes.plot(1e3 * own.tau, own.certified, "o", color="black", markersize=6, clip_on=False, zorder=5)
-        axes.set_yscale("log")
-        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        axes.yaxis.set_minor_formatter(NullFormatter())
+        draw_budget(axes, found, device)
         axes.set_title(names, loc="left", fontsize="medium")
-        axes.set_ylabel("stiffness [N/m]")
-        axes.grid(alpha=0.3, which="both")
-        axes.set_xlim(0.0, 1e3 * periods[-1])
-    rows[-1].set_xlabel("delay τ inside the tick [ms]")
-    keys = [Line2D([], [], color=c, label=f"T = {_ms(T)} ms") for T, c in zip(periods, colours, strict=True)]
-    keys += [
+        axes.set_xlabel("delay τ inside the tick [ms]" if axes is rows[-1] else "")
+    figure.legend(handles=budget_keys(found), loc="outside lower center", ncols=4, fontsize="small", frameon=False)
+    figure.suptitle(f"{found.loop.session}: stiffest coupling", x=0.01, ha="left", fontsize="medium")
+    with replacing(path) as file:
+        figure.savefig(file, format=path.suffix[1:], dpi=130)
+
+
+def draw_budget(axes: Axes, found: DelayBudget, device: DeviceBudget) -> None:
+    """Draw the stiffness of one device over the delay, a colour for each period; solid certified, dashed Colgate's."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    loop, periods = found.loop, _plotted_periods(found)
+    for T, colour in zip(periods, _colours(len(periods)), strict=True):
+        delays = np.linspace(0.0, T, _PLOTTED_DELAYS)
+        curve = [_limits(loop, device.level, T, float(min(tau, T)), found.share_at(T)) for tau in delays]
+        certified = np.array([row.certified if row.certified > 0.0 else np.nan for row in curve])
+        axes.plot(1e3 * delays, certified, color=colour, linewidth=1.8)
+        axes.plot(1e3 * delays, [row.colgate for row in curve], color=colour, linewidth=1.2, linestyle="--")
+    own = next(row for row in device.against_delay if row.tau == loop.tau)
+    if own.certified > 0.0:
+        axes.plot(1e3 * own.tau, own.certified, "o", color="black", markersize=6, clip_on=False, zorder=5)
+    axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.set_title(device.name, loc="left", fontsize="medium")
+    axes.set_xlabel("delay τ inside the tick [ms]")
+    axes.set_ylabel("stiffness [N/m]")
+    axes.grid(alpha=0.3, which="both")
+    axes.set_xlim(0.0, 1e3 * periods[-1])
+
+
+def budget_keys(found: DelayBudget) -> list[Line2D]:
+    """What the lines of :func:`draw_budget` mean, for a legend."""
+    from matplotlib.lines import Line2D
+
+    periods = _plotted_periods(found)
+    keys = [
+        Line2D([], [], color=colour, label=f"T = {_ms(T)} ms")
+        for T, colour in zip(periods, _colours(len(periods)), strict=True)
+    ]
+    return [
+        *keys,
         Line2D([], [], color="0.3", linewidth=1.8, label="certified below"),
         Line2D([], [], color="0.3", linewidth=1.2, linestyle="--", label="Colgate's limit"),
         Line2D([], [], color="black", marker="o", linestyle="", label="this session"),
     ]
-    figure.legend(handles=keys, loc="outside lower center", ncols=4, fontsize="small", frameon=False)
-    figure.suptitle(f"{loop.session}: stiffest coupling", x=0.01, ha="left", fontsize="medium")
-    with replacing(path) as file:
-        figure.savefig(file, format=path.suffix[1:], dpi=130)
+
+
+def _plotted_periods(found: DelayBudget) -> tuple[float, ...]:
+    return _periods(found.loop, [part * found.loop.period for part in _PLOTTED_PERIODS])
+
+
+def _colours(count: int) -> Any:
+    """Dark to light, distinct in grey too."""
+    from matplotlib import colormaps
+
+    return colormaps["viridis"](np.linspace(0.0, 0.8, count))
 
 
 def _plot_wave_links(name: str, links: Sequence[WaveLinkBudget], path: Path) -> None:
-    """Plot the felt stiffness over the round trip, at each period of the site, beside the loop through the delay."""
-    from matplotlib import colormaps
+    """Plot the felt stiffness over the round trip, with a panel for each link."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8.0, 0.6 + 3.6 * len(links)), layout="constrained", facecolor="white")
     rows = figure.subplots(len(links), 1, squeeze=False, sharex=True)[:, 0]
-    times = np.geomspace(ROUND_TRIPS[0], ROUND_TRIPS[-1], _PLOTTED_DELAYS)
     for axes, link in zip(rows, links, strict=True):
-        colours = colormaps["viridis"](np.linspace(0.0, 0.8, len(link.periods)))
-        for T, colour in zip(link.periods, colours, strict=True):
-            curve = np.array([link.at(T, float(R)).felt for R in times])
-            label = f"felt, site at {1e-3 / T:.3g} kHz"
-            axes.loglog(1e3 * times, np.where(curve > 0.0, curve, np.nan), color=colour, linewidth=1.8, label=label)
-        own = [link.at(link.period, float(R)) for R in times]
-        style = {"color": "0.3", "linewidth": 1.2}
-        axes.loglog(1e3 * times, [row.naive for row in own], linestyle="--", label="limit of a loop through R", **style)
-        law = [4.0 * row.mass / row.round_trip**2 for row in own]
-        axes.loglog(1e3 * times, law, linestyle=":", label="law: 4 M/R², M the felt mass", **style)
-        if link.round_trip is not None:
-            felt = link.at(link.period, link.round_trip).felt
-            axes.plot(1e3 * link.round_trip, felt, "o", color="black", label="this session", zorder=5)
-        axes.set_title(link.name, loc="left", fontsize="medium")
-        axes.set_ylabel("stiffness [N/m]")
-        axes.grid(alpha=0.3, which="both")
-        axes.legend(fontsize="small", frameon=False)
-    rows[-1].set_xlabel("round trip R [ms]")
+        draw_wave_link(axes, link)
+        axes.set_xlabel("round trip R [ms]" if axes is rows[-1] else "")
     figure.suptitle(f"{name}: what is felt over wave links", x=0.01, ha="left", fontsize="medium")
     with replacing(path) as file:
         figure.savefig(file, format=path.suffix[1:], dpi=130)
+
+
+def draw_wave_link(axes: Axes, link: WaveLinkBudget) -> None:
+    """Draw the felt stiffness over the round trip, at each period of the site, beside the loop through the delay."""
+    times = np.geomspace(ROUND_TRIPS[0], ROUND_TRIPS[-1], _PLOTTED_DELAYS)
+    for T, colour in zip(link.periods, _colours(len(link.periods)), strict=True):
+        curve = np.array([link.at(T, float(R)).felt for R in times])
+        label = f"felt, site at {1e-3 / T:.3g} kHz"
+        axes.loglog(1e3 * times, np.where(curve > 0.0, curve, np.nan), color=colour, linewidth=1.8, label=label)
+    own = [link.at(link.period, float(R)) for R in times]
+    style = {"color": "0.3", "linewidth": 1.2}
+    axes.loglog(1e3 * times, [row.naive for row in own], linestyle="--", label="limit of a loop through R", **style)
+    law = [4.0 * row.mass / row.round_trip**2 for row in own]
+    axes.loglog(1e3 * times, law, linestyle=":", label="law: 4 M/R², M the felt mass", **style)
+    if link.round_trip is not None:
+        felt = link.at(link.period, link.round_trip).felt
+        axes.plot(1e3 * link.round_trip, felt, "o", color="black", label="this session", zorder=5)
+    axes.set_title(link.name, loc="left", fontsize="medium")
+    axes.set_xlabel("round trip R [ms]")
+    axes.set_ylabel("stiffness [N/m]")
+    axes.grid(alpha=0.3, which="both")
+    axes.legend(fontsize="small", frameon=False)
 
 
 def require_picture(path: Path) -> None:
     """Refuse an output file for a plot that cannot be written; a command calls this before its work.
 
     Raises:
+        MissingExtra: nothing here can draw.
         TargetError: the folder does not exist, or the suffix is not one of :data:`PLOT_SUFFIXES`.
     """
+    require("plot")
     require_target(path)
     if path.suffix not in PLOT_SUFFIXES:
         raise TargetError(f"{path}: found the suffix {path.suffix!r}; expected one of {', '.join(PLOT_SUFFIXES)}")

@@ -35,7 +35,7 @@ from manyhands.launch.run.session_run import run_session
 from manyhands.launch.session import Session
 from manyhands.launch.simulation import Simulation
 from manyhands.nodes.bundle import REALTIME
-from manyhands.nodes.observer.alarms import LEDGER_ROUNDING
+from manyhands.nodes.observer.health_model import LEDGER_ROUNDING
 from manyhands.protocol.channels import FORCE, INTERFACE
 
 _WIDTH, _ONE, _OF_SEVERAL = 8.0, 3.2, 2.2  # inches
@@ -83,11 +83,6 @@ def accounts(run: RecordedRun, tank: float) -> Row:
     curves = tuple(Curve(curve.label, 1e3 * curve.values) for curve in found.curves)
     title = f"the same run: each device's energy account, kept above {joules(0.0 - tank)} whatever is late"
     return Row(run.time, Panel(found.name, title, "e [mJ]", curves), 0.0 - 1e3 * tank)
-
-
-def plot_velocities(recording: Recording, title: str, path: Path) -> None:
-    """Plot the velocity of every port into one file."""
-    plot([velocities(recording, title)], path)
 
 
 def plot(rows: Sequence[Row], path: Path) -> None:

@@ -8,7 +8,7 @@ frequencies at once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,48 +22,13 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from manyhands.design.files import replacing
+from manyhands.design.frequency_responses import closed_loop, coupling_response, frequencies, response
 from manyhands.design.models.coupling import Partition
-from manyhands.design.models.statespace import Matrix, StateSpace, frequency_response
+from manyhands.design.models.statespace import Matrix, StateSpace
 
 Complex = NDArray[np.complex128]
 Filter = Callable[[complex], complex]
 """A weight's response at a point of the z plane."""
-
-_DECADES, _PER_DECADE = 4.0, 100  # of a logarithmic grid up to pi/T
-_MOST_RESONANCES = 40  # poles, nearest to the unit circle first, around which the grid is refined
-_CHUNK = 4_000_000  # complex numbers that are solved for at once, 64 MB
-
-
-def frequencies(systems: Sequence[StateSpace], T: float) -> Matrix:
-    """Frequencies (rad/s, ascending, up to pi/T) that resolve the responses of ``systems``, resonances included."""
-    grid = np.pi * np.logspace(-_DECADES, 0.0, round(_DECADES * _PER_DECADE) + 1)
-    poles = np.concatenate([np.linalg.eigvals(system.A) for system in systems])
-    poles = poles[(np.abs(poles) > 0.5) & (poles.imag > 0.0)]  # a pole far from the circle has no peak on it
-    poles = poles[np.argsort(-np.abs(poles))][:_MOST_RESONANCES]
-    steps = np.linspace(-2.0, 2.0, max(7, 200 // max(len(poles), 1) | 1))  # of a peak's half width; odd, so with 0
-    near = [np.angle(poles) + step * (1.0 - np.abs(poles)) for step in steps]
-    angles = np.unique(np.concatenate([grid, *near]))
-    return np.asarray(angles[(angles >= grid[0]) & (angles <= np.pi)] / T)
-
-
-def response(system: StateSpace, angles: Matrix) -> Complex:
-    """C (zI - A)^-1 B + D at z = e^{j angle}, angles x m x p; solved in parts, so that memory stays bounded."""
-    size = max(1, _CHUNK // max(1, system.order * (system.order + system.inputs)))
-    parts = [frequency_response(system, angles[at : at + size]) for at in range(0, len(angles), size)]
-    return np.concatenate(parts)
-
-
-def coupling_response(blocks: Sequence[StateSpace], partition: Partition, angles: Matrix) -> Complex:
-    """V at z = e^{j angle}, angles x m x m, block by block."""
-    out = np.zeros((len(angles), partition.size, partition.size), dtype=np.complex128)
-    for ports, block in zip(partition.blocks, blocks, strict=True):
-        out[np.ix_(range(len(angles)), ports, ports)] = response(block, angles)
-    return out
-
-
-def closed_loop(E: Complex, V: Complex) -> Complex:
-    """F(E,V) = (I + E V)^-1 E, angles x m x m, from the responses of E and V."""
-    return np.asarray(np.linalg.solve(np.eye(E.shape[1]) + E @ V, E))
 
 
 def shaped_response(
@@ -174,7 +139,7 @@ def plot_design(
 def plot_singular_values(
     folder: Path,
     omega: NDArray[np.float64],
-    impedances: dict[str, Complex],
+    impedances: Mapping[str, Complex],
     label: str,
     shaped: Complex,
     gamma: float | None,
@@ -191,10 +156,8 @@ def plot_singular_values(
     """
     figure = Figure(figsize=(8.0, 7.0), layout="constrained", facecolor="white")
     above, below = figure.subplots(2, 1, sharex=True)
-    for (name, values), colour, line in zip(impedances.items(), (BLUE, VERMILLION), ("-", "--"), strict=True):
-        _singular_band(above, omega, values, name, colour, line)
-    above.set_ylabel("singular values [N/m]")
-    above.set_title("stiffness: of the environment, and as the hands feel it", loc="left", fontsize="medium")
+    draw_impedances(above, omega, impedances)
+    above.set_xlabel("")
     largest = _singular_band(below, omega, shaped, label, GREEN, "-")
     peak = int(np.argmax(largest))
     below.plot(omega[peak], largest[peak], "o", color=GREEN, markersize=5)
@@ -204,11 +167,28 @@ def plot_singular_values(
     below.set_title(text, loc="left", fontsize="medium")
     below.set_ylabel("singular values")
     below.set_xlabel("frequency [rad/s]")
-    for axes in (above, below):
-        axes.set_xscale("log")
-        axes.set_yscale("log")
-        _finish(axes)
+    below.set_xscale("log")
+    below.set_yscale("log")
+    _finish(below)
     return _save(figure, folder / "singular-values.png")
+
+
+def draw_impedances(axes: Axes, omega: NDArray[np.float64], impedances: Mapping[str, Complex]) -> None:
+    """Draw the singular values of two impedances over frequency: that of the environment, and the one that is felt.
+
+    Args:
+        axes: where.
+        omega: frequencies, rad/s.
+        impedances: name and response (points x m x m, N/m).
+    """
+    for (name, values), colour, line in zip(impedances.items(), (BLUE, VERMILLION), ("-", "--"), strict=True):
+        _singular_band(axes, omega, values, name, colour, line)
+    axes.set_xlabel("frequency [rad/s]")
+    axes.set_ylabel("singular values [N/m]")
+    axes.set_title("stiffness: of the environment, and as the hands feel it", loc="left", fontsize="medium")
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    _finish(axes)
 
 
 def plot_passivity(
@@ -270,16 +250,22 @@ def plot_structure(folder: Path, static: Matrix, partition: Partition, ports: Se
         partition: the structure of V.
         ports: names of the m ports.
     """
+    figure = Figure(figsize=(7.0, 6.0), layout="constrained", facecolor="white")
+    draw_structure(figure.subplots(), static, partition, ports)
+    return _save(figure, folder / "structure.png")
+
+
+def draw_structure(axes: Axes, static: Matrix, partition: Partition, ports: Sequence[str]) -> None:
+    """Draw |V(1)| entry by entry as a map; arguments as of :func:`plot_structure`."""
     order = [port for block in partition.blocks for port in block]
     shown = np.abs(static[np.ix_(order, order)])
     m = len(order)
-    figure = Figure(figsize=(7.0, 6.0), layout="constrained", facecolor="white")
-    axes = figure.subplots()
     masked = np.ma.masked_equal(shown, 0.0)  # exact zeros stay white
     least, most = (float(masked.min()), float(masked.max())) if masked.count() else (1.0, 1.0)
     colours = colormaps["cividis"].reversed()
     image = axes.imshow(masked, cmap=colours, norm=LogNorm(least / 1.001, most * 1.001), interpolation="nearest")
-    figure.colorbar(image, ax=axes, label="|V(1)| [m/N]", shrink=0.8)
+    if axes.figure is not None:
+        axes.figure.colorbar(image, ax=axes, label="|V(1)| [m/N]", shrink=0.8)
     outlines, at = [], 0
     for name, block in zip(partition.names, partition.blocks, strict=True):
         size = len(block)
@@ -304,7 +290,6 @@ def plot_structure(folder: Path, static: Matrix, partition: Partition, ports: Se
     count = len(partition.blocks)
     text = f"structure of V: {count} block{'s' if count > 1 else ''}, {m} port{'s' if m > 1 else ''}; white is zero"
     axes.set_title(text, loc="left", fontsize="medium")
-    return _save(figure, folder / "structure.png")
 
 
 def plot_convergence(folder: Path, history: Sequence[float], label: str) -> Path:

@@ -8,11 +8,11 @@ from __future__ import annotations
 import json
 import signal
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import typer
@@ -27,10 +27,9 @@ from manyhands.design.models.weights import Filter
 from manyhands.design.problem import HapticLoop
 from manyhands.design.wave_link import FELT_STIFFNESS, WaveLinkFace, WorldPromise, felt_mass
 from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK
-from manyhands.launch.plan.prepare import certify, haptic_loop, with_delay_of
-from manyhands.launch.plan.sites import differences_from
-from manyhands.launch.run.display import energy_line, printable, say, status
-from manyhands.launch.run.outcome import lateness_sentence, wave_link_sentences
+from manyhands.launch.plan.prepare import certify, haptic_loop
+from manyhands.launch.run.display import energy_line, figure_table, printable, promise_lines, say, status
+from manyhands.launch.run.outcome import lateness_sentence, rows_of, wave_link_sentences
 from manyhands.launch.session import Session
 from manyhands.nodes import telemetry as names
 
@@ -172,36 +171,49 @@ def print_findings(console: Console, findings: tuple[Finding, ...]) -> None:
     console.print(table)
 
 
+_PERIOD: Final = "period [µs]\np50/p99/p99.9/max"
+_LEDGER: Final = "ledger\nmin [J]"
+_REPORTED: Final = (
+    *("node", "ticks", "late", "τ [µs]\np50/p99/p99.9/max", _PERIOD, _LEDGER),
+    *("account\nmin/bound [J]", "speed [m/s]\npeak → final"),
+)
+_REPORT_RANKS: Final = {_PERIOD: 2, _LEDGER: 1}
+
+
 def print_report(console: Console, report: Mapping[str, Any]) -> None:
     """Print ticks, lateness, percentiles, ledgers and speeds of every node, and what was refused or clipped."""
     title = f"{report['session']}: {report['duration']:g} s, {report['clock']} clock"
-    table = Table(title=title, title_justify="left")
-    for column in ("node", "ticks", "late", "τ [µs]\np50/p99/p99.9/max", "period [µs]\np50/p99/p99.9/max",
-                   "ledger\nmin [J]", "account\nmin/bound [J]", "speed [m/s]\npeak → final"):  # fmt: skip
-        table.add_column(column, justify="left" if column == "node" else "right")
+    rows = []
     for name, node in report["nodes"].items():
         speeds = f"{node['peak_speed']:.3g} → {node['final_speed']:.1e}" if "peak_speed" in node else ""
         ledger = f"{node['ledger']['min']:.1e}" if "ledger" in node else ""
         percentiles = ["/".join(f"{v:.0f}" for v in node.get(q, {}).values()) for q in ("tau_us", "period_us")]
         late = str(node.get("late", ""))
-        table.add_row(name, str(node["ticks"]), late, *percentiles, ledger, _account(node, report), speeds)
+        rows.append([name, str(node["ticks"]), late, *percentiles, ledger, _account(node, report), speeds])
+    table, left_out = figure_table(title, _REPORTED, rows, _REPORT_RANKS, console.width)
     console.print(table)
+    if left_out:
+        short = ", ".join(column.split("\n")[0] for column in left_out)
+        say(console, f"no room for {short}: a wider terminal shows it, and --report has it")
+    promises = rows_of(report)
+    for line, _ in promise_lines(promises, {row.remark for row in promises}):  # what they say is among the notices
+        say(console, line)
     for felt in wave_link_sentences(report):
-        console.print(felt, markup=False, soft_wrap=True)
+        say(console, felt)
     if sentence := lateness_sentence(report):
-        console.print(sentence, markup=False, soft_wrap=True)
+        say(console, sentence)
     for node in report["nodes"].values():
         if "energy" in node:
             entry = node["energy"]
             figures = {f"{names.MOVED}{pair}": joules for pair, joules in entry.get("moved", {}).items()}
             figures |= {f"{names.SCALED}{party}": ticks for party, ticks in entry.get("scaled", {}).items()}
-            console.print(energy_line(figures), markup=False, soft_wrap=True)
+            say(console, energy_line(figures))
     for name, node in report["nodes"].items():
         counts = {**node.get("refused", {}), **node.get("dropped", {})}
         counts |= {kind: node[kind] for kind in ("clipped", "saturated") if node.get(kind)}
         if counts:
             listed = ", ".join(f"{kind} {count}" for kind, count in counts.items())
-            console.print(f"{name}: not admitted, or not as it came: {listed}", markup=False, soft_wrap=True)
+            say(console, f"{name}: not admitted, or not as it came: {listed}")
 
 
 def _account(node: Mapping[str, Any], report: Mapping[str, Any]) -> str:
@@ -343,23 +355,21 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
     Raises:
         CertificateError: the file is not a certificate.
     """
-    from manyhands.design.proof import ProofInputError, prove
+    from manyhands.design.proof import ProofInputError
+    from manyhands.launch.plan.proofs import prove_loop
 
     certificate, data = load(file)
     try:
         with progress_on(err, "proving") as progress:
-            findings = prove(data, progress)
+            proof = prove_loop(certificate, data, session, progress)
     except ProofInputError as error:
         raise CertificateError(f"{file}: {error}") from error
-    if session is not None:
-        session = with_delay_of(certificate, session)
-        findings += foreign(differences_from(certificate, session))
-    failing = [finding for finding in findings if not finding.holds]
+    failing = proof.failing
     if as_json:
         object_ = certificate_object(certificate, proved=not failing)
         print_json(object_ | {"failing": [finding.condition for finding in failing]})
     else:
-        print_findings(out, findings)
+        print_findings(out, proof.findings)
         _print_request(out, file, certificate, session)
     for finding in failing:
         because = f" ({finding.argument})" if finding.argument else ""
@@ -375,13 +385,6 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
             proved = "users in the tick: proved, where the certificate of the world proves the level assumed of it"
         say(out, f"{certificate.loop.session}: {proved}; certificate {certificate.id}")
     return EXIT_OK
-
-
-def foreign(texts: Sequence[str]) -> tuple[Finding, ...]:
-    """A finding that fails for each sentence about how a certificate differs from a session."""
-    from manyhands.design.proof import Finding
-
-    return tuple(Finding(f"it is the session's: {text}", False, 1.0, 0.0) for text in texts)
 
 
 def _print_request(out: Console, file: Path, certificate: Certificate, session: Session | None) -> None:
@@ -402,20 +405,18 @@ def run_budget(session: Session, out: Console, err: Console, picture: Path | Non
         The exit code.
     """
     from manyhands.launch.budget import (
-        budget,
         budget_object,
         plot_budget,
         print_budget,
         print_wave_links,
-        wave_link_budgets,
+        session_budget,
         wave_links_object,
     )
     from manyhands.launch.doctor.advice import Worth
     from manyhands.launch.doctor.rates import form_figures, kept_forms, print_rates, rates_object
 
-    loop = haptic_loop(session)
-    found = budget(loop)
-    links = wave_link_budgets(session)
+    found = session_budget(session)
+    loop, links = found.loop, found.wave_links
     rates = list(form_figures(Worth(loop, found.share_at(loop.period)), kept_forms(session, time.time())))
     if as_json:
         own = {"wave_links": wave_links_object(links)} if links else {}
@@ -425,7 +426,7 @@ def run_budget(session: Session, out: Console, err: Console, picture: Path | Non
         print_wave_links(out, links)
         print_rates(out, session.name, rates)
     if picture is not None:
-        plot_budget(found, picture, links)
+        plot_budget(found, picture)
         say(err, f"picture: {picture}")
     return EXIT_OK
 

@@ -19,7 +19,10 @@ from numpy.typing import NDArray
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.recording import Recording
-from manyhands.launch.recordings.traces import Traces
+from manyhands.launch.recordings.run import RecordedRun
+from manyhands.launch.recordings.traces import Traces, recorded_of
+from manyhands.launch.run.directory import kept_files
+from manyhands.launch.session import Session
 from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes.arithmetic import Floats
 from manyhands.nodes.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle
@@ -47,6 +50,12 @@ class Silence:
         coupling: the coupling's name.
         begin: the first tick at which it is frozen.
         end: the tick at which it is back, at rest, and engaged; None for never.
+
+    Example:
+        >>> import manyhands as mh
+        >>> run = mh.simulate("example1", 1.0, silences=[mh.Silence("cx", begin=200, end=600)])
+        >>> float(abs(run.f_v[200:600, 0]).max()), float(abs(run.f_v[600:, 0]).max().round(2))     # N
+        (0.0, 0.24)
     """
 
     coupling: str
@@ -74,6 +83,9 @@ class Simulation:
         Args:
             prepared: the session with its coupling and certificate.
             drivers: for some devices, the driver to use in place of the session's.
+
+        Raises:
+            FactoryError: a driver or a model of another package cannot be made.
         """
         given = {} if drivers is None else drivers
         session = prepared.session
@@ -98,7 +110,7 @@ class Simulation:
             match bundle:
                 case DeviceBundle():
                     device = DeviceCore(*bundle.promises[0], T)
-                    self._drivers.append(given[name] if name in given else driver_of(bundle))
+                    self._drivers.append(given[name] if name in given else self._driver(bundle))
                     self._device_ports.append(ports)
                     self.devices[name] = device
                     self.guards[name] = Guard(bundle.limits, T, bundle.common.ports)
@@ -118,6 +130,18 @@ class Simulation:
         self._turns = {name: turns(wave) for name, wave in environment.waves.items()}  # of the world, and of the user
         if self.environment.ledger is not None:
             self.ledgers[ENVIRONMENT] = self.environment.ledger
+
+    def _driver(self, bundle: DeviceBundle) -> Driver:
+        try:
+            return driver_of(bundle)
+        except ValueError:
+            self.close()  # those that were made before it
+            raise
+
+    def close(self) -> None:
+        """Close the drivers; call this where a driver is of another package."""
+        for driver in self._drivers:
+            driver.close()
 
     def _start_coupling(self, name: str) -> None:
         """Start a coupling at rest, with a new core and ledger."""
@@ -250,6 +274,46 @@ class Simulation:
             for name, user in self.user_faces.items()
             if name not in silent
         ]
+
+
+def simulate(
+    prepared: Prepared,
+    ticks: int,
+    silences: Sequence[Silence] = (),
+    progress: Callable[[int], None] | None = None,
+) -> RecordedRun:
+    """Simulate a session from rest, and keep what a recording of its processes under the simulated clock would hold.
+
+    Args:
+        prepared: the session with its coupling and certificate.
+        ticks: number of ticks.
+        silences: which couplings fall silent, and when.
+        progress: called every 1000 ticks with the number of ticks that are done.
+
+    Raises:
+        ModelFailure: the environment's model gave no usable forces.
+        ValueError: a silence makes no sense, or a site has a period of its own.
+    """
+    require_one_period(prepared.session)
+    simulation = Simulation(prepared)
+    traces = simulation.traces(ticks)
+    simulation.run(ticks, progress, silences, traces)
+    kept = {(node, one.topic.name): one for node, own in traces.by_node.items() for one in own}
+    return RecordedRun(recorded_of(prepared, SIMULATED), kept, attachments=kept_files(prepared))
+
+
+def require_one_period(session: Session) -> None:
+    """Refuse a session with a site of another period, which one loop in one process cannot run.
+
+    Raises:
+        ValueError: a wave link has a period of its own.
+    """
+    for name in session.wave_links:
+        if session.period_of(name) != session.period:
+            raise ValueError(
+                f"couplings.{name}.wave_link.period: found {session.period_of(name):g} s; expected the session's "
+                f"{session.period:g} s for a simulation in one process; launch --clock simulated runs it as it is"
+            )
 
 
 def _by_tick(

@@ -14,12 +14,11 @@ from rich.table import Table
 
 from manyhands.design.certificate import Certificate, read_plain, save
 from manyhands.design.errors import CertificateError, DesignError, Infeasible
-from manyhands.design.world import CONDITION_A, World, save_world, world_differences
+from manyhands.design.world import CONDITION_A, World, save_world
 from manyhands.launch.design_report import (
     CERTIFIED,
     INFEASIBLE,
     certificate_object,
-    foreign,
     interruptible,
     print_certificate,
     print_findings,
@@ -171,29 +170,24 @@ def run_verify_world(
     Raises:
         CertificateError: a file is not a certificate.
     """
-    from manyhands.design.proof import ProofInputError, prove, prove_together, prove_world
+    from manyhands.design.proof import ProofInputError
+    from manyhands.launch.plan.proofs import prove_parts
 
-    others = [(path, read_plain(path)) for path in together]
-    failing = []
+    others = {str(path): read_plain(path) for path in together}
     try:
         with progress_on(err, "proving") as progress:
-            findings = prove_world(data, progress)
-            meetings = prove_together(data, [other for _, other in others])
-            for path, other in others:
-                failing += [(path, finding) for finding in prove(other, progress) if not finding.holds]
+            proof, parts = prove_parts(data, others, session, progress)
     except ProofInputError as error:
         raise CertificateError(f"{file}: {error}") from error
-    findings += meetings
-    if session is not None:
-        findings += foreign(world_differences(data, world(session)))
-    failing = [(file, finding) for finding in findings if not finding.holds] + failing
+    failing = [(str(file), finding) for finding in proof.failing]
+    failing += [(name, finding) for name, part in parts.items() for finding in part.failing]
     stated = [*data["wave_links"], *([IN_TICK] if data["in_tick"] is not None else [])]
     if as_json:
         status = INFEASIBLE if failing else CERTIFIED
         object_ = {"status": status, "id": data["id"], "margins": data["margins"], "parties": stated}
         print_json(object_ | {"together": len(others), "failing": [finding.condition for _, finding in failing]})
     else:
-        print_findings(out, findings)
+        print_findings(out, proof.findings)
     for path, finding in failing:
         because = f" ({finding.argument})" if finding.argument else ""
         say(err, f"{path}: not proved: {finding.condition}: found {finding.value:.6g}{because}")

@@ -6,19 +6,19 @@ files, and no session is contacted. Where a file cannot be read, there is no com
 
 from __future__ import annotations
 
-import importlib.resources
-import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 from rich.console import Console
 
 from manyhands.design.certificate import unrecorded
 from manyhands.design.errors import CertificateError, DesignError
+from manyhands.extras import MissingExtra, explained, require
 from manyhands.launch.files import (
     EXIT_BAD_INPUT,
     EXIT_FAILED,
@@ -26,20 +26,23 @@ from manyhands.launch.files import (
     EXIT_NOT_CERTIFIED,
     TargetError,
     load_named,
+    shipped_sessions,
 )
 from manyhands.launch.observe.sessions import NoSession, find_session, running_sessions
 from manyhands.launch.observe.topics import NoTopic, named_topics, session_of
-from manyhands.launch.plan.plan import Plan
-from manyhands.launch.plan.prepare import NotCertified, Prepared, must_measure, prepare
+from manyhands.launch.plan import delay
+from manyhands.launch.plan.prepare import IN_TICK, NotCertified, Prepared, prepare
 from manyhands.launch.plan.reach import ReachError
-from manyhands.launch.plan.topology import LinkTooWide, require_runnable
+from manyhands.launch.plan.topology import LinkTooWide
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.run.display import say
-from manyhands.launch.session import PythonEnvironment, Session, SessionError
-from manyhands.launch.session.design import AUTO
+from manyhands.launch.session import ENVIRONMENT, SUPERVISOR, Session, SessionError
+from manyhands.launch.session.session import whole_ticks
 from manyhands.launch.view.security import ViewError
 from manyhands.nodes.bundle import CLOCKS
-from manyhands.nodes.environment.model import ModelError, ModelFailure
+from manyhands.nodes.device.plugin import DriverFailure
+from manyhands.nodes.environment.model import ModelFailure
+from manyhands.nodes.factory import FactoryError, place_of
 from manyhands.protocol.keys import KeyFileError
 from manyhands.protocol.transport import TransportError
 
@@ -47,6 +50,16 @@ if TYPE_CHECKING:
     from manyhands.launch.doctor.profile import Profile
 
 _MOST = 500  # completions
+
+
+def one_word_of(words: Iterable[str]) -> Callable[[str], list[str]]:
+    """The completion of an option that takes one of these words."""
+    known = tuple(words)
+
+    def complete(incomplete: str) -> list[str]:
+        return _that_begin_with(incomplete, known)
+
+    return complete
 
 
 def running_names(incomplete: str) -> list[str]:
@@ -72,8 +85,7 @@ def topic_names(ctx: typer.Context, incomplete: str) -> list[str]:
 
 def session_files(incomplete: str) -> list[str]:
     """Session files and folders that complete the path, and the shipped sessions."""
-    shipped = importlib.resources.files("manyhands.launch") / "sessions"
-    names = sorted(file.name for file in shipped.iterdir() if file.name.endswith(".yaml"))
+    names = [f"{name}.yaml" for name in shipped_sessions()]
     folder, _, start = incomplete.rpartition("/")
     prefix = f"{folder}/" if "/" in incomplete else ""
     try:
@@ -91,23 +103,60 @@ def session_files(incomplete: str) -> list[str]:
     return _that_begin_with(incomplete, dict.fromkeys([*here, *names]))
 
 
+def shipped_names(incomplete: str) -> list[str]:
+    """The names of shipped sessions."""
+    return _that_begin_with(incomplete, shipped_sessions())
+
+
 def node_names(ctx: typer.Context, incomplete: str) -> list[str]:
     """Nodes and observers of the session file that stands earlier on the command line."""
-    session = ctx.params.get("session")
-    if session is None:
-        return []
+    loaded = _named_session(ctx)
+    return [] if loaded is None else _that_begin_with(incomplete, [*loaded.roles, *loaded.observers])
+
+
+def _named_session(ctx: typer.Context) -> Session | None:
+    """The session whose file stands earlier on the command line, if it can be read."""
+    path = ctx.params.get("session")
     try:
-        loaded = load_named(session, ctx.params.get("overrides") or [])
+        return None if path is None else load_named(path, ctx.params.get("overrides") or [])
     except (SessionError, OSError):
-        return []
-    return _that_begin_with(incomplete, [*loaded.roles, *loaded.observers])
+        return None
+
+
+def placed_node_names(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Nodes of the session file that stands earlier on the command line, each with the sign before its machine."""
+    return [f"{name}=" for name in node_names(ctx, incomplete)]
+
+
+def session_keys(ctx: typer.Context, incomplete: str) -> list[str]:
+    """The keys of single values in the session file that stands earlier on the command line, each with the sign = ."""
+    loaded = _named_session(ctx)
+    return [] if loaded is None else [f"{key}=" for key in _that_begin_with(incomplete, _keys("", loaded.as_plain()))]
+
+
+def _keys(prefix: str, tree: Mapping[str, object]) -> Iterator[str]:
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from _keys(f"{prefix}{key}.", value)
+        else:
+            yield f"{prefix}{key}"
+
+
+def part_names(ctx: typer.Context, incomplete: str) -> list[str]:
+    """The parts of the session file that stands earlier on the command line, each of which has a certificate."""
+    loaded = _named_session(ctx)
+    parts = [] if loaded is None else [*loaded.wave_links, IN_TICK, ENVIRONMENT]
+    return _that_begin_with(incomplete, parts)
+
+
+def key_names(ctx: typer.Context, incomplete: str) -> list[str]:
+    """The processes that have a key of their own, in the session file that stands earlier on the command line."""
+    return [*node_names(ctx, incomplete), *_that_begin_with(incomplete, [SUPERVISOR])]
 
 
 def _that_begin_with(incomplete: str, names: Iterable[str]) -> list[str]:
     return [name for name in names if name.startswith(incomplete)][:_MOST]
 
-
-MOST_SIMULATED_VALUES = 100_000_000  # ticks x ports kept in memory, 1.6 GB
 
 _NO_TERMINAL_WIDTH = 140  # columns, for tables in a file or a pipe
 
@@ -132,12 +181,18 @@ SessionPath = Annotated[
     ),
 ]
 Overrides = Annotated[
-    list[str], typer.Option("--set", metavar="KEY=VALUE", help="Override a value of the session; repeatable.")
+    list[str],
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Override a value of the session; repeatable.",
+        autocompletion=session_keys,
+    ),
 ]
 RunningName = Annotated[
     str | None,
     typer.Option(
-        "--session",
+        "--running",
         metavar="NAME",
         help="A running session, by its name or process id; by default the only one.",
         autocompletion=running_names,
@@ -145,7 +200,12 @@ RunningName = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 Duration = Annotated[float, typer.Option("--duration", metavar="S", help="How long to run, in s.")]
-Clock = Annotated[str, typer.Option(metavar="|".join(CLOCKS), help="The clock that paces the session.")]
+Clock = Annotated[
+    str,
+    typer.Option(
+        metavar="|".join(CLOCKS), help="The clock that paces the session.", autocompletion=one_word_of(CLOCKS)
+    ),
+]
 CertificatePath = Annotated[
     Path | None, typer.Option("--certificate", metavar="CERT", help="Run under this certificate instead of designing.")
 ]
@@ -153,7 +213,8 @@ Uncertified = Annotated[bool, typer.Option("--uncertified", help="Run even if no
 
 
 KeyFolder = Annotated[
-    Path | None, typer.Option("--keys", metavar="DIR", help="The session's keys (manyhands keys); tcp only.")
+    Path | None,
+    typer.Option("--keys", metavar="DIR", help="The folder of the session's keys (manyhands invite); tcp only."),
 ]
 Insecure = Annotated[
     bool,
@@ -182,65 +243,34 @@ def prepare_session(session: Session, certificate: Path | None, uncertified: boo
 def settle_delay(
     session: Session, *, realtime: bool, designed: bool = True, transport: str = "ipc", encrypted: bool = True
 ) -> tuple[Session, Profile | None]:
-    """The session with the delay that it is to be designed for, measured on this machine where it has to be.
+    """As :func:`manyhands.launch.plan.delay.settle_delay`, which reports to the terminal.
 
-    Args:
-        session: the session.
-        realtime: as for :func:`must_measure`.
-        designed: whether a coupling is to be designed; otherwise the session stays as it is.
-        transport: "ipc" or "tcp".
-        encrypted: whether links over "tcp" are encrypted.
-
-    Returns:
-        The session, and this machine's profile for it, kept or new; None where there is none, or none is of use.
+    Raises:
+        typer.Exit: nothing could be measured.
     """
-    wanted = designed and must_measure(session, realtime=realtime)
-    if designed and not wanted and session.design.tau == AUTO:
-        session = session.with_delay(0.0)  # it has no coupling
-    if not (realtime or wanted):
-        return session, None
-    from manyhands.launch.doctor.probe import PROFILE_TIME, ProbeFailed, ProbeInterrupted, Way, measure_profile
-    from manyhands.launch.doctor.profile import allowance, keep_profile, kept_profile
-
-    plan = Plan(session)
-    way = Way.of_run(plan, transport, encrypted)
-    profile = kept_profile(way.profile_key(plan), time.time())
-    if not wanted:
-        return session, profile
-    if profile is None:
-        require_runnable(plan.graph)
-        say(err, f"{session.name}: measuring the delay of a tick on this machine for {PROFILE_TIME:g} s")
-        try:
-            profile = measure_profile(plan, way)
-        except ProbeInterrupted as error:
-            raise typer.Exit(128 + error.signal) from error
-        except ProbeFailed as error:
-            say(err, f"error: the delay of a tick could not be measured: {error}; state one, such as design.tau=0.0005")
-            raise typer.Exit(EXIT_FAILED) from error
-        try:
-            keep_profile(profile)
-        except OSError as error:
-            say(err, f"warning: the measurement is not kept: {error.filename}: {error.strerror}")
-    chosen = allowance(profile, session.device_period)
-    return session.with_delay(chosen.tau, chosen.period_tolerance), profile
-
-
-def ticks_of(session: Session, duration: float) -> int:
-    """Number of ticks in ``duration`` (s)."""
-    if not session.period <= duration <= 1e9:
-        refuse(f"--duration: found {duration:g} s; expected from one period, {session.period:g} s, to 1e9 s")
-    return round(duration / session.period)
-
-
-def kept_ticks(session: Session, duration: float) -> int:
-    """Number of ticks in ``duration`` (s) of a run whose values are kept in memory."""
-    ticks, ports = ticks_of(session, duration), len(session.ports)
-    if ticks * ports > MOST_SIMULATED_VALUES:
-        refuse(
-            f"--duration: found {duration:g} s, {ticks} ticks of {ports} ports; expected at most "
-            f"{MOST_SIMULATED_VALUES // ports} ticks"
+    try:
+        return delay.settle_delay(
+            session,
+            partial(say, err),
+            lambda text: say(err, f"warning: {text}"),
+            realtime=realtime,
+            designed=designed,
+            transport=transport,
+            encrypted=encrypted,
         )
-    return ticks
+    except delay.ProbeInterrupted as error:
+        raise typer.Exit(128 + error.signal) from error
+    except delay.ProbeFailed as error:
+        say(err, f"error: the delay of a tick could not be measured: {error}; state one, such as design.tau=0.0005")
+        raise typer.Exit(EXIT_FAILED) from error
+
+
+def ticks_of(session: Session, duration: float, *, kept: bool = False) -> int:
+    """Number of ticks in ``duration`` (s); ``kept`` for a run whose values are kept in memory."""
+    try:
+        return whole_ticks(session, duration, kept=kept)
+    except ValueError as error:
+        refuse(f"--duration: {error}")
 
 
 def require_one_of(option: str, value: str, valid: tuple[str, ...]) -> None:
@@ -261,20 +291,29 @@ def end(code: int) -> None:
         raise typer.Exit(code)
 
 
-def refuse(text: str) -> None:
+def refuse(text: str) -> NoReturn:
     """End the command with this error message and exit code 2."""
     say(err, f"error: {text}")
     raise typer.Exit(EXIT_BAD_INPUT)
 
 
-def warn_of_model(console: Console, session: Session) -> None:
-    """Warn that a run imports and executes the code of a model, if the session names one."""
-    if isinstance(session.environment, PythonEnvironment):
-        say(
-            console,
-            f"{session.name}: runs the code of the model {session.environment.model}, which is not confined; run only "
-            "models from people you trust",
-        )
+def warn_of_code(console: Console, session: Session, elsewhere: Collection[str] = ()) -> None:
+    """State, before it happens, that a run imports and executes code of other packages, and where it is from.
+
+    Args:
+        console: where to.
+        session: the session.
+        elsewhere: the nodes whose code this command does not run.
+    """
+    for key, name in session.foreign_code.items():
+        what = "driver" if key.startswith("devices.") else "model"
+        node = key.split(".")[1] if what == "driver" else ENVIRONMENT
+        if node not in elsewhere:
+            say(
+                console,
+                f"{session.name}: runs the code of the {what} {name.factory}, which is not confined ({key}); it is "
+                f"from {place_of(name)}; run only {what}s from people you trust",
+            )
 
 
 def warn_insecure(console: Console) -> None:
@@ -290,9 +329,10 @@ def warn_insecure(console: Console) -> None:
 
 _BAD_INPUT = (
     CertificateError,
+    MissingExtra,
     KeyFileError,
     LinkTooWide,
-    ModelError,
+    FactoryError,
     NoSession,
     NoTopic,
     ReachError,
@@ -305,11 +345,17 @@ _BAD_INPUT = (
 
 
 @contextmanager
-def errors() -> Iterator[None]:
-    """Turn every expected error into one message and its exit code, and Ctrl-C into exit code 130."""
+def errors(*needed: str) -> Iterator[None]:
+    """Turn every expected error into one message and its exit code, and Ctrl-C into exit code 130.
+
+    Args:
+        needed: the extras that the command needs in every case; without them it ends before it begins.
+    """
     try:
         try:
-            yield
+            require(*needed)
+            with explained():
+                yield
         finally:
             if ctrl_c:  # even where an import has turned the SystemExit into an error of its own
                 raise SystemExit(EXIT_INTERRUPTED) from None
@@ -319,7 +365,7 @@ def errors() -> Iterator[None]:
     except (NotCertified, DesignError) as error:
         say(err, f"error: {error}")
         raise typer.Exit(EXIT_NOT_CERTIFIED) from error
-    except ModelFailure as error:
+    except (DriverFailure, ModelFailure) as error:
         say(err, f"error: {error}")
         raise typer.Exit(EXIT_FAILED) from error
     except OSError as error:

@@ -1,4 +1,4 @@
-"""The commands that design and prove: design, verify, budget."""
+"""The commands that design and prove: design, verify, budget, sweep."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from manyhands.extras import require
 from manyhands.launch.cli.common import (
     Json,
     Overrides,
@@ -15,11 +16,14 @@ from manyhands.launch.cli.common import (
     err,
     errors,
     out,
+    part_names,
     refuse,
     require_folder,
+    session_files,
+    session_keys,
     settle_delay,
 )
-from manyhands.launch.files import load_named, require_target
+from manyhands.launch.files import EXIT_FAILED, load_named, require_target
 from manyhands.launch.run.display import say
 
 commands = typer.Typer()
@@ -35,7 +39,10 @@ def design(
     part: Annotated[
         str | None,
         typer.Option(
-            "--part", metavar="NAME", help="With wave links: only this coupling's site, or in-tick, or environment."
+            "--part",
+            metavar="NAME",
+            help="With wave links: only this coupling's site, or in-tick, or environment.",
+            autocompletion=part_names,
         ),
     ] = None,
     overrides: Overrides = [],  # noqa: B006 -- typer reads the default and makes its own list
@@ -48,10 +55,12 @@ def design(
 
     Ctrl-C ends a long search and keeps the best coupling so far, proved like any other (exit code 130).
     """
-    with errors():
+    with errors("design"):
         from manyhands.launch.design_report import run_design
         from manyhands.launch.site_report import require_parts, run_design_parts
 
+        if pictures is not None:
+            require("plot")
         loaded = load_named(session, overrides)
         require_parts(loaded, output, part)
         if output is not None:
@@ -70,7 +79,13 @@ def design(
 def verify_command(
     certificate: Annotated[Path, typer.Argument(metavar="CERT", help="A certificate file.")],
     session: Annotated[
-        Path | None, typer.Option("--session", metavar="SESSION", help="Also check that it belongs to this session.")
+        Path | None,
+        typer.Option(
+            "--session",
+            metavar="SESSION",
+            help="Also check that it belongs to this session.",
+            autocompletion=session_files,
+        ),
     ] = None,
     together: Annotated[
         list[Path], typer.Option("--with", metavar="CERT", help="Of a world: also prove this part of it; repeatable.")
@@ -81,7 +96,7 @@ def verify_command(
 
     For a world, --with also proves that the certificates of sites, or of the users in the tick, meet it.
     """
-    with errors():
+    with errors("design"):
         from manyhands.design.certificate import read_plain
         from manyhands.design.world import is_world
         from manyhands.launch.design_report import run_verify
@@ -107,7 +122,7 @@ def budget(
     as_json: Json = False,
 ) -> None:
     """Show the stiffness that can be certified for each device, over the delay inside the tick and the period."""
-    with errors():
+    with errors("design"):
         from manyhands.launch.budget import require_picture
         from manyhands.launch.design_report import run_budget
 
@@ -116,3 +131,56 @@ def budget(
             require_picture(picture)
         loaded, _ = settle_delay(loaded, realtime=False)
         end(run_budget(loaded, out, err, picture, as_json))
+
+
+@commands.command(epilog="Example: manyhands sweep example1.yaml --vary 'design.tau=[0, 0.0002, 0.0005]' -o sweep.csv")
+def sweep(
+    session: SessionPath,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o", metavar="FILE", help="Where the table goes (.csv); FILE.journal keeps what is done, to go on from."
+        ),
+    ],
+    vary: Annotated[
+        list[str],
+        typer.Option(
+            "--vary",
+            metavar="KEY=[VALUE,...]",
+            help="Values of one key; repeatable, for every combination.",
+            autocompletion=session_keys,
+        ),
+    ],
+    workers: Annotated[
+        int | None, typer.Option("--workers", metavar="N", min=1, help="Processes; by default one for each processor.")
+    ] = None,
+    overrides: Overrides = [],  # noqa: B006
+) -> None:
+    """Design a session for every combination of values, in parallel. Exit code 1: some design has no result.
+
+    What cannot be certified is a result, too. A sweep that was ended goes on where it was, by the same command.
+    """
+    with errors("design"):
+        from rich.progress import Progress
+
+        from manyhands.launch.recordings.recording import require_suffix
+        from manyhands.launch.session.yaml import read_choices
+        from manyhands.launch.sweep import sweep as run_sweep
+
+        loaded = load_named(session, overrides)
+        choices = dict(read_choices(one) for one in vary)
+        require_suffix(output, (".csv",))
+        with Progress(console=err, transient=True, disable=not err.is_terminal) as bar:
+            task = bar.add_task("designing", total=None)
+            found = run_sweep(
+                loaded,
+                choices,
+                workers=workers,
+                journal=output.with_name(f"{output.name}.journal"),
+                progress=lambda done, every: bar.update(task, completed=done, total=every),
+            )
+        found.save(output)
+        say(err, f"{len(found)} designs written to {output}")
+        for index, error in sorted(found.errors.items()):
+            say(err, f"error: {dict(found.cases[index])}: {error}")
+        end(EXIT_FAILED if found.errors else 0)

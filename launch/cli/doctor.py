@@ -7,23 +7,26 @@ from typing import Annotated
 
 import typer
 
-from manyhands.launch.cli.common import Json, Overrides, end, err, errors, out
+from manyhands.launch.cli.common import Json, Overrides, end, err, errors, out, session_files
 from manyhands.launch.files import load_named
 
 commands = typer.Typer()
 
 
-@commands.command(epilog="Example: manyhands doctor example1.yaml --seconds 10")
+@commands.command(epilog="Example: manyhands doctor example1.yaml --duration 10")
 def doctor(
     session: Annotated[
-        Path, typer.Argument(metavar="[SESSION]", help="A session file, or the name of a shipped one.")
+        Path,
+        typer.Argument(
+            metavar="[SESSION]", help="A session file, or the name of a shipped one.", autocompletion=session_files
+        ),
     ] = Path("example1.yaml"),
-    seconds: Annotated[float, typer.Option("--seconds", metavar="S", help="How long to measure, in s.")] = 12.0,
+    duration: Annotated[float, typer.Option("--duration", metavar="S", help="How long to measure, in s.")] = 12.0,
     overrides: Overrides = [],  # noqa: B006 -- typer reads the default and makes its own list
     as_json: Json = False,
 ) -> None:
     """Report what this machine permits, how long a tick takes on it, and which stiffness can then be certified."""
-    with errors():
+    with errors("design"):
         from manyhands.launch.doctor.examination import run_doctor
 
-        end(run_doctor(load_named(session, overrides), seconds, out, err, as_json))
+        end(run_doctor(load_named(session, overrides), duration, out, err, as_json))

@@ -1,8 +1,9 @@
-"""The commands about a session's processes and how they connect: graph, keys, invite, node, host, join."""
+"""The commands about a session's processes and how they connect: graph, invite, node, host, join."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +16,6 @@ from manyhands.launch.cli.common import (
     Clock,
     Insecure,
     Json,
-    KeyFolder,
     Overrides,
     RunningName,
     SessionPath,
@@ -23,7 +23,9 @@ from manyhands.launch.cli.common import (
     end,
     err,
     errors,
+    key_names,
     node_names,
+    one_word_of,
     out,
     prepare_session,
     refuse,
@@ -31,18 +33,29 @@ from manyhands.launch.cli.common import (
     session_files,
     settle_delay,
     ticks_of,
-    warn_of_model,
+    warn_of_code,
 )
 from manyhands.launch.design_report import print_report
 from manyhands.launch.files import claimed, load_named, require_target
 from manyhands.launch.output import pipe_may_close
 from manyhands.launch.recordings.recording import STREAMED, require_suffix
 from manyhands.launch.run.display import say
+from manyhands.launch.session import Session
 from manyhands.launch.session.design import AUTO
 from manyhands.nodes.bundle import CLOCKS, REALTIME
 from manyhands.nodes.invitation import is_guest_address
+from manyhands.nodes.recorder.format import CERTIFICATE_FILE
 
 commands = typer.Typer()
+
+AllowedCode = Annotated[
+    str | None,
+    typer.Option(
+        "--allow-code",
+        metavar="PACKAGE.MODULE:FACTORY",
+        help="Let the file have this driver or model run here, with your rights.",
+    ),
+]
 
 NodeName = Annotated[
     str,
@@ -58,7 +71,7 @@ def graph(
         Path | None,
         typer.Argument(
             metavar="[SESSION]",
-            help="A session file, or the name of a shipped one; not with --session.",
+            help="A session file, or the name of a shipped one; not with --running.",
             autocompletion=session_files,
         ),
     ] = None,
@@ -70,7 +83,7 @@ def graph(
             "--format",
             metavar="text|mermaid|svg",
             help="The format; by default that of FILE's suffix, or text.",
-            autocompletion=lambda: ["text", "mermaid", "svg"],
+            autocompletion=one_word_of(("text", "mermaid", "svg")),
         ),
     ] = None,
     output: Annotated[
@@ -89,13 +102,13 @@ def graph(
         from manyhands.protocol.clock import RealtimeClock
 
         if (session is None) is (running is None):
-            refuse("found neither SESSION nor --session NAME, or both; expected a file, or the name of a running one")
+            refuse("found neither SESSION nor --running NAME, or both; expected a file, or the name of a running one")
         if form is not None:
             require_one_of("--format", form, FORMATS)
             if as_json:
                 refuse("found --format and --json; expected one of them")
         if running is not None and (access or overrides):
-            refuse("found --access or --set with --session; expected them with a session file")
+            refuse("found --access or --set with --running; expected them with a session file")
         if access and form not in (None, "text"):
             refuse(f"--access: found --format {form}; expected text or --json")
         if output is not None:
@@ -108,69 +121,109 @@ def graph(
         else:
             scenes = look_at([find_session(running)], RealtimeClock())
             if not scenes:
-                refuse(f"--session: found that {running} cannot be looked at; expected one that runs")
+                refuse(f"--running: found that {running} cannot be looked at; expected one that runs")
             code = show_scene(scenes[0], out, shape, output)
         if output is not None:
             say(err, f"written to {output}")
         end(code)
 
 
-@commands.command(epilog="Example: manyhands keys example1.yaml -o keys")
-def keys(
-    session: SessionPath,
-    output: Annotated[Path, typer.Option("-o", metavar="DIR", help="The folder of the session's keys.")],
-    renew: Annotated[
-        list[str], typer.Option("--renew", metavar="NAME", help="Replace this key; others stay. Repeatable.")
-    ] = [],  # noqa: B006
-    overrides: Overrides = [],  # noqa: B006
-    as_json: Json = False,
-) -> None:
-    """Make a key pair for every process, the supervisor and the observers. Existing keys are kept."""
-    with errors():
-        from manyhands.launch.plan.keys import run_keys
-
-        end(run_keys(load_named(session, overrides), output, renew, out, err, as_json))
-
-
 @commands.command(epilog="Example: manyhands invite example1.yaml dx --keys keys --certificate c.json -o dx.bundle")
 def invite(
     session: SessionPath,
-    node: NodeName,
-    output: Annotated[Path, typer.Option("-o", metavar="BUNDLE", help="Write the bundle here (mode 0600).")],
-    keys: KeyFolder = None,
+    nodes: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[NODE]...",
+            help="Devices, couplings, the environment, or observers; without, the keys alone are made.",
+            autocompletion=node_names,
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", metavar="PATH", help="The bundle (mode 0600), or a folder for several; by default NODE.bundle here."
+        ),
+    ] = None,
+    keys: Annotated[
+        Path | None,
+        typer.Option("--keys", metavar="DIR", help="The folder of the session's keys; those that it lacks are made."),
+    ] = None,
+    renew: Annotated[
+        list[str],
+        typer.Option(
+            "--renew", metavar="NAME", help="Replace this key; others stay. Repeatable.", autocompletion=key_names
+        ),
+    ] = [],  # noqa: B006
     insecure: Insecure = False,
     clock: Clock = REALTIME,
     overrides: Overrides = [],  # noqa: B006
     certificate: CertificatePath = None,
     uncertified: Uncertified = False,
+    as_json: Json = False,
 ) -> None:
-    """Write the bundle that one node on another machine needs to join: its own part of the session, and no other."""
+    """Make the keys of a session's processes, and the bundle that each NODE on another machine needs to join.
+
+    A bundle holds its node's own part of the session, and no other. Keys that exist are kept.
+    """
     with errors():
         from manyhands.launch.plan.bundles import invite as cut_bundle
-        from manyhands.launch.plan.keys import load_folder
+        from manyhands.launch.plan.keys import load_folder, make_keys, run_keys
 
+        wanted = nodes or []
         require_one_of("--clock", clock, CLOCKS)
         if (keys is None) is not insecure:
-            refuse("found neither --keys nor --insecure, or both; expected --keys DIR (manyhands keys makes them)")
+            refuse("found neither --keys nor --insecure, or both; expected --keys DIR, where the keys are or are made")
+        if insecure and (renew or not wanted):
+            refuse("found --insecure, with which there are no keys; expected NODE, and no --renew")
+        if wanted and as_json:
+            refuse("found --json with NODE; expected it for keys alone")
+        if not wanted and (output is not None or certificate is not None):
+            refuse(f"found no NODE for {'-o' if output is not None else '--certificate'}; expected one of the session")
+        loaded = load_named(session, overrides)
+        if keys is not None and not wanted:
+            end(run_keys(loaded, keys, renew, out, err, as_json))
+            return
         if certificate is None and not uncertified:
             refuse("found no --certificate; expected the file that the session will be launched with")
-        loaded = load_named(session, overrides)
-        folder = None if keys is None else load_folder(loaded, keys)
+        files = bundle_files_of(loaded, wanted, output)
         prepared = prepare_session(loaded, certificate, uncertified)
-        cut_bundle(prepared, node, folder, clock, output)
-        say(err, f"{output}: the bundle of {node}, under the certificate {prepared.id}")
-        key = "" if keys is None else f" --key {node}.key"
-        say(err, f"on its machine: manyhands node {node} --session {output.name}{key} --connect tcp://HOST:PORT")
+        folder = None
+        if keys is not None:
+            if renew or not keys.exists():
+                make_keys(loaded, keys, renew)
+            folder = load_folder(loaded, keys)
+        for node, file in files.items():
+            cut_bundle(prepared, node, folder, clock, file)
+            say(err, f"{file}: the bundle of {node}, under the certificate {prepared.id}")
+        for node, file in files.items():
+            key = "" if keys is None else f" --key {node}.key"
+            say(err, f"on its machine: manyhands node {node} --bundle {file.name}{key} --connect tcp://HOST:PORT")
         end(0)
 
 
-@commands.command(epilog="Example: manyhands node dx --session dx.bundle --key dx.key --connect tcp://192.0.2.7:7400")
+def bundle_files_of(session: Session, nodes: Sequence[str], output: Path | None) -> dict[str, Path]:
+    """Where the bundle of each node goes."""
+    from manyhands.launch.plan.bundles import require_member
+
+    for node in nodes:
+        require_member(session, node)
+    if len(set(nodes)) < len(nodes):
+        refuse(f"found a node twice among {', '.join(nodes)}; expected each once")
+    if output is not None and (len(nodes) > 1 or output.is_dir()):
+        if not output.is_dir():
+            refuse(f"-o: found {output}; expected a folder that exists, for {len(nodes)} bundles")
+        return {node: output / f"{node}.bundle" for node in nodes}
+    return {node: output or Path(f"{node}.bundle") for node in nodes}
+
+
+@commands.command(epilog="Example: manyhands node dx --bundle dx.bundle --key dx.key --connect tcp://192.0.2.7:7400")
 def node(
     name: NodeName,
     bundle: Annotated[
         Path,
         typer.Option(
-            "--session",
+            "--bundle",
             metavar="BUNDLE",
             help="The node's bundle (manyhands invite); -: bundle and key come over standard input, from launch --on.",
         ),
@@ -181,14 +234,15 @@ def node(
     ] = None,
     host: Annotated[
         str | None,
-        typer.Option("--host", metavar="HOST", help="This machine's address, if others connect to it."),
+        typer.Option("--address", metavar="HOST", help="This machine's address, if others connect to it."),
     ] = None,
+    allowed: AllowedCode = None,
 ) -> None:
     """Join a session of another machine as one of its nodes, or as an observer, which prints each message as JSON."""
     from manyhands.nodes.remote import join
 
     with pipe_may_close():
-        end(join(name, bundle, key, connect, host))
+        end(join(name, bundle, key, connect, host, allowed))
 
 
 @commands.command(epilog="Example: manyhands host ball --listen 192.0.2.7:7400 --address ball.example.org")
@@ -223,19 +277,21 @@ def host(
     """Serve a session whose users behind wave links come and go, each with an invitation (manyhands join).
 
     Every coupling with a wave_link is a seat. The session runs from the start on, whoever is there, until --duration or
-    Ctrl-C. Designs, keys and invitations are made once and kept in DIR.
+    Ctrl-C. Designs, keys and invitations are made once and kept in DIR. Where the session has changed since, only what
+    the change concerns is made anew: the invitations of the other seats stay good.
     """
-    with errors(), ExitStack() as claims:
+    with errors("design"), ExitStack() as claims:
+        from manyhands.launch.design_report import progress_on
         from manyhands.launch.plan.keys import load_folder, make_keys
         from manyhands.launch.plan.plan import Plan
+        from manyhands.launch.plan.prepare import prepare_again
         from manyhands.launch.plan.reach import Listen, reach
         from manyhands.launch.plan.seats import (
-            CERTIFICATE,
             KEYS,
+            invitations,
             keep_certificates,
             require_folder,
             seat_nodes,
-            write_invitations,
         )
         from manyhands.launch.plan.topology import require_runnable
         from manyhands.launch.run.session_run import run_session
@@ -260,7 +316,7 @@ def host(
         require_runnable(plan.graph, len(loaded.observers))
         directory = Path(loaded.name) if folder is None else folder
         require_folder(directory)
-        certificate = directory / CERTIFICATE
+        certificate = directory / CERTIFICATE_FILE
         kept = certificate.exists()
         unknown = [name for name, link in loaded.wave_links.items() if link.tau is None]
         if loaded.design.tau == AUTO and not kept and unknown:
@@ -268,21 +324,32 @@ def host(
                 f"{loaded.name}: found design.tau: auto, which measures this machine alone, with the seat "
                 f"{unknown[0]!r}; expected couplings.{unknown[0]}.wave_link.tau, the delay that the guest keeps to"
             )
-        if not kept:
+        if kept:
+            with progress_on(err, "designing what has changed") as progress:
+                prepared, renewed = prepare_again(loaded, certificate, progress)
+            if renewed:
+                say(err, f"{directory}: designed anew, for the session has changed: {', '.join(renewed)}")
+        else:
             loaded, _ = settle_delay(loaded, realtime=False)
-        prepared = prepare_session(loaded, certificate if kept else None, uncertified=False)
-        if not kept:
+            prepared, renewed = prepare_session(loaded, None, uncertified=False), (loaded.name,)
+        if renewed:
             keep_certificates(prepared, directory)
         made = make_keys(loaded, directory / KEYS)
         folder_keys = load_folder(loaded, directory / KEYS)
         ways = replace(reach(plan, "tcp", keys=folder_keys, listen=place, remote=seats), seats=seats)
-        for seat, path in write_invitations(prepared, folder_keys, address, directory).items():
-            say(err, f"seat {seat}: {path}; send it over a secure channel; there: manyhands join {path.name}")
+        for seat, invitation in invitations(prepared, folder_keys, address).items():
+            path = directory / f"{seat}.invitation"
+            invitation.save(path)
+            if err.is_terminal:  # where it is kept in a log, an invitation may not be
+                say(err, f"waiting for {seat}: send this line over a secure channel; there: manyhands join")
+                err.print(invitation.line, markup=False, emoji=False, soft_wrap=True)  # in one piece, to be copied
+            else:
+                say(err, f"waiting for {seat}: send {path} over a secure channel; there: manyhands join {path.name}")
         last = place.port + len(plan.graph.links) + len(loaded.observers)
         say(err, f"listening at {listen}; guests need its ports {place.port} to {last}, of TCP and of UDP")
         if made.stale:
             say(err, f"{directory / KEYS}: has keys that the session no longer has: {', '.join(made.stale)}")
-        warn_of_model(err, loaded)
+        warn_of_code(err, loaded, seats)
         outcome = run_session(prepared, err, clock=REALTIME, reach=ways, ticks=ticks, record=record, report=report)
         print_report(out, outcome.report)
         end(outcome.code)
@@ -290,12 +357,18 @@ def host(
 
 @commands.command(epilog="Example: manyhands join right_seat.invitation")
 def join(
-    invitation: Annotated[Path, typer.Argument(metavar="INVITATION", help="The file that the host has sent.")],
+    invitation: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[INVITATION]", help="The file with the host's line; without, you are asked for the line."
+        ),
+    ] = None,
     address: Annotated[
         str | None,
-        typer.Option("--address", metavar="HOST:PORT", help="Where the session listens, if not where the file says."),
+        typer.Option("--connect", metavar="HOST:PORT", help="Where the session listens, if not where the line says."),
     ] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask before taking the seat.")] = False,
+    allowed: AllowedCode = None,
 ) -> None:
     """Take a seat in a running session on another machine, until Ctrl-C or the session's end.
 
@@ -305,4 +378,4 @@ def join(
     from manyhands.nodes.seat import take_seat
 
     with pipe_may_close():
-        end(take_seat(invitation, address, yes))
+        end(take_seat(invitation, address, yes, allowed))

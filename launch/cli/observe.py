@@ -1,4 +1,4 @@
-"""The commands that observe running sessions: list, echo, hz, top, and view, which serves a session's page."""
+"""The commands that observe running sessions: echo, hz, top, and view, which serves a session's page."""
 
 from __future__ import annotations
 
@@ -23,26 +23,6 @@ TopicName = Annotated[
         autocompletion=topic_names,
     ),
 ]
-
-
-@commands.command("list", epilog="Example: manyhands list --json")
-def list_sessions(as_json: Json = False) -> None:
-    """List the sessions that run on this machine, with their state and that of their nodes."""
-    with errors():
-        import time
-
-        from manyhands.launch.design_report import print_json
-        from manyhands.launch.observe.sessions import running_sessions
-        from manyhands.launch.observe.tables import look_at, print_sessions, session_object
-        from manyhands.protocol.clock import RealtimeClock
-
-        scenes = look_at(running_sessions(), RealtimeClock())
-        if not scenes:
-            say(err, "no session is running; start one with: manyhands launch SESSION")
-        if as_json:
-            print_json([session_object(scene) for scene in scenes])
-        elif scenes:
-            print_sessions(out, scenes, time.time())
 
 
 @commands.command(epilog="Example: manyhands echo dx/sample -n 10 --every 100")
@@ -118,12 +98,21 @@ def hz(
 @commands.command(epilog="Example: manyhands top --once")
 def top(
     session: RunningName = None,
+    all_: Annotated[
+        bool, typer.Option("--all", help="Show the state of every session that runs on this machine, and end.")
+    ] = False,
     once: Annotated[bool, typer.Option("--once", help="Show the table once, and end.")] = False,
     as_json: Json = False,
 ) -> None:
     """Watch the nodes of a running session: on a terminal a live table, until q or Ctrl-C; else a table every 2 s."""
     with errors(), pipe_may_close():
         import json
+
+        if all_:
+            if session is not None:
+                refuse(f"found --all and --running {session}; expected one of them")
+            _show_all(as_json)
+            return
 
         from manyhands.launch.design_report import print_json
         from manyhands.launch.observe.sessions import find_session, visiting
@@ -157,7 +146,24 @@ def top(
         say(err, f"{running.about.session}: observed until tick {scene.tick}")
 
 
-@commands.command(epilog="Example: manyhands view --session example-1 --open")
+def _show_all(as_json: bool) -> None:
+    import time
+
+    from manyhands.launch.design_report import print_json
+    from manyhands.launch.observe.sessions import running_sessions
+    from manyhands.launch.observe.tables import look_at, print_sessions, session_object
+    from manyhands.protocol.clock import RealtimeClock
+
+    scenes = look_at(running_sessions(), RealtimeClock())
+    if not scenes:
+        say(err, "no session is running; start one with: manyhands launch SESSION")
+    if as_json:
+        print_json([session_object(scene) for scene in scenes])
+    elif scenes:
+        print_sessions(out, scenes, time.time())
+
+
+@commands.command(epilog="Example: manyhands view --running example-1 --open")
 def view(
     session: RunningName = None,
     host: Annotated[
@@ -165,8 +171,15 @@ def view(
         typer.Option("--host", metavar="HOST", help="The address to listen at; other than loopback needs a token."),
     ] = "127.0.0.1",
     port: Annotated[
-        int, typer.Option("--port", metavar="PORT", min=0, max=65535, help="The port to listen at; 0 for any free one.")
-    ] = 0,
+        int | None,
+        typer.Option(
+            "--port",
+            metavar="PORT",
+            min=0,
+            max=65535,
+            help="The port to listen at, 0 for any free one; by default that, with --foxglove 8765.",
+        ),
+    ] = None,
     token_file: Annotated[
         Path | None,
         typer.Option(
@@ -176,22 +189,61 @@ def view(
         ),
     ] = None,
     open_: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in this machine's browser.")] = False,
+    foxglove: Annotated[
+        bool, typer.Option("--foxglove", help="Serve Foxglove's live connection instead of the page.")
+    ] = False,
+    every: Annotated[
+        int | None,
+        typer.Option("--every", min=1, metavar="N", help="With --foxglove, send ticks that are multiples of N [10]."),
+    ] = None,
+    layout: Annotated[
+        Path | None,
+        typer.Option(
+            "--layout",
+            metavar="LAYOUT",
+            help="With --foxglove, write the session's layout here (.json; .xml: PlotJuggler).",
+        ),
+    ] = None,
 ) -> None:
-    """Serve a page of a running session until Ctrl-C: motions, certificate and alarms; devices can be dragged."""
-    with errors():
+    """Serve a page of a running session until Ctrl-C: motions, certificate and alarms; devices can be dragged.
+
+    With --foxglove it serves the channels of a recording to Foxglove, live.
+    """
+    with errors("view", *(["foxglove"] if foxglove else [])):
         from manyhands.launch.observe.sessions import find_session
+        from manyhands.launch.recordings.attached import recorded_of
+        from manyhands.launch.view.foxglove import EVERY, PORT, application_address, serve_foxglove
+        from manyhands.launch.view.layouts import live_topics, save_layout
         from manyhands.launch.view.security import is_loopback, new_token, read_token
         from manyhands.launch.view.server import serve
 
+        for option, value in (("--every", every), ("--layout", layout)):
+            if value is not None and not foxglove:
+                refuse(f"{option}: found it without --foxglove; expected both, or neither")
+        if foxglove and open_ and (token_file is not None or not is_loopback(host)):
+            refuse("--open: found it with --foxglove and a token, which would go to foxglove.dev; expected one of them")
         token = None if token_file is None else read_token(token_file)
         running = find_session(session)
         if not is_loopback(host):
             token = token or new_token()
             say(
                 err,
-                "warning: the page is served without encryption: anybody on the network path can read the token and "
-                "hold devices; over networks that are not yours, listen on loopback and use ssh -L",
+                f"warning: {'this' if foxglove else 'the page'} is served without encryption: anybody on the network "
+                f"path can read the token and {'the session' if foxglove else 'hold devices'}; over networks that are "
+                "not yours, listen on loopback and use ssh -L",
             )
+
+        def connectable(address: str) -> None:
+            if layout is not None:
+                save_layout(layout, recorded_of(running.about), live_topics(running.about))
+                say(err, f"layout: {layout}")
+            say(err, f"foxglove: {address}{'' if token is None or token_file else f'?token={token.reveal()}'}")
+            if token_file is not None:
+                say(err, f"connect to it with ?token= and the token in {token_file} at its end")
+            if open_:
+                import webbrowser
+
+                webbrowser.open(application_address(address))
 
         def ready(address: str) -> None:
             if token_file is None:
@@ -206,7 +258,12 @@ def view(
 
         refused: Counter[str] = Counter()
         try:
-            serve(running, host, port, token, ready, refused)
+            if foxglove:
+                serve_foxglove(
+                    running, host, PORT if port is None else port, token, every or EVERY, connectable, refused
+                )
+            else:
+                serve(running, host, port or 0, token, ready, refused)
         finally:  # Ctrl-C ends the server
             if refused:
                 say(err, "refused: " + ", ".join(f"{kind} {count}" for kind, count in sorted(refused.items())))

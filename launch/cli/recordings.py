@@ -10,10 +10,22 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from manyhands.launch.cli.common import Json, RunningName, end, err, errors, out, refuse, require_one_of, warn_of_model
+from manyhands.launch.cli.common import (
+    Json,
+    RunningName,
+    end,
+    err,
+    errors,
+    one_word_of,
+    out,
+    refuse,
+    require_one_of,
+    warn_of_code,
+)
 from manyhands.launch.files import EXIT_FAILED, EXIT_OK, claimed, require_target
 from manyhands.launch.recordings.recording import STREAMED, require_format, require_suffix
 from manyhands.launch.run.display import printable, say, status
+from manyhands.protocol.channels import TOPICS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -56,7 +68,7 @@ def record(
     as_json: Json = False,
 ) -> None:
     """Record a running session from now until its end, --duration or Ctrl-C."""
-    with errors():
+    with errors("record"):
         from manyhands.launch.observe.sessions import find_session, session_in
         from manyhands.launch.recordings.attached import record_attached
         from manyhands.launch.run.processes import Interrupt
@@ -66,7 +78,7 @@ def record(
         if duration is not None and not 0.0 < duration <= 1e9:
             refuse(f"--duration: found {duration:g} s; expected more than 0 s, and at most 1e9 s")
         if directory is not None and session is not None:
-            refuse(f"found both {directory} and --session {session}; expected one of them")
+            refuse(f"found both {directory} and --running {session}; expected one of them")
         running = find_session(session) if directory is None else session_in(directory)
         name, announced = running.about.session, False
         with claimed(output), Interrupt() as interrupt, status(err, f"waiting for {name}") as shown:
@@ -106,7 +118,7 @@ def info(
     as_json: Json = False,
 ) -> None:
     """Report what a recording holds, what is missing from it, and whether any of its bytes was changed."""
-    with errors():
+    with errors("record"):
         from manyhands.launch.recordings.info import read_info
         from manyhands.launch.recordings.integrity import findings
 
@@ -161,44 +173,73 @@ def _print(found: Info, damages: list[Damage]) -> None:
         say(out, "whole: every byte agrees with the others")
 
 
-@commands.command(epilog="Example: manyhands export run.mcap --to csv --topics dx/force")
+@commands.command(epilog="Example: manyhands export run.mcap --format csv --topics dx/force")
 def export(
     file: RecordingPath,
-    to: Annotated[str | None, typer.Option("--to", metavar="csv|npz|parquet", help="The format.")] = None,
+    to: Annotated[
+        str | None,
+        typer.Option(
+            "--format",
+            metavar="csv|npz|parquet|rosbag",
+            help="The format.",
+            autocompletion=one_word_of(("csv", "npz", "parquet", "rosbag")),
+        ),
+    ] = None,
     output: Annotated[
-        Path | None, typer.Option("-o", metavar="OUT", help="Where the table goes; by default beside FILE.")
+        Path | None, typer.Option("-o", metavar="OUT", help="Where the table or the bag goes; by default beside FILE.")
     ] = None,
     topics: Annotated[
         list[str],
         typer.Option(
             "--topics",
             metavar="PATTERN",
+            autocompletion=one_word_of(sorted({topic.name for topics in TOPICS.values() for topic in topics})),
             help="Export only these: /SESSION/NODE/TOPIC, NODE/TOPIC, a node or a topic, with * and ?; repeatable, or "
             "separated by commas.",
         ),
     ] = [],  # noqa: B006
+    layout: Annotated[
+        Path | None,
+        typer.Option(
+            "--layout", metavar="LAYOUT", help="Write a layout for FILE here: .json for Foxglove, .xml for PlotJuggler."
+        ),
+    ] = None,
 ) -> None:
-    """Write a recording as a table, one row a tick, every number exact.
+    """Write a recording as a table, one row a tick, every number exact; or as a bag of ROS 2.
 
     Where a node has a period of its own, each row has the newest of its ticks.
     """
-    with errors():
+    with errors("record"):
+        from manyhands.launch.recordings.rosbag import ROSBAG, save_bag
         from manyhands.launch.recordings.run import read_run
         from manyhands.launch.recordings.tables import FORMATS
         from manyhands.launch.recordings.tables import export as write
+        from manyhands.launch.view.layouts import save_layout
 
+        if layout is not None:
+            with _bar("reading") as progress:
+                run = read_run(file, progress)
+            save_layout(layout, run.recorded, run.topics)
+            say(err, f"layout written to {layout}")
+            if to is None and output is None:
+                return
         format_ = to or (output.suffix[1:] if output is not None else "")
-        require_one_of("--to", format_, tuple(FORMATS))
+        require_one_of("--format", format_, (*FORMATS, ROSBAG))
         target = output or file.with_suffix(f".{format_}")
         require_format(target, (f".{format_}",))
-        require_target(target)
+        if format_ != ROSBAG:
+            require_target(target)
         with _bar("exporting") as progress:
             run = read_run(file, lambda part: progress(part / 2))
             patterns = [pattern for given in topics for pattern in given.split(",")]
-            write(run, target, format_, patterns, lambda part: progress((1 + part) / 2))
+            if format_ == ROSBAG:
+                messages = save_bag(run, target, patterns, lambda part: progress((1 + part) / 2))
+            else:
+                write(run, target, format_, patterns, lambda part: progress((1 + part) / 2))
         if run.cut is not None:
             say(err, f"warning: {file}: {run.cut}")
-        say(err, f"{run.ticks} ticks written to {target}")
+        what = f"{messages} messages" if format_ == ROSBAG else f"{run.ticks} ticks"
+        say(err, f"{what} written to {target}")
 
 
 McapPath = Annotated[Path, typer.Argument(metavar="FILE", help="A recording (.mcap) of launch --record.")]
@@ -210,7 +251,7 @@ def replay(file: McapPath, as_json: Json = False) -> None:
 
     Exit code 0: identical. 1: some number differs or is missing, or the file is damaged.
     """
-    with errors():
+    with errors("record", "design"):
         from rich.progress import Progress
 
         from manyhands.launch.design_report import print_json, progress_on
@@ -225,7 +266,7 @@ def replay(file: McapPath, as_json: Json = False) -> None:
             print_damage(out, str(file), damage)
         with progress_on(err, "preparing the session") as progress:
             prepared = prepared_of(file, run, progress)
-        warn_of_model(err, prepared.session)
+        warn_of_code(err, prepared.session, prepared.session.devices)  # what drivers did is in the file
         _warn_of_version(run)
         with Progress(console=err, transient=True) as bar:
             task = bar.add_task("running it again", total=run.ticks)
@@ -241,9 +282,10 @@ def replay(file: McapPath, as_json: Json = False) -> None:
 def audit(file: McapPath, as_json: Json = False) -> None:
     """Recompute every ledger of a recording from its signals, and check it against the certificate inside the file.
 
-    Exit code 0: everything that could be checked holds. 1: something does not hold, or the file is damaged.
+    Exit code 0: all that the certificate needs was checked, and was kept or enforced. 1: something of it was broken, or
+    could not be checked, or the file is damaged.
     """
-    with errors():
+    with errors("record", "design"):
         from rich.progress import Progress
 
         from manyhands.launch.design_report import print_json
@@ -308,7 +350,7 @@ def _warn_of_version(run: RecordedRun) -> None:
 _QUANTITIES = "sample, velocity, force, tool, reaction, tools, masses, ledger, tau, interface"
 
 
-@commands.command(epilog="Example: manyhands plot run.mcap --topics velocity,force --from 2 --until 3 -o steps.svg")
+@commands.command(epilog="Example: manyhands plot run.mcap --show velocity,force --from 2 --until 3 -o steps.svg")
 def plot(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording: .mcap, or .npz or .csv of simulate.")],
     output: Annotated[
@@ -316,11 +358,22 @@ def plot(
         typer.Option("-o", metavar="OUT", help="Write the plot here (.png or .svg); by default beside FILE."),
     ] = None,
     to: Annotated[
-        str | None, typer.Option("--to", metavar="png|svg", help="The format, where OUT is not given.")
+        str | None,
+        typer.Option(
+            "--format",
+            metavar="png|svg",
+            help="The format, where OUT is not given.",
+            autocompletion=one_word_of(("png", "svg")),
+        ),
     ] = None,
     topics: Annotated[
         str | None,
-        typer.Option("--topics", metavar="LIST", help=f"What to show, separated by commas, of {_QUANTITIES}."),
+        typer.Option(
+            "--show",
+            metavar="LIST",
+            help=f"What to show, separated by commas, of {_QUANTITIES}.",
+            autocompletion=one_word_of(_QUANTITIES.split(", ")),
+        ),
     ] = None,
     start: Annotated[float | None, typer.Option("--from", metavar="S", help="Begin at this time, s.")] = None,
     end: Annotated[float | None, typer.Option("--until", metavar="S", help="End at this time, s.")] = None,
@@ -330,13 +383,13 @@ def plot(
     Gaps are grey, every extreme value is drawn however long the run is, and the plot of a file that was cut says so.
     The delays inside the tick are drawn for runs in real time.
     """
-    with errors():
+    with errors("plot"):
         from manyhands.launch.recordings.plots import draw
 
         if to is not None:
-            require_one_of("--to", to, ("png", "svg"))
+            require_one_of("--format", to, ("png", "svg"))
             if output is not None:
-                refuse(f"--to: found it beside -o {output}, whose suffix is the format; expected one of them")
+                refuse(f"--format: found it beside -o {output}, whose suffix is the format; expected one of them")
         target = output if output is not None else file.with_suffix(f".{to or 'png'}")
         wanted = None if topics is None else tuple(name.strip() for name in topics.split(","))
         draw(file, target, err, wanted, start, end)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Annotated
 
@@ -22,8 +22,10 @@ from manyhands.launch.cli.common import (
     end,
     err,
     errors,
-    kept_ticks,
+    node_names,
+    one_word_of,
     out,
+    placed_node_names,
     prepare_session,
     refuse,
     require_folder,
@@ -31,7 +33,7 @@ from manyhands.launch.cli.common import (
     settle_delay,
     ticks_of,
     warn_insecure,
-    warn_of_model,
+    warn_of_code,
 )
 from manyhands.launch.design_report import print_report
 from manyhands.launch.files import claimed, load_named, require_target
@@ -51,12 +53,13 @@ from manyhands.protocol.transport.zeromq import SCHEMES
 commands = typer.Typer()
 
 
-@commands.command(epilog="Example: manyhands simulate example1.yaml --duration 5 -o run.npz")
+@commands.command(epilog="Example: manyhands simulate example1.yaml --duration 5 --record run.npz")
 def simulate(
     session: SessionPath,
     duration: Duration = 10.0,
-    output: Annotated[
-        Path | None, typer.Option("-o", metavar="FILE", help=f"Write every x and f_v here ({', '.join(SUFFIXES)}).")
+    record: Annotated[
+        Path | None,
+        typer.Option("--record", metavar="FILE", help=f"Record every x and f_v ({', '.join(SUFFIXES)})."),
     ] = None,
     overrides: Overrides = [],  # noqa: B006
     certificate: CertificatePath = None,
@@ -66,37 +69,34 @@ def simulate(
 
     A simulation shakes no hand: a session that cannot be certified is simulated with a warning.
     """
-    with errors(), ExitStack() as claims:
+    with errors("design"), ExitStack() as claims:
         from rich.progress import Progress
 
         from manyhands.launch.run.display import energy_line
-        from manyhands.launch.simulation import Simulation
+        from manyhands.launch.simulation import Simulation, require_one_period
         from manyhands.nodes.telemetry import energy_figures
 
         loaded = load_named(session, overrides)
-        for name in loaded.wave_links:
-            if loaded.period_of(name) != loaded.period:
-                refuse(
-                    f"couplings.{name}.wave_link.period: found {loaded.period_of(name):g} s; expected the session's "
-                    f"{loaded.period:g} s for a simulation in one process; launch --clock simulated runs it as it is"
-                )
-        ticks = kept_ticks(loaded, duration)
-        if output is not None:
-            require_suffix(output)
-            claims.enter_context(claimed(output))
+        try:
+            require_one_period(loaded)
+        except ValueError as error:
+            refuse(str(error))
+        ticks = ticks_of(loaded, duration, kept=True)
+        if record is not None:
+            require_suffix(record)
+            claims.enter_context(claimed(record))
         if certificate is None:
             loaded, _ = settle_delay(loaded, realtime=False)
         prepared = prepare_session(loaded, certificate, uncertified=True)
         if not prepared.certified and not uncertified:
             say(err, f"warning: {loaded.name} is not certified; launch refuses it without --uncertified")
-        warn_of_model(err, loaded)
-        simulation = Simulation(prepared)
-        with Progress(console=err, transient=True) as bar:
+        warn_of_code(err, loaded)
+        with closing(Simulation(prepared)) as simulation, Progress(console=err, transient=True) as bar:
             task = bar.add_task("simulating", total=ticks)
             recording = simulation.run(ticks, lambda done: bar.update(task, completed=done))
-        if output is not None:
-            recording.save(output)
-            say(err, f"written to {output}")
+        if record is not None:
+            recording.save(record)
+            say(err, f"written to {record}")
         for name, device in simulation.devices.items():
             say(
                 out,
@@ -121,6 +121,7 @@ def launch(
         str | None,
         typer.Option(
             metavar="|".join(SCHEMES),
+            autocompletion=one_word_of(SCHEMES),
             help=f"How the processes communicate; tcp is encrypted. [default: {SCHEMES[0]}; tcp with --on]",
         ),
     ] = None,
@@ -133,13 +134,17 @@ def launch(
         ),
     ] = None,
     remote: Annotated[
-        list[str], typer.Option(metavar="NODE", help="Wait for this node to join by invitation; repeatable.")
+        list[str],
+        typer.Option(
+            metavar="NODE", help="Wait for this node to join by invitation; repeatable.", autocompletion=node_names
+        ),
     ] = [],  # noqa: B006
     on: Annotated[
         list[str],
         typer.Option(
             "--on",
             metavar="NODE=HOST",
+            autocompletion=placed_node_names,
             help="Start this node on HOST by ssh, over tcp with keys; repeatable: --on dx=lab --on cx=lab.",
         ),
     ] = [],  # noqa: B006
@@ -171,7 +176,7 @@ def launch(
     uncertified: Uncertified = False,
 ) -> None:
     """Run every device, coupling and the environment as processes of their own, until --duration or Ctrl-C."""
-    with errors(), ExitStack() as claims:
+    with errors("design"), ExitStack() as claims:
         from manyhands.launch.doctor.profile import drop_profile, outlived
         from manyhands.launch.doctor.rates import certified_lines
         from manyhands.launch.run.session_run import run_session
@@ -232,7 +237,7 @@ def launch(
             raise
         for line in certified_lines(prepared, settled, profile, time.time()) if clock == REALTIME else ():
             say(err, line)
-        warn_of_model(err, loaded)
+        warn_of_code(err, loaded, ways.remote - hosts.keys())
         for name in sorted(ways.remote):
             if name in hosts:
                 say(err, f"{name}: started on {hosts[name]} by ssh")
@@ -250,7 +255,7 @@ def launch(
             directory=kept,
             together=together,
         )
-        if profile is not None and outlived(profile, loaded.device_period, outcome.report):
+        if profile is not None and outlived(profile, loaded.device_period, outcome.report, loaded.latencies):
             drop_profile(profile)  # the next launch measures anew
         print_report(out, outcome.report)
         end(outcome.code)
@@ -265,7 +270,7 @@ def demo(
     clock: Clock = REALTIME,
 ) -> None:
     """Design Example 1's coupling, run its seven processes with it and without, and draw the paper's Figs. 5-7."""
-    with errors():
+    with errors("design", "record", "plot"):
         from manyhands.launch.demo import LIMITED, run_demo
 
         require_one_of("--clock", clock, CLOCKS)
@@ -273,7 +278,7 @@ def demo(
         shipped = {name: load_named(Path(f"{name}.yaml"), []) for name in DEMO_SESSIONS}
         shipped["example1-limited"] = load_named(Path("example1-uncoupled.yaml"), [*LIMITED])
         require_runnable(Plan(shipped["example1"]).graph)
-        ticks = kept_ticks(shipped["example1"], duration)
+        ticks = ticks_of(shipped["example1"], duration, kept=True)
         shipped["example1"], profile = settle_delay(shipped["example1"], realtime=clock == REALTIME)
         end(run_demo(shipped, out, err, output, ticks, clock, profile))
 

@@ -17,11 +17,12 @@ from rich.text import Text
 from manyhands.launch.design_report import print_json
 from manyhands.launch.doctor.advice import QUANTILES, Advice, Worth, advice, stiffness_object
 from manyhands.launch.doctor.machine import Machine, examine
-from manyhands.launch.doctor.probe import MOST_PROCESSES, Measured, ProbeFailed, ProbeInterrupted, measure
+from manyhands.launch.doctor.probe import MOST_PROCESSES, Measured, measure
 from manyhands.launch.doctor.profile import LEAST_KEPT, Profile, cache_folder, keep_profile
 from manyhands.launch.doctor.rates import form_figures, print_rates, rates_object
 from manyhands.launch.doctor.wakeup import Spread
 from manyhands.launch.files import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_OK
+from manyhands.launch.plan.delay import ProbeFailed, ProbeInterrupted
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import haptic_loop
 from manyhands.launch.plan.topology import chains_of, require_runnable
@@ -156,7 +157,7 @@ def run_doctor(session: Session, seconds: float, out: Console, err: Console, as_
     plan = Plan(session)
     graph = plan.graph
     if not (math.isfinite(seconds) and LEAST_SECONDS <= seconds <= MOST_SECONDS):
-        say(err, f"error: --seconds: found {seconds:g}; expected {LEAST_SECONDS:g} to {MOST_SECONDS:g} s")
+        say(err, f"error: --duration: found {seconds:g}; expected {LEAST_SECONDS:g} to {MOST_SECONDS:g} s")
         return EXIT_BAD_INPUT
     if len(graph.nodes) > MOST_PROCESSES:
         found = f"found {len(graph.nodes)} processes; expected at most {MOST_PROCESSES} for a probe"
@@ -203,7 +204,7 @@ def _keep(profiles: Iterable[Profile | str], err: Console) -> str:
         say(err, f"warning: the profile of this machine is not kept: {error.filename}: {error.strerror}")
     if kept:
         return f"kept for a day in {cache_folder()}; manyhands launch and budget use it"
-    return f"no profile is kept: each was measured for less than {LEAST_KEPT:g} s; give more --seconds"
+    return f"no profile is kept: each was measured for less than {LEAST_KEPT:g} s; give more --duration"
 
 
 def doctor_object(machine: Machine, measured: Measured, worth: Worth, found: tuple[Advice, ...]) -> dict[str, Any]:

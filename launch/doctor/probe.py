@@ -18,6 +18,7 @@ from typing import Any, Final, Self
 
 from manyhands.launch.doctor.profile import Lateness, Profile, profile_key
 from manyhands.launch.doctor.wakeup import Spread, Waking
+from manyhands.launch.plan.delay import ProbeFailed, ProbeInterrupted
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import Prepared, unproved
 from manyhands.launch.plan.reach import reach
@@ -47,22 +48,6 @@ _WAKING = "waking"  # name of the process that measures wake-ups
 _MOST_OUTPUT = 2**16  # bytes, the capacity of a pipe; the answer takes about two thousand
 
 
-class ProbeFailed(Exception):
-    """The probe failed; the message names the process and the reason."""
-
-
-class ProbeInterrupted(Exception):
-    """The user interrupted the probe.
-
-    Attributes:
-        signal: the signal that came.
-    """
-
-    def __init__(self, which: signal.Signals) -> None:
-        super().__init__(which)
-        self.signal = which
-
-
 @dataclass(frozen=True)
 class Way:
     """A way of carrying a tick: a transport, and the processors of the processes.
@@ -71,8 +56,8 @@ class Way:
         key: its name in the JSON object.
         text: its name in tables.
         transport: "ipc" or "tcp".
-        places: the processor of each process that is pinned; pinned processes over ipc run under SCHED_FIFO where
-            that is permitted.
+        places: the processor of each process that is pinned; pinned processes run under SCHED_FIFO where that is
+            permitted.
         encrypted: whether links over "tcp" are encrypted with CURVE.
     """
 
@@ -85,7 +70,7 @@ class Way:
     @classmethod
     def of_run(cls, plan: Plan, transport: str = "ipc", encrypted: bool = True) -> Self:
         """The way in which `manyhands launch` runs a session on this machine."""
-        return cls("run", transport, transport, usual_placement(plan.graph, transport), encrypted)
+        return cls("run", transport, transport, usual_placement(plan.graph), encrypted)
 
     def profile_key(self, plan: Plan) -> dict[str, Any]:
         """The key under which the delays of ``plan`` in this way are kept."""
@@ -227,7 +212,7 @@ def measure(
                 raise ProbeInterrupted(interrupt.signal)
             show(f"a tick over {way.text}")
             ticking.append(measure_ticks(rested, way, _ticks(each, session.period)))
-        usual = usual_placement(plan.graph, "ipc")  # one of the ways, unless the kernel refuses a right that we hold
+        usual = usual_placement(plan.graph)  # one of the ways, unless the kernel refuses a right that we hold
         found: dict[Form, Ticking | str] = {}
         for one in ticking:
             if one.way.transport == "ipc" and one.way.places == usual:
@@ -258,7 +243,7 @@ def _ways(graph: Topology, processors: Sequence[int], fifo: bool, curve: bool) -
     else:
         ways = [Way("ipc", "ipc", "ipc", pinned)]
     if curve:
-        ways.append(Way("tcp_curve", "tcp with CURVE", "tcp", pinned))
+        ways.append(Way("tcp_curve", "tcp with CURVE", "tcp", raised if fifo else pinned))
     return ways
 
 

@@ -29,6 +29,7 @@ import stat
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, Self
 
 import numpy as np
@@ -149,7 +150,9 @@ def _part(measured: float) -> float:
     return min(math.ceil(measured * STEPS - 1e-9) + RESERVE, STEPS) / STEPS
 
 
-def outlived(profile: Profile, period: float, report: Mapping[str, Any]) -> bool:
+def outlived(
+    profile: Profile, period: float, report: Mapping[str, Any], latencies: Mapping[str, float] = MappingProxyType({})
+) -> bool:
     """Whether a run contradicts the profile, so that the next launch should measure anew.
 
     It does where the p99 of a device's delays is longer than what was designed for, or where all of them were much
@@ -159,11 +162,14 @@ def outlived(profile: Profile, period: float, report: Mapping[str, Any]) -> bool
         profile: what was measured before the run.
         period: T, s.
         report: the report of the run (docs/files.md).
+        latencies: by device, the part of its delays that its driver states, s; no profile has it.
     """
-    nodes = [node for node in report["nodes"].values() if "tau_us" in node]
+    nodes = [(node, 1e6 * latencies.get(name, 0.0)) for name, node in report["nodes"].items() if "tau_us" in node]
     covered = max(allowance(profile, period).tau * 1e6, profile.tau.p995)
-    slower = any(node["tau_us"]["p99"] > covered for node in nodes)
-    quicker = all(node["ticks"] >= LEAST_TICKS and node["tau_us"]["p999"] < profile.tau.p995 for node in nodes)
+    slower = any(node["tau_us"]["p99"] - own > covered for node, own in nodes)
+    quicker = all(
+        node["ticks"] >= LEAST_TICKS and node["tau_us"]["p999"] - own < profile.tau.p995 for node, own in nodes
+    )
     return slower or (quicker and bool(nodes))
 
 

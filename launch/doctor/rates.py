@@ -177,9 +177,10 @@ def _certified(certificate: Certificate, session: Session, profile: Profile | No
     if profile is None:
         measured = "not measured here"
     else:
-        found = profile.tau.p995 * 1e-6
-        longer = ", which is longer" if found > tau else ""
-        measured = f"measured here, {_ago(profile.age(now))}: p99.5 is {_ms(found)}{longer}"
+        found, latency = profile.tau.p995 * 1e-6, session.latency
+        longer = ", which is longer" if found + latency > tau else ""
+        own = f" beside {_ms(latency)} that a driver states" if latency else ""
+        measured = f"measured here, {_ago(profile.age(now))}: p99.5 is {_ms(found)}{own}{longer}"
     share = needed_share(loop.Delta_D, certificate.levels.Phi_E)
     worth = Worth(loop, share)
     given = stiffness_range(certificate)

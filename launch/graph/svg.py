@@ -142,7 +142,7 @@ _STYLE = """
     .observer .box { stroke-dasharray: 4 3; }
     .line { fill: none; stroke: #57606a; stroke-width: 1.5; }
     .aside .line { stroke-dasharray: 2 4; }
-    .ok { --health: #2e7d32; } .waiting { --health: #757575; } .late { --health: #b26a00; }
+    .ok { --health: #2e7d32; } .free, .waiting { --health: #757575; } .late { --health: #b26a00; }
     .frozen { --health: #0277bd; } .silent { --health: #8e24aa; } .away { --health: #c62828; }
     .told .box, .told .line { stroke: var(--health); stroke-width: 2.5; }
     .told .health { fill: var(--health); font-weight: 600; }
@@ -150,7 +150,7 @@ _STYLE = """
       .ground { fill: #0d1117; } text { fill: #e6edf3; } .small, .tie text { fill: #9da7b3; }
       .tie text { stroke: #0d1117; } .box { fill: #161b22; stroke: #8b949e; } .environment .box { fill: #14202e; }
       .line { stroke: #8b949e; }
-      .ok { --health: #4caf50; } .waiting { --health: #9e9e9e; } .late { --health: #ffb74d; }
+      .ok { --health: #4caf50; } .free, .waiting { --health: #9e9e9e; } .late { --health: #ffb74d; }
       .frozen { --health: #4fc3f7; } .silent { --health: #ce93d8; } .away { --health: #ef5350; }
     }
 """

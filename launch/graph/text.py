@@ -15,7 +15,8 @@ from manyhands.launch.graph.parts import Drawing, signals
 from manyhands.launch.plan.access import Capability
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.run.display import say
-from manyhands.nodes.observer.scene import Health, Scene
+from manyhands.nodes.observer.health import Health
+from manyhands.nodes.observer.scene import Scene
 from manyhands.protocol.channels import CHANNELS
 from manyhands.protocol.messages import Role
 
@@ -113,6 +114,7 @@ _SHAPES = {
 
 _CLASSES = {
     Health.OK: "stroke:#2e7d32,stroke-width:2px",
+    Health.FREE: "stroke:#757575,stroke-dasharray:2 4",
     Health.WAITING: "stroke:#757575,stroke-dasharray:4 3",
     Health.LATE: "stroke:#b26a00,stroke-width:3px",
     Health.FROZEN: "stroke:#0277bd,stroke-width:3px",

@@ -66,7 +66,7 @@ def find_session(name: str | None) -> Running:
     listed = ", ".join(f"{r.about.session} (process {r.about.pid})" for r in running)
     if len(wanted) > 1:
         which = "several" if name is None else f"{len(wanted)} of the name {name!r}"
-        raise NoSession(f"found {which} running: {listed}; expected one, named by --session NAME or its process id")
+        raise NoSession(f"found {which} running: {listed}; expected one, named by --running NAME or its process id")
     if not wanted:
         close = get_close_matches(name or "", [r.about.session for r in running], n=1)
         hint = f"; did you mean {close[0]!r}?" if close else ""

@@ -1,7 +1,7 @@
-"""The tables of `manyhands list` and `manyhands top`.
+"""The tables of `manyhands top`.
 
-`list` shows the running sessions with their nodes and states. `top` shows the figures of every node of one session, and
-below them the links that are not well, notices, incidents and faults.
+`top --all` shows the running sessions with their nodes and states. `top` shows the figures of every node of one
+session, and below them the links that are not well, notices, incidents and faults.
 """
 
 from __future__ import annotations
@@ -17,8 +17,6 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, Final
 
-from rich import box
-from rich.cells import cell_len
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.markup import escape
@@ -26,10 +24,11 @@ from rich.table import Table
 from rich.text import Text
 
 from manyhands.launch.observe.sessions import Running, Seeing, Source
-from manyhands.launch.run.display import COLUMNS, energy_line
+from manyhands.launch.run.display import COLUMNS, RANKS, energy_line, figure_table, heading, promise_lines, say
 from manyhands.launch.run.states import NodeState
 from manyhands.nodes.json_number import json_number
-from manyhands.nodes.observer.scene import Health, NodeScene, Scene
+from manyhands.nodes.observer.health import Health, as_plain, summary
+from manyhands.nodes.observer.scene import NodeScene, Scene
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
 from manyhands.protocol.transport import TransportError
 from manyhands.protocol.transport.broadcast import Visit, await_any
@@ -111,6 +110,8 @@ def session_object(scene: Scene) -> dict[str, Any]:
         "tick": scene.tick,
         "rate": rounded(scene.rate),
         "health": scene.health.value,
+        "promises": [as_plain(row) for row in scene.promises],
+        **({"seats": {seat.name: seat.as_plain() for seat in scene.lobby}} if about.seats else {}),
         "nodes": {
             node.name: {
                 "role": node.role.value,
@@ -149,6 +150,9 @@ def print_sessions(out: Console, scenes: Sequence[Scene], time: float) -> None:
         for node in scene.nodes.values():
             nodes.add_row(escape(node.name), node.role.value, escape(node.state), shown(node.rate), node.health.value)
         out.print(nodes)
+        for line in (summary(scene.promises), *(seat.sentence() for seat in scene.lobby)):
+            if line:
+                say(out, f"{scene.about.session}: {line}")
 
 
 def shown(rate: float | None) -> str:
@@ -176,16 +180,20 @@ PRINT_EVERY: Final = from_seconds(2.0)
 """The same where there is no terminal, and each update prints a table."""
 
 STYLES: Final = {
+    Health.FREE: "dim",
     Health.OK: "green",
     Health.WAITING: "dim",
+    Health.ENFORCED: "cyan",
     Health.LATE: "yellow",
+    Health.SLOW: "yellow",
     Health.FROZEN: "cyan",
     Health.SILENT: "magenta",
     Health.AWAY: "red",
+    Health.BROKEN: "red",
 }
 """The style in which a terminal shows the word for a health."""
 
-_FIXED: Final = ("node", "role", "state", "tick", "rate [Hz]")
+_FIXED: Final = ("node", "role", "state", "tick", "rate\n[Hz]")
 _MOST_SENTENCES: Final = 8  # shown of each kind, the latest ones
 
 
@@ -210,28 +218,25 @@ def picture(scene: Scene, width: int) -> RenderableType:
     about, condition = scene.about, scene.condition
     phase = "connecting" if condition is None else f"{condition.phase}, {condition.elapsed:.0f} s"
     title = f"{about.session} (process {about.pid}, {about.clock} clock): {phase}; {scene.health}"
-    rows = [_cells(node) for node in scene.nodes.values()]
-    titles = [*_FIXED, *(column.title for column in COLUMNS), "health"]
-    table = Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
-    kept = _fitting(titles, rows, width)
-    for place in kept:
-        left = titles[place] in ("node", "role", "state", "health")
-        table.add_column(Text(titles[place].replace(" [", "\n[")), justify="left" if left else "right", overflow="fold")
-    for node, row in zip(scene.nodes.values(), rows, strict=True):
-        *rest, health = [Text(row[place]) for place in kept]
-        health.stylize(STYLES[node.health])
-        table.add_row(*rest, health)
+    titles = [*_FIXED, *(heading(column.title) for column in COLUMNS), "health"]
+    rows: list[list[str | Text]] = [
+        [*_cells(node), Text(node.health, style=STYLES[node.health])] for node in scene.nodes.values()
+    ]
+    table, _ = figure_table(title, titles, rows, RANKS, width)
     return Group(table, *(Text(text, style=style) for text, style in sentences(scene)))
 
 
 def sentences(scene: Scene) -> Iterator[tuple[str, str]]:
-    """The sentences below the table, each with a style: links that are not well, notices, incidents, faults."""
+    """The sentences below the table, each with a style: seats, promises, links that are not well, notices, incidents,
+    faults.
+    """
+    for seat in scene.lobby:
+        yield seat.sentence(), STYLES[seat.health]
+    yield from promise_lines(scene.promises, () if scene.condition is None else scene.condition.notices)
     for link in scene.about.links:
         health = scene.link_health(link)
-        if health is not Health.OK:
+        if health not in (Health.OK, Health.FREE):
             yield f"link {link.ends[0]} - {link.ends[1]}: {health}", STYLES[health]
-    for name, late in scene.frozen_late.items():
-        yield late.sentence(name), "yellow"
     for node in scene.nodes.values():
         if line := energy_line(node.figures):
             yield line, ""
@@ -251,22 +256,7 @@ def sentences(scene: Scene) -> Iterator[tuple[str, str]]:
 def _cells(node: NodeScene) -> list[str]:
     figures = [column.cell(node.figures) for column in COLUMNS]
     tick = "" if node.received is None else str(node.tick)
-    return [node.name, node.role.value, node.state, tick, shown(rounded(node.rate)), *figures, node.health.value]
-
-
-def _fitting(titles: list[str], rows: list[list[str]], width: int) -> list[int]:
-    """The indices of the columns that fit into ``width``; the least important columns are left out first."""
-    needed = [
-        max(map(cell_len, (*title.replace(" [", "\n[").split("\n"), *(row[place] for row in rows))), default=0) + 3
-        for place, title in enumerate(titles)
-    ]
-    ranks = {len(_FIXED) + place: column.rank for place, column in enumerate(COLUMNS)}
-    ranks[_FIXED.index("role")] = 7  # the name often makes the role clear
-    kept = list(range(len(titles)))
-    for place in sorted(ranks, key=ranks.__getitem__, reverse=True):
-        if sum(needed[one] for one in kept) > width:
-            kept.remove(place)
-    return kept
+    return [node.name, node.role.value, node.state, tick, shown(rounded(node.rate)), *figures]
 
 
 def show_live(scene: Scene, seeing: Seeing, console: Console, stop: Callable[[], bool]) -> None:

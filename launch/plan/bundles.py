@@ -10,10 +10,13 @@ environment follow from these limits (:func:`tool_bounds`). The environment rece
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -51,13 +54,14 @@ from manyhands.nodes.bundle import (
     Limits,
     ObserverBundle,
     Peer,
+    PluginDevice,
     RecordedMotion,
     SimulatedHand,
     Source,
     WaveEnd,
 )
 from manyhands.nodes.environment.energy import EnergyBudget
-from manyhands.nodes.environment.model import ModelName
+from manyhands.nodes.factory import FactoryName
 from manyhands.nodes.wave_link.faces import wave_feedthrough
 from manyhands.protocol.channels import links_at, topics_of
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
@@ -126,6 +130,8 @@ def _in_order(session: Session, bounds: Mapping[str, float]) -> PortBounds:
 
 TELEMETRY_PERIOD = 0.1  # s: ten messages a second, the rate in the channel table
 MOST_TRACE_VALUES = MAX_CONTROL_BYTES // 8 - 4096  # values of all traces in a message, limited by the size of a frame
+USUAL_TRACE_VALUES = 8192  # beyond, a frame takes longer to make than a tick leaves: 0.7 ms for six times as many
+FEWEST_TICKS = 10  # in such a message, for its figures cost time as well
 
 
 @dataclass(frozen=True)
@@ -198,7 +204,44 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         storage=None if model is not None else _storage(prepared),
         waves=waves,
     )
-    return bundles
+    return bundles if prepared.world is None else _with_part_ids(prepared, bundles)
+
+
+def _with_part_ids(prepared: Prepared, bundles: Mapping[str, Bundle]) -> dict[str, Bundle]:
+    """The same bundles, of which those of a wave link's site have the id of their part, at either end of the link."""
+    out = dict(bundles)
+    ids = dict[str, str]()
+    for name in prepared.session.wave_links:
+        nodes = [*prepared.session.devices_of(name), name]
+        ids[name] = part_id(prepared.parts[name].id, [bundles[node] for node in nodes])
+        for node in nodes:
+            out[node] = replace(bundles[node], common=replace(bundles[node].common, certificate=ids[name]))
+    world = bundles[ENVIRONMENT]
+    peers = tuple(replace(peer, certificate=ids.get(peer.name, "")) for peer in world.common.peers)
+    out[ENVIRONMENT] = replace(world, common=replace(world.common, peers=peers))
+    return out
+
+
+def part_id(certificate: str, bundles: Sequence[Bundle]) -> str:
+    """The id of a site's part of a session: SHA-256 (hex) of its certificate's id and of all that its nodes are given.
+
+    Keys, addresses, and when the nodes send telemetry are no part of it. So a change elsewhere in the session leaves
+    the id as it is, and an invitation good.
+
+    Args:
+        certificate: the id of the site's certificate.
+        bundles: of the site's nodes.
+    """
+    content: list[Any] = [certificate]
+    for bundle in bundles:
+        members = json.loads(bundle_files.encoded(bundle))
+        common = members.pop("common")
+        links = [[peer["name"], peer["ports"], peer["binds"]] for peer in common["peers"]]
+        content.append([members, links, {key: common[key] for key in _OF_A_PART}])
+    return hashlib.sha256(json.dumps(content, sort_keys=True, allow_nan=False).encode()).hexdigest()
+
+
+_OF_A_PART = ("session", "name", "role", "period", "clock", "ports", "rate")
 
 
 def _wave_end(session: Session, name: str, link: WaveLink, at_user: bool) -> WaveEnd:
@@ -223,7 +266,7 @@ def _storage(prepared: Prepared) -> Matrix | None:
     return network.energy_matrix() if isinstance(network, Network) else None
 
 
-def _environment(prepared: Prepared) -> tuple[StateSpace | None, Matrix | None, ModelName | None]:
+def _environment(prepared: Prepared) -> tuple[StateSpace | None, Matrix | None, FactoryName | None]:
     """E, the level that the environment promises, and the Python model in place of E.
 
     A model's level is its *declared* one, certified or not; a model without a passivity controller promises none.
@@ -231,7 +274,7 @@ def _environment(prepared: Prepared) -> tuple[StateSpace | None, Matrix | None, 
     given, environment = prepared.session.environment, prepared.loop.environment
     if isinstance(given, PythonEnvironment) and isinstance(environment, DeclaredEnvironment):
         level = environment.level if environment.enforced else None
-        return None, level, ModelName(given.model, given.parameters)
+        return None, level, prepared.session.foreign_code["environment.model"]
     E = environment.environment(prepared.session.period)
     if prepared.world is not None:
         return E, matrix(prepared.world.Phi_E), None
@@ -374,7 +417,8 @@ def _columns(session: Session, graph: Topology, name: str, clock: str) -> int:
 
 def _telemetry_ticks(period: float, columns: int) -> int:
     """Ticks between two telemetry messages: the channel table's rate, or fewer if a message would be too large."""
-    room = MOST_TRACE_VALUES // max(1, columns)
+    columns = max(1, columns)
+    room = min(MOST_TRACE_VALUES // columns, max(FEWEST_TICKS, USUAL_TRACE_VALUES // columns))
     return max(1, min(MAX_TELEMETRY_TICKS, room, round(TELEMETRY_PERIOD / period)))
 
 
@@ -384,8 +428,11 @@ def _telemetry_first(every: int, number: int, graph: Topology) -> int:
 
 
 def _source(session: Session, name: str) -> Source:
-    """What moves a device: its recorded motion, or its mechanism and hand, with their masses added."""
+    """What moves a device: a driver's factory, its recorded motion, or its mechanism and hand, their masses added."""
     device = session.devices[name]
+    if device.factory is not None:
+        driver = session.foreign_code[f"devices.{name}.driver"]
+        return PluginDevice(driver, device.dof, device.axis_map or (), device.scale or 1.0, device.timing)
     if device.trace is not None:
         return RecordedMotion(session.osp_level(name), device.trace.times, device.trace.values)
     hand, mass, damping = device.hand, device.mass, device.damping
@@ -409,6 +456,17 @@ def _plain(intent: float | str | TraceData) -> object:
     return intent
 
 
+def require_member(session: Session, name: str) -> None:
+    """Require a node or an observer of this name.
+
+    Raises:
+        ReachError: the session has none.
+    """
+    valid = (*session.roles, *session.observers)
+    if name not in valid:
+        raise ReachError(f"{session.name}: found no node or observer {name!r:.100}; expected {one_of(valid, name)}")
+
+
 def invite(prepared: Prepared, name: str, keys: Keys | None, clock: str, path: Path) -> Bundle:
     """Make the bundle of one node or observer and write it to a file of mode 0600; returns the bundle.
 
@@ -424,14 +482,11 @@ def invite(prepared: Prepared, name: str, keys: Keys | None, clock: str, path: P
         KeyFileError: its key, or that of one of its peers, is missing.
         TargetError, OSError: the file cannot be written.
     """
-    session = prepared.session
-    valid = (*session.roles, *session.observers)
-    if name not in valid:
-        raise ReachError(f"{session.name}: found no node or observer {name!r:.100}; expected {one_of(valid, name)}")
+    require_member(prepared.session, name)
     require_target(path)
     ways = reach(prepared, "tcp", insecure=keys is None, keys=keys, listen=Listen(), remote=frozenset())
     # the remote machine fills in what only it knows when the node joins
     bundle = bundle_of(prepared, RunPlan(clock, None, "", reach=ways), name)
     with replacing(path, mode=0o600) as file:
-        file.write(bundle_files.encoded(bundle))
+        file.write(bundle_files.encoded(bundle_files.elsewhere(bundle)))
     return bundle

@@ -65,7 +65,7 @@ def ssh_command(node: str, host: str, endpoint: str, program: str) -> list[str]:
         endpoint: of the supervisor's hub.
         program: what starts manyhands there.
     """
-    there = f"{program} node {node} --session - --connect {endpoint}"
+    there = f"{program} node {node} --bundle - --connect {endpoint}"
     return ["ssh", "-T", *(word for option in _OPTIONS for word in ("-o", option)), "--", host, there]
 
 
@@ -75,7 +75,7 @@ _OPTIONS: Final = ("BatchMode=yes", "ConnectTimeout=20", "ServerAliveInterval=5"
 
 def by_hand(node: str, endpoint: str) -> str:
     """The command with which somebody on another machine starts a node there, with what ``invite`` has written."""
-    return f"manyhands node {node} --session {node}.bundle --key {node}.key --connect {endpoint}"
+    return f"manyhands node {node} --bundle {node}.bundle --key {node}.key --connect {endpoint}"
 
 
 def ended_there(host: str, code: int, log: str) -> str:

@@ -1,10 +1,10 @@
-"""The keys of a session: the folder that holds them, each process's own key ring, and the command `manyhands keys`.
+"""The keys of a session, which `manyhands invite` makes: the folder that holds them, and each process's own key ring.
 
     FOLDER/public.json          public keys by name: for every machine
     FOLDER/private/NAME.key     mode 0600, in a folder of mode 0700: for the machine that runs NAME alone
 
 Keys are made once and then kept. Only one process at a time makes keys in a folder, and no other user may enter the
-private folder. An interrupted `manyhands keys` can be repeated: every private key is whole or absent, and the public
+private folder. An interrupted `manyhands invite` can be repeated: every private key is whole or absent, and the public
 keys, which make the keys known, are written last.
 """
 
@@ -115,7 +115,7 @@ def private_path(private: Path, name: str) -> Path:
 
 
 class KeyState(StrEnum):
-    """What `manyhands keys` did with a process's key."""
+    """What `manyhands invite` did with a process's key."""
 
     NEW = "new"
     KEPT = "kept"
@@ -275,7 +275,7 @@ def load_folder(session: Session, folder: Path) -> Keys:
     if missing:
         raise KeyFileError(
             f"{path}: found no key of {missing[0]!r}{f' and {len(missing) - 1} more' if missing[1:] else ''}; expected "
-            "one for every process of the session; make them with manyhands keys, which keeps existing keys"
+            "one for every process of the session; make them with manyhands invite, which keeps existing keys"
         )
     if os.path.lexists(private):
         require_folder(private, private=True)
@@ -347,7 +347,8 @@ def _place_new(session: str, name: str, path: Path) -> str:
 def _disagreement(place: Path | str, name: str) -> str:
     return (
         f"{place}: found a private key of {name!r} that does not match its public key in {PUBLIC}; expected a pair; "
-        f"restore the file that was replaced, or make a new pair with manyhands keys --renew {name}"
+        "restore the file that was replaced, or make a new pair with manyhands invite SESSION --keys DIR --renew "
+        f"{name}"
     )
 
 

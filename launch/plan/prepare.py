@@ -12,12 +12,13 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from manyhands.design.certificate import Certificate, content, differences, identity, load
 from manyhands.design.errors import CertificateError, DesignError, Infeasible
+from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import Partition, SpringDamper
 from manyhands.design.models.environment import (
     DeclaredEnvironment,
@@ -81,12 +82,15 @@ def haptic_loop(session: Session) -> HapticLoop:
         ),
         environment=session_environment(session),
         tau=tau,
-        period_tolerance=session.design.period_tolerance,
+        period_tolerance=session.period_tolerance,
     )
 
 
 def stated_delay(session: Session) -> float:
-    """The delay inside the tick that the session is designed for, s; 0 where it states none.
+    """The delay inside the tick that the session is designed for, s.
+
+    Where the session states none, it is what its devices state of themselves: the age of their samples and the delay of
+    their forces, and 0 without either. Where it states one, it is at least that.
 
     Raises:
         NotCertified: the delay is to be measured, and has not been.
@@ -96,7 +100,7 @@ def stated_delay(session: Session) -> float:
             f"{session.name}: design.tau: found {AUTO}, and no measurement; expected a delay in s, or a command that "
             "measures it (launch, design)"
         )
-    return session.design.stated_tau or 0.0
+    return session.latency if session.design.stated_tau is None else session.design.stated_tau
 
 
 def session_environment(session: Session) -> Environment:
@@ -183,7 +187,16 @@ UNCERTIFIED = "uncertified-"
 
 
 class NotCertified(Exception):
-    """A run was refused because its session is not certified; the text states the reason and a remedy."""
+    """A run was refused because its session is not certified; the text states the reason and a remedy.
+
+    Example:
+        >>> import manyhands as mh
+        >>> try:
+        ...     mh.launch("example1-uncoupled", 1.0, clock="simulated")
+        ... except mh.NotCertified as error:
+        ...     print(str(error)[:42])
+        example-1-uncoupled is not certified: ther
+    """
 
 
 IN_TICK: Final = "in-tick"
@@ -215,6 +228,8 @@ class Prepared(Plan):
     notes: tuple[str, ...] = ()
     world: World | None = None
     parts: Mapping[str, Certificate] = field(default_factory=dict)
+
+    __repr__ = brief_repr
 
     @property
     def certified(self) -> bool:
@@ -253,9 +268,18 @@ def read_certificate(path: Path, session: Session | None = None) -> Certificate:
         CertificateError: the file is not a certificate.
         NotCertified: it does not hold, is another session's, or would have another id if it were written again.
     """
+    certificate, data = load(path)
+    return _proved(certificate, data, str(path), session)
+
+
+def _proved(certificate: Certificate, data: Mapping[str, Any], path: str, session: Session | None) -> Certificate:
+    """``certificate``, proved from its plain ``data``, for ``session`` where one is given.
+
+    Raises:
+        CertificateError, NotCertified: as :func:`read_certificate`; ``path`` names the certificate.
+    """
     from manyhands.design.proof import ProofInputError, prove  # imported here: not every command proves
 
-    certificate, data = load(path)
     try:
         failing = [finding for finding in prove(data) if not finding.holds]
     except ProofInputError as error:
@@ -310,13 +334,15 @@ def with_delay_of(certificate: Certificate, session: Session) -> Session:
     if session.design.stated_tau is not None:
         return session
     if certificate.tau > session.period:  # then the periods differ
-        return session.with_delay(0.0)
+        return session.with_delay(session.latency)
+    if certificate.tau < session.latency:  # then it is another session's: it covers less than the devices state
+        return session.with_delay(session.latency, certificate.period_tolerance)
     return session.with_delay(certificate.tau, certificate.period_tolerance)
 
 
 def prepare(
     session: Session,
-    certificate: Path | None = None,
+    certificate: Path | Certificate | None = None,
     uncertified: bool = False,
     progress: Progress | None = None,
 ) -> Prepared:
@@ -327,18 +353,27 @@ def prepare(
 
     Args:
         session: the session.
-        certificate: a certificate file to run under, instead of designing.
+        certificate: the certificate to run under, or its file, instead of designing; it is proved again.
         uncertified: run even if nothing proves the session stable.
         progress: called with each step of the design, as a text.
 
     Raises:
-        CertificateError: the certificate cannot be read.
+        CertificateError: the certificate cannot be read, or is not the file of a world where the session needs one.
         NotCertified: no certificate was found and ``uncertified`` is false, or there is no coupling to run.
     """
     if session.wave_links:
+        if isinstance(certificate, Certificate):
+            expected = "the file of its world, with those of its parts beside it"
+            raise CertificateError(
+                f"{session.name}: found one certificate for a session with wave links; expected {expected}"
+            )
         return _prepare_parts(_settled(session), certificate, uncertified, progress)
     if certificate is not None:
-        proof = read_certificate(certificate, session)
+        if isinstance(certificate, Certificate):
+            plain = {"id": certificate.id, **content(certificate)}
+            proof = _proved(certificate, plain, f"certificate {certificate.id[:16]}", session)
+        else:
+            proof = read_certificate(certificate, session)
         session = with_delay_of(proof, session)
     else:
         session = _settled(session)
@@ -374,6 +409,40 @@ def _prepare_parts(
             world = sites.world(session, progress)
         except DesignError as error:
             return _uncertified(session, error, uncertified)
+    return _of_parts(session, world, parts)
+
+
+def prepare_again(
+    session: Session, certificate: Path, progress: Progress | None = None
+) -> tuple[Prepared, tuple[str, ...]]:
+    """Settle the parts of a session with wave links that may have changed since its certificates were written.
+
+    A part whose terms are still the session's keeps its certificate; the others are designed anew.
+
+    Args:
+        session: the session.
+        certificate: the file of the world, with those of the parts beside it.
+        progress: called with each step of a design, as a text.
+
+    Returns:
+        The prepared session, and the parts that were designed anew; the world among them as "environment".
+
+    Raises:
+        CertificateError: a file is no certificate.
+        NotCertified: a certificate in a file does not hold, or no certificate was found for a part that has changed.
+    """
+    from manyhands.launch.plan import sites
+
+    session = _settled(session)
+    try:
+        world, parts, renewed = sites.kept_parts(certificate, session, progress)
+    except DesignError as error:
+        raise NotCertified(f"{session.name} is not certified: {error}") from error
+    return _of_parts(session, world, parts), renewed
+
+
+def _of_parts(session: Session, world: World, parts: Mapping[str, Certificate]) -> Prepared:
+    """The session under the certificates of its world and its parts."""
     of_parts = {
         name: block
         for part in parts.values()
@@ -392,8 +461,8 @@ def _uncertified(session: Session, why: DesignError, allowed: bool) -> Prepared:
 
 
 def _settled(session: Session) -> Session:
-    """The session with the delay written out that it runs with, for its records: 0 where it states none."""
-    return session.with_delay(0.0) if session.design.tau is None else session
+    """The session with the delay written out that it runs with, for its records (:func:`stated_delay`)."""
+    return session.with_delay(session.latency) if session.design.tau is None else session
 
 
 def _ladder(session: Session, first: Certificate, progress: Progress | None) -> tuple[Ladder | None, tuple[str, ...]]:

@@ -81,13 +81,16 @@ class Reach:
     def address(self, graph: Topology, index: int) -> str:
         """The address at which the link of this index in ``graph`` is bound; empty for ipc.
 
-        The TCP ports of the links follow the hub's, in the graph's order. Links between processes of this machine stay
-        on its loopback address, and so do those between processes of another machine.
+        The TCP ports of the links follow the hub's, in the graph's order. Links between processes of another machine
+        stay on its loopback address. Those between processes of this machine use ipc, for a tick over TCP takes longer,
+        and its processes may not be raised. Only where no node is elsewhere they use what was asked for.
         """
         binder, connector = graph.links[index].binder, graph.links[index].connector
         if binder in self.remote:
             return f"{LOOPBACK}:*" if self.transport == "tcp" else ""
-        return self._at(1 + index, self.listen.host if connector in self.remote else LOOPBACK)
+        if connector in self.remote:
+            return self._at(1 + index, self.listen.host)
+        return "" if self.remote else self._at(1 + index, LOOPBACK)
 
     def hub_address(self) -> str:
         """The address at which the supervisor's hub is bound; empty for ipc."""
@@ -166,7 +169,7 @@ def reach(
         raise ReachError("--remote: found no --listen; expected the address HOST:PORT that the remote node can reach")
     if remote and not insecure and keys is None:
         raise ReachError(
-            "--remote: found no --keys; expected the folder that the invitation was made with (manyhands keys); "
+            "--remote: found no --keys; expected the folder that the invitation was made with (manyhands invite); "
             "the remote node cannot know keys that are made for one run"
         )
     if transport == "tcp" and not insecure and keys is None:

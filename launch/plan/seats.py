@@ -2,9 +2,10 @@
 
     FOLDER/certificate.json, certificate.COUPLING.json …    of the world and its sites: designed once, then kept
     FOLDER/keys/                                            the session's keys (:mod:`manyhands.launch.plan.keys`)
-    FOLDER/COUPLING.invitation                              mode 0600: for the user of that seat alone
+    FOLDER/COUPLING.invitation                              mode 0600: a line for the user of that seat alone
 
-All of it is kept from one hosting to the next, so an invitation stays good until the session's file or a key changes.
+All of it is kept from one hosting to the next. An invitation stays good until its key changes: a guest fetches its part
+of the session when it joins.
 """
 
 from __future__ import annotations
@@ -12,22 +13,20 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from manyhands.design.certificate import to_json
 from manyhands.design.files import replacing
-from manyhands.design.world import world_json
 from manyhands.launch.files import TargetError
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.keys import Keys
 from manyhands.launch.plan.reach import Listen, ReachError, reach
-from manyhands.launch.plan.sites import part_file
-from manyhands.launch.session import Session
+from manyhands.launch.plan.sites import certificate_files
+from manyhands.launch.session import SUPERVISOR, Session
 from manyhands.nodes.bundle import REALTIME, CouplingBundle, DeviceBundle
 from manyhands.nodes.invitation import Invitation
+from manyhands.nodes.seat_part import SeatPart
 
 if TYPE_CHECKING:
     from manyhands.launch.plan.prepare import Prepared
 
-CERTIFICATE: Final = "certificate.json"
 KEYS: Final = "keys"
 
 
@@ -79,35 +78,42 @@ def keep_certificates(prepared: Prepared, folder: Path) -> None:
     Raises:
         OSError: a file cannot be written.
     """
-    path = folder / CERTIFICATE
-    files = {part_file(path, name): to_json(part) for name, part in prepared.parts.items()}
-    if prepared.world is not None:
-        files[path] = world_json(prepared.world)  # last: it makes the others known
-    for file, text in files.items():
-        with replacing(file) as out:
-            out.write(text.encode())
+    for name, content in reversed(certificate_files(prepared).items()):  # the world last: it makes the others known
+        with replacing(folder / name) as out:
+            out.write(content)
 
 
-def write_invitations(prepared: Prepared, keys: Keys, address: str, folder: Path) -> dict[str, Path]:
-    """Write the invitation of every seat; returns their files, by seat.
+def invitations(prepared: Prepared, keys: Keys, address: str) -> dict[str, Invitation]:
+    """The invitation of every seat, by seat.
 
     Args:
         prepared: the session under its certificates.
         keys: its keys.
         address: where guests reach this machine, HOST:PORT.
-        folder: where to write them.
 
     Raises:
         KeyFileError: a seat's private key is missing.
-        BundleError, OSError: an invitation cannot be written.
+    """
+    session, hub = prepared.session, keys.public.keys[SUPERVISOR]
+    return {
+        seat: Invitation(address, session.name, seat, device, hub, keys.pair(device))
+        for seat, device in seats_of(session).items()
+    }
+
+
+def seat_parts(prepared: Prepared, keys: Keys) -> dict[str, bytes]:
+    """What the guest at each seat fetches when it joins, by the seat's device.
+
+    Raises:
+        KeyFileError: a seat's private key is missing.
+        BundleError: a part is longer than a guest may fetch.
     """
     ways = reach(prepared, "tcp", keys=keys, listen=Listen())  # only the guest knows its own addresses
     bundles = cut(prepared, RunPlan(REALTIME, None, "", reach=ways))
-    written: dict[str, Path] = {}
+    parts: dict[str, bytes] = {}
     for seat, name in seats_of(prepared.session).items():
         device, coupling = bundles[name], bundles[seat]
         if not (isinstance(device, DeviceBundle) and isinstance(coupling, CouplingBundle)):
             raise AssertionError("a seat is a device and its coupling")
-        path = written[seat] = folder / f"{seat}.invitation"
-        Invitation(address, device, coupling, {one: keys.pair(one) for one in (name, seat)}).save(path)
-    return written
+        parts[name] = SeatPart(device, coupling, {seat: keys.pair(seat)}).encoded()
+    return parts

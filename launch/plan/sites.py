@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from manyhands.design.certificate import Certificate, differences, read_plain
+from manyhands.design.certificate import Certificate, differences, read_plain, to_json
 from manyhands.design.errors import CertificateError
 from manyhands.design.models.coupling import Partition, SpringDamper
 from manyhands.design.problem import (
@@ -24,7 +24,7 @@ from manyhands.design.problem import (
     SpringDamperGiven,
 )
 from manyhands.design.wave_link import WaveLinkFace, WorldPromise, in_tick_id, promised_level, wave_link_id
-from manyhands.design.world import is_world, world_differences, world_from_content, world_terms
+from manyhands.design.world import is_world, world_differences, world_from_content, world_json, world_terms
 from manyhands.launch.plan.prepare import (
     IN_TICK,
     NotCertified,
@@ -36,12 +36,12 @@ from manyhands.launch.plan.prepare import (
     stated_delay,
 )
 from manyhands.launch.session import ENVIRONMENT, Session
+from manyhands.nodes.recorder.format import CERTIFICATE_FILE
 
 if TYPE_CHECKING:
-    from manyhands.design.models.environment import Environment
-    from manyhands.design.models.statespace import Matrix
     from manyhands.design.synthesis import Designed
-    from manyhands.design.world import World
+    from manyhands.design.world import World, WorldTerms
+    from manyhands.launch.plan.prepare import Prepared
 
 
 class SessionPart(NamedTuple):
@@ -102,7 +102,7 @@ def in_tick(session: Session) -> SessionPart:
         partition=Partition(names, blocks),
         environment=WorldPromise(ports, level, id=in_tick_id(session.name, session.period, ports, level)),
         tau=stated_delay(session),
-        period_tolerance=session.design.period_tolerance,
+        period_tolerance=session.period_tolerance,
     )
     return SessionPart(IN_TICK, loop, request_of(session, names, ports))
 
@@ -115,16 +115,16 @@ def world(session: Session, progress: Progress | None = None) -> World:
     """
     from manyhands.design.world_synthesis import design_world  # the solver's modules take a second to import
 
-    return design_world(*_world_asked(session), progress)
+    return design_world(terms_of_world(session), progress)
 
 
-def _world_asked(session: Session) -> tuple[str, float, Environment, Partition, dict[str, tuple[Matrix, float]]]:
-    """What a session asks of its world: its name, T (s), the environment, the couplings' ports, and b and E_0."""
+def terms_of_world(session: Session) -> WorldTerms:
+    """What a session asks of its world."""
     links = {
         name: (link.impedance(len(session.blocks_by_name[name])), link.tank)
         for name, link in session.wave_links.items()
     }
-    return session.name, session.period, session_environment(session), _partition(session), links
+    return world_terms(session.name, session.period, session_environment(session), _partition(session), links)
 
 
 def parts(session: Session) -> tuple[SessionPart, ...]:
@@ -151,12 +151,72 @@ def part_file(output: Path, name: str) -> Path:
     return output.with_name(f"{stem}.{name}{dot}{suffixes}")
 
 
+def certificate_files(prepared: Prepared) -> dict[str, bytes]:
+    """The files of a run's certificates, contents by name; of a world's parts as :func:`read_parts` reads them."""
+    out: dict[str, bytes] = {}
+    if prepared.certificate is not None:
+        out[CERTIFICATE_FILE] = to_json(prepared.certificate).encode()
+    if prepared.world is not None:
+        out[CERTIFICATE_FILE] = world_json(prepared.world).encode()
+        for name, part in prepared.parts.items():
+            out[part_file(Path(CERTIFICATE_FILE), name).name] = to_json(part).encode()
+    return out
+
+
 def read_parts(path: Path, session: Session) -> tuple[World, dict[str, Certificate]]:
     """Read the certificate of a world and those of its parts beside it, and prove all of them for ``session``.
 
     Raises:
         CertificateError: a file is missing, or is no certificate.
         NotCertified: one does not hold, or is of another session.
+    """
+    proved = _read_world(path, session)
+    if isinstance(proved, str):
+        raise NotCertified(f"{path}: a world of another session: {proved}; design this session anew")
+    parts: dict[str, Certificate] = {}
+    for name in part_names(session)[:-1]:
+        file = part_file(path, name)
+        certificate = parts[name] = read_certificate(file)
+        if found := differences_from(certificate, session):
+            raise NotCertified(f"{file}: a certificate of another session: {found[0]}; design this session anew")
+    return proved, parts
+
+
+def kept_parts(
+    path: Path, session: Session, progress: Progress | None = None
+) -> tuple[World, dict[str, Certificate], tuple[str, ...]]:
+    """As :func:`read_parts`, for a session that may have changed: what is no longer its own is designed anew.
+
+    Returns:
+        The world, the parts, and the names of those that were designed anew.
+
+    Raises:
+        CertificateError: a file is no certificate.
+        NotCertified: one does not hold.
+        DesignError: a part that has changed cannot be certified.
+    """
+    renewed: list[str] = []
+    certified: dict[str, Certificate] = {}
+    for part in parts(session):
+        file = part_file(path, part.name)
+        own = read_certificate(file) if file.exists() else None
+        if own is None or differences_from(own, session):
+            renewed.append(part.name)
+            own = part.design(progress).certificate
+        certified[part.name] = own
+    proved = _read_world(path, session)
+    if isinstance(proved, str):
+        renewed.append(ENVIRONMENT)
+        proved = world(session, progress)
+    return proved, certified, tuple(renewed)
+
+
+def _read_world(path: Path, session: Session) -> World | str:
+    """The world in a file, proved; where it is another session's, a sentence that says what differs.
+
+    Raises:
+        CertificateError: the file is no certificate of a world.
+        NotCertified: the world does not hold.
     """
     from manyhands.design.proof import ProofInputError, prove_world  # imported here: not every command proves
 
@@ -171,21 +231,14 @@ def read_parts(path: Path, session: Session) -> tuple[World, dict[str, Certifica
         raise CertificateError(f"{path}: {error}") from error
     if failing:
         raise NotCertified(f"{path}: not proved: {failing[0].condition} ({failing[0].argument}); design it anew")
-    terms = world_terms(*_world_asked(session))
+    terms = terms_of_world(session)
     if found := world_differences(data, terms):
-        raise NotCertified(f"{path}: a world of another session: {found[0]}; design this session anew")
+        return found[0]
     try:
-        proved = world_from_content(data, terms)
+        return world_from_content(data, terms)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         what = f"key {error} is missing" if isinstance(error, KeyError) else str(error)
         raise CertificateError(f"{path}: not a world as manyhands writes it: {what}; design it anew") from error
-    parts: dict[str, Certificate] = {}
-    for name in part_names(session)[:-1]:
-        file = part_file(path, name)
-        certificate = parts[name] = read_certificate(file)
-        if found := differences_from(certificate, session):
-            raise NotCertified(f"{file}: a certificate of another session: {found[0]}; design this session anew")
-    return proved, parts
 
 
 def differences_from(certificate: Certificate, session: Session) -> list[str]:
@@ -237,7 +290,7 @@ def site_loop(session: Session, coupling: str) -> HapticLoop:
         partition=Partition((coupling,), (tuple(range(m)),)),
         environment=face,
         tau=stated_delay(session) if link.tau is None else link.tau,
-        period_tolerance=session.design.period_tolerance,
+        period_tolerance=session.period_tolerance,
     )
 
 

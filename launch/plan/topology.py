@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from manyhands.launch.session import ENVIRONMENT, SUPERVISOR, Session
@@ -116,17 +116,22 @@ def topology(session: Session) -> Topology:
     return Topology(session.roles, ports, tuple(links), session.carriers)
 
 
-def placement(graph: Topology, processors: Sequence[int], raised: bool = False) -> Mapping[str, int]:
+def placement(
+    graph: Topology, processors: Sequence[int], raised: bool = False, remote: Collection[str] = ()
+) -> Mapping[str, int]:
     """The processor of each node that is pinned to one; empty where there is one chain or one processor.
+
+    An environment that is to have a priority beside users elsewhere is pinned with one chain as well, and with none.
 
     Args:
         graph: the session's nodes and links.
         processors: the processors that this process may use.
         raised: whether pinned processes will have a real-time priority
             (:func:`manyhands.nodes.realtime.may_raise`).
+        remote: the nodes that run on other machines.
     """
-    chains = chains_of(graph)
-    if len(chains) < 2 or len(processors) < 2:
+    chains = [local for chain in chains_of(graph) if (local := [node for node in chain if node not in remote])]
+    if len(processors) < 2 or (len(chains) < 2 and not (raised and remote)):
         return {}
     places = {node: processors[i % len(processors)] for i, chain in enumerate(chains) for node in chain}
     if raised:
@@ -135,9 +140,9 @@ def placement(graph: Topology, processors: Sequence[int], raised: bool = False) 
     return places
 
 
-def usual_placement(graph: Topology, transport: str) -> Mapping[str, int]:
-    """The :func:`placement` of a run in real time on this machine's processors, over "ipc" or "tcp"."""
-    return placement(graph, sorted(os.sched_getaffinity(0)), raised=transport == "ipc" and may_raise())
+def usual_placement(graph: Topology, remote: Collection[str] = ()) -> Mapping[str, int]:
+    """The :func:`placement` of a run in real time on this machine's processors, without the nodes elsewhere."""
+    return placement(graph, sorted(os.sched_getaffinity(0)), may_raise(), remote)
 
 
 def chains_of(graph: Topology) -> list[list[str]]:

@@ -36,6 +36,7 @@ from manyhands.launch.recordings.audit_coupling import recompute_coupling
 from manyhands.launch.recordings.audit_device import ROUNDING as FREE_ROUNDING
 from manyhands.launch.recordings.audit_device import WallRows, recompute_device, recompute_in_wall_time
 from manyhands.launch.recordings.audit_environment import ROUNDING, Blocks, increments, recompute_environment
+from manyhands.launch.recordings.audit_promises import promises_of
 from manyhands.launch.recordings.audit_wave_link import (
     EndRows,
     end_checks,
@@ -73,10 +74,12 @@ from manyhands.nodes.bundle import (
 )
 from manyhands.nodes.device.core import Guard
 from manyhands.nodes.environment.clutch import LET_GO
+from manyhands.nodes.observer.health import Promise, PromiseState, as_plain, holds
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
 from manyhands.nodes.tick_events import Kind, events_in
 from manyhands.nodes.wave_link.faces import wave_feedthrough
 from manyhands.protocol.channels import TANK_NAMES
+from manyhands.protocol.messages import PromiseStatus
 
 Array = NDArray[np.float64]
 
@@ -110,6 +113,7 @@ class Audit:
         clock: "realtime" or "simulated".
         ticks: of the longest trace.
         checks: all of them.
+        promises: how each promise stood, by the checks and by what the session recorded.
     """
 
     session: str
@@ -117,11 +121,12 @@ class Audit:
     clock: str
     ticks: int
     checks: tuple[Check, ...]
+    promises: tuple[PromiseStatus, ...]
 
     @property
     def holds(self) -> bool:
-        """Whether no check is broken."""
-        return all(check.holds for check in self.checks)
+        """Whether all that the certificate needs was checked, and kept or enforced, and nothing else is broken."""
+        return all(check.holds for check in self.checks) and holds(self.promises)
 
     @property
     def broken(self) -> tuple[Check, ...]:
@@ -137,6 +142,7 @@ class Audit:
             "certificate": self.certificate,
             "clock": self.clock,
             "ticks": self.ticks,
+            "promises": [as_plain(row) for row in self.promises],
             "checks": [check.as_plain() for check in self.checks],
         }
 
@@ -177,10 +183,13 @@ def audit(path: Path, run: RecordedRun, say: Callable[[str], None], progress: Ti
         prepared = prepared_of(path, run, say)
     except NotCertified as error:
         checks: tuple[Check, ...] = (Check("certificate", "session", what, CheckVerdict.BROKEN, remark=str(error)),)
+        of_none = Promise.CERTIFICATE.value, PromiseState.BROKEN.value, ("session",)
+        promises: tuple[PromiseStatus, ...] = (PromiseStatus(*of_none, remark=str(error)),)
     else:
         proved = Check("certificate", "session", what, CheckVerdict.HOLDS, remark=prepared.id)
         checks = (proved, *_AuditRun(prepared, run, progress).checks())
-    return Audit(recorded.session, recorded.certificate, recorded.clock, run.ticks, checks)
+        promises = promises_of(prepared, run, checks)
+    return Audit(recorded.session, recorded.certificate, recorded.clock, run.ticks, checks, promises)
 
 
 class _AuditRun:
@@ -219,7 +228,8 @@ class _AuditRun:
         for name, device in devices.items():
             assumed = self._assumed(name, device, courses[name])
             found = [check for check in (*out, *assumed) if check.party == name]
-            within = all(check.verdict is not CheckVerdict.ASSUMPTION for check in found) and not courses[name].released
+            missed = (CheckVerdict.ASSUMPTION, CheckVerdict.ENFORCED)
+            within = all(check.verdict not in missed for check in found) and not courses[name].released
             promised = device.time != WALL or device.tank is not None or within
             out.append(bounded(self._run, name, device.allowed, promised))
             out += [*limits_kept(self._run, name, device, courses[name]), *assumed]
@@ -274,7 +284,11 @@ class _AuditRun:
         """What the certificate assumes of a device's delays and periods."""
         taus = {0: bundle.rungs[0].tau} | {tick + 1: bundle.rungs[rung].tau for tick, rung in course.in_force}
         tolerance = bundle.rungs[0].period_tolerance  # every rung of a ladder has that of the certificate
-        return [delay_assumed(self._run, name, taus), period_assumed(self._run, name, tolerance)]
+        enforced = bundle.time == WALL and bundle.tank is not None
+        return [
+            delay_assumed(self._run, name, taus, enforced),
+            period_assumed(self._run, name, tolerance, enforced),
+        ]
 
     def _follow_guard(self, name: str, bundle: DeviceBundle, x: Array, f: Array, asked: Array, course: Course) -> None:
         """Replace x and f of a device that has let go by the x that it sent its couplings and the forces it was asked
@@ -345,7 +359,8 @@ class _AuditRun:
         let_go = changed_after(figures, names.LET_GO)
         applied = rows_of(run, name, names.APPLIED)
         stopped = grown_in(figures, names.SUSPENDED, len(x))
-        rows = WallRows(its_x, its_f, asked[:, own], instants, applied, let_go, stopped)
+        unexerted = changed_after(figures, names.UNEXERTED)
+        rows = WallRows(its_x, its_f, asked[:, own], instants, applied, let_go, stopped, unexerted)
         again = recompute_in_wall_time(
             bundle, lambda: hand_of(bundle, self._session, run.recorded.clock), rows, course, self._report
         )

@@ -163,6 +163,8 @@ class WallRows:
         applied: x at the instants a(k), ticks x axes, m; NaN where the device could not measure it.
         let_go: the tick from which on the device may have let go; None if it never did.
         stopped: by tick, whether its process may not have run for a while.
+        unexerted: the tick from which on its hardware may have exerted other forces than it was given; None if it
+            never did.
     """
 
     x: Array
@@ -172,6 +174,7 @@ class WallRows:
     applied: Array
     let_go: int | None
     stopped: NDArray[np.bool_]
+    unexerted: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,6 +321,8 @@ def recompute_in_wall_time(
             stopped = bool(rows.stopped[k]) and applied - sampled > LONGEST_GAP
             moved = may_let_go or state.guard.leaving
             why = happened.unknown or _unknown(happened.released, moved, stopped, freed, asked)
+            if rows.unexerted is not None and k >= rows.unexerted:
+                why = why or "its hardware exerted another force than it was given, which its account counts"
             if why:
                 state = None
                 lose(out.gaps, k, ticks, why)

@@ -203,13 +203,14 @@ def limits_kept(run: RecordedRun, node: str, bundle: DeviceBundle, course: Cours
     return out
 
 
-def delay_assumed(run: RecordedRun, node: str, tau: Mapping[int, float]) -> Check:
+def delay_assumed(run: RecordedRun, node: str, tau: Mapping[int, float], enforced: bool = False) -> Check:
     """The certificate assumes that a force acts at most tau after its sample.
 
     Args:
         run: the recording.
         node: a device.
         tau: the delay that is covered, s, by the tick from which it holds.
+        enforced: whether the device's interface bounds what a longer delay may cost.
     """
     trace = rows_of(run, node, names.TAU)
     covered = np.zeros_like(trace)
@@ -221,18 +222,20 @@ def delay_assumed(run: RecordedRun, node: str, tau: Mapping[int, float]) -> Chec
     if ticks:
         remark = f"later in {ticks} of {numbers} ticks; {remark}"
     first = first_of(late, ("τ",), trace, covered)
-    verdict = CheckVerdict.ASSUMPTION if ticks else CheckVerdict.HOLDS if numbers else CheckVerdict.UNCHECKED
+    missed = CheckVerdict.ENFORCED if enforced else CheckVerdict.ASSUMPTION
+    verdict = missed if ticks else CheckVerdict.HOLDS if numbers else CheckVerdict.UNCHECKED
     what = "the force acts no later after its sample than the certificate assumes"
     return Check("tau", node, what, verdict, numbers, first, ticks, source=EXACT, remark=remark)
 
 
-def period_assumed(run: RecordedRun, node: str, period_tolerance: float) -> Check:
+def period_assumed(run: RecordedRun, node: str, period_tolerance: float, enforced: bool = False) -> Check:
     """The certificate assumes that samples come every T, or earlier; the device itself has counted the later ones.
 
     Args:
         run: the recording.
         node: a device.
         period_tolerance: rho of the certificate, which covers periods up to (1 + rho) T.
+        enforced: whether the device's interface bounds what a longer period may cost.
     """
     figures = run.figures.get(node, ())
     counts = [one[names.PERIOD_BREACHES] for _, one in figures if names.PERIOD_BREACHES in one]
@@ -242,6 +245,6 @@ def period_assumed(run: RecordedRun, node: str, period_tolerance: float) -> Chec
         return Check("period", node, what, CheckVerdict.UNCHECKED)
     breaches = max(counts)
     remark = f"not in {breaches:.0f} ticks" if breaches else ""
-    return Check(
-        "period", node, what, CheckVerdict.ASSUMPTION if breaches else CheckVerdict.HOLDS, len(counts), remark=remark
-    )
+    missed = CheckVerdict.ENFORCED if enforced else CheckVerdict.ASSUMPTION
+    verdict = missed if breaches else CheckVerdict.HOLDS
+    return Check("period", node, what, verdict, len(counts), differing=int(breaches), remark=remark)

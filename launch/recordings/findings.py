@@ -25,6 +25,7 @@ class CheckVerdict(StrEnum):
 
     HOLDS = "holds"
     BROKEN = "broken"
+    ENFORCED = "enforced"  # an assumption did not hold, and the session bounded what that may cost: nothing is unproved
     ASSUMPTION = "assumption"  # an assumption of the certificate did not hold; no party broke its promise
     UNCHECKED = "unchecked"  # there was nothing to compare
 

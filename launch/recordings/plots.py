@@ -245,12 +245,12 @@ def marks_of(conditions: Iterable[tuple[int, Condition]], period: float) -> tupl
 def _wanted(quantities: Sequence[str] | None, there: Collection[str], realtime: bool) -> tuple[str, ...]:
     """The quantities to show, in the order of the table."""
     if unknown := [name for name in quantities or () if name not in QUANTITIES]:
-        raise NotDrawable(f"--topics: found {unknown[0]!r}; expected some of {', '.join(QUANTITIES)}")
+        raise NotDrawable(f"--show: found {unknown[0]!r}; expected some of {', '.join(QUANTITIES)}")
     if "tau" in (quantities or ()) and not realtime:
-        raise NotDrawable("--topics: found 'tau' of a run under the simulated clock; expected one in real time")
+        raise NotDrawable("--show: found 'tau' of a run under the simulated clock; expected one in real time")
     if absent := [name for name in quantities or () if name not in there]:
         held = [name for name in QUANTITIES if name in there]
-        raise NotDrawable(f"--topics: found {absent[0]!r}, which is not recorded; expected some of {', '.join(held)}")
+        raise NotDrawable(f"--show: found {absent[0]!r}, which is not recorded; expected some of {', '.join(held)}")
     out = tuple(name for name in QUANTITIES if name in (quantities or SHOWN) and name in there)
     if not out:
         raise NotDrawable("found a recording without a tick of any quantity; expected something to draw")

@@ -11,7 +11,8 @@ from manyhands.launch.recordings.audit import Audit
 from manyhands.launch.recordings.findings import Check, CheckVerdict, UncheckedTicks, verdicts
 from manyhands.launch.recordings.integrity import Damage
 from manyhands.launch.recordings.replay import Replayed
-from manyhands.launch.run.display import say
+from manyhands.launch.run.display import promise_lines, say
+from manyhands.nodes.observer.health import PROMISES, Promise, PromiseState, grouped, holds, missed, parties
 
 
 def print_damage(out: Console, name: str, damage: Sequence[Damage]) -> None:
@@ -69,6 +70,8 @@ def print_audit(out: Console, name: str, audit: Audit) -> None:
     for check in checks:
         if check.name == "account" and check.verdict is CheckVerdict.HOLDS:
             say(out, f"{check.party}: {check.what}: {check.remark}")
+    for line, _ in promise_lines(audit.promises):
+        say(out, line)
     for check in checks:
         if check.verdict is CheckVerdict.ASSUMPTION:
             say(out, f"assumption that did not hold: {check.party}: {check.what}: {check.remark}")
@@ -79,11 +82,24 @@ def print_audit(out: Console, name: str, audit: Audit) -> None:
     count = verdicts(audit.checks)
     say(
         out,
-        f"{name}: {'holds' if audit.holds else 'does not hold'}: {count[CheckVerdict.HOLDS]} checks hold, "
-        f"{count[CheckVerdict.BROKEN]} do not; "
-        f"{count[CheckVerdict.ASSUMPTION]} assumptions of the certificate did not hold; "
-        f"{count[CheckVerdict.UNCHECKED]} had nothing to compare",
+        f"{name}: {verdict_text(audit)}; {count[CheckVerdict.HOLDS]} checks hold, {count[CheckVerdict.BROKEN]} do not; "
+        f"{count[CheckVerdict.ASSUMPTION]} assumptions of the certificate did not hold, and "
+        f"{count[CheckVerdict.ENFORCED]} were enforced; {count[CheckVerdict.UNCHECKED]} had nothing to compare",
     )
+
+
+def verdict_text(audit: Audit) -> str:
+    """What the audit has found, in one line: what it says holds is what the certificate needs."""
+    if audit.holds:
+        needed = [row for row in missed(audit.promises) if PROMISES[Promise(row.promise)].needed]
+        enforced = dict.fromkeys(row.promise for row in needed if row.state == PromiseState.ENFORCED)
+        by_force = f", or enforced ({', '.join(enforced)})" if enforced else ""
+        return f"holds: all that the certificate needs was kept{by_force}"
+    lacks = [
+        f"{row.promise} {row.state} ({parties(row.who)})" for row in grouped(missed(audit.promises)) if not holds([row])
+    ]
+    broken = [f"{check.name} of {check.party}" for check in audit.broken]
+    return f"does not hold: {'; '.join(lacks or broken)}"
 
 
 def _unchecked(check: Check) -> list[str]:

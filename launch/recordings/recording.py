@@ -13,15 +13,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from io import TextIOWrapper
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.design.files import replacing
+from manyhands.design.models.brief import brief_names
+from manyhands.extras import require
 from manyhands.launch.files import require_target
 from manyhands.launch.recordings.curves import backward_difference
 from manyhands.nodes.recorder.coverage import Coverage, missing_by_party, spans_by_party
+
+if TYPE_CHECKING:
+    import pandas
 
 Array = NDArray[np.float64]
 
@@ -30,6 +35,8 @@ STREAMED = ".mcap"
 RUN_SUFFIXES = (*SUFFIXES, STREAMED)
 """The formats of a session of processes; a simulation in one process keeps everything in memory, and writes no
 ``.mcap``."""
+
+_EXTRAS = {STREAMED: "record", ".parquet": "parquet"}  # what a format needs
 
 MOST_MISSING_TICKS = 1_000_000  # of one device in all; more than that is no loss but ticks that make no sense
 
@@ -72,12 +79,30 @@ class Recording:
         """(x(k) - x(k-1))/T, m/s, ticks x m."""
         return backward_difference(self.x, self.period)
 
-    def save(self, path: Path) -> None:
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """The recording as a table: ``tick``, ``time_s``, ``x[PORT]_m`` and ``f_v[PORT]_N``, by name."""
+        ports = [*(f"x[{p}]_m" for p in self.ports), *(f"f_v[{p}]_N" for p in self.ports)]
+        values = dict(zip(ports, np.hstack([self.x, self.f_v]).T, strict=True))
+        return {"tick": np.arange(len(self.x)), "time_s": self.time, **values}
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The table as a data frame, with the time in s as its index.
+
+        Raises:
+            RecordingError: pandas is not installed.
+        """
+        return data_frame(self.columns(), "time_s")
+
+    def __repr__(self) -> str:
+        return f"Recording({self.session}: {len(self.x)} ticks of {self.period:g} s, ports {brief_names(self.ports)})"
+
+    def save(self, path: Path | str) -> None:
         """Write the file whole or not at all, in the format of its suffix.
 
         Raises:
             RecordingError: the suffix is unknown, or the file cannot be written.
         """
+        path = Path(path)
         require_suffix(path)
         try:
             with replacing(path) as file:
@@ -99,10 +124,24 @@ class Recording:
     def _save_csv(self, file: BinaryIO) -> None:
         text = TextIOWrapper(file, encoding="utf-8", newline="")
         writer = csv.writer(text)
-        writer.writerow(["tick", "time_s", *(f"x[{p}]_m" for p in self.ports), *(f"f_v[{p}]_N" for p in self.ports)])
-        for k, t in enumerate(self.time):
-            writer.writerow([k, repr(float(t)), *map(repr, self.x[k].tolist()), *map(repr, self.f_v[k].tolist())])
+        columns = self.columns()
+        writer.writerow(columns)
+        ticks, *values = (column.tolist() for column in columns.values())
+        writer.writerows([tick, *map(repr, row)] for tick, *row in zip(ticks, *values, strict=True))
         text.detach()  # flushes it, and leaves the file open
+
+
+def data_frame(columns: Mapping[str, NDArray[Any]], index: str | None = None) -> pandas.DataFrame:
+    """A table as a data frame, with one of its columns as the index if that is wanted.
+
+    Raises:
+        MissingExtra: pandas is not installed; ``columns()`` has the same numbers without it.
+    """
+    require("pandas")
+    import pandas
+
+    frame = pandas.DataFrame(dict(columns))
+    return frame if index is None else frame.set_index(index)
 
 
 def require_suffix(path: Path, suffixes: tuple[str, ...] = SUFFIXES) -> None:
@@ -110,6 +149,7 @@ def require_suffix(path: Path, suffixes: tuple[str, ...] = SUFFIXES) -> None:
 
     Raises:
         RecordingError: the suffix is none of ``suffixes``.
+        MissingExtra: an extra is missing that writes such files.
         TargetError: the file cannot be written there.
     """
     require_format(path, suffixes)
@@ -117,13 +157,16 @@ def require_suffix(path: Path, suffixes: tuple[str, ...] = SUFFIXES) -> None:
 
 
 def require_format(path: Path, suffixes: tuple[str, ...]) -> None:
-    """Refuse a file name whose suffix is none of ``suffixes``.
+    """Refuse a file name whose suffix is none of ``suffixes``, or of a format whose library is missing.
 
     Raises:
         RecordingError: the suffix is another.
+        MissingExtra: an extra is missing that reads and writes such files.
     """
     if path.suffix not in suffixes:
         raise RecordingError(f"{path}: found the suffix {path.suffix!r}; expected one of {', '.join(suffixes)}")
+    if path.suffix in _EXTRAS:
+        require(_EXTRAS[path.suffix])
 
 
 def one_period(periods: Mapping[str, float], path: Path | None = None) -> float:

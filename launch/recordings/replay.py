@@ -3,8 +3,9 @@
 Under the simulated clock nothing in a session depends on the machine. The cores take the same steps in the same order,
 and the result is the same to the last bit. If it is not, another version recorded it, or the recording was changed.
 
-The displacement of a device that a person moved is taken from the recording, since no arithmetic can produce it. A
-session that lost a process cannot be replayed, since the tick of its death is not recorded.
+The displacement of a device that a person moved is taken from the recording, since no arithmetic can produce it. So is
+that of a device with a driver of another package, whose code is not run. A session that lost a process cannot be
+replayed, since the tick of its death is not recorded.
 """
 
 from __future__ import annotations
@@ -37,17 +38,20 @@ COMPUTED: Final = frozenset({"simulated", "trace"})
 
 
 def given_devices(session: Session, clock: str) -> tuple[str, ...]:
-    """The devices that a person moved, whose motion only a recording has; none under the simulated clock."""
-    if clock == SIMULATED:
-        return ()
-    return tuple(name for name, device in session.devices.items() if device.driver not in COMPUTED)
+    """The devices whose motion only a recording has.
+
+    A person moved them, as under the realtime clock alone; or a driver of another package did, which is neither
+    imported nor run to look at a recording.
+    """
+    computed = COMPUTED if clock != SIMULATED else COMPUTED | {"browser"}
+    return tuple(name for name, device in session.devices.items() if device.driver not in computed)
 
 
 def hand_of(bundle: DeviceBundle, session: Session, clock: str) -> Driver | str:
     """The device and its hand, at rest; or the reason why its motion does not follow from the recording."""
     name = bundle.common.name
     if name in given_devices(session, clock):
-        return "a person moved the device"
+        return "a person or a driver of another package moved the device"
     return driver_of(bundle)
 
 
@@ -199,7 +203,7 @@ def replay(prepared: Prepared, run: RecordedRun, progress: Callable[[int], None]
         progress: called now and then with the number of ticks that are done.
 
     Raises:
-        ModelError: the environment's model cannot be made.
+        FactoryError: the environment's model cannot be made.
         ModelFailure: the model gave no usable forces, as it had when it was recorded.
     """
     given = given_devices(prepared.session, run.recorded.clock)

@@ -14,20 +14,35 @@ from functools import cached_property
 from itertools import chain
 from pathlib import Path
 from types import NoneType
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from mcap.records import Attachment, Channel, Metadata
 from numpy.typing import NDArray
 
-from manyhands.launch.recordings.mcap import End, Messages, parts
-from manyhands.launch.recordings.recording import RecordingError
+from manyhands.design.models.brief import brief_names, brief_repr
+from manyhands.launch.recordings.curves import backward_difference
+from manyhands.launch.recordings.recording import RecordingError, data_frame, require_suffix
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.own_ticks import own_span, own_tick, own_ticks_before, session_tick
 from manyhands.nodes.recorder.format import METADATA, SUPERVISOR, TICK, Recorded, decode_condition, decode_figures
 from manyhands.nodes.tick_events import Kind, events_in
-from manyhands.protocol.channels import CONDITION, LEDGER, TELEMETRY, Columns, Topic, topic_name
+from manyhands.protocol.channels import (
+    CONDITION,
+    DISPLACEMENT,
+    FORCE,
+    INSTANTS,
+    LEDGER,
+    TELEMETRY,
+    Columns,
+    Topic,
+    topic_name,
+)
 from manyhands.protocol.messages import Condition, Role
+
+if TYPE_CHECKING:
+    import pandas
+
+    from manyhands.launch.recordings.mcap import Message
 
 Array = NDArray[np.float64]
 
@@ -185,6 +200,8 @@ class RecordedTrace:
     columns: tuple[str, ...]
     values: Array
 
+    __repr__ = brief_repr
+
 
 @dataclass(frozen=True, eq=False)
 class RecordedRun:
@@ -201,6 +218,7 @@ class RecordedRun:
         cut: why the file is not whole, and up to which tick it is; None for a whole file.
         first: the session's tick of the first row: 0, unless the recording begins so late that there is no room for the
             ticks before.
+        started: the time of tick 0, ns since 1970; None where no file stated one.
     """
 
     recorded: Recorded
@@ -210,6 +228,111 @@ class RecordedRun:
     attachments: Mapping[str, bytes] = field(default_factory=dict)
     cut: str | None = None
     first: int = 0
+    started: int | None = None
+
+    @property
+    def session(self) -> str:
+        """The session's name."""
+        return self.recorded.session
+
+    @property
+    def certificate(self) -> str:
+        """Id of the certificate that it ran under, or of the uncertified session."""
+        return self.recorded.certificate
+
+    @property
+    def period(self) -> float:
+        """T of the session, s."""
+        return self.recorded.period
+
+    @property
+    def ports(self) -> tuple[str, ...]:
+        """Names of the m ports."""
+        return tuple(port for ports in self.recorded.devices.values() for port in ports)
+
+    @property
+    def x(self) -> Array:
+        """The displacements that the devices sent, ticks x m, m; NaN where nothing was recorded."""
+        return self._of_devices(DISPLACEMENT)
+
+    @property
+    def f_v(self) -> Array:
+        """The forces that the devices exerted on the hands, ticks x m, N; NaN where nothing was recorded."""
+        return self._of_devices(FORCE)
+
+    @property
+    def velocity(self) -> Array:
+        """The backward difference of x over time, ticks x m, m/s; of a device in wall time over its own instants."""
+        return np.hstack([self._newest(device, self.velocity_of(device)) for device in self.recorded.devices])
+
+    def velocity_of(self, device: str) -> Array:
+        """(x(k) - x(k-1))/T at each of a device's ticks, its ticks x m_i, m/s.
+
+        A device in wall time has the instants of its samples recorded, and their differences stand in place of T.
+        """
+        instants = next(
+            (kept for (of, _), kept in self.traces.items() if (of, kept.topic.trace) == (device, INSTANTS)), None
+        )
+        sampled = None if instants is None else rows_of(self, device, INSTANTS)[:, :1]
+        return backward_difference(rows_of(self, device, DISPLACEMENT), self.recorded.period_of(device), sampled)
+
+    def _of_devices(self, trace: str) -> Array:
+        return np.hstack([self._newest(device, rows_of(self, device, trace)) for device in self.recorded.devices])
+
+    def _newest(self, node: str, rows: Array) -> Array:
+        """A node's rows at the session's ticks, each the newest one."""
+        return rows if node not in self.recorded.periods else rows[self.at_session_ticks(node)]
+
+    @property
+    def topics(self) -> list[tuple[str, str]]:
+        """The topics with a row, by node and name."""
+        return [key for key, trace in self.traces.items() if np.isfinite(trace.values).any()]
+
+    def columns(self, *topics: str) -> dict[str, NDArray[Any]]:
+        """The recording as a table at the session's ticks, by name, such as ``dx.sample[dx]_m``.
+
+        Args:
+            topics: with ``*`` and ``?``, each a node, a topic, or ``NODE/TOPIC``; without any, all.
+
+        Raises:
+            RecordingError: a pattern names no topic.
+
+        Example:
+            >>> import manyhands as mh
+            >>> run = mh.simulate(mh.load("example1"), 0.1)
+            >>> list(run.columns("dx/*"))
+            ['tick', 'time_s', 'dx.sample[dx]_m', 'dx.force[dx]_N', 'dx.ledger[E]_J']
+        """
+        from manyhands.launch.recordings.tables import chosen, table_columns  # it reads what is defined here
+
+        return table_columns(self, chosen(self, topics))
+
+    def to_pandas(self, *topics: str) -> pandas.DataFrame:
+        """The table of :meth:`columns` as a data frame, with the time in s as its index.
+
+        Raises:
+            RecordingError: a pattern names no topic, or pandas is not installed.
+        """
+        return data_frame(self.columns(*topics), "time_s")
+
+    def save(self, path: Path | str, *topics: str) -> None:
+        """Write the table of :meth:`columns` whole or not at all, as ``.csv``, ``.npz`` or ``.parquet``.
+
+        Raises:
+            RecordingError: the suffix is another, a pattern names no topic, or the file cannot be written.
+        """
+        from manyhands.launch.recordings.tables import FORMATS, export
+
+        path = Path(path)
+        require_suffix(path, tuple(f".{name}" for name in FORMATS))
+        export(self, path, path.suffix.removeprefix("."), topics)
+
+    def __repr__(self) -> str:
+        cut = ", cut" if self.cut else ""
+        return (
+            f"RecordedRun({self.session}, {self.recorded.clock} clock: {self.ticks} ticks of {self.period:g} s, "
+            f"ports {brief_names(self.ports)}{cut})"
+        )
 
     @cached_property
     def ticks(self) -> int:
@@ -266,7 +389,9 @@ def read_run(path: Path, progress: Callable[[float], None] | None = None) -> Rec
         if gatherer.count or not (gatherer.topic.trace == LEDGER or gatherer.topic.wall)
     }
     cut = None if reading.why is None else cut_at(reading.why, span.stop)
-    return RecordedRun(recorded, traces, reading.figures, reading.conditions, reading.attachments, cut, span.start)
+    return RecordedRun(
+        recorded, traces, reading.figures, reading.conditions, reading.attachments, cut, span.start, reading.started
+    )
 
 
 def cut_at(why: str, ticks: int) -> str:
@@ -297,6 +422,7 @@ class Reading:
         conditions: tick and condition.
         attachments: contents by name.
         why: why the file is not whole; None if it is.
+        started: the time of tick 0, ns since 1970; None before any row.
     """
 
     def __init__(self, path: Path, recorded: Recorded, wanted: Callable[[str, Topic], bool]) -> None:
@@ -319,13 +445,16 @@ class Reading:
         self.conditions: list[tuple[int, Condition]] = []
         self.attachments: dict[str, bytes] = {}
         self.why: str | None = None
+        self.started: int | None = None
         name = recorded.session
+        self._nodes = {topic_name(name, *key): key[0] for key in self.gatherers}
         self._takers: dict[str, Callable[[list[bytes]], None]] = {
             **{topic_name(name, *key): gatherer.take for key, gatherer in self.gatherers.items()},
             **{topic_name(name, node, TELEMETRY): self._figures_of(node) for node in recorded.roles},
             topic_name(name, SUPERVISOR, CONDITION): self._take_conditions,
         }
         self._channels: dict[int, Callable[[list[bytes]], None]] = {}
+        self._nodes_by_channel: dict[int, str] = {}
         self._values = self._others = self._attached = 0
 
     def _figures_of(self, node: str) -> Callable[[list[bytes]], None]:
@@ -345,15 +474,22 @@ class Reading:
         Raises:
             RecordingError: the file holds more than is read.
         """
+        from mcap.records import Attachment, Channel  # a simulation's run is made without
+
+        from manyhands.launch.recordings.mcap import End, Messages
+
         match part:
             case Channel():
                 if part.topic in self._takers:
                     self._channels[part.id] = self._takers[part.topic]
+                if part.topic in self._nodes:
+                    self._nodes_by_channel[part.id] = self._nodes[part.topic]
             case Attachment():
                 self._attached += len(part.data)
                 self.attachments.setdefault(part.name, part.data)
             case Messages(found):
                 texts: dict[int, list[bytes]] = {}
+                self._look_for_the_start(found)
                 for message in found:
                     texts.setdefault(message.channel, []).append(message.data)
                 for channel, own in texts.items():
@@ -362,6 +498,18 @@ class Reading:
             case End(why):
                 self.why = why
         self._require_room()
+
+    def _look_for_the_start(self, found: Sequence[Message]) -> None:
+        """Take the time of tick 0 from the first row: every row is at it plus kT."""
+        if self.started is not None:
+            return
+        for message in found:
+            node = self._nodes_by_channel.get(message.channel)
+            for plain in objects([message.data]) if node is not None else []:
+                match plain:
+                    case {"tick": int(tick)} if 0 <= tick < MOST_TICK:
+                        self.started = max(0, message.log_time - round(tick * self.recorded.tick_ns(node or "")))
+                        return
 
     def _require_room(self) -> None:
         values = sum(gatherer.count * len(gatherer.columns) for gatherer in self.gatherers.values())
@@ -382,6 +530,10 @@ def read_topics(
     Raises:
         RecordingError: as :func:`read_run`.
     """
+    from mcap.records import Metadata
+
+    from manyhands.launch.recordings.mcap import End, parts
+
     reading: Reading | None = None
     for part in parts(path, progress):
         match part:
@@ -454,8 +606,9 @@ def first_sign(run: RecordedRun, environment: str) -> tuple[int, str]:
     """The first tick at which a clutch may have been at work, and why; the run's end where there is no sign of one.
 
     A clutch moves when a coupling is frozen, comes back, changes its rung, or is held to its energy budget. It also
-    moves when the devices have waited so long that they have let go. The devices count how often they let go; the
-    environment counts all the rest. Behind a wave link nothing that happens to a user moves a clutch.
+    moves when the devices have waited so long that they may have let go. The devices count how often they let go. The
+    environment counts all the rest, and states when it took them to have let go. Behind a wave link nothing that
+    happens to a user moves a clutch.
     """
     counts, signs = run.figures.get(environment, ()), [(run.ticks, "")]
 
@@ -472,6 +625,12 @@ def first_sign(run: RecordedRun, environment: str) -> tuple[int, str]:
         for _, values in counts
         for event in events_in(values)
         if event.kind is Kind.FROZEN and event.peer in run.recorded.linked
+    ]
+    signs += [
+        (event.tick, "the devices had waited")
+        for _, values in counts
+        for event in events_in(values)
+        if event.kind is Kind.RAISED
     ]
     own = there(rows_of(run, environment, names.TOOL_POSITION))
     for node in run.recorded.roles:

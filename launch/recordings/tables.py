@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.design.files import open_regular, replacing
+from manyhands.extras import require
 from manyhands.launch.recordings.recording import Array, Recording, RecordingError, one_period, require_format
 from manyhands.launch.recordings.run import (
     MOST_MISSING,
@@ -263,7 +264,8 @@ def _save_csv(run: RecordedRun, traces: Traces, file: BinaryIO, progress: Progre
     text.detach()  # flushes it, and leaves the file open
 
 
-def _table_columns(run: RecordedRun, traces: Traces) -> dict[str, NDArray[Any]]:
+def table_columns(run: RecordedRun, traces: Traces) -> dict[str, NDArray[Any]]:
+    """The columns of a table of these traces by name: the session's ticks, their time in s, and every column."""
     out: dict[str, NDArray[Any]] = {TICK: np.arange(run.first, run.first + run.ticks, dtype=np.int64), TIME: run.time}
     for key, trace in traces.items():
         out |= dict(zip(column_names(key[0], trace), _at_session_ticks(run, key[0], trace).T, strict=True))
@@ -287,22 +289,18 @@ def _save_npz(run: RecordedRun, traces: Traces, file: BinaryIO, progress: Progre
         ]
         if len(every) == len(recorded.devices):
             arrays[name] = np.hstack(every)
-    np.savez(file, **arrays | _table_columns(run, traces))
+    np.savez(file, **arrays | table_columns(run, traces))
     progress(1.0)
 
 
 def _save_parquet(run: RecordedRun, traces: Traces, file: BinaryIO, progress: Progress) -> None:
-    try:
-        import pyarrow as pa
-        from pyarrow import parquet
-    except ImportError as error:
-        raise RecordingError(
-            "--to parquet: found no pyarrow, which writes such files; expected it installed: "
-            "pip install 'manyhands[parquet]'"
-        ) from error
+    require("parquet")
+    import pyarrow as pa
+    from pyarrow import parquet
+
     metadata = {f"manyhands.{key}": text for key, text in about(run.recorded).items()}
     table = pa.table(
-        {name: pa.array(np.ascontiguousarray(values)) for name, values in _table_columns(run, traces).items()}
+        {name: pa.array(np.ascontiguousarray(values)) for name, values in table_columns(run, traces).items()}
     )
     parquet.write_table(table.replace_schema_metadata(metadata), file)
     progress(1.0)

@@ -7,32 +7,40 @@ kept here under the same names, except for tau, which depends on the machine and
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.launch.plan.bundles import mass_names
 from manyhands.launch.plan.plan import Plan
+from manyhands.launch.plan.prepare import Prepared
+from manyhands.launch.recordings.run import RecordedTrace
 from manyhands.nodes.passivity import Ledger
-from manyhands.protocol.channels import LEDGER, TAU, Topic, links_at, topics_of
+from manyhands.nodes.recorder.format import Recorded
+from manyhands.protocol.channels import LEDGER, TAU, links_at, topics_of
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class Kept:
-    """One topic of one node.
+def recorded_of(prepared: Prepared, clock: str) -> Recorded:
+    """The session as its recording describes it.
 
-    Attributes:
-        topic: the topic.
-        columns: names of its columns.
-        values: ticks x columns; NaN in ticks that the node did not do.
+    Args:
+        prepared: the session with its coupling and certificate.
+        clock: "realtime" or "simulated".
     """
-
-    topic: Topic
-    columns: tuple[str, ...]
-    values: Array
+    session, graph = prepared.session, prepared.graph
+    return Recorded(
+        session.name,
+        prepared.id,
+        session.period,
+        clock,
+        graph.nodes,
+        graph.ports,
+        mass_names(session),
+        periods=session.own_periods,
+        linked=tuple(session.wave_links),
+    )
 
 
 class Traces:
@@ -51,7 +59,7 @@ class Traces:
             ticks: number of ticks.
         """
         graph, masses = plan.graph, mass_names(plan.session)
-        self.by_node: dict[str, tuple[Kept, ...]] = {}
+        self.by_node: dict[str, tuple[RecordedTrace, ...]] = {}
         for name, role in graph.nodes.items():
             links = links_at(name, role, graph.ports, plan.session.wave_links)
             topics = [
@@ -61,7 +69,8 @@ class Traces:
             ]
             columns = [topic.columns_of(graph.ports[name], masses, links) for topic in topics]
             self.by_node[name] = tuple(
-                Kept(topic, own, np.full((ticks, len(own)), np.nan)) for topic, own in zip(topics, columns, strict=True)
+                RecordedTrace(topic, own, np.full((ticks, len(own)), np.nan))
+                for topic, own in zip(topics, columns, strict=True)
             )
         self._signals = {
             name: [kept for kept in own if kept.topic.trace != LEDGER and not kept.topic.linked]

@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -46,7 +47,10 @@ def condition_of(progress: Progress) -> Condition:
     sentences = (progress.notices, progress.incidents, progress.faults)
     notices, incidents, faults = (tuple(map(presentable, texts[-MAX_SENTENCES:])) for texts in sentences)
     silent = tuple(sorted(progress.silent))
-    return Condition(progress.phase.value, progress.elapsed, progress.states, silent, notices, incidents, faults)
+    promises = tuple(replace(row, remark=presentable(row.remark)) for row in progress.promises)
+    return Condition(
+        progress.phase.value, progress.elapsed, progress.states, silent, notices, incidents, faults, promises
+    )
 
 
 def condition_frame(progress: Progress) -> bytes | None:
@@ -58,9 +62,23 @@ def condition_frame(progress: Progress) -> bytes | None:
 
 
 def describe(
-    prepared: Prepared, clock: str, transport: str, ticks: int, remote: Collection[str] = frozenset()
+    prepared: Prepared,
+    clock: str,
+    transport: str,
+    ticks: int,
+    remote: Collection[str] = frozenset(),
+    seats: Collection[str] = frozenset(),
 ) -> About:
-    """The description of a session that is about to start; ``remote`` nodes run on other machines."""
+    """The description of a session that is about to start.
+
+    Args:
+        prepared: the session with its certificate.
+        clock: "realtime" or "simulated".
+        transport: "ipc" or "tcp".
+        ticks: number of ticks; 0 for no end.
+        remote: nodes that run on other machines.
+        seats: those of them that users take and leave while the session runs.
+    """
     session, graph = prepared.session, prepared.graph
     masses, springs = _world(session)
     return About(
@@ -95,6 +113,7 @@ def describe(
         certificate=_certificate(prepared) if prepared.certified else None,
         environment=session.environment.type,
         observers={name: tuple(observer.reads) for name, observer in session.observers.items()},
+        seats={name: session.carriers[name] for name in session.wave_links if name in seats},
     )
 
 

@@ -27,14 +27,18 @@ from manyhands.launch.run.states import (
     Terminate,
     ending,
 )
+from manyhands.nodes.observer.health import FREE_STATE
 from manyhands.protocol.codec import ForeignHello, Malformed, Received
 from manyhands.protocol.handshake import check_node_hello
+from manyhands.protocol.limits import MAX_PIECE_BYTES
 from manyhands.protocol.messages import (
     Connect,
     Echo,
     Fault,
+    Fetch,
     NodeHello,
     Offer,
+    Piece,
     Probe,
     Ready,
     Refusal,
@@ -53,18 +57,21 @@ class Reception:
 
     Attributes:
         graph: the session's nodes and links.
-        certificate: the id that all nodes must share.
+        certificate: the id that all nodes must share, except those in ``ids``.
         session: the session's name.
+        ids: the ids of nodes at the sites of wave links.
     """
 
     graph: Topology
     certificate: str
     session: str
+    ids: Mapping[str, str]
 
     def refusal(self, sender: str, hello: NodeHello | ForeignHello) -> Refusal | None:
         """Why ``sender`` is no node of this session; None if it is one."""
         binds = [link.connector for link in self.graph.links_of(sender) if link.binder == sender]
-        return check_node_hello(hello, self.certificate, self.session, self.graph.nodes, sender, binds)
+        certificate = self.ids.get(sender, self.certificate)
+        return check_node_hello(hello, certificate, self.session, self.graph.nodes, sender, binds)
 
     def connects(self, endpoints: Mapping[tuple[str, str], str], absent: Collection[str] = ()) -> list[Instruction]:
         """Report to each node where its peers are, once all have joined.
@@ -106,7 +113,7 @@ class Conductor:
 
     Attributes:
         graph: the session's nodes and links.
-        certificate: the id that all nodes must share.
+        certificate: the id that all nodes must share, except those in ``ids``.
         session: the session's name.
         ticks: number of ticks to run; 0 runs until interrupted.
         remote: nodes that are started on other machines; the supervisor cannot see their processes end.
@@ -114,6 +121,8 @@ class Conductor:
         budget: how often a node may come back; without restarts, the first death ends the session.
         together: whether a guest that leaves ends the session, as it does in a session without restarts.
         seats: those of the remote nodes for which the session does not wait: they come and go while it runs.
+        ids: the ids of nodes at the sites of wave links, which share one with their site's others alone.
+        parts: by the node that asks for it, what a guest needs of the session; it holds keys, and shows in no text.
         phase: of the session.
         states: of each node.
         reports: the final report of each node that sent one.
@@ -132,6 +141,8 @@ class Conductor:
     budget: RestartBudget = field(default_factory=RestartBudget)
     together: bool = False
     seats: frozenset[str] = frozenset()
+    ids: dict[str, str] = field(default_factory=dict)
+    parts: dict[str, bytes] = field(default_factory=dict, repr=False)
     phase: SessionPhase = SessionPhase.STARTING
     states: dict[str, NodeState] = field(init=False)
     reports: dict[str, Report] = field(default_factory=dict)
@@ -140,18 +151,24 @@ class Conductor:
     interrupted: bool = False
     ignored: int = 0
     _endpoints: dict[tuple[str, str], str] = field(default_factory=dict)
+    _welcomed: dict[str, int] = field(default_factory=dict)  # by node, the process id of its latest accepted hello
     _reception: Reception = field(init=False)
     _recovery: Recovery = field(init=False)
 
     def __post_init__(self) -> None:
         self.states = {n: NodeState.LOST if n in self.seats else NodeState.STARTING for n in self.graph.nodes}
-        self._reception = Reception(self.graph, self.certificate, self.session)
+        self._reception = Reception(self.graph, self.certificate, self.session, self.ids)
         self._recovery = Recovery(self.graph, self.remote, self.budget, self.states, self.faults, seats=self.seats)
 
     @property
     def incidents(self) -> Incidents:
         """The incidents that the session survived."""
         return self._recovery.incidents
+
+    def shown_state(self, node: str) -> str:
+        """The state of a node for people: a seat that nobody has taken is free, and not lost."""
+        state = self.states[node]
+        return FREE_STATE if node in self.seats and state is NodeState.LOST else state.value
 
     @property
     def rungs(self) -> Mapping[str, int]:
@@ -173,8 +190,8 @@ class Conductor:
                 return answer
             if sender not in self.states or self._is_awaited(sender, received):
                 return self._greet(sender, received, now)
-            if sender in self.seats and self.phase is SessionPhase.STARTING:
-                return []  # a guest repeats its hello until the session runs
+            if sender in self.remote and self._repeats(sender, received):
+                return []
             return self._out_of_turn(sender)
         state = self.states.get(sender)
         if state is None:
@@ -186,10 +203,13 @@ class Conductor:
         if isinstance(received, Malformed):
             return self._out_of_turn(sender)
         target = TRANSITIONS.get((state, type(received)))
-        if target is None:
+        if target is None or (isinstance(received, Fetch) and received.at >= len(self.parts.get(sender, b""))):
             return self._out_of_turn(sender)
         self.states[sender] = target
         match received:
+            case Fetch(at):  # the guest joins on another connection, so its name becomes free
+                part = self.parts[sender]
+                return [Send(sender, Piece(at, len(part), part[at : at + MAX_PIECE_BYTES])), ReleaseName(sender)]
             case Probe(sent):
                 return [Send(sender, Echo(sent, now, now))]
             case Ready():
@@ -228,6 +248,10 @@ class Conductor:
         if self.states[node] in (NodeState.ENDED, NodeState.LOST, NodeState.GONE):
             return []
         return self._ended(node, how, now)
+
+    def comes_back(self, node: str) -> bool:
+        """Whether a node is on its way into a session that runs."""
+        return self.phase is SessionPhase.RUNNING and self.states[node] in RETURNING
 
     def look(self, now: int) -> list[Instruction]:
         """Decide what follows from time alone: a node that takes too long to return is given up."""
@@ -281,6 +305,13 @@ class Conductor:
         ours = pid is None or not isinstance(hello, NodeHello) or hello.pid == pid
         return self.states[node] is NodeState.STARTING and ours
 
+    def _repeats(self, guest: str, hello: NodeHello | ForeignHello) -> bool:
+        """Whether a hello only repeats one that was accepted: a guest sends it every second until it is welcomed."""
+        if guest in self.seats and self.phase is SessionPhase.STARTING:
+            return True
+        ours = isinstance(hello, NodeHello) and self._welcomed.get(guest) == hello.pid
+        return ours and self.states[guest] in (NodeState.WELCOMED, NodeState.CONNECTED)
+
     def _out_of_turn(self, node: str) -> list[Instruction]:
         self.ignored += 1
         return self._recovery.disown(node) if self.phase is SessionPhase.RUNNING else []
@@ -291,6 +322,8 @@ class Conductor:
         if refusal is not None:
             return [Send(sender, refusal), *self._refused(sender, refusal, now)]
         endpoints = dict(hello.endpoints) if isinstance(hello, NodeHello) else {}
+        if isinstance(hello, NodeHello):
+            self._welcomed[sender] = hello.pid
         if self.phase is SessionPhase.RUNNING:
             return [Send(sender, Welcome()), *self._recovery.greet(sender, endpoints, now)]
         self.states[sender] = NodeState.WELCOMED

@@ -19,14 +19,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import yaml
 
-from manyhands.design.certificate import to_json
 from manyhands.design.files import naming, replacing
-from manyhands.design.world import world_json
 from manyhands.launch.files import TargetError
-from manyhands.launch.plan.sites import part_file
+from manyhands.launch.plan.sites import certificate_files
 from manyhands.launch.run.outcome import save_json
 from manyhands.nodes.log import LOG_FOLDER
-from manyhands.nodes.recorder.format import CERTIFICATE_FILE, SESSION_FILE
+from manyhands.nodes.recorder.format import SESSION_FILE
 
 if TYPE_CHECKING:
     from manyhands.launch.plan.prepare import Prepared
@@ -146,14 +144,7 @@ def kept_files(prepared: Prepared) -> dict[str, bytes]:
     :func:`manyhands.design.certificate.load`.
     """
     text = yaml.safe_dump(prepared.session.as_plain(), sort_keys=False, allow_unicode=True)
-    out = {SESSION_FILE: text.encode()}
-    if prepared.certificate is not None:
-        out[CERTIFICATE_FILE] = to_json(prepared.certificate).encode()
-    if prepared.world is not None:
-        out[CERTIFICATE_FILE] = world_json(prepared.world).encode()
-        for name, part in prepared.parts.items():
-            out[part_file(Path(CERTIFICATE_FILE), name).name] = to_json(part).encode()
-    return out
+    return {SESSION_FILE: text.encode(), **certificate_files(prepared)}
 
 
 class SessionDirectory:

@@ -5,12 +5,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Final, Self
 
+from rich import box
+from rich.cells import cell_len
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.table import Table
@@ -22,8 +24,9 @@ from manyhands.launch.run.outcome import Progress, felt_links
 from manyhands.launch.run.states import NodeState, SessionPhase
 from manyhands.launch.session import Session
 from manyhands.nodes import telemetry as names
+from manyhands.nodes.observer.health import Promise, PromiseState, condensed, is_present, missed, sentence
 from manyhands.nodes.own_ticks import session_tick
-from manyhands.protocol.messages import Telemetry
+from manyhands.protocol.messages import PromiseStatus, Telemetry
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,46 @@ COLUMNS: Final = (
 )
 """In the order in which they are shown."""
 
+
+def figure_table(
+    title: str, titles: Sequence[str], rows: Sequence[Sequence[str | Text]], ranks: Mapping[str, int], width: int
+) -> tuple[Table, list[str]]:
+    """A table whose columns all fit, and the titles of those that are left out because they do not.
+
+    Args:
+        title: of the table.
+        titles: of its columns; what follows a line end stands in a second line.
+        rows: a cell for each column.
+        ranks: by column, for those that may be left out, the rank: the highest goes first.
+        width: columns of the terminal.
+    """
+    needed = [
+        max(max(map(cell_len, str(cell).split("\n"))) for cell in (titles[place], *(row[place] for row in rows))) + 3
+        for place in range(len(titles))
+    ]
+    kept = list(range(len(titles)))
+    left_out = []
+    for name in sorted(ranks, key=ranks.__getitem__, reverse=True):
+        if sum(needed[place] for place in kept) > width:
+            kept.remove(titles.index(name))
+            left_out.append(name)
+    table = Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
+    for place in kept:
+        left = titles[place] in _WORDS
+        table.add_column(Text(titles[place]), justify="left" if left else "right", overflow="fold")
+    for row in rows:
+        table.add_row(*(Text(cell) if isinstance(cell, str) else cell for cell in (row[place] for place in kept)))
+    return table, left_out
+
+
+_WORDS: Final = ("node", "role", "state", "health")  # columns of words, which begin at the left
+
+
+def heading(title: str) -> str:
+    """The title of a column, with its unit in a second line."""
+    return title.replace(" [", "\n[")
+
+
 LEAST_SHOWN: Final = 1e-3
 """J; pairs that exchanged less energy are not shown."""
 
@@ -79,6 +122,31 @@ def energy_line(figures: Mapping[str, float]) -> str:
     if len(moved) > MOST_SHOWN:
         parts[0] += f" and {len(moved) - MOST_SHOWN} more"
     return "; ".join([*parts, *([f"held to an energy budget: {', '.join(scaled)}"] if scaled else [])])
+
+
+def promise_lines(rows: Iterable[PromiseStatus], notices: Collection[str] = ()) -> Iterator[tuple[str, str]]:
+    """How the promises of a session stand, as lines, each with a style: the kept ones in one line, then the others.
+
+    Args:
+        rows: the promises.
+        notices: the sentences that are printed beside the lines, and not repeated in them.
+    """
+    shown = condensed(rows)
+    kept = [row.promise for row in shown if row.state == PromiseState.KEPT]
+    if kept:
+        yield f"kept: {', '.join(kept)}", ""
+    for row in missed(shown):
+        more = f"; {row.remark}" if _says_more(row) and row.remark not in notices else ""
+        yield sentence(row) + more, _STYLES[PromiseState(row.state)] if is_present(row) else "dim"
+
+
+def _says_more(row: PromiseStatus) -> bool:
+    """Whether a row's remark has more than its cost: how a node is away, or how long the others waited."""
+    away = row.promise == Promise.PRESENCE and row.state == PromiseState.BROKEN
+    return bool(row.remark) and (away or row.promise == Promise.PUNCTUALITY)
+
+
+_STYLES: Final = {PromiseState.ENFORCED: "cyan", PromiseState.UNCHECKED: "magenta", PromiseState.BROKEN: "red"}
 
 
 @contextmanager
@@ -99,11 +167,17 @@ def printable(text: str) -> str:
 
 
 def say(console: Console, text: str) -> None:
-    """Print a message as it is: no markup, no pictures for names between colons, no added line breaks, and no control
-    codes.
-    """
-    console.print(printable(text), markup=False, emoji=False, soft_wrap=True)
+    """Print a message as it is: no markup, no pictures for names between colons, and no control codes.
 
+    A terminal breaks it between words; what goes elsewhere stays one line.
+    """
+    console.print(printable(text), markup=False, emoji=False, soft_wrap=not console.is_terminal)
+
+
+_FIXED: Final = ("node", "role", "tick", "rate\n[Hz]")
+
+RANKS: Final = {**{heading(column.title): column.rank for column in COLUMNS}, "role": 7}
+"""The columns that a narrow table leaves out; a name often makes the role clear."""
 
 _LINE_EVERY = 2.0  # s between two lines of progress without a terminal
 
@@ -112,6 +186,9 @@ class LiveTable:
     """Shows a run's progress on a console; call it with each :class:`Progress`.
 
     It never waits for a console that takes no output now, since the session would wait as well.
+
+    Attributes:
+        announced: notices that were printed while the session ran, and need not be repeated at its end.
     """
 
     def __init__(
@@ -134,6 +211,7 @@ class LiveTable:
         self._line_at = 0.0
         self._phase: SessionPhase | None = None
         self._printed: set[str] = set()
+        self.announced: set[str] = set()
         self._lost: str | None = None
 
     def __enter__(self) -> Self:
@@ -167,6 +245,10 @@ class LiveTable:
             if incident not in self._printed:
                 say(self._console, f"! {incident}")
         self._printed = {*progress.incidents}
+        for row in progress.promises:
+            if row.promise == Promise.PACE and row.remark and row.remark not in self.announced:
+                self.announced.add(row.remark)
+                say(self._console, f"! {row.remark}")
         if progress.elapsed - self._line_at >= _LINE_EVERY:
             self._line_at = progress.elapsed
             rates = {} if self._session is None else self._session.own_rates
@@ -178,26 +260,26 @@ class LiveTable:
         return f" of {self._ticks}" if self._ticks else ""
 
     def _render(self, progress: Progress) -> RenderableType:
-        table = Table(title=f"{self._title}: {progress.phase}", title_justify="left")
-        table.add_column("node")
-        table.add_column("role")
-        for column in ("tick", "rate [Hz]", *(column.title for column in COLUMNS)):
-            table.add_column(Text(column.replace(" [", "\n[")), justify="right")
+        titles = [*_FIXED, *(heading(column.title) for column in COLUMNS)]
+        rows: list[list[str]] = []
         for name, role in self._graph.nodes.items():
             telemetry = progress.telemetry.get(name)
             away = progress.states[name] in _AWAY
             if telemetry is None or progress.phase is SessionPhase.STARTING or away:
-                table.add_row(name, role.value, progress.states[name], *[""] * (1 + len(COLUMNS)))
+                rows.append([name, role.value, progress.states[name], *[""] * (1 + len(COLUMNS))])
                 continue
             rate = "silent" if name in progress.silent else self._rate(name, telemetry, progress.elapsed)
-            table.add_row(name, role.value, str(telemetry.tick), rate,
-                          *(column.cell(telemetry.figures) for column in COLUMNS))  # fmt: skip
+            rows.append(
+                [name, role.value, str(telemetry.tick), rate, *(column.cell(telemetry.figures) for column in COLUMNS)]
+            )
+        table, _ = figure_table(f"{self._title}: {progress.phase}", titles, rows, RANKS, self._console.width)
         notices = [*progress.notices, *progress.incidents[-_INCIDENTS_SHOWN:], *not_admitted(progress.refused)]
         energy = [Text(line) for latest in progress.telemetry.values() if (line := energy_line(latest.figures))]
         figures = {name: latest.figures for name, latest in progress.telemetry.items()}
         felt = {} if self._session is None else felt_links(self._session, figures)
         energy += [Text(one.sentence(name)) for name, one in felt.items()]
-        return Group(table, *energy, *(Text(f"! {notice}", style="yellow") for notice in notices))
+        stands = (Text(line, style=style) for line, style in promise_lines(progress.promises, progress.notices))
+        return Group(table, *stands, *energy, *(Text(f"! {notice}", style="yellow") for notice in notices))
 
     def _rate(self, name: str, telemetry: Telemetry, elapsed: float) -> str:
         """Ticks per second since a telemetry message of at least half a second ago."""

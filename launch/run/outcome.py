@@ -14,16 +14,18 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from manyhands.design.files import replacing
+from manyhands.design.models.brief import brief_repr
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.run.states import Incidents, SessionPhase
 from manyhands.launch.session import Session
 from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes import telemetry as names
+from manyhands.nodes.observer.health import as_plain
 from manyhands.nodes.telemetry import PERCENTILES
 from manyhands.nodes.wave_link.felt import FeltLink, felt_link
 from manyhands.protocol.limits import MAX_COUNT
-from manyhands.protocol.messages import Report, Role, Telemetry
+from manyhands.protocol.messages import PromiseStatus, Report, Role, Telemetry
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,7 @@ class Progress:
         silent: nodes that run, but have sent no telemetry for a while.
         incidents: the latest faults that the session survived.
         faults: what went wrong.
+        promises: how each promise of the session stands.
     """
 
     phase: SessionPhase
@@ -53,6 +56,9 @@ class Progress:
     silent: frozenset[str] = frozenset()
     incidents: tuple[str, ...] = ()
     faults: tuple[str, ...] = ()
+    promises: tuple[PromiseStatus, ...] = ()
+
+    __repr__ = brief_repr
 
 
 @dataclass(frozen=True)
@@ -79,6 +85,8 @@ class Outcome:
     lost: Mapping[str, int]
     refused: Mapping[str, int]
     incidents: tuple[str, ...] = ()
+
+    __repr__ = brief_repr
 
 
 _INCIDENTS: Final = {"frozen": names.FROZEN_TICKS, "released": names.RELEASED, "jumps": names.JUMPS}
@@ -251,6 +259,11 @@ def wave_link_sentences(report: Mapping[str, Any]) -> list[str]:
     return [FeltLink.from_plain(entry).sentence(name, over=True) for name, entry in entries.items()]
 
 
+def rows_of(report: Mapping[str, Any]) -> list[PromiseStatus]:
+    """How the promises stood at the end of a run, from its whole report."""
+    return [PromiseStatus(**{**row, "who": tuple(row["who"])}) for row in report.get("promises", ())]
+
+
 def joules(energy: float) -> str:
     """An energy for a sentence, in J, or in mJ below 1 J."""
     return f"{energy:.3g} J" if abs(energy) >= 1.0 else f"{1e3 * energy:.3g} mJ"
@@ -268,6 +281,7 @@ def run_report(
     enforced: Sequence[str] = (),
     lateness: Mapping[str, Any] | None = None,
     wave_links: Mapping[str, FeltLink] = MappingProxyType({}),
+    promises: Sequence[PromiseStatus] = (),
 ) -> dict[str, Any]:
     """The whole report.
 
@@ -283,6 +297,7 @@ def run_report(
         enforced: parties whose level is enforced at run time instead of proved.
         lateness: what is promised about lateness, as :func:`lateness_entry`.
         wave_links: what is felt of each wave link at the end, by coupling.
+        promises: how each promise stands at the end.
     """
     restarts = incidents.restarts
     return {
@@ -296,6 +311,7 @@ def run_report(
         **({"enforced": list(enforced)} if enforced else {}),
         **({} if lateness is None else {"lateness": dict(lateness)}),
         **({"wave_links": {name: felt.as_plain() for name, felt in wave_links.items()}} if wave_links else {}),
+        **({"promises": [as_plain(row) for row in promises]} if promises else {}),
         **({"refused": dict(refused)} if refused else {}),
         **({"incidents": list(incidents.sentences)} if incidents.total else {}),
     }

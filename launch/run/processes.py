@@ -4,9 +4,10 @@ probe.
 :class:`Processes` starts processes, watches them through process file descriptors, ends and reaps them. Nothing else in
 the product starts one.
 
-:class:`Interrupt` notes Ctrl-C, SIGTERM and the other signals of a terminal, and wakes a poll by a file descriptor. It
-raises no exception. One raised by a signal handler can surface between any two instructions, even after a process has
-started and before it is noted here. So while processes run, a request to end is a flag.
+:class:`EndRequest` wakes a poll by a file descriptor when a run is to end. :class:`Interrupt` is the one that Ctrl-C,
+SIGTERM and the other signals of a terminal make. It raises no exception. One raised by a signal handler can surface
+between any two instructions, even after a process has started and before it is noted here. So while processes run, a
+request to end is a flag.
 """
 
 from __future__ import annotations
@@ -204,19 +205,63 @@ def _close_input(process: subprocess.Popen[bytes]) -> None:
 _Handler = Callable[[int, FrameType | None], object] | int | None
 
 
-class Interrupt:
-    """While entered, SIGINT, SIGTERM, SIGHUP and SIGQUIT set :attr:`signal` and make :attr:`fd` readable.
+class EndRequest:
+    """A request to end what a poll waits for: it sets :attr:`signal` and makes :attr:`fd` readable.
+
+    Attributes:
+        signal: the signal that a request stands for; None before there is one.
+        fd: the file descriptor to wait on while entered.
+    """
+
+    def __init__(self) -> None:
+        self.signal: signal.Signals | None = None
+        self.fd = self._write = -1
+        self._open = threading.Lock()  # held to write, so that no other file that got the number is written to
+
+    def __enter__(self) -> Self:
+        with self._open:
+            self.fd, self._write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+            if self.signal is not None:
+                os.write(self._write, b"\0")
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with self._open:
+            os.close(self.fd)
+            os.close(self._write)
+            self.fd = self._write = -1
+
+    def ask(self) -> None:
+        """Request the end, from any thread; a second request asks for it at once. After the end it does nothing."""
+        with self._open:
+            self.signal = signal.SIGINT
+            if self._write >= 0:
+                os.write(self._write, b"\0")
+
+    def clear(self) -> None:
+        """Empty the pipe, so that :attr:`fd` wakes a poll only for the next request."""
+        try:
+            while os.read(self.fd, 256):
+                continue
+        except BlockingIOError:
+            return
+
+
+class Interrupt(EndRequest):
+    """While entered, SIGINT, SIGTERM, SIGHUP and SIGQUIT are requests to end. Only a main thread can enter it.
 
     SIGHUP stays ignored if it was ignored before, as under nohup.
     """
 
     def __init__(self) -> None:
-        self.signal: signal.Signals | None = None
-        self.fd, self._write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        super().__init__()
         self._before: dict[signal.Signals, _Handler] = {}
         self._fd_before = -1
 
     def __enter__(self) -> Self:
+        super().__enter__()
         self._fd_before = signal.set_wakeup_fd(self._write, warn_on_full_buffer=False)
         for which in (signal.SIGINT, signal.SIGTERM, *terminal_signals()):
             self._before[which] = signal.signal(which, self._note)
@@ -228,16 +273,7 @@ class Interrupt:
         for which, handler in self._before.items():
             signal.signal(which, handler)
         signal.set_wakeup_fd(self._fd_before)
-        os.close(self.fd)
-        os.close(self._write)
-
-    def clear(self) -> None:
-        """Empty the pipe, so that :attr:`fd` wakes a poll only for the next signal."""
-        try:
-            while os.read(self.fd, 256):
-                continue
-        except BlockingIOError:
-            return
+        super().__exit__(kind, error, trace)
 
     def _note(self, number: int, _frame: FrameType | None) -> None:
         self.signal = signal.Signals(number)

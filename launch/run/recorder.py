@@ -16,14 +16,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from manyhands.launch.plan.bundles import mass_names
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.recording import RecordingError
+from manyhands.launch.recordings.traces import recorded_of
 from manyhands.launch.run.directory import kept_files
 from manyhands.launch.run.processes import Processes
 from manyhands.launch.run.states import signal_name
 from manyhands.nodes.bundle import SIMULATED
-from manyhands.nodes.recorder.format import Recorded
 from manyhands.nodes.recorder.node import Closed, FileBegun, Lines, RecordingPlan, Status, Taken, WriteFailed
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds
 from manyhands.protocol.codec import encode
@@ -118,18 +117,7 @@ class RecorderProcess(Recorder):
         self.path = path
         self.lost = 0
         self.incident: str | None = None
-        session, graph = prepared.session, prepared.graph
-        self._recorded = Recorded(
-            session.name,
-            prepared.id,
-            session.period,
-            clock_name,
-            graph.nodes,
-            graph.ports,
-            mass_names(session),
-            periods=session.own_periods,
-            linked=tuple(session.wave_links),
-        )
+        self._recorded = recorded_of(prepared, clock_name)
         self._attachments = kept_files(prepared)
         self._lossless = clock_name == SIMULATED
         self._clock = clock or RealtimeClock()

@@ -68,7 +68,8 @@ def run_session(
             show=table,
         ).run()
     for notice in outcome.notices:
-        say(console, f"notice: {notice}")
+        if notice not in table.announced:
+            say(console, f"notice: {notice}")
     for incident in outcome.incidents:
         say(console, f"incident: {incident}")
     for fault in outcome.faults:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
-from manyhands.protocol.messages import Fault, Message, NodeHello, Probe, Ready, Report, Telemetry
+from manyhands.protocol.messages import Fault, Fetch, Message, NodeHello, Probe, Ready, Report, Telemetry
 
 
 class NodeState(StrEnum):
@@ -42,10 +42,12 @@ class SessionPhase(StrEnum):
 
 
 TRANSITIONS: Mapping[tuple[NodeState, type[Message]], NodeState] = {
+    (NodeState.LOST, Fetch): NodeState.LOST,
     (NodeState.STARTING, NodeHello): NodeState.WELCOMED,
     (NodeState.WELCOMED, Probe): NodeState.WELCOMED,
     (NodeState.CONNECTED, Probe): NodeState.CONNECTED,
     (NodeState.CONNECTED, Ready): NodeState.READY,
+    (NodeState.READY, Probe): NodeState.READY,
     (NodeState.RUNNING, Probe): NodeState.RUNNING,
     (NodeState.RUNNING, Telemetry): NodeState.RUNNING,
     (NodeState.RUNNING, Report): NodeState.REPORTED,

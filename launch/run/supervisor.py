@@ -22,14 +22,15 @@ from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.hosts import ended_there, ssh_command
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.reach import HUB_NAME, Reach
+from manyhands.launch.plan.seats import seat_parts
 from manyhands.launch.plan.topology import usual_placement
 from manyhands.launch.recordings.recording import Collector, one_period
-from manyhands.launch.run.breaches import Assumptions, EndSession, EnergyIncidents, ShiftCoupling
+from manyhands.launch.run.breaches import Assumptions, Cause, EndSession, EnergyIncidents, ShiftCoupling
 from manyhands.launch.run.broadcast import ObserverBroadcast, Showing, condition_frame, describe, observation_frame
 from manyhands.launch.run.conductor import Conductor
 from manyhands.launch.run.directory import kept_files, run_directory
 from manyhands.launch.run.outcome import Outcome, Progress, felt_links, lateness_entry, run_report
-from manyhands.launch.run.processes import Interrupt, Processes
+from manyhands.launch.run.processes import EndRequest, Interrupt, Processes
 from manyhands.launch.run.recorder import Recorder
 from manyhands.launch.run.recovery import RestartBudget
 from manyhands.launch.run.states import (
@@ -49,14 +50,25 @@ from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import REALTIME, SIMULATED
 from manyhands.nodes.handed_over import handed_over
 from manyhands.nodes.log import Log, LogEvent, log_path
+from manyhands.nodes.observer.health import Promise
+from manyhands.nodes.observer.health_model import HealthModel
+from manyhands.nodes.peer_link import HANDSHAKE_TIME
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds, seconds
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import HUB_FRAMES_PER_S, MAX_CONTROL_BYTES
-from manyhands.protocol.messages import Role, Telemetry
+from manyhands.protocol.messages import PromiseStatus, Report, Role, Telemetry
 from manyhands.protocol.transport import Hub
 from manyhands.protocol.transport.zeromq import ZmqTransport
 
 _NS_PER_S = 1_000_000_000
+
+_ABOUT = {
+    Cause.DELAY: Promise.DELAY,
+    Cause.PERIOD: Promise.PERIOD,
+    Cause.LIMITS: Promise.FORCE,
+    Cause.WAITS: Promise.PUNCTUALITY,
+}
+"""The promise that a notice of each cause is about."""
 
 
 class FrameAllowance:
@@ -123,6 +135,7 @@ REFRESH = from_seconds(0.2)
 READING_TIME = from_seconds(0.05)  # the longest time between two checks of processes, signals and deadlines
 CLOSING_TIME = from_seconds(10.0)  # for the nodes that are not done, after the last report
 REMOTE_SILENCE = from_seconds(3.0)  # an honest remote node sends a frame every second
+JOINING_SILENCE = Duration(HANDSHAKE_TIME + REMOTE_SILENCE)  # it sends nothing while it shakes hands
 TELEMETRY_SILENCE = from_seconds(1.0)  # ten telemetry messages; the display then shows the node as silent
 HEARD_BEFORE = 1.0  # s; telemetry in the turn that begins the session can be of ticks before we noted the beginning
 CLOCKS_DIFFER = 0.01  # relative; a hundred times the error of a quartz
@@ -150,6 +163,7 @@ class Supervisor:
         together: bool = False,
         show: Callable[[Progress], str | None] | None = None,
         places: Mapping[str, int] | None = None,
+        interrupt: EndRequest | None = None,
     ) -> None:
         """Prepare a run; nothing is started yet.
 
@@ -164,12 +178,14 @@ class Supervisor:
             together: whether a guest that leaves ends the session.
             show: called with the progress a few times a second; returns an incident of the display, if there is one.
             places: the processor of each node that is pinned to one; by default :func:`usual_placement` chooses them.
+            interrupt: what ends the run early; by default the signals of the terminal, in a main thread.
         """
         session = prepared.session
         self._prepared, self._session, self._certificate = prepared, session, prepared.certificate
         self._clock_name, self._reach, self._record = clock, reach, record
-        self._recorder, self._logs = recorder or Recorder(), logs
-        self._about = describe(prepared, clock, reach.transport, ticks, reach.remote)
+        self._recorder, self._logs, self._interrupt = recorder or Recorder(), logs, interrupt
+        self._about = describe(prepared, clock, reach.transport, ticks, reach.remote, reach.seats)
+        self._health = HealthModel(self._about.terms)
         self._showing: Showing | None = None
         self._show = show
         self._graph = prepared.graph
@@ -201,11 +217,11 @@ class Supervisor:
         self._collector = Collector(devices)
 
     def _choose_places(self) -> Mapping[str, int]:
-        return usual_placement(self._graph, self._reach.transport) if self._clock_name == REALTIME else {}
+        return usual_placement(self._graph, self._reach.remote) if self._clock_name == REALTIME else {}
 
     def run(self) -> Outcome:
         """Run the session to its end; processes, sockets and the run's directory are gone afterwards."""
-        with Interrupt() as interrupt:
+        with self._interrupt or Interrupt() as interrupt:
             with run_directory(self._logs) as directory:
                 self._log = Log(log_path(str(directory), SUPERVISOR), self._session.name, SUPERVISOR, self._clock)
                 self._log.note(LogEvent.START, pid=os.getpid(), certificate=self._prepared.id, clock=self._clock_name)
@@ -216,7 +232,7 @@ class Supervisor:
                     self._log.close()
             return self.outcome(interrupt.signal)
 
-    def _run_in(self, directory: Path, interrupt: Interrupt) -> None:
+    def _run_in(self, directory: Path, interrupt: EndRequest) -> None:
         reach = self._reach
         transport = ZmqTransport.of(reach.transport, directory, reach.ring())
         processes, elsewhere = Processes(directory), Processes(directory)
@@ -232,6 +248,9 @@ class Supervisor:
             run = RunPlan(self._clock_name, directory, endpoint, reach, private)
             self._directory = directory
             bundles = cut(self._prepared, run)
+            self.conductor.ids.update({name: bundles[name].common.certificate for name in self._session.sites})
+            if reach.seats and keys is not None:
+                self.conductor.parts.update(seat_parts(self._prepared, keys))
             for name in local:
                 bundle_files.save(bundles[name], self._bundle_path(name))
             for name in local:
@@ -252,7 +271,7 @@ class Supervisor:
                 self._showing.close()
 
     def _watch(
-        self, hub: Hub, transport: ZmqTransport, processes: Processes, interrupt: Interrupt, elsewhere: Processes
+        self, hub: Hub, transport: ZmqTransport, processes: Processes, interrupt: EndRequest, elsewhere: Processes
     ) -> None:
         """The loop: wait for any event, pass it to the conductor, carry out its instructions, until the session is
         over.
@@ -317,7 +336,7 @@ class Supervisor:
         self._tally(hub, transport)
         for fault in conductor.faults:
             self._log.note(LogEvent.FAULT, text=fault)
-        for text in self._assumptions.notices.values():
+        for text in self._notices(self._promises()):
             self._log.note(LogEvent.NOTICE, text=text)
         for text in conductor.incidents.sentences:
             self._log.note(LogEvent.INCIDENT, text=text)
@@ -340,10 +359,12 @@ class Supervisor:
             self.conductor.incidents.add(incident)
 
     def _silent(self) -> list[str]:
-        """Remote nodes that run and have sent nothing for too long."""
-        conductor = self.conductor
-        running = [n for n in self._reach.remote if conductor.states[n] is NodeState.RUNNING]
-        return self._received.quiet(running, self._clock.now(), REMOTE_SILENCE)
+        """Remote nodes that run, or come back into a running session, and have sent nothing for too long."""
+        states, now = self.conductor.states, self._clock.now()
+        running = [n for n in self._reach.remote if states[n] is NodeState.RUNNING]
+        joining = [n for n in self._reach.remote if self.conductor.comes_back(n)]
+        quiet = self._received.quiet
+        return quiet(running, now, REMOTE_SILENCE) + quiet(joining, now, JOINING_SILENCE)
 
     def _tally(self, hub: Hub, transport: ZmqTransport) -> None:
         counts = {**transport.refused(), **hub.dropped, "out_of_turn": self.conductor.ignored}
@@ -361,9 +382,12 @@ class Supervisor:
         if isinstance(message, Telemetry) and message.tick > self._most_ticks(sender):
             self._untimely += 1
             return
+        if isinstance(message, Report) and message.ticks <= self._most_ticks(sender):
+            self._health.take(sender, message.ticks, {**message.figures, **message.counts})
         self.carry_out(self.conductor.receive(sender, message, self._clock.now()), hub, processes)
         if isinstance(message, Telemetry) and self.conductor.states.get(sender) is NodeState.RUNNING:
             self._telemetry[sender] = message
+            self._health.take(sender, message.tick, message.figures)
             self._reported.note(sender, self._clock.now())
             for deed in self._assumptions.check(sender, message):
                 match deed:
@@ -424,6 +448,7 @@ class Supervisor:
         self._reported.forget(name)
         self._assumptions.forget(name)
         self._energy.forget(name)
+        self._health.forget(name)
         try:
             self._start_process(name, processes)
             for node in self._graph.together(name):
@@ -438,18 +463,33 @@ class Supervisor:
         elapsed = 0.0 if self._began is None else seconds(Duration(self._clock.now() - self._began))
         conductor = self.conductor
         running = [name for name, state in conductor.states.items() if state is NodeState.RUNNING]
+        silent = frozenset(self._reported.quiet(running, self._clock.now(), TELEMETRY_SILENCE))
+        states = {name: conductor.shown_state(name) for name in conductor.states}
+        if conductor.phase is SessionPhase.RUNNING and not conductor.reports:
+            self._health.look(states, silent, elapsed)
+        promises = self._promises()
         return Progress(
             conductor.phase,
-            {name: state.value for name, state in conductor.states.items()},
+            states,
             dict(processes.pids),
             self._telemetry,
             elapsed,
-            tuple(self._assumptions.notices.values()),
+            self._notices(promises),
             self._refused,
-            frozenset(self._reported.quiet(running, self._clock.now(), TELEMETRY_SILENCE)),
+            silent,
             conductor.incidents.sentences,
             tuple(conductor.faults),
+            promises,
         )
+
+    def _promises(self) -> tuple[PromiseStatus, ...]:
+        """How each promise stands, with the notices about them."""
+        return self._health.rows({_ABOUT[cause]: text for cause, text in self._assumptions.notices.items()})
+
+    def _notices(self, promises: Iterable[PromiseStatus]) -> tuple[str, ...]:
+        """The sentences about broken assumptions, and the one about a session that runs slower than its period."""
+        pace = tuple(row.remark for row in promises if row.promise == Promise.PACE and row.remark)
+        return (*self._assumptions.notices.values(), *pace)
 
     def outcome(self, ended_by: signal.Signals | None) -> Outcome:
         """The result of the run: exit code, faults, report and recording.
@@ -474,10 +514,11 @@ class Supervisor:
         if self._record:
             period = one_period({device: self._session.period_of(device) for device in self._session.devices})
             recording = self._collector.recording(self._session.name, conductor.certificate, period)
+        promises = self._promises()
         return Outcome(
             code,
             tuple(conductor.faults),
-            tuple(self._assumptions.notices.values()),
+            self._notices(promises),
             run_report(
                 self._session.name,
                 conductor.certificate,
@@ -493,6 +534,7 @@ class Supervisor:
                     self._session,
                     {node: report.figures for node, report in {**conductor.left, **conductor.reports}.items()},
                 ),
+                promises,
             )
             | recorder.as_plain(),
             recording,

@@ -14,12 +14,13 @@ from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Final, Literal, Self, TypeAlias
 
 import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from manyhands.launch.session.errors import listed, one_of, show
 from manyhands.launch.session.fields import (
     Choice,
+    Described,
     Items,
     NamedParts,
     Problem,
@@ -36,6 +37,7 @@ from manyhands.launch.session.fields import (
     refuse,
     unsymmetric,
 )
+from manyhands.launch.session.forms import either, list_of, where, without
 from manyhands.launch.session.limits import (
     LONGEST_PERIOD,
     MAX_COUPLINGS,
@@ -49,6 +51,7 @@ from manyhands.launch.session.limits import (
 )
 from manyhands.launch.session.matrices import (
     COEFFICIENTS,
+    D_OR_STATIC,
     STATIC_MEANING,
     Array,
     MatrixRows,
@@ -67,15 +70,16 @@ OneOrMany: TypeAlias = float | tuple[float, ...] | Rows
 
 def one_or_many(what: Quantity) -> Any:
     """The validator of a value that is a number, a list or a matrix of ``what``, or absent."""
+    numbers = Items("numbers, one for each port", MAX_PORTS, what)
+    rows = Items(f"rows of {what.what}", MAX_PORTS, Items("entries of a row", MAX_PORTS, what))
 
     def check(value: object) -> object:
         if not isinstance(value, list | tuple):
             return what(value)
-        if any(isinstance(row, list | tuple) for row in value):
-            return Items(f"rows of {what.what}", MAX_PORTS, Items("entries of a row", MAX_PORTS, what))(value)
-        return Items("numbers, one for each port", MAX_PORTS, what)(value)
+        return rows(value) if any(isinstance(row, list | tuple) for row in value) else numbers(value)
 
-    return BeforeValidator(optional(check))
+    form = either(what.json_schema, numbers.json_schema, rows.json_schema)
+    return BeforeValidator(optional(Described(check, form)))
 
 
 class BlockMatrices(SessionModel):
@@ -84,6 +88,8 @@ class BlockMatrices(SessionModel):
     With n states and m ports, A is n x n, B is n x m, C is m x n and D is m x m, in m and N. A static block has
     no states: ``A: [], B: [], C: []``.
     """
+
+    model_config = ConfigDict(json_schema_extra=D_OR_STATIC)
 
     A: MatrixRows = Field(description="the n x n matrix A, as rows")
     B: MatrixRows = Field(description="the n x m matrix B, as rows")
@@ -150,6 +156,9 @@ def _band(value: object) -> tuple[float, float]:
     return low, high
 
 
+_BAND: Final = Described(_band, list_of(_EDGE.json_schema, 2, 2))
+
+
 class Weight(SessionModel):
     """A stable, proper, scalar weight, in continuous time.
 
@@ -160,13 +169,22 @@ class Weight(SessionModel):
     whose gain is 1 at sqrt(w1 w2) and 1/sqrt(2) at both edges.
     """
 
+    model_config = ConfigDict(
+        json_schema_extra={
+            "oneOf": [
+                {"required": ["num", "den"], **without("emphasise")},
+                {"required": ["emphasise"], **without("num", "den")},
+            ]
+        }
+    )
+
     num: Annotated[tuple[float, ...] | None, BeforeValidator(optional(COEFFICIENTS))] = Field(
         default=None, description="coefficients of the numerator, the highest power of s first"
     )
     den: Annotated[tuple[float, ...] | None, BeforeValidator(optional(COEFFICIENTS))] = Field(
         default=None, description="coefficients of the denominator, the highest power of s first"
     )
-    emphasise: Annotated[tuple[float, float] | None, BeforeValidator(optional(_band))] = Field(
+    emphasise: Annotated[tuple[float, float] | None, BeforeValidator(optional(_BAND))] = Field(
         default=None, description="the band [low, high] in Hz, in place of num and den"
     )
 
@@ -237,6 +255,13 @@ _COUPLINGS: Final = ("spring-damper", "linear", "given", "none")
 _OBJECTIVES: Final = ("feasible", "stiffest", "loop-shaping", "closed-loop")
 TRANSPARENCY: Final = ("loop-shaping", "closed-loop")
 """The objectives that need the environment's dynamics."""
+_FOUND: Final = ("spring-damper", "linear")
+"""The couplings that a design has to find."""
+_OBJECTIVES_OF: Final[Mapping[str, tuple[str, ...]]] = {
+    "given": ("feasible", *TRANSPARENCY),  # the level of a given coupling may be asked for
+    "none": ("feasible",),
+}
+"""The objectives of the couplings that are not found; all others have every one."""
 
 
 def _delay(value: object) -> object:
@@ -258,6 +283,36 @@ def _order(value: object) -> object:
     return each_named(_ORDER, value)
 
 
+_TAU_FORM: Final = either(_DELAY.json_schema, {"const": AUTO})
+_ORDER_FORM: Final = either(_ORDER.json_schema, {**_ORDERS.json_schema, "additionalProperties": _ORDER.json_schema})
+
+
+_EVERY_KEY_IS_USED: Final[list[Any]] = [
+    {"if": where("coupling", "linear"), "then": {"required": ["order"]}, "else": without("order", "poles")},
+    {
+        "if": where("coupling", "given"),
+        "then": {
+            "oneOf": [
+                {"required": ["stiffness"], **without("matrices")},
+                {"required": ["matrices"], **without("stiffness", "damping")},
+            ]
+        },
+        "else": without("stiffness", "damping", "matrices"),
+    },
+    {"if": where("objective", *TRANSPARENCY), "else": without("weights")},
+    {
+        "if": where("algorithm", "complementarity"),
+        "then": {"properties": {"objective": {"const": "feasible"}, "coupling": {"enum": [*_FOUND]}, "poles": False}},
+        "else": without("iterations"),
+    },
+    *(
+        {"if": where("coupling", coupling), "then": {"properties": {"objective": {"enum": [*objectives]}}}}
+        for coupling, objectives in _OBJECTIVES_OF.items()
+    ),
+]
+"""The form of what the validators of :class:`Design` ask for."""
+
+
 class Pole(SessionModel):
     """A pair of fixed poles, s^2 + 2 damping frequency s + frequency^2 = 0; damping 1 makes a double real pole."""
 
@@ -270,10 +325,12 @@ class Pole(SessionModel):
 class Design(SessionModel):
     """Which virtual coupling the session runs with, and the objective by which it is chosen."""
 
+    model_config = ConfigDict(json_schema_extra={"allOf": _EVERY_KEY_IS_USED})
+
     coupling: Annotated[Literal["spring-damper", "linear", "given", "none"], BeforeValidator(Choice(_COUPLINGS))] = (
         Field(description="the class of the coupling: spring-damper, linear, given or none")
     )
-    order: Annotated[int | dict[str, int] | None, BeforeValidator(optional(_order))] = Field(
+    order: Annotated[int | dict[str, int] | None, BeforeValidator(optional(Described(_order, _ORDER_FORM)))] = Field(
         default=None, description="the states of a linear coupling for each of its ports: a number, or one by coupling"
     )
     poles: Annotated[tuple[Pole, ...] | None, BeforeValidator(optional(Items("poles", MAX_POLES)))] = Field(
@@ -288,7 +345,7 @@ class Design(SessionModel):
         default="feasible", description="what the design aims at: feasible, stiffest, loop-shaping or closed-loop"
     )
     weights: Weights | None = Field(default=None, description="the weights W1, W2 of loop-shaping or closed-loop")
-    tau: Annotated[float | Literal["auto"] | None, BeforeValidator(optional(_delay))] = Field(
+    tau: Annotated[float | Literal["auto"] | None, BeforeValidator(optional(Described(_delay, _TAU_FORM)))] = Field(
         default=None, description="the delay inside the tick that the certificate is to allow, in s; auto to measure it"
     )
     period_tolerance: Annotated[float, BeforeValidator(_TOLERANCE)] = Field(
@@ -331,7 +388,7 @@ class Design(SessionModel):
     @property
     def wanted(self) -> bool:
         """Whether the design has to find the coupling, rather than take a given one or none."""
-        return self.coupling in ("spring-damper", "linear")
+        return self.coupling in _FOUND
 
     def order_of(self, block: str) -> int:
         """States for each port of this block of a linear coupling; 0 for other couplings."""
@@ -395,11 +452,7 @@ class Design(SessionModel):
 
     def _objective_problems(self) -> Iterator[Problem]:
         """An objective that does not apply to the coupling, and weights that the objective does not use."""
-        allowed: tuple[str, ...] = _OBJECTIVES
-        if self.coupling == "given":
-            allowed = ("feasible", *TRANSPARENCY)  # the level of a given coupling may be asked for
-        elif self.coupling == "none":
-            allowed = ("feasible",)
+        allowed = _OBJECTIVES_OF.get(self.coupling, _OBJECTIVES)
         if self.objective not in allowed:
             found = f"{self.objective} with 'coupling: {self.coupling}'"
             yield Problem(("objective",), found, f"{one_of(allowed, None)}, or a coupling to be found")

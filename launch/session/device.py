@@ -2,7 +2,8 @@
 
 The ``driver`` is what moves the device. ``simulated`` is a simulated mechanism in a simulated hand. ``browser`` is the
 same mechanism, whose hand follows the pointer of a person at a browser. ``trace`` is a recorded motion, which needs
-neither mechanism nor hand.
+neither mechanism nor hand. Every other driver is the code of another package, named by its factory. A session file
+only names it. The device's process alone imports it (:mod:`manyhands.nodes.device.plugin`).
 
 A simulated hand is a passive linear operator H(s) and an intention. It responds to the device's velocity v (m/s) with
 the force (N)
@@ -16,20 +17,24 @@ session's author named.
 
 import functools
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
 from pydantic import (
     BeforeValidator,
+    ConfigDict,
     Field,
     PlainSerializer,
     ValidationInfo,
     ValidatorFunctionWrapHandler,
+    WithJsonSchema,
     field_validator,
     model_validator,
 )
+from pydantic.json_schema import SkipJsonSchema
 
 from manyhands.design.models.operators import PassivityFinding, RationalMatrix
 from manyhands.launch.session.errors import listed, show
@@ -44,15 +49,18 @@ from manyhands.launch.session.fields import (
     OSP_LEVEL,
     STIFFNESS,
     Choice,
+    Described,
     Dof,
     Items,
     LevelInterval,
+    Name,
     PerAxis,
     PortLimits,
     Problem,
     Quantity,
     Rows,
     SessionModel,
+    between,
     defaulted,
     each,
     ends,
@@ -64,11 +72,22 @@ from manyhands.launch.session.fields import (
     refuse,
     unsymmetric,
 )
-from manyhands.launch.session.limits import MAX_DOF, MAX_TRACE_ROWS, PROBE_COUNT, PROBE_SECONDS
+from manyhands.launch.session.foreign import PARAMETERS, Factory
+from manyhands.launch.session.forms import JsonSchema, either, list_of, mapping_of, where, without
+from manyhands.launch.session.limits import (
+    LONGEST_PERIOD,
+    MAX_DOF,
+    MAX_TRACE_ROWS,
+    MIN_POSITIVE,
+    PROBE_COUNT,
+    PROBE_SECONDS,
+)
 from manyhands.launch.session.matrices import Entry, Rational
-from manyhands.launch.session.motion import Motion, TraceData, motion_of, read_trace, trace_from_numbers
-from manyhands.nodes.bundle import TIMES
+from manyhands.launch.session.motion import MOTION_FORM, Motion, TraceData, motion_of, read_trace, trace_from_numbers
+from manyhands.nodes.bundle import TIMES, WALL
 from manyhands.nodes.device.intent import ALLOWED, Formula, FormulaError
+from manyhands.nodes.device.specification import DeviceTiming
+from manyhands.nodes.factory import DRIVERS
 
 DEFAULT_HAND: Final[Mapping[str, object]] = {
     "operator": {"num": [0.02, 1.2, 20.0], "den": [1.0, 10.3, 100.0]},
@@ -83,6 +102,9 @@ BROWSER_HAND: Final[Mapping[str, object]] = {"stiffness": 200.0, "damping": 5.0}
 _entry: Final = Entry("N·s/m")
 _SAMPLES: Final = Items("samples", MAX_TRACE_ROWS, Quantity("a number"))
 _PASSIVE: Final = "a passive operator: no eigenvalue of (H(jw) + H(jw)*)/2 below 0 at any frequency w"
+
+
+_OPERATOR_FORM: Final = either(_entry.json_schema, list_of(list_of(_entry.json_schema, MAX_DOF), MAX_DOF))
 
 
 def _operator(value: object, info: ValidationInfo) -> object:
@@ -101,14 +123,26 @@ def _passivity(operator: RationalMatrix) -> PassivityFinding:
         return operator.passivity()
 
 
-def _intents(what: Quantity) -> Callable[[object, ValidationInfo], object]:
+@dataclass(frozen=True, slots=True)
+class _Intents:
     """The check of an intended force or motion for every axis."""
 
-    def check(value: object, info: ValidationInfo) -> object:
-        folder = (info.context or {}).get("folder", Path())
-        return PerAxis(lambda intent: _intent(what, intent, folder))(value, info)
+    what: Quantity
 
-    return check
+    @property
+    def json_schema(self) -> JsonSchema:
+        """By axis a number, a formula or a trace."""
+        return self._checked_in(Path()).json_schema
+
+    def __call__(self, value: object, info: ValidationInfo) -> object:
+        """The intention of each axis; the files of traces are in the folder of the session file."""
+        return self._checked_in((info.context or {}).get("folder", Path()))(value, info)
+
+    def _checked_in(self, folder: Path) -> PerAxis:
+        numbers = dict.fromkeys(("times", "values"), _SAMPLES.json_schema)
+        traces = (mapping_of({"trace": {"type": "string", "minLength": 1}}), mapping_of(numbers))
+        form = either(self.what.json_schema, {"type": "string"}, *traces)
+        return PerAxis(Described(lambda intent: _intent(self.what, intent, folder), form))
 
 
 def _intent(what: Quantity, value: object, folder: Path) -> float | str | TraceData:
@@ -145,11 +179,11 @@ def _probe(text: str) -> None:
         raise refuse(f"{error.problem} at position {error.position} in the formula {show(text)}", ALLOWED) from None
 
 
-_MASS: Final = PerAxis(HAND_MASS)
+_HAND_MASS: Final = PerAxis(HAND_MASS)
 _DAMPING: Final = PerAxis(DAMPING)
 _STIFFNESS: Final = PerAxis(STIFFNESS)
-_FORCE: Final = _intents(Quantity("an intended force", "N"))
-_MOTION: Final = _intents(Quantity("an intended motion", "m"))
+_FORCE: Final = _Intents(Quantity("an intended force", "N"))
+_MOTION: Final = _Intents(Quantity("an intended motion", "m"))
 _AXES: Final = "one for all axes, or a list with one for each"
 
 
@@ -160,11 +194,11 @@ class Hand(SessionModel):
         PydanticCustomError: the operator is not passive, or another value is wrong.
     """
 
-    dof: Dof = Field(alias=DEVICE_AXES, exclude=True, repr=False)
-    operator: Annotated[tuple[tuple[Rational, ...], ...], BeforeValidator(_operator)] = defaulted(
-        0.0, "the passive operator H(s) in N·s/m, from velocity to force"
-    )
-    mass: Annotated[tuple[float, ...], BeforeValidator(_MASS)] = defaulted(0.0, f"an added mass in kg, {_AXES}")
+    dof: SkipJsonSchema[Dof] = Field(alias=DEVICE_AXES, exclude=True, repr=False)
+    operator: Annotated[
+        tuple[tuple[Rational, ...], ...], BeforeValidator(_operator), WithJsonSchema(_OPERATOR_FORM)
+    ] = defaulted(0.0, "the passive operator H(s) in N·s/m, from velocity to force")
+    mass: Annotated[tuple[float, ...], BeforeValidator(_HAND_MASS)] = defaulted(0.0, f"an added mass in kg, {_AXES}")
     damping: Annotated[tuple[float, ...], BeforeValidator(_DAMPING)] = defaulted(
         0.0, f"an added damping in N·s/m, {_AXES}"
     )
@@ -204,6 +238,25 @@ class Hand(SessionModel):
 _ROUNDING: Final = 1e-12  # rounding error of the eigenvalues of a difference, relative to the largest entry
 _per_axis: Final = PerAxis(OSP_LEVEL)
 _SIMULATED, _TRACE, _BROWSER = _DRIVERS = ("simulated", "trace", "browser")
+_ELSEWHERE: Final = ("mass", "damping", "hand")
+"""Keys of a simulated mechanism; no device has them that something else moves."""
+
+_OF_A_PLUGIN: Final = ("parameters", "sample_age", "age_jitter", "actuation_delay", "axis_map", "scale")
+"""Keys of a driver of another package; no other device has them."""
+
+_AGE: Final = Quantity("a time", "s", least=0.0, most=LONGEST_PERIOD)
+_SCALE: Final = Quantity("a scale", above=0.0, smallest=MIN_POSITIVE)
+_AXIS: Final = Name("an axis of the driver", "-?[a-z0-9][a-z0-9_]{0,31}", "its name, after a minus to turn it round")
+
+
+def _is_simulated(driver: object) -> bool:
+    """Whether a driver has a simulated mechanism; so has one that was refused, for the other messages."""
+    return driver in (_SIMULATED, _BROWSER, None)
+
+
+_OSP_FORM: Final = either(
+    _per_axis.json_schema, list_of(list_of(OSP_ENTRY.json_schema, MAX_DOF), MAX_DOF), between(_per_axis.json_schema)
+)
 
 
 def _osp(value: object, info: ValidationInfo) -> object:
@@ -249,18 +302,21 @@ def _damping(value: object, info: ValidationInfo) -> object:
 
     The default for an interval of levels is its middle, as for every quantity of which a run needs one value.
     """
-    if value is None and info.data.get("driver") == _TRACE:
+    if value is None and not _is_simulated(info.data.get("driver")):
         return None
     if value is None:
         osp = info.data.get("osp", ())  # absent if it was refused
         if isinstance(osp, LevelInterval):
             return tuple((osp.low[i][i] + osp.high[i][i]) / 2.0 for i in range(len(osp.low)))
         return tuple(float(np.abs(row).sum()) for row in osp)
-    return PerAxis(DAMPING)(value, info)
+    return _DAMPING(value, info)
+
+
+_MASS: Final = PerAxis(MASS)
 
 
 def _mass(value: object, info: ValidationInfo) -> object:
-    return None if value is None else PerAxis(MASS)(value, info)
+    return None if value is None else _MASS(value, info)
 
 
 def _trace(value: object, info: ValidationInfo) -> object:
@@ -273,34 +329,82 @@ _axis_names: Final = Items("axis names", MAX_DOF, AXIS_NAME)
 class Device(SessionModel):
     """A device and the hand that holds it; every tuple has one entry for each axis.
 
-    The simulated mechanism is ``mass dv/dt + damping v = force``, axis by axis. ``driver: trace`` has no mechanism.
+    The simulated mechanism is ``mass dv/dt + damping v = force``, axis by axis. A trace has no mechanism, and the
+    driver of another package has its own.
     """
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "allOf": [
+                {
+                    "if": where("driver", _SIMULATED, _BROWSER),
+                    "then": {"required": ["mass"], **without("trace", *_OF_A_PLUGIN)},
+                },
+                {
+                    "if": where("driver", _TRACE),
+                    "then": {"required": ["trace"], **without(*_ELSEWHERE, *_OF_A_PLUGIN)},
+                },
+                {
+                    "if": {"properties": {"driver": {"not": {"enum": [*_DRIVERS]}}}, "required": ["driver"]},
+                    "then": {"allOf": [without("trace", *_ELSEWHERE), {"properties": {"time": {"const": WALL}}}]},
+                },
+            ]
+        }
+    )
 
     dof: Dof = Field(description="the number of degrees of freedom")
     axes: Annotated[tuple[str, ...] | None, BeforeValidator(optional(_axis_names))] = Field(
         default=None, description="names of the axes, for its ports"
     )
-    osp: Annotated[Rows | LevelInterval, BeforeValidator(_osp), PlainSerializer(_plain_level)] = Field(
-        description="the OSP level Delta_D in N·s/m: a number, one for each axis, a matrix, or an interval"
+    osp: Annotated[
+        Rows | LevelInterval, BeforeValidator(_osp), WithJsonSchema(_OSP_FORM), PlainSerializer(_plain_level)
+    ] = Field(description="the OSP level Delta_D in N·s/m: a number, one for each axis, a matrix, or an interval")
+    driver: Annotated[str, BeforeValidator(Factory(DRIVERS, _DRIVERS))] = Field(
+        description="what moves it: simulated, trace, browser, or a driver's factory, package.module:factory"
     )
-    driver: Annotated[Literal["simulated", "trace", "browser"], BeforeValidator(Choice(_DRIVERS))] = Field(
-        description="what moves it: simulated, trace or browser"
+    parameters: Annotated[dict[str, Any] | None, BeforeValidator(optional(PARAMETERS))] = Field(
+        default=None, description="with a driver's factory, plain data that is handed to it"
+    )
+    sample_age: Annotated[float | None, BeforeValidator(optional(_AGE))] = Field(
+        default=None, description="with a driver's factory, the greatest age of its samples in s; a part of tau"
+    )
+    age_jitter: Annotated[float | None, BeforeValidator(optional(_AGE))] = Field(
+        default=None, description="by how much that age varies in s; all of it unless given"
+    )
+    actuation_delay: Annotated[float | None, BeforeValidator(optional(_AGE))] = Field(
+        default=None, description="with a driver's factory, the greatest delay of its forces in s; a part of tau"
+    )
+    axis_map: Annotated[tuple[str, ...] | None, BeforeValidator(optional(Items("axes", MAX_DOF, _AXIS)))] = Field(
+        default=None, description="with a driver's factory, its axis at each port, after a minus to turn it round"
+    )
+    scale: Annotated[float | None, BeforeValidator(optional(_SCALE))] = Field(
+        default=None, description="with a driver's factory, by how much motions grow from the device to the session"
     )
     time: Annotated[Literal["wall", "own"], BeforeValidator(Choice(TIMES))] = Field(
         default="wall",
         description="under the realtime clock, wall: it goes on by the wall clock; own: by one period a tick",
     )
-    trace: Annotated[Motion | None, BeforeValidator(_trace)] = Field(
+    trace: Annotated[Motion | None, BeforeValidator(_trace), WithJsonSchema(MOTION_FORM)] = Field(
         default=None, description="with driver: trace, the recorded motion"
     )
-    mass: Annotated[tuple[float, ...] | None, BeforeValidator(_mass)] = Field(
+    mass: Annotated[tuple[float, ...] | None, BeforeValidator(_mass), WithJsonSchema(_MASS.json_schema)] = Field(
         default=None, description="the moving mass in kg, greater than 0: a number, or one for each axis"
     )
-    damping: Annotated[tuple[float, ...] | None, BeforeValidator(_damping)] = defaulted(
-        None, "the damping in N·s/m, at least the OSP level: a number, or one for each axis"
+    damping: Annotated[tuple[float, ...] | None, BeforeValidator(_damping), WithJsonSchema(_DAMPING.json_schema)] = (
+        defaulted(None, "the damping in N·s/m, at least the OSP level: a number, or one for each axis")
     )
     limits: PortLimits = defaulted({}, "the force, displacement and speed that it never goes beyond")
     hand: Hand | None = defaulted(None, "the simulated hand that holds it")
+
+    @property
+    def factory(self) -> str | None:
+        """The factory of the driver of another package; None for the drivers of this one."""
+        return None if self.driver in _DRIVERS else self.driver
+
+    @property
+    def timing(self) -> DeviceTiming:
+        """The age of its samples and the delay of its forces."""
+        return DeviceTiming(self.sample_age or 0.0, self.age_jitter, self.actuation_delay or 0.0)
 
     @property
     def osp_low(self) -> Rows:
@@ -351,7 +455,7 @@ class Device(SessionModel):
             return value
         if info.field_name == "hand":
             driver = info.data.get("driver")
-            if value is None and driver == _TRACE:
+            if value is None and not _is_simulated(driver):
                 return None
             if driver == _BROWSER and (value is None or isinstance(value, Mapping)):
                 value = {**BROWSER_HAND, **(value or {})}
@@ -367,10 +471,16 @@ class Device(SessionModel):
     def _problems(self) -> Iterator[Problem]:
         """A problem for each key that the driver needs and lacks, and for each key that it does not use."""
         here = f"with 'driver: {self.driver}'"
+        if self.factory is not None:
+            yield from self._plugin_problems(here)
+            return
+        for key in _OF_A_PLUGIN:
+            if getattr(self, key) is not None:
+                yield Problem((key,), f"{key} {here}", f"a driver's factory, package.module:factory, or no {key}")
         if self.driver == _TRACE:
             if self.trace is None:
                 yield Problem((), f"no key 'trace' {here}", "trace, the recorded motion, such as {file: run.mcap}")
-            for key in ("mass", "damping", "hand"):
+            for key in _ELSEWHERE:
                 if getattr(self, key) is not None:
                     expected = f"no {key}: a recorded motion moves the device whatever forces act on it"
                     yield Problem((key,), f"{key} {here}", expected)
@@ -387,3 +497,20 @@ class Device(SessionModel):
             if 0.0 in self.hand.stiffness:
                 expected = "a stiffness in N/m greater than 0: it ties the device to the pointer"
                 yield Problem(("hand", "stiffness"), f"0 {here}", expected)
+
+    def _plugin_problems(self, here: str) -> Iterator[Problem]:
+        """The problems of a device that a driver of another package moves."""
+        if self.trace is not None:
+            yield Problem(("trace",), f"trace {here}", "'driver: trace', or no trace")
+        for key in _ELSEWHERE:
+            if getattr(self, key) is not None:
+                yield Problem((key,), f"{key} {here}", f"no {key}: the driver's device and its user have their own")
+        if self.time != WALL:
+            yield Problem(("time",), f"time: {self.time} {here}", f"time: {WALL}, for a driver follows the clock")
+        if self.age_jitter is not None and self.age_jitter > (self.sample_age or 0.0):
+            yield Problem(("age_jitter",), f"{show(self.age_jitter)}", "at most the sample_age")
+        if self.axis_map is not None:
+            axes = [axis.removeprefix("-") for axis in self.axis_map]
+            if len(axes) != self.dof or len(set(axes)) != len(axes):
+                expected = f"{self.dof} axes of the driver, each once, one for each degree of freedom"
+                yield Problem(("axis_map",), show(self.axis_map), expected)

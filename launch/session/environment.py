@@ -8,17 +8,25 @@ A session file only names a Python model. The environment's process alone import
 session run none of its code.
 """
 
-import math
 from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
 from typing import Annotated, Any, Final, Literal, Self, TypeAlias
 
-from pydantic import BeforeValidator, Field, ValidationError, ValidationInfo, model_validator
+from pydantic import (
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    WithJsonSchema,
+    model_validator,
+)
 
 from manyhands.launch.session.design import OneOrMany, full_matrix, one_or_many
 from manyhands.launch.session.errors import listed, one_of, show
 from manyhands.launch.session.fields import (
     Choice,
+    Described,
     Flag,
     Interval,
     Items,
@@ -37,15 +45,17 @@ from manyhands.launch.session.fields import (
     refuse,
     unsymmetric,
 )
+from manyhands.launch.session.foreign import PARAMETERS, Factory
+from manyhands.launch.session.forms import either, list_of, where, without
 from manyhands.launch.session.limits import (
     MAX_DELAY,
     MAX_ENVIRONMENT_ORDER,
     MAX_LINKS,
     MAX_MASSES,
-    MAX_MODEL_NAME,
     MAX_PORTS,
 )
 from manyhands.launch.session.matrices import (
+    D_OR_STATIC,
     STATIC_MEANING,
     Array,
     Entry,
@@ -56,8 +66,7 @@ from manyhands.launch.session.matrices import (
     one_of_two,
     size_problems,
 )
-from manyhands.launch.session.yaml import KeyPath
-from manyhands.nodes.environment.model import FACTORY
+from manyhands.nodes.factory import MODELS
 
 _LEVEL: Final = Quantity("a level", "N·s/m")
 
@@ -68,46 +77,20 @@ Enforce: TypeAlias = Flag
 ENFORCE_MEANING: Final = "whether a passivity controller keeps its level at run time"
 
 
-def _factory(value: object) -> str:
-    if not isinstance(value, str) or len(value) > MAX_MODEL_NAME or not FACTORY.fullmatch(value):
-        raise refuse(show(value), f"package.module:factory, at most {MAX_MODEL_NAME} characters")
-    return value
-
-
-def _plain_problems(value: object, at: KeyPath = ()) -> Iterator[Problem]:
-    """A problem for each part of a value that is not plain data: numbers, text, booleans, lists and mappings."""
-    if isinstance(value, Mapping):
-        for key, item in value.items():
-            yield from _plain_problems(item, (*at, str(key)))
-    elif isinstance(value, list | tuple):
-        for index, item in enumerate(value):
-            yield from _plain_problems(item, (*at, index))
-    elif isinstance(value, float) and not math.isfinite(value):
-        yield Problem(at, show(value), "a finite number")
-    elif not isinstance(value, str | bool | int | float | None):  # nulls_in reports None
-        yield Problem(at, show(value), "a number, a text, true, false, or a list or mapping of them")
-
-
-def _parameters(value: object) -> object:
-    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
-        raise refuse(show(value), "a mapping from names to values")
-    if problems := list(_plain_problems(value)):
-        raise refusal(*problems)
-    return dict(value)
-
-
 class PythonEnvironment(SessionModel):
     """A model in Python that computes its forces tick by tick; the design uses nothing but its declared level."""
 
     type: Annotated[Literal["python"], BeforeValidator(Choice(("python",)))] = Field(
         description="the kind of environment: python"
     )
-    model: Annotated[str, BeforeValidator(_factory)] = Field(description="the model's factory, package.module:factory")
+    model: Annotated[str, BeforeValidator(Factory(MODELS))] = Field(
+        description="the model's factory, package.module:factory"
+    )
     level: Annotated[OneOrMany, one_or_many(_LEVEL)] = Field(
         description="the declared level Phi_E in N·s/m: a number, one for each port, or a matrix"
     )
     enforce: Enforce = Field(default=True, description=ENFORCE_MEANING)
-    parameters: Annotated[dict[str, Any], BeforeValidator(_parameters)] = Field(
+    parameters: Annotated[dict[str, Any], BeforeValidator(PARAMETERS)] = Field(
         default={}, description="plain data, handed to the factory"
     )
 
@@ -141,10 +124,15 @@ def _two_ends(value: object) -> tuple[str, str]:
     return value[0], value[1]
 
 
+_TWO_ENDS: Final = Described(_two_ends, list_of({"type": "string"}, 2, 2))
+
+
 class SessionLink(SessionModel):
     """A spring and a damper in parallel between two ends: ports, masses or the ground."""
 
-    between: Annotated[tuple[str, str], BeforeValidator(_two_ends)] = Field(
+    model_config = ConfigDict(json_schema_extra=either({"required": ["stiffness"]}, {"required": ["damping"]}))
+
+    between: Annotated[tuple[str, str], BeforeValidator(_TWO_ENDS)] = Field(
         description=f"the two ends [a, b], each a port, a mass or {GROUND}"
     )
     stiffness: UncertainStiffness = Field(default=0.0, description="the stiffness in N/m, or an interval")
@@ -232,6 +220,10 @@ class StateSpaceEnvironment(SessionModel):
     With n states and m ports, A is n x n, B is n x m, C is m x n and D is m x m, in m, N and s.
     """
 
+    model_config = ConfigDict(
+        json_schema_extra={**D_OR_STATIC, "if": where("time", "discrete"), "then": without("method")}
+    )
+
     type: Annotated[Literal["state-space"], BeforeValidator(Choice(("state-space",)))] = Field(
         description="the kind of environment: state-space"
     )
@@ -243,9 +235,11 @@ class StateSpaceEnvironment(SessionModel):
     time: Annotated[Literal["continuous", "discrete"], BeforeValidator(Choice(("continuous", "discrete")))] = Field(
         default="continuous", description="the time of the matrices: continuous or discrete"
     )
-    method: Annotated[Literal["backward-euler", "tustin", "zoh"] | None, BeforeValidator(_method)] = defaulted(
-        None, "how it is discretised: backward-euler, tustin or zoh"
-    )
+    method: Annotated[
+        Literal["backward-euler", "tustin", "zoh"] | None,
+        BeforeValidator(_method),
+        WithJsonSchema(Choice(_CONTINUOUS_METHODS).json_schema),
+    ] = defaulted(None, "how it is discretised: backward-euler, tustin or zoh")
     delay: Delay = Field(default=0, description="whole ticks by which its forces are late")
     enforce: Enforce = Field(default=False, description=ENFORCE_MEANING)
 
@@ -273,7 +267,8 @@ def _defined(value: object) -> Rational:
     return entry
 
 
-_ENTRIES: Final = Items("rows of entries", MAX_PORTS, Items("entries of a row", MAX_PORTS, _defined))
+_DEFINED: Final = Described(_defined, _entry.json_schema)
+_ENTRIES: Final = Items("rows of entries", MAX_PORTS, Items("entries of a row", MAX_PORTS, _DEFINED))
 
 
 class TransferFunctionEnvironment(SessionModel):

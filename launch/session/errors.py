@@ -22,6 +22,14 @@ class SessionError(Exception):
         found: what the file has there.
         expected: what would be right.
         more: how many further problems the same file has.
+
+    Example:
+        >>> import manyhands as mh
+        >>> try:
+        ...     mh.load("example1", {"devices.dx.mass": -0.2})
+        ... except mh.SessionError as error:
+        ...     print(error)
+        example-1: devices.dx.mass: found -0.2; expected a mass in kg greater than 0
     """
 
     def __init__(self, source: str, line: int | None, key: str, found: str, expected: str, more: int = 0) -> None:

@@ -15,6 +15,9 @@ The default limits only stop a runaway; the author of a session states the limit
 The environment watches the energy that a device puts into the *others*, and scales down a party that exceeds its
 budget (docs/decisions/0029-energy-budgets.md). No honest device puts more into the world than its greatest force at its
 greatest speed, or over its whole reach. No hand puts in more than :data:`HAND_POWER` and :data:`HAND_ENERGY`.
+
+Each check also has the form that it accepts as a JSON schema (:mod:`manyhands.launch.session.forms`). A schema cannot
+compare two values. So it accepts more than the check does, and never less.
 """
 
 from __future__ import annotations
@@ -24,12 +27,23 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import Annotated, Any, Final, NamedTuple, TypeAlias, get_args, get_origin
+from typing import Annotated, Any, Final, NamedTuple, Protocol, TypeAlias, get_args, get_origin
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, ValidationError, ValidationInfo
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    ValidationError,
+    ValidationInfo,
+    WithJsonSchema,
+)
+from pydantic.json_schema import SkipJsonSchema
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from manyhands.launch.session.errors import SessionError, key_text, listed, one_of, show
+from manyhands.launch.session.forms import JsonSchema, either, list_of, mapping_of
 from manyhands.launch.session.limits import (
     DEFAULT_DISPLACEMENT,
     DEFAULT_FORCE,
@@ -65,9 +79,32 @@ def defaulted(value: object, description: str) -> Any:
     return Field(default=value, validate_default=True, description=description)
 
 
-def optional(check: Callable[[object], Any]) -> Callable[[object], Any]:
-    """The same check, for a value that may also be absent (``None``)."""
-    return lambda value: None if value is None else check(value)
+class ValueCheck(Protocol):
+    """A check of one value, which returns it or refuses, with the form that it accepts."""
+
+    @property
+    def json_schema(self) -> JsonSchema:
+        """The form of the values that it accepts."""
+
+    def __call__(self, value: object, /) -> Any:
+        """The value."""
+
+
+@dataclass(frozen=True, slots=True)
+class Described:
+    """A check that is a function, with the form that it accepts."""
+
+    check: Callable[[object], Any]
+    json_schema: JsonSchema
+
+    def __call__(self, value: object) -> Any:
+        """The value, as the function returns it."""
+        return self.check(value)
+
+
+def optional(check: ValueCheck) -> Described:
+    """The same check, for a value that may also be absent (``None``); no file can state that value."""
+    return Described(lambda value: None if value is None else check(value), check.json_schema)
 
 
 class Problem(NamedTuple):
@@ -121,6 +158,13 @@ class Quantity:
             bound = between or f" of at least {self.least:g}"
         return f"{self.what}{unit}{bound}"
 
+    @property
+    def json_schema(self) -> JsonSchema:
+        """A number within the bounds; that it may not be NaN, or nearly 0, is left to the check."""
+        least = {"minimum": -self.magnitude if self.least is None else self.least}
+        low = least if self.above is None else {"exclusiveMinimum": self.above}
+        return {"type": "number", **low, "maximum": self.magnitude if self.most is None else self.most}
+
     def __call__(self, value: object) -> float:
         """The value as a float."""
         if isinstance(value, bool) or not isinstance(value, int | float):
@@ -162,6 +206,11 @@ class Whole:
     least: int
     most: int
 
+    @property
+    def json_schema(self) -> JsonSchema:
+        """A whole number within the bounds."""
+        return {"type": "integer", "minimum": self.least, "maximum": self.most}
+
     def __call__(self, value: object) -> int:
         """The number."""
         if isinstance(value, bool) or not isinstance(value, int) or not self.least <= value <= self.most:
@@ -179,6 +228,11 @@ class Name:
     what: str
     pattern: str
     words: str
+
+    @property
+    def json_schema(self) -> JsonSchema:
+        """Text of the pattern."""
+        return {"type": "string", "pattern": f"^({self.pattern})$"}
 
     def __call__(self, value: object) -> str:
         """The name."""
@@ -206,11 +260,34 @@ class Choice:
 
     words: tuple[str, ...]
 
+    @property
+    def json_schema(self) -> JsonSchema:
+        """One of the words."""
+        return {"type": "string", "enum": [*self.words]}
+
     def __call__(self, value: object) -> object:
         """The word."""
         if isinstance(value, str) and value in self.words:
             return value
         raise refuse(show(value), one_of(self.words, value))
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """Text of any kind, whose meaning is checked with the whole session; ``expected`` is for the message."""
+
+    expected: str
+
+    @property
+    def json_schema(self) -> JsonSchema:
+        """Text."""
+        return {"type": "string"}
+
+    def __call__(self, value: object) -> str:
+        """The text."""
+        if not isinstance(value, str):
+            raise refuse(show(value), self.expected)
+        return value
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,6 +297,12 @@ class NamedParts:
     name: Name
     most: int
     least: int = 1
+
+    @property
+    def json_schema(self) -> JsonSchema:
+        """A mapping with such keys; the type that it is checked for describes its values."""
+        names = {"propertyNames": {"pattern": self.name.json_schema["pattern"]}}
+        return {"type": "object", **names, "minProperties": self.least, "maxProperties": self.most}
 
     def __call__(self, value: object) -> object:
         """The mapping, its keys checked."""
@@ -242,8 +325,14 @@ class Items:
 
     what: str
     most: int
-    item: Callable[[object], Any] | None = None
+    item: ValueCheck | None = None
     least: int = 1
+
+    @property
+    def json_schema(self) -> JsonSchema:
+        """A list of such a length; without ``item``, the type that it is checked for describes its entries."""
+        form = list_of(self.item.json_schema if self.item else {}, self.most, self.least)
+        return form if self.item else {key: value for key, value in form.items() if key != "items"}
 
     def __call__(self, value: object) -> tuple[Any, ...]:
         """The entries."""
@@ -286,7 +375,12 @@ def each_named(check: Callable[[object], Any], values: Mapping[str, object]) -> 
 class PerAxis:
     """One value for all axes, or a list with one for each; the result is a tuple of ``dof`` values."""
 
-    check: Callable[[object], Any]
+    check: ValueCheck
+
+    @property
+    def json_schema(self) -> JsonSchema:
+        """The value, or a list; a schema does not compare its length with ``dof``."""
+        return either(self.check.json_schema, list_of(self.check.json_schema, MAX_DOF))
 
     def __call__(self, value: object, info: ValidationInfo) -> object:
         """The values, one for each axis."""
@@ -371,6 +465,11 @@ def is_interval(value: object) -> bool:
     return isinstance(value, Mapping)
 
 
+def between(end: JsonSchema) -> JsonSchema:
+    """``{between: [low, high]}`` with ends of this form."""
+    return mapping_of({BETWEEN: list_of(end, 2, 2)})
+
+
 def ends(value: object, check: Callable[[object], Any]) -> tuple[Any, Any]:
     """Both ends of ``{between: [low, high]}``, each checked; the caller checks their order."""
     if not isinstance(value, Mapping):
@@ -402,6 +501,11 @@ class UncertainQuantity:
     """A quantity or an interval of it; called with a value, it returns a ``float`` or an interval, or refuses."""
 
     quantity: Quantity
+
+    @property
+    def json_schema(self) -> JsonSchema:
+        """A number or an interval."""
+        return either(self.quantity.json_schema, between(self.quantity.json_schema))
 
     def __call__(self, value: object) -> float | Interval:
         """The number or the interval; an interval without width becomes a number."""
@@ -459,7 +563,7 @@ class PortLimits(SessionModel):
     exceeds its limit, and lets go when a displacement or a speed does. Power and energy are limits of the whole device.
     """
 
-    dof: Dof = Field(alias=DEVICE_AXES, exclude=True, repr=False)
+    dof: SkipJsonSchema[Dof] = Field(alias=DEVICE_AXES, exclude=True, repr=False)
     force: Annotated[tuple[float, ...], BeforeValidator(PerAxis(_FORCE))] = defaulted(
         DEFAULT_FORCE, "the greatest force in N that is applied, either way: a number, or one for each axis"
     )
@@ -469,10 +573,10 @@ class PortLimits(SessionModel):
     speed: Annotated[tuple[float, ...], BeforeValidator(PerAxis(_SPEED))] = defaulted(
         DEFAULT_SPEED, "the greatest speed in m/s: a number, or one for each axis"
     )
-    power: Annotated[float, BeforeValidator(_power)] = defaulted(
+    power: Annotated[float, BeforeValidator(_power), WithJsonSchema(_POWER.json_schema)] = defaulted(
         None, "the power in W that it may put into the other users for as long as it likes"
     )
-    energy: Annotated[float, BeforeValidator(_energy)] = defaulted(
+    energy: Annotated[float, BeforeValidator(_energy), WithJsonSchema(_ENERGY.json_schema)] = defaulted(
         None, "the energy in J that it may put into the other users at once"
     )
 

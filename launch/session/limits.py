@@ -35,7 +35,7 @@ MAX_ENVIRONMENT_ORDER: Final = 512
 MAX_DELAY: Final = 16
 """Whole ticks by which an environment may be late."""
 MAX_ITERATIONS: Final = 10_000
-MAX_MODEL_NAME: Final = 200
+MAX_FACTORY_NAME: Final = 200
 """Characters in the name of a model's factory."""
 
 MAX_PROBLEMS: Final = 200

@@ -12,10 +12,21 @@ from typing import Annotated, Final, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, WithJsonSchema
 
 from manyhands.launch.session.errors import one_of, show
-from manyhands.launch.session.fields import Items, Problem, Quantity, Rows, SessionModel, each_named, optional, refuse
+from manyhands.launch.session.fields import (
+    Described,
+    Items,
+    Problem,
+    Quantity,
+    Rows,
+    SessionModel,
+    each_named,
+    optional,
+    refuse,
+)
+from manyhands.launch.session.forms import JsonSchema, either, mapping_of, one_key_of
 from manyhands.launch.session.limits import MAX_COEFFICIENT, MAX_DEGREE, MAX_PORTS
 
 Array: TypeAlias = npt.NDArray[np.float64]
@@ -31,14 +42,18 @@ def _rows(value: object) -> Rows:
     return rows
 
 
-MatrixRows: TypeAlias = Annotated[Rows, BeforeValidator(_rows)]
+MatrixRows: TypeAlias = Annotated[Rows, BeforeValidator(_rows), WithJsonSchema(_ROWS.json_schema)]
 """Any rectangular matrix, which may be empty."""
 
-OptionalRows: TypeAlias = Annotated[Rows | None, BeforeValidator(optional(_rows))]
+OptionalRows: TypeAlias = Annotated[Rows | None, BeforeValidator(optional(Described(_rows, _ROWS.json_schema)))]
 """Any rectangular matrix, or None."""
 
 
 STATIC_MEANING: Final = "the static gain, m x m, as rows, in place of D, which then is what the gain leaves"
+
+
+D_OR_STATIC: Final = one_key_of("D", "static")
+"""The JSON schema of what :func:`one_of_two` asks for."""
 
 
 def one_of_two(D: Rows | None, static: Rows | None) -> Rows:
@@ -124,6 +139,12 @@ class Entry:
     def _gain(self) -> Quantity:
         # a number may be as small as a coefficient: sessions are written back with num and den
         return Quantity("an entry: a number", self.unit, smallest=1.0 / MAX_COEFFICIENT)
+
+    @property
+    def json_schema(self) -> JsonSchema:
+        """A number, or the coefficients."""
+        coefficients = COEFFICIENTS.json_schema
+        return either(self._gain.json_schema, mapping_of({"num": coefficients, "den": coefficients}))
 
     def __call__(self, value: object) -> Rational:
         """The entry as a rational function."""

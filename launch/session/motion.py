@@ -26,7 +26,14 @@ from pydantic_core import PydanticCustomError
 from manyhands.design.files import open_regular
 from manyhands.launch.session.errors import listed, one_of, show
 from manyhands.launch.session.fields import PortLimits, Problem, Quantity, SessionModel, problems_of, refusal, refuse
-from manyhands.launch.session.limits import MAX_MOTION_NUMBERS, MAX_TRACE_BYTES, MAX_TRACE_LINE, MAX_TRACE_ROWS
+from manyhands.launch.session.forms import JsonSchema, either, list_of, mapping_of
+from manyhands.launch.session.limits import (
+    MAX_DOF,
+    MAX_MOTION_NUMBERS,
+    MAX_TRACE_BYTES,
+    MAX_TRACE_LINE,
+    MAX_TRACE_ROWS,
+)
 from manyhands.nodes.device.intent import IntentError, SampledSignal
 
 _ROW: Final = "rows of two numbers, 't,value', with t in s increasing from 0"
@@ -323,6 +330,20 @@ def with_own_names(devices: object) -> object:
         if isinstance(trace, Mapping) and "file" in trace:
             named[name] = {**device, "trace": {**trace, OWN_NAME: name}}
     return named
+
+
+_LISTS: Final = list_of(_POSITION.json_schema, MAX_MOTION_NUMBERS)
+_FILE: Final[JsonSchema] = {"type": "string", "pattern": r"[^/]\.(mcap|npz|csv)$"}
+MOTION_FORM: Final = either(
+    mapping_of({"file": _FILE}, {"device": {"type": "string", "minLength": 1}}),
+    mapping_of(
+        {
+            "times": list_of(_TIME.json_schema, MAX_MOTION_NUMBERS),
+            "values": either(_LISTS, list_of(_LISTS, MAX_DOF)),
+        }
+    ),
+)
+"""The JSON schema of what :func:`motion` accepts."""
 
 
 def motion(value: object, dof: int, folder: Path) -> Motion:

@@ -19,18 +19,19 @@ that is nearer to the hand. That end is a device (``dx/sample``, ``dx/force``) o
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self, TypeAlias
 
 import numpy as np
-from pydantic import BeforeValidator, Field, ValidationError, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
+from manyhands.design.models.brief import brief_names
 from manyhands.launch.session.design import TRANSPARENCY, Design, full_matrix
 from manyhands.launch.session.device import Device
-from manyhands.launch.session.environment import GROUND, Environment, environment_of_its_type
-from manyhands.launch.session.errors import listed, one_of, show
+from manyhands.launch.session.environment import GROUND, Environment, PythonEnvironment, environment_of_its_type
+from manyhands.launch.session.errors import SessionError, listed, one_of, show
 from manyhands.launch.session.fields import (
     Choice,
     Flag,
@@ -41,6 +42,7 @@ from manyhands.launch.session.fields import (
     Quantity,
     SessionModel,
     SessionName,
+    Text,
     Whole,
     first_error,
     nulls_in,
@@ -50,6 +52,7 @@ from manyhands.launch.session.fields import (
     refusal,
     refuse,
 )
+from manyhands.launch.session.forms import one_key_of
 from manyhands.launch.session.limits import (
     DEFAULT_RESTARTS,
     DEFAULT_TANK,
@@ -67,9 +70,11 @@ from manyhands.launch.session.limits import (
 )
 from manyhands.launch.session.matrices import Array
 from manyhands.launch.session.motion import motion_problems, with_own_names
+from manyhands.launch.session.objects import plain_value, tree_of
 from manyhands.launch.session.wave_link import WaveLink
-from manyhands.launch.session.yaml import apply_overrides, read_tree
+from manyhands.launch.session.yaml import SessionTree, apply_overrides, read_tree, replaced
 from manyhands.nodes.bundle import REALTIME, WALL
+from manyhands.nodes.factory import FactoryName
 from manyhands.protocol.channels import CHANNELS, Channel, Rate
 from manyhands.protocol.messages import Role
 
@@ -86,18 +91,15 @@ PortsOf: TypeAlias = Mapping[str, tuple[str, ...]]
 """The ports of each device, or of each coupling, in order."""
 
 
-def _name_word(value: object) -> str:
-    if not isinstance(value, str):
-        raise refuse(show(value), "a name there")
-    return value
-
-
-_DEVICES: Final = Items("device names", MAX_DEVICES, _name_word)
-_PORTS: Final = Items("port names", MAX_PORTS, _name_word)
+_NAME: Final = Text("a name there")
+_DEVICES: Final = Items("device names", MAX_DEVICES, _NAME)
+_PORTS: Final = Items("port names", MAX_PORTS, _NAME)
 
 
 class CouplingBlock(SessionModel):
     """One block of V, which is one process: the devices that it couples, or the ports."""
+
+    model_config = ConfigDict(json_schema_extra=one_key_of("devices", "ports"))
 
     devices: Annotated[tuple[str, ...] | None, BeforeValidator(optional(_DEVICES))] = Field(
         default=None, description="the devices of which it couples every port"
@@ -171,6 +173,35 @@ def ports_of_block(block: CouplingBlock, devices: PortsOf) -> tuple[str, ...]:
     return tuple(port for device in block.devices or () for port in devices[device])
 
 
+def with_single_ports(value: object) -> object:
+    """Raw data of a session in which ``d.0`` is replaced by the port of ``d``, wherever ``d`` has a single axis.
+
+    The rest is handed on as it is: whatever is wrong with it is reported by the checks of its own part.
+    """
+    devices = value.get("devices") if isinstance(value, Mapping) else None
+    if not isinstance(value, Mapping) or not isinstance(devices, Mapping):
+        return value
+    single: dict[object, str] = {}
+    for name, device in devices.items():
+        if isinstance(device, Mapping) and device.get("dof") == 1:
+            axes = device.get("axes")
+            has_name = isinstance(axes, list | tuple) and len(axes) == 1
+            single[f"{name}.0"] = ".".join([str(name), *map(str, axes)]) if axes and has_name else str(name)
+
+    def renamed(part: object, key: str) -> object:
+        ports = part.get(key) if isinstance(part, Mapping) else None
+        if not isinstance(part, Mapping) or not isinstance(ports, list | tuple):
+            return part
+        return {**part, key: [single.get(port, port) if isinstance(port, str) else port for port in ports]}
+
+    out, couplings, environment = dict(value), value.get("couplings"), value.get("environment")
+    if single and isinstance(couplings, Mapping):
+        out["couplings"] = {name: renamed(block, "ports") for name, block in couplings.items()}
+    if single and isinstance(environment, Mapping) and isinstance(environment.get("links"), list | tuple):
+        out["environment"] = {**environment, "links": [renamed(link, "between") for link in environment["links"]]}
+    return out
+
+
 _RESTARTS: Final = Whole("restarts", 0, MAX_RESTARTS)
 _TANK: Final = Quantity("a tank", "J", least=0.0, most=LARGEST_TANK)
 _WINDOW: Final = Quantity("a window", "s", above=0.0, most=LONGEST_WINDOW, smallest=MIN_POSITIVE)
@@ -210,16 +241,13 @@ TELEMETRY: Final = "telemetry"
 _FROM_THE_HAND: Final = (Role.DEVICE, Role.COUPLING, Role.ENVIRONMENT)
 
 
-def _channel_word(value: object) -> str:
-    if not isinstance(value, str):
-        raise refuse(show(value), f"{TELEMETRY}, or NODE/CHANNEL")
-    return value
+_CHANNEL: Final = Text(f"{TELEMETRY}, or NODE/CHANNEL")
 
 
 class Observer(SessionModel):
     """A process that reads some channels of a session and takes no part in it."""
 
-    reads: Annotated[tuple[str, ...], BeforeValidator(Items("channels", MAX_READS, _channel_word))] = Field(
+    reads: Annotated[tuple[str, ...], BeforeValidator(Items("channels", MAX_READS, _CHANNEL))] = Field(
         description="what it may read: telemetry for that of all nodes, or single channels as NODE/CHANNEL"
     )
 
@@ -295,6 +323,12 @@ class Session(SessionModel):
     colocate: Flag = Field(default=False, description="whether each coupling runs in its device's process")
     faults: Faults = Field(default=Faults(), description="what follows deaths of processes and breaches of delay")
 
+    @model_validator(mode="before")
+    @classmethod
+    def _ports_by_number(cls, value: object) -> object:
+        """Understand ``d.0`` as the port of a device of one axis, which is ``d``, or ``d.x`` with ``axes: [x]``."""
+        return with_single_ports(value)
+
     @model_validator(mode="after")
     def _is_consistent(self) -> Self:
         device_ports = {name: device.ports(name) for name, device in self.devices.items()}
@@ -308,6 +342,8 @@ class Session(SessionModel):
             problems += islice(self._colocation_problems(), MAX_PROBLEMS)
         if not problems:
             problems += islice(self._wave_link_problems(), MAX_PROBLEMS)
+        if not problems:
+            problems += islice(self._delay_problems(), MAX_PROBLEMS)
         if not problems:
             found = self.design.problems(self.ports, self.blocks_by_name, self.period)
             for problem in islice(found, MAX_PROBLEMS):
@@ -339,9 +375,11 @@ class Session(SessionModel):
 
     def _wave_link_problems(self) -> Iterator[Problem]:
         """A problem for each wave link that fits neither its coupling nor the design."""
+        stated = self.design.stated_tau
+        tau = self.latency if stated is None else stated
         for name, link in self.wave_links.items():
             at: tuple[str, ...] = ("couplings", name, "wave_link")
-            for problem in link.problems(self.blocks_by_name[name], self.period, self.design.stated_tau or 0.0):
+            for problem in link.problems(self.blocks_by_name[name], self.period, tau):
                 yield problem._replace(at=(*at, *problem.at))
             own = set(self.blocks_by_name[name])
             for device in self.devices_of(name):
@@ -355,6 +393,73 @@ class Session(SessionModel):
             found = f"{self.design.objective} with the wave link of {next(iter(self.wave_links))!r}"
             expected = "feasible or stiffest: the site of a wave link does not know the environment"
             yield Problem(("design", "objective"), found, expected)
+
+    def _delay_problems(self) -> Iterator[Problem]:
+        """A problem for each delay to certify that is shorter than a device states its own to be."""
+        for name, device in self.devices.items():
+            latency, site = device.timing.latency, self.sites.get(name)
+            own = f"{latency:g} s, the sample_age and the actuation_delay of {name!r}"
+            if latency > self.period_of(name):
+                found = f"{latency:g} s of sample_age and actuation_delay"
+                expected = f"at most the period of {self.period_of(name):g} s: no certificate covers more"
+                yield Problem(("devices", name), found, expected)
+                continue
+            tau: tuple[str, ...] = ("design", "tau")
+            stated = self.design.stated_tau
+            if site is not None and (of_site := self.wave_links[site].tau) is not None:
+                tau, stated = ("couplings", site, "wave_link", "tau"), of_site
+            if stated is not None and stated < latency:
+                yield Problem(tau, f"{show(stated)}", f"at least {own}")
+
+    @cached_property
+    def latencies(self) -> dict[str, float]:
+        """By device, the delay that it has beside its loop, s."""
+        return {name: device.timing.latency for name, device in self.devices.items()}
+
+    @property
+    def latency(self) -> float:
+        """The greatest delay that a device has beside its loop, s; every delay to certify is at least this."""
+        return max(self.latencies.values())
+
+    @property  # not kept: the design changes in a copy (`with_delay`), and a copy has what is kept
+    def period_tolerance(self) -> float:
+        """Rho to certify: what the design states, and at least what the age of any device's samples varies by."""
+        return max(self.design.period_tolerance, min(1.0, self._greatest_jitter))
+
+    @cached_property
+    def _greatest_jitter(self) -> float:
+        """The greatest part of its period by which the age of a device's samples varies."""
+        return max(device.timing.jitter / self.period_of(name) for name, device in self.devices.items())
+
+    @cached_property
+    def folder(self) -> str:
+        """The folder in which the session's code is looked for; empty for none (:meth:`with_code_in`).
+
+        It is no field: two sessions are the same wherever their files are, and no record of a run has it.
+        """
+        return ""
+
+    def with_code_in(self, folder: Path) -> Self:
+        """This session, whose code is looked for in ``folder`` as well.
+
+        Only for a file that the user has named: a recording from elsewhere must not bring its code along.
+        """
+        copied = self.model_copy()
+        copied.__dict__["folder"] = str(folder.resolve())  # where the cached property keeps it
+        return copied
+
+    @property
+    def foreign_code(self) -> dict[str, FactoryName]:
+        """The code of other packages that a run imports and executes, by the key that names it."""
+        found = {
+            f"devices.{name}.driver": FactoryName(device.factory, device.parameters or {}, self.folder)
+            for name, device in self.devices.items()
+            if device.factory is not None
+        }
+        if isinstance(self.environment, PythonEnvironment):
+            environment = self.environment
+            found["environment.model"] = FactoryName(environment.model, environment.parameters, self.folder)
+        return found
 
     @cached_property
     def wave_links(self) -> Mapping[str, WaveLink]:
@@ -469,6 +574,67 @@ class Session(SessionModel):
         """The session as plain data in the form of a session file; reading the data gives an equal session."""
         return self.model_dump(mode="json", by_alias=True, exclude_none=True)
 
+    def to_dict(self) -> dict[str, Any]:
+        """What the session states, as plain data in the form of a session file, without what it leaves to defaults.
+
+        Example:
+            >>> import manyhands as mh
+            >>> mh.load("example1").to_dict()["design"]
+            {'coupling': 'spring-damper', 'objective': 'feasible'}
+        """
+        return self.model_dump(mode="json", by_alias=True, exclude_none=True, exclude_unset=True)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> "Session":
+        """A session from Python data in the form of a session file (docs/session-file.md).
+
+        Values may be numpy arrays, and linear systems and transfer functions of python-control or SciPy
+        (:mod:`manyhands.launch.session.objects`). Relative paths are those of the working directory.
+
+        Raises:
+            SessionError: the data make no session; the message has the first problem in the order of the data.
+
+        Example:
+            >>> import manyhands as mh
+            >>> session = mh.Session.from_dict({
+            ...     "session": "wall",
+            ...     "period": 0.001,                                                              # s
+            ...     "devices": {"d": {"dof": 1, "osp": 1.37, "driver": "simulated", "mass": 0.2}},   # N·s/m, kg
+            ...     "couplings": {"c": {"devices": ["d"]}},
+            ...     "environment": {"type": "network", "links": [{"between": ["d", "ground"], "stiffness": 5000}]},
+            ...     "design": {"coupling": "spring-damper", "objective": "stiffest"},
+            ... })
+            >>> session
+            Session(wall: T = 0.001 s, devices d, couplings c, environment network)
+        """
+        return _session_of(tree_of(data, "session"), Path())
+
+    def replace(self, changes: Mapping[str, Any]) -> "Session":
+        """This session with other values, checked like a new one.
+
+        Args:
+            changes: by path of keys, as ``--set`` takes them: ``{"design.tau": 0.0005}``. A value may be any that
+                :meth:`from_dict` takes.
+
+        Raises:
+            SessionError: a path leads to nothing, or a value is wrong.
+
+        Example:
+            >>> import manyhands as mh
+            >>> session = mh.load("example1").replace({"design.objective": "stiffest", "devices.dx.mass": 0.3})
+            >>> session.devices["dx"].mass
+            (0.3,)
+        """
+        return _session_of(with_changes(tree_of(self.to_dict(), self.name), changes), Path())
+
+    def __repr__(self) -> str:
+        return (
+            f"Session({self.name}: T = {self.period:g} s, devices {brief_names(tuple(self.devices))}, "
+            f"couplings {brief_names(tuple(self.couplings))}, environment {self.environment.type})"
+        )
+
+    __str__ = __repr__
+
 
 def load_session(path: Path, overrides: Sequence[str] = ()) -> Session:
     """Read and check a session file.
@@ -480,11 +646,34 @@ def load_session(path: Path, overrides: Sequence[str] = ()) -> Session:
     Raises:
         SessionError: the file or an override is wrong; the message has the first problem in the order of the file.
     """
-    tree = apply_overrides(read_tree(path), overrides, _BEGUN_BY_OVERRIDES)
+    return _session_of(apply_overrides(read_tree(path), overrides, _BEGUN_BY_OVERRIDES), path.parent)
+
+
+def with_changes(tree: SessionTree, changes: Mapping[str, Any]) -> SessionTree:
+    """A new tree, in which each value of ``changes`` has replaced the one at its path of keys, in order.
+
+    Raises:
+        SessionError: a path leads to nothing, or no session file can state a value there.
+    """
+    for dotted, value in changes.items():
+        steps = dotted.split(".") if isinstance(dotted, str) else []
+        if not steps or not all(steps):
+            found, expected = f"the path {show(dotted)}", "keys joined by dots, such as devices.dx.mass"
+            raise SessionError(tree.source, None, "", found, expected)
+        tree = replaced(tree, steps, tree.source, _BEGUN_BY_OVERRIDES, partial(plain_value, value, tree=tree))
+    return tree
+
+
+def _session_of(tree: SessionTree, folder: Path) -> Session:
+    """The checked session of a tree; relative paths in it are below ``folder``.
+
+    Raises:
+        SessionError: see :func:`load_session`.
+    """
     problems: list[Problem] = []
     session: Session | None = None
     try:
-        session = Session.model_validate(tree.data, context={"folder": path.parent})
+        session = Session.model_validate(tree.data, context={"folder": folder})
     except ValidationError as error:
         problems += problems_in(error, Session)
     reported = {tree.locate(problem.at)[0] for problem in problems}
@@ -492,3 +681,28 @@ def load_session(path: Path, overrides: Sequence[str] = ()) -> Session:
     if session is None or problems:
         raise first_error(tree, problems)
     return session
+
+
+MOST_KEPT_VALUES: Final = 100_000_000
+"""Ticks x ports of a run that is kept in memory: 1.6 GB."""
+
+
+def whole_ticks(session: Session, duration: float, *, kept: bool = False) -> int:
+    """The number of ticks in a duration.
+
+    Args:
+        session: the session, of which the period and the ports count.
+        duration: s.
+        kept: whether every value of the run is kept in memory.
+
+    Raises:
+        ValueError: it is shorter than a period, or too long.
+    """
+    if not session.period <= duration <= 1e9:
+        raise ValueError(f"found {duration:g} s; expected from one period, {session.period:g} s, to 1e9 s")
+    ticks, ports = round(duration / session.period), len(session.ports)
+    if kept and ticks * ports > MOST_KEPT_VALUES:
+        raise ValueError(
+            f"found {duration:g} s, {ticks} ticks of {ports} ports; expected at most {MOST_KEPT_VALUES // ports} ticks"
+        )
+    return ticks

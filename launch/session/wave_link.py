@@ -14,19 +14,12 @@ from fractions import Fraction
 from typing import Annotated, Final, Self
 
 import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from manyhands.launch.session.design import OneOrMany, full_matrix, given_problems, one_or_many
 from manyhands.launch.session.errors import show
-from manyhands.launch.session.fields import (
-    PERIOD,
-    Problem,
-    Quantity,
-    SessionModel,
-    Whole,
-    optional,
-    refuse,
-)
+from manyhands.launch.session.fields import PERIOD, Problem, Quantity, SessionModel, Whole, optional, refuse
+from manyhands.launch.session.forms import one_key_of
 from manyhands.launch.session.limits import (
     DEFAULT_WAVE_TANK,
     LARGEST_TANK,
@@ -49,6 +42,8 @@ _HARVEST: Final = Quantity("a harvest", "N·s/m", least=0.0)
 
 class WaveLink(SessionModel):
     """The wave link between one coupling and the environment."""
+
+    model_config = ConfigDict(json_schema_extra={**one_key_of("mass", "b"), "dependencies": {"mass": ["round_trip"]}})
 
     mass: Annotated[OneOrMany | None, one_or_many(_MASS)] = Field(
         default=None, description="the felt mass allowed, in kg: a number, or one for each port of the coupling"

@@ -11,7 +11,7 @@ has a :class:`SourcePlace`, from which later errors take the line.
 
 import gc
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -297,19 +297,68 @@ def apply_overrides(
     return tree
 
 
-def _apply(tree: SessionTree, override: str, begun: Collection[KeyPath]) -> SessionTree:
-    source = f"--set {override if len(override) <= 80 else override[:77] + '...'}"
-    dotted, equals, text = override.partition("=")
-    steps = dotted.strip().split(".")
-    if not equals or not all(steps):
+def read_choices(option: str) -> tuple[str, list[object]]:
+    """The path and the values of ``KEY.PATH=[VALUE, ...]``, the option ``--vary``.
+
+    Raises:
+        SessionError: the option has another form.
+    """
+    dotted, node, source = _split(option, "--vary")
+    values = None if node is None else _Builder(source, has_lines=False).build(node, ())
+    if not isinstance(values, list) or not values:
+        raise SessionError(source, None, dotted, show(values), "a list of values, such as design.tau=[0, 0.0005]")
+    return dotted, values
+
+
+def _split(text: str, option: str) -> tuple[str, yaml.Node | None, str]:
+    """The path of ``KEY.PATH=VALUE``, its value, and a name for messages.
+
+    Raises:
+        SessionError: the text has another form.
+    """
+    source = f"{option} {text if len(text) <= 80 else text[:77] + '...'}"
+    dotted, equals, value = text.partition("=")
+    dotted = dotted.strip()
+    if not equals or not all(dotted.split(".")):
         found = "no '='" if not equals else f"the path {dotted!r}"
         raise SessionError(source, None, "", found, "KEY.PATH=VALUE, such as devices.dx.mass=0.3")
-    if len(text) > MAX_OVERRIDE_CHARACTERS:
-        raise SessionError(source, None, dotted, f"{len(text)} characters", f"at most {MAX_OVERRIDE_CHARACTERS}")
-    node = _compose(text, source, has_lines=False)
+    if len(value) > MAX_OVERRIDE_CHARACTERS:
+        raise SessionError(source, None, dotted, f"{len(value)} characters", f"at most {MAX_OVERRIDE_CHARACTERS}")
+    node = _compose(value, source, has_lines=False)
     if isinstance(node, yaml.CollectionNode) and not node.flow_style:
-        raise SessionError(source, None, dotted, show(text), "a plain value, or one in [ ] or { }")
+        raise SessionError(source, None, dotted, show(value), "a plain value, or one in [ ] or { }")
+    return dotted, node, source
 
+
+def _apply(tree: SessionTree, override: str, begun: Collection[KeyPath]) -> SessionTree:
+    dotted, node, source = _split(override, "--set")
+
+    def build(path: KeyPath) -> tuple[object, Mapping[KeyPath, SourcePlace]]:
+        builder = _Builder(source, has_lines=False)
+        return None if node is None else builder.build(node, path), builder.places
+
+    return replaced(tree, dotted.split("."), source, begun, build)
+
+
+Built: TypeAlias = tuple[object, Mapping[KeyPath, SourcePlace]]
+"""A plain value, and the place of every key and item in it."""
+
+
+def replaced(
+    tree: SessionTree, steps: Sequence[str], source: str, begun: Collection[KeyPath], build: Callable[[KeyPath], Built]
+) -> SessionTree:
+    """A new tree, with one value replaced, or one key added to an existing mapping.
+
+    Args:
+        tree: the session.
+        steps: the path of the value; a list item is named by its position, from 0.
+        source: where the value comes from, for messages.
+        begun: the mappings that may be created on the way.
+        build: makes the value for its path.
+
+    Raises:
+        SessionError: the path leads to nothing, or ``build`` refuses the value.
+    """
     data = dict(tree.data)
     parent: Any = data  # always a dict or a list: other children are refused below
     path: KeyPath = ()
@@ -326,10 +375,9 @@ def _apply(tree: SessionTree, override: str, begun: Collection[KeyPath]) -> Sess
         parent, path = parent[key], (*path, key)
     last = steps[-1] if isinstance(parent, dict) else _existing(parent, steps[-1], path, source)
     path = (*path, last)
-    builder = _Builder(source, has_lines=False)
-    parent[last] = None if node is None else builder.build(node, path)
+    parent[last], inner = build(path)
     kept = {at: place for at, place in tree.places.items() if at[: len(path)] != path}
-    return SessionTree(tree.source, data, {**kept, **places, path: SourcePlace(source, None), **builder.places})
+    return SessionTree(tree.source, data, {**kept, **places, path: SourcePlace(source, None), **inner})
 
 
 def _existing(parent: dict[str, object] | list[object], step: str, path: KeyPath, source: str) -> str | int:

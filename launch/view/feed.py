@@ -4,7 +4,8 @@ A page receives what never changes once, in its first message, and then pictures
 (:class:`Feed`, which is pure). A picture is made when the page can take it, from rings of bounded length. A page that
 does not read for a while therefore misses only what has left the rings, and no messages wait for it in memory.
 
-:class:`Watch` follows the session's broadcast in an event loop, and notices the end of its supervisor.
+:class:`BroadcastFollower` follows the session's broadcast in an event loop, and notices the end of its supervisor;
+:class:`Watch` does so for pages.
 """
 
 from __future__ import annotations
@@ -12,21 +13,21 @@ from __future__ import annotations
 import asyncio
 import json
 import os
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 from manyhands.launch.observe.sessions import Running
 from manyhands.launch.run.display import energy_line
 from manyhands.launch.view.pointer import Holding
 from manyhands.nodes.json_number import json_number
 from manyhands.nodes.observer.alarms import Alarms
+from manyhands.nodes.observer.health import PROMISES, Promise, cells, condensed, is_present, summary
 from manyhands.nodes.observer.scene import About, Scene
 from manyhands.nodes.observer.tracks import BUCKETS, WINDOW, Decimated, Tracks
 from manyhands.protocol.clock import Clock, Duration, Instant
-from manyhands.protocol.messages import Observation, Role
+from manyhands.protocol.messages import Observation, PromiseStatus, Role
 from manyhands.protocol.transport.broadcast import Visit
 
 ALARMS_SHOWN: Final = 100
@@ -53,15 +54,10 @@ class Feed:
         over: whether the session is over.
     """
 
-    def __init__(self, about: About, wall: float) -> None:
-        """A feed that has not received a frame.
-
-        Args:
-            about: the session.
-            wall: seconds since 1970 at the clock's instant 0, from which pages show the time of day.
-        """
+    def __init__(self, about: About) -> None:
+        """A feed of the session ``about`` that has not received a frame."""
         self.scene, self.over = Scene(about), False
-        self._tracks, self._alarms, self._wall = Tracks(about), Alarms(), wall
+        self._tracks, self._alarms = Tracks(about), Alarms()
 
     def take(self, frame: bytes, now: Instant) -> None:
         """Take in a frame of the broadcast that came at ``now``."""
@@ -104,7 +100,9 @@ class Feed:
             "health": scene.health,
             "tick": scene.tick,
             "rate": _rounded(scene.rate),
-            "frozen": scene.frozen,
+            "promises": [_shown(row) for row in condensed(scene.promises)],
+            "present": summary(scene.promises),
+            "lobby": [{"text": seat.sentence(), "health": seat.health} for seat in scene.lobby],
             "energy": "".join(energy_line(node.figures) for node in scene.nodes.values()),
             "wave_links": [felt.sentence(name) for name, felt in scene.felt_links.items()],
             "nodes": self._nodes(cursor),
@@ -147,11 +145,25 @@ class Feed:
                 "level": alarm.level,
                 "text": alarm.text,
                 "advice": alarm.advice,
-                "since": self._wall + alarm.since / 1e9,
-                "cleared": None if alarm.cleared is None else self._wall + alarm.cleared / 1e9,
+                "since": alarm.since,
+                "earlier": alarm.earlier,
+                "cleared": alarm.cleared,
             }
             for alarm in self._alarms.listed()[:ALARMS_SHOWN]
         ]
+
+
+def _shown(row: PromiseStatus) -> dict[str, Any]:
+    """A row about a promise, as texts, with what the page shows of it besides."""
+    claim = PROMISES[Promise(row.promise)].claim
+    return {
+        "cells": cells(row),
+        "state": row.state,
+        "present": is_present(row),
+        "claim": claim,
+        "remark": row.remark,
+        "who": row.who,
+    }
 
 
 def _piece(new: Decimated) -> list[Any]:
@@ -170,24 +182,38 @@ LOOK_EVERY: Final = 0.25
 _MOST_AT_ONCE: Final = 64  # frames that are taken in before other tasks get their turn
 
 
-class Watch:
-    """Follows one session for all pages, and keeps the devices that the pages hold.
+class Taker(Protocol):
+    """What takes in the frames of a session: a :class:`Feed`, or that of another viewer.
 
     Attributes:
-        clock: the clock for it and for the limits of the pages.
-        feed: the messages for the pages.
-        holding: which page holds which device.
+        over: whether the session is over.
     """
 
-    def __init__(self, running: Running, clock: Clock) -> None:
-        """Connect to the session's broadcast.
+    over: bool
+
+    def take(self, frame: bytes, now: Instant) -> None:
+        """Take in a frame of the broadcast that came at ``now``."""
+        ...
+
+    def look(self, now: Instant) -> None:
+        """Do what is due at ``now``, whether a frame came or not."""
+        ...
+
+
+class BroadcastFollower:
+    """Follows one session's broadcast in an event loop, and notices the end of its supervisor.
+
+    Attributes:
+        clock: the clock for it and for the limits of its viewers.
+    """
+
+    def __init__(self, running: Running, clock: Clock, taker: Taker) -> None:
+        """Connect to the session's broadcast, whose frames go to ``taker``.
 
         Raises:
-            TransportError: the broadcast, or a device's pointer, cannot be connected.
+            TransportError: the broadcast cannot be connected.
         """
-        self._running, self.clock = running, clock
-        self.feed = Feed(running.about, time.time() - clock.now() / 1e9)
-        self.holding = Holding(running.directory, running.about)
+        self._running, self.clock, self._taker = running, clock, taker
         self._visit = Visit(running.directory)
 
     async def run(self) -> None:
@@ -197,13 +223,14 @@ class Watch:
             while True:
                 await asyncio.sleep(LOOK_EVERY)
                 self._take_in()
-                now = self.clock.now()
-                self.feed.look(now)
-                self.holding.expire(now)
+                self.look(self.clock.now())
+
+    def look(self, now: Instant) -> None:
+        """Do what is due at ``now``."""
+        self._taker.look(now)
 
     def close(self) -> None:
-        """Let go of all devices, and disconnect. A second call does nothing."""
-        self.holding.close()
+        """Disconnect. A second call does nothing."""
         self._visit.close()
 
     @contextmanager
@@ -243,10 +270,39 @@ class Watch:
             frame = self._visit.recv(Duration(0))
             if frame is None:
                 return
-            self.feed.take(frame, now)
+            self._taker.take(frame, now)
         asyncio.get_running_loop().call_soon(self._take_in)
 
     def _end(self) -> None:
         self._take_in()
-        self.feed.look(self.clock.now())
-        self.feed.over = True
+        self._taker.look(self.clock.now())
+        self._taker.over = True
+
+
+class Watch(BroadcastFollower):
+    """Follows one session for all pages, and keeps the devices that the pages hold.
+
+    Attributes:
+        feed: the messages for the pages.
+        holding: which page holds which device.
+    """
+
+    def __init__(self, running: Running, clock: Clock) -> None:
+        """Connect to the session's broadcast.
+
+        Raises:
+            TransportError: the broadcast, or a device's pointer, cannot be connected.
+        """
+        self.feed = Feed(running.about)
+        self.holding = Holding(running.directory, running.about)
+        super().__init__(running, clock, self.feed)
+
+    def look(self, now: Instant) -> None:
+        """Check alarms, and let go of devices whose pages have fallen silent."""
+        super().look(now)
+        self.holding.expire(now)
+
+    def close(self) -> None:
+        """Let go of all devices, and disconnect. A second call does nothing."""
+        self.holding.close()
+        super().close()

@@ -100,6 +100,12 @@ class Connections:
         for client in [client for client, since in self._since.items() if Duration(now - since) > ANSWERED_WITHIN]:
             self._end(client, "too_slow")
 
+    async def keep_ending_overdue(self, clock: Clock) -> None:
+        """End overdue connections again and again, until cancelled."""
+        while True:
+            await asyncio.sleep(LOOK_EVERY)
+            self.end_overdue(clock.now())
+
     def _end(self, client: Client, why: str) -> None:
         self.refused[why] += 1
         del self._since[client]
@@ -495,12 +501,7 @@ async def run_until_stopped(
         finally:
             server.should_exit = True  # a page without updates is not served
 
-    async def end_overdue() -> None:
-        while True:
-            await asyncio.sleep(LOOK_EVERY)
-            connections.end_overdue(watch.clock.now())
-
-    beside = [asyncio.create_task(follow()), asyncio.create_task(end_overdue())]
+    beside = [asyncio.create_task(follow()), asyncio.create_task(connections.keep_ending_overdue(watch.clock))]
     try:
         await server.serve(sockets=[listening])
     finally:

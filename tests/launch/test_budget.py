@@ -238,5 +238,5 @@ def test_the_table_and_the_object_of_wave_links() -> None:
 def test_the_picture_of_wave_links(tmp_path: Path, suffix: str) -> None:
     session = linked()
     path = tmp_path / f"links{suffix}"
-    plot_budget(budget(loop([1.37])), path, wave_link_budgets(session))
+    plot_budget(dataclasses.replace(budget(loop([1.37])), wave_links=wave_link_budgets(session)), path)
     assert path.stat().st_size > 10_000

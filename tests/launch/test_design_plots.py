@@ -10,6 +10,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from manyhands.design import frequency_responses
 from manyhands.design.models.coupling import Partition, SpringDamper
 from manyhands.design.models.network import GROUND, Network, NetworkLink
 from manyhands.design.models.statespace import Matrix, StateSpace
@@ -117,7 +118,7 @@ def test_responses_are_those_of_the_systems() -> None:
 def test_chunks_do_not_change_the_response(monkeypatch: pytest.MonkeyPatch) -> None:
     E, angles = NETWORK.environment(T), np.linspace(0.1, 3.0, 50)
     whole = response(E, angles)
-    monkeypatch.setattr(design_plots, "_CHUNK", 200)
+    monkeypatch.setattr(frequency_responses, "_CHUNK", 200)
     np.testing.assert_allclose(response(E, angles), whole, rtol=1e-13)
 
 
@@ -201,7 +202,7 @@ def test_structure_shows_blocks_and_exact_zeros(tmp_path: Path, figures: dict[st
 
 
 def test_one_port_and_many(tmp_path: Path, figures: dict[str, Figure], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(design_plots, "_PER_DECADE", 5)  # the same pictures, sooner
+    monkeypatch.setattr(frequency_responses, "_PER_DECADE", 5)  # the same pictures, sooner
     for m in (1, 41):  # named, and too many to name
         ports = tuple(f"p{i}" for i in range(m))
         network = Network(ports, (), tuple(NetworkLink((port, GROUND), 500.0, 0.1) for port in ports))

@@ -233,7 +233,7 @@ def test_what_a_recorder_packs_best_is_no_bomb(tmp_path: Path) -> None:
     "name", ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "a\x1b[2J", "a\nb", "a,b", "", "a" * 201, "../a"]
 )
 def test_names_of_a_recording_are_names(name: str, tmp_path: Path) -> None:
-    """Each becomes a heading of ``export --to csv``, in which a spreadsheet computes what begins with =, +, - or @."""
+    """Each becomes a heading of ``export --format csv``, where a spreadsheet computes what begins with =, +, - or @."""
     path = tmp_path / "r.mcap"
     for where in ("session", "node", "port", "mass"):
         recorded = {
@@ -288,7 +288,7 @@ def hostile_recording(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "command", [["info"], ["export", "--to", "csv"], ["export", "--to", "npz"], ["audit"], ["replay"]]
+    "command", [["info"], ["export", "--format", "csv"], ["export", "--format", "npz"], ["audit"], ["replay"]]
 )
 def test_a_hostile_recording_writes_nothing_elsewhere_and_commands_no_terminal(
     command: list[str], tmp_path: Path

@@ -20,7 +20,8 @@ from manyhands.launch.session import PythonEnvironment, Session, SessionError, l
 from manyhands.launch.simulation import Silence, Simulation
 from manyhands.nodes.bundle import SIMULATED, BundleError, EnvironmentBundle, load, save
 from manyhands.nodes.environment.enforced import EnforcedCore
-from manyhands.nodes.environment.model import ModelError, ModelFailure
+from manyhands.nodes.environment.model import ModelFailure
+from manyhands.nodes.factory import FactoryError
 
 MODULE = "models_of_these_tests"
 MODELS = """
@@ -140,7 +141,7 @@ def test_nothing_is_imported_before_the_environment_runs(file: Path) -> None:
     assert MODULE not in sys.modules
     for name, bundle in bundles.items():
         assert (MODULE in repr(bundle)) == (name == "environment")
-    with pytest.raises(ModelError, match=f"the model {MODULE}:Active cannot be made: found ModuleNotFoundError"):
+    with pytest.raises(FactoryError, match=f"the model {MODULE}:Active cannot be made: found ModuleNotFoundError"):
         Simulation(prepared)
 
 

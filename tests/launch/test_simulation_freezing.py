@@ -26,10 +26,12 @@ from manyhands.launch.simulation import Silence, Simulation
 from manyhands.nodes.environment.clutch import LET_GO, RAMP, SLOWEST
 from tests.support.reduction import at_any_ratio, reduced
 
+from ..support.cases import cases
+
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 SHIPPED = ("example1", "example1-operator", "example1-delayed", "example1-uncertain")
-RANDOM = ("random 0", "random 1", "random 2", "random 3")
-CASES = 13  # of each session: 104 in all
+RANDOM = tuple(f"random {seed}" for seed in range(cases(2, 4)))
+CASES = 13  # of each session: 104 in all in `make test-long`
 TICKS = 240
 
 
@@ -123,6 +125,7 @@ def proved(certificate: Certificate) -> bool:
     return all(finding.holds for finding in prove(content(certificate) | {"id": certificate.id}))
 
 
+@pytest.mark.wide
 def test_the_others_keep_their_promises_and_feel_no_step(base: Prepared, request: pytest.FixtureRequest) -> None:
     number = [*SHIPPED, *RANDOM].index(request.node.callspec.params["base"])
     names, T = base.loop.partition.names, base.session.period

@@ -6,10 +6,11 @@ const FRESH = 60; // s for which an alarm whose cause was handled stays among th
 
 const shown = new Map(); // by key: the element, and the alarm from which it was made
 
-const clock = (seconds) => new Date(1000 * seconds).toLocaleTimeString();
+const at = (seconds) => `${seconds.toFixed(1)} s`; // of the session's time
 
 function item(alarm) {
-  const when = alarm.cleared === null ? `since ${clock(alarm.since)}` : `${clock(alarm.since)} – ${clock(alarm.cleared)}`;
+  const since = `${at(alarm.since)}${alarm.earlier ? " or earlier" : ""}`;
+  const when = alarm.cleared === null ? `since ${since}` : `${since} to ${at(alarm.cleared)}`;
   return html(
     "li",
     { class: alarm.level, "data-level": alarm.level },
@@ -20,8 +21,8 @@ function item(alarm) {
   );
 }
 
-/** Update the lists to `alarms`; an unchanged alarm keeps its element, so that screen readers do not read it again. */
-export function showAlarms(alarms) {
+/** Update the lists to `alarms` at the session's time `now`, s; an unchanged alarm keeps its element, so that screen readers do not read it again. */
+export function showAlarms(alarms, now) {
   const standing = byId("alarms-list");
   const past = byId("alarms-past-list");
   const keys = new Set(alarms.map((alarm) => alarm.key));
@@ -30,7 +31,6 @@ export function showAlarms(alarms) {
     element.remove();
     shown.delete(key);
   }
-  const now = Date.now() / 1000;
   const lists = [standing, past];
   const filled = [0, 0];
   for (const alarm of alarms) {

@@ -2,6 +2,7 @@
 
 import { byId, html, say } from "./elements.js";
 import { number, quantity } from "./format.js";
+import { isBroken } from "./promises.js";
 
 const us = (seconds) => `${number(1e6 * seconds)} µs`;
 
@@ -24,7 +25,7 @@ export class Certificate {
       ...Object.entries(certificate.margins).map(([name, margin]) => row(`margin ${name}`, `${number(margin)} N·s/m`)),
       row("transparency, γ", certificate.gamma === null ? "no objective" : number(certificate.gamma)),
       row("ladder covers", certificate.ladder.map(us).join(", ") || "no softer couplings"),
-      row("levels enforced", certificate.enforced.join(", ") || "none: all are proved"),
+      row("levels", certificate.enforced.length ? `proved; enforced at run time: ${certificate.enforced.join(", ")}` : "all proved"),
     ];
     byId("certificate-table").tBodies[0].replaceChildren(...rows);
     say(byId("account-bound"), `≥ ${quantity(-certificate.tank, "J")}`);
@@ -53,25 +54,23 @@ export class Certificate {
     say(byId("energy"), session.picture?.energy ?? "");
     say(byId("wave-links"), (session.picture?.wave_links ?? []).map((text) => `${text}.`).join(" "));
     if (this.about.certificate === null) return;
-    let [worst, most, late] = [0, 0, false];
-    for (const { figures, covered } of session.nodes.values()) {
+    let [worst, most] = [0, 0];
+    for (const { figures } of session.nodes.values()) {
       worst = Math.max(worst, figures.tau_worst_us ?? 0);
       most = Math.max(most, figures.tau_us_p99 ?? 0);
-      // more than 1 % of the ticks, as for a notice of the session (launch/run/breaches.py)
-      late ||= covered !== undefined && (figures.tau_us_p99 ?? 0) > 1e6 * covered;
     }
+    const { promises } = session.picture;
     const real = this.about.clock === "realtime";
     say(this.worst, real ? `${number(worst)} µs, ${number(most)} µs` : "none: the clock is simulated");
-    this.worst.className = real && late ? "broken" : "";
-    const { tank } = this.about.certificate;
+    this.worst.className = isBroken(promises, "delay") ? "broken" : "";
     for (const { name, total, least, account } of this.parties) {
       const { figures } = session.nodes.get(name);
       say(total, quantity(figures.ledger, "J"));
       say(least, quantity(figures.ledger_margin, "J"));
-      least.className = figures.ledger_margin < -1e-9 ? "broken" : "";
+      least.className = isBroken(promises, "passivity", name) ? "broken" : "";
       if (figures.interface === undefined) continue;
       say(account, quantity(figures.interface, "J"));
-      account.className = figures.interface_min < -tank - 1e-9 ? "broken" : "";
+      account.className = isBroken(promises, "lateness energy", name) ? "broken" : "";
     }
   }
 }

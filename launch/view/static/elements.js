@@ -17,6 +17,12 @@ export function say(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
+/** Write a name into an SVG text, shortened to a width in the drawing's own units. */
+export function fit(text, name, width) {
+  say(text, name);
+  for (let kept = name.length - 1; kept > 0 && text.getComputedTextLength() > width; kept -= 1) say(text, `${name.slice(0, kept)}…`);
+}
+
 /** Set attributes of an element that is drawn again and again. */
 export function place(element, attributes) {
   for (const [name, value] of Object.entries(attributes)) {

@@ -1,6 +1,6 @@
 /** The session's graph: devices, couplings and the environment in three columns, each and each link with its health. */
 
-import { svg, say } from "./elements.js";
+import { fit, svg, say } from "./elements.js";
 
 const COLUMNS = { device: 0, coupling: 1, environment: 2 };
 const ROW = 52;
@@ -28,6 +28,7 @@ export class Graph {
     this.links = about.links.map(({ ends: [a, b] }) => this.link(a, b));
     this.nodes = new Map(Object.keys(about.nodes).map((name) => [name, this.node(name)]));
     parent.replaceChildren(this.drawing);
+    for (const [name, { label }] of this.nodes) fit(label, name, BOX.width - 8);
   }
 
   link(a, b) {
@@ -47,10 +48,10 @@ export class Graph {
       { x: x - BOX.width / 2, y: y - BOX.height / 2, width: BOX.width, height: BOX.height, rx: 6, class: "box" },
       title,
     );
-    const label = svg("text", { x, y: y - 3, "text-anchor": "middle" }, name.length > 15 ? `${name.slice(0, 14)}…` : name);
+    const label = svg("text", { x, y: y - 3, "text-anchor": "middle" }, name);
     const word = svg("text", { x, y: y + 12, "text-anchor": "middle" });
     this.drawing.append(box, label, word);
-    return { box, word, title };
+    return { box, label, word, title };
   }
 
   show(session) {

@@ -31,8 +31,10 @@ export function showFacts(about) {
 export function showHeader(session) {
   const { picture, about } = session;
   showHealth(byId("health"), picture.health);
+  say(byId("health-why"), picture.present);
+  byId("health-why").hidden = picture.present === "";
   say(byId("tick"), picture.tick.toLocaleString("en"));
-  say(byId("rate"), picture.rate === null ? "–" : `${picture.rate.toFixed(0)} / s`);
+  say(byId("rate"), picture.rate === null ? "–" : `${picture.rate.toFixed(0)} of ${(1 / about.period).toFixed(0)} / s`);
   const end = about.ticks ? ` of ${(about.ticks * about.period).toFixed(0)} s` : " s";
   say(byId("time"), `${(picture.tick * about.period).toFixed(1)}${end}`);
   document.body.dataset.tick = picture.tick;

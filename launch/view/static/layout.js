@@ -32,9 +32,9 @@ export function layout(about) {
   const reached = reachedFrom(ports, about.springs);
   const bodies = new Map();
   const bodyOf = new Map(ports.map(({ device, port }) => [port, `tool ${device}`]));
-  devices.forEach(([device, node], row) => {
-    bodies.set(`tool ${device}`, { kind: "tool", name: device, ports: node.ports, planar: node.ports.length > 1, column: 0, row });
-  });
+  for (const [device, node] of devices) {
+    bodies.set(`tool ${device}`, { kind: "tool", name: device, ports: node.ports, planar: node.ports.length > 1, column: 0, row: 0 });
+  }
   const masses = Object.keys(about.masses);
   masses.forEach((mass, index) => {
     const { axis, far } = reached.get(mass) ?? { axis: 0, far: 1 };
@@ -58,8 +58,12 @@ export function layout(about) {
     const [a, b] = ends.map((end) => bodyOf.get(end));
     if (a && b && a !== b) pairs.set([a, b].sort().join("|"), [a, b]);
   }
-  settleRows(bodies, [...pairs.values()], devices.length);
-  return { bodies, pairs: [...pairs.values()], columns: Math.max(...[...bodies.values()].map((b) => b.column)) + 1, rows: devices.length };
+  const inColumn = (column) => [...bodies.values()].filter((body) => body.column === column).length;
+  const columns = Math.max(...[...bodies.values()].map((body) => body.column)) + 1;
+  const rows = Math.max(...Array.from({ length: columns }, (_, column) => inColumn(column))); // one body needs a row of its own
+  devices.forEach(([device], i) => (bodies.get(`tool ${device}`).row = ((i + 0.5) * rows) / devices.length - 0.5));
+  settleRows(bodies, [...pairs.values()], rows);
+  return { bodies, pairs: [...pairs.values()], columns, rows };
 }
 
 /** Each mass stands at the mean height of its neighbours to the left; no two masses overlap. */

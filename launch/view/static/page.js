@@ -8,6 +8,7 @@ import { Graph } from "./graph.js";
 import { Grips } from "./grips.js";
 import { showFacts, showHeader, showState } from "./header.js";
 import { Plots } from "./plots.js";
+import { showLobby, showPromises } from "./promises.js";
 import { Session } from "./session.js";
 import { World, worldLegend } from "./world.js";
 
@@ -40,7 +41,7 @@ function take(picture) {
   pictures += 1;
   document.body.dataset.pictures = pictures;
   showState(picture.over ? "over" : "live", picture.over ? "" : picture.phase === "running" ? "" : picture.phase);
-  if (picture.alarms) showAlarms(session.alarms);
+  if (picture.alarms) showAlarms(session.alarms, session.time);
   if (views) return;
   session.advance(0);
   views = {
@@ -86,7 +87,9 @@ function frame(now) {
   if (now - written >= WORDS_EVERY) {
     written = now;
     showHeader(session);
-    showAlarms(session.alarms);
+    showAlarms(session.alarms, session.time);
+    showPromises(session.picture.promises);
+    showLobby(session.picture.lobby);
     views.graph.show(session);
     views.certificate.show(session);
     views.plots.showValues();

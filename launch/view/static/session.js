@@ -36,6 +36,11 @@ export class Session {
     this.head = Math.max(this.head, Math.min(this.head + rate * passed + share * (aim - this.head), this.picture.tick));
   }
 
+  /** The session's time, s. */
+  get time() {
+    return (this.picture?.tick ?? 0) * this.about.period;
+  }
+
   /** The drawn instant in buckets of the session's ticks. */
   get bucket() {
     return this.head === null ? 0 : this.head / this.about.bucket;

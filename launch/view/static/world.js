@@ -1,6 +1,6 @@
 /** The moving virtual world: tools, masses and springs, and the devices that move the tools through their couplings. */
 
-import { byId, place, say, svg } from "./elements.js";
+import { byId, fit, html, place, say, svg } from "./elements.js";
 import { quantity, rounded } from "./format.js";
 import { layout } from "./layout.js";
 
@@ -32,7 +32,11 @@ export class World {
     const bodies = [...this.bodies].map(([id, body]) => this[body.kind](id, body));
     this.bar = svg("path", { class: "hatch", fill: "none" });
     this.barText = svg("text", { class: "dim" });
-    this.drawing.append(this.bar, this.barText);
+    this.forceBar = svg("path", { class: "force" });
+    this.forceHead = svg("path", { class: "force-head" });
+    this.forceText = svg("text", { class: "dim" });
+    this.drawing.append(this.bar, this.barText, this.forceBar, this.forceHead, this.forceText);
+    byId("forces").replaceChildren(...bodies.filter(({ value }) => value).map(({ value }) => value));
     return { springs, lanes, bodies };
   }
 
@@ -56,10 +60,13 @@ export class World {
     const force = svg("path", { class: "force" });
     const head = svg("path", { class: "force-head" });
     const label = svg("text", {}, body.name);
-    const value = svg("text", { class: "dim", "data-force-of": body.name });
+    const shown = body.ports.slice(0, 2);
+    const axes = shown.map((port) => svg("text", { class: "dim" }, axisOf(port)));
+    const upright = svg("path", { class: "axis" });
+    const value = html("li", { "data-force-of": body.name });
     const handle = this.handle(body.name);
-    this.drawing.append(lag, tool, target, force, head, label, value, handle);
-    return { id, body, lag, tool, target, force, head, label, value, handle };
+    this.drawing.append(upright, ...axes, lag, tool, target, force, head, label, handle);
+    return { id, body, lag, tool, target, force, head, label, axes, upright, value, handle };
   }
 
   handle(device) {
@@ -92,7 +99,7 @@ export class World {
     const rowHeight = this.planar ? 2 * this.swing + 56 : 104;
     this.spots = new Map();
     const left = this.swing + 34;
-    const last = width - 24;
+    const last = width - (this.bodies.has("ground") ? 24 : this.swing + 36);
     const far = this.columns > 1 ? (last - left) / (this.columns - 1) : 0;
     for (const [id, body] of this.bodies) {
       this.spots.set(id, { x: left + body.column * far, y: rowHeight * (body.row + 0.58) + 10 });
@@ -101,6 +108,11 @@ export class World {
     this.width = width;
     this.drawing.setAttribute("viewBox", `0 0 ${width} ${this.height}`);
     this.rowHeight = rowHeight;
+    const massWidth = Math.max(34, far - 2 * this.swing - 12); // two masses side by side may move towards each other
+    for (const { body, label } of this.parts.bodies) {
+      if (body.kind === "mass") fit(label, body.name, massWidth);
+      if (body.kind === "tool") fit(label, body.name, body.planar ? this.swing + 18 : Math.max(40, far + 14 - massWidth / 2));
+    }
     if (this.pixels) this.draw();
   }
 
@@ -179,7 +191,7 @@ export class World {
     box.setAttribute("data-at", body.axes.map(({ index }) => this.session.now("environment/masses", index)).join(" "));
   }
 
-  draw_tool({ body, lag, tool, target, force, head, label, value, handle }, at) {
+  draw_tool({ body, lag, tool, target, force, head, label, axes, upright, value, handle }, at) {
     const spot = this.spots.get(`tool ${body.name}`);
     const lift = body.planar ? 0 : LIFT;
     const x = this.grips.position(body.name);
@@ -189,8 +201,13 @@ export class World {
     place(lag, { x1: here.x, y1: here.y, x2: at.x, y2: at.y });
     place(label, { x: Math.max(4, spot.x - this.swing - 26), y: spot.y - (body.planar ? this.swing : LIFT) - 18 });
     this.arrow(force, head, here, forces);
-    say(value, `f ${forces.map((f) => quantity(f, "N")).join(", ")}`);
-    place(value, { x: spot.x - this.swing - 26, y: spot.y + (body.planar ? this.swing : 0) + 24, "data-force": forces.join(" ") });
+    say(value, `${body.name}: f ${forces.map((f, axis) => `${axisOf(body.ports[axis])} ${quantity(f, "N")}`).join(", ")}`);
+    place(value, { "data-force": forces.join(" ") });
+    place(axes[0], { x: spot.x + this.swing + 6, y: spot.y + 14 });
+    if (body.planar) {
+      place(axes[1], { x: spot.x + 5, y: spot.y - this.swing - 8 });
+      upright.setAttribute("d", `M${spot.x} ${spot.y - this.swing - 12}V${spot.y + this.swing + 12}`);
+    }
     handle.setAttribute("transform", `translate(${here.x.toFixed(1)} ${here.y.toFixed(1)})`);
     if (handle.classList.contains("grip")) this.draw_grip(handle, target, body, spot, lift, x);
   }
@@ -234,10 +251,17 @@ export class World {
   drawScale() {
     const y = this.height - 10;
     this.bar.setAttribute("d", `M10 ${y - 4}v8M10 ${y}h${this.swing}v-4v8`);
-    place(this.barText, { x: this.swing + 18, y: y + 4 });
-    say(this.barText, `${quantity(this.most, "m")}; longest arrow ${quantity(this.mostForce, "N")}`);
+    place(this.barText, { x: this.swing + 16, y: y + 4 });
+    say(this.barText, quantity(this.most, "m"));
+    const from = { x: this.swing + 84, y };
+    this.arrow(this.forceBar, this.forceHead, { x: from.x - 13, y }, [this.mostForce]);
+    place(this.forceText, { x: from.x + ARROW + 14, y: y + 4 });
+    say(this.forceText, quantity(this.mostForce, "N"));
   }
 }
+
+/** The name of a port's axis: what follows the device's name; a device of one axis moves along x. */
+const axisOf = (port) => (port.includes(".") ? port.slice(port.lastIndexOf(".") + 1) : "x");
 
 /** A spring between two positions, px; the number of its turns is constant. */
 function zigzag(a, b) {
@@ -260,6 +284,6 @@ export function worldLegend(about) {
   const springs = about.springs.length ? "zigzags are its springs, boxes its masses" : `inside, it is of the kind ${about.environment}`;
   say(
     byId("world-legend"),
-    `Ring: device (x). Square: its tool in the world (x_e). Dashed: the difference that its coupling permits. Arrow: the force it exerts on the hand (f). The world: ${springs}.${held}`,
+    `Ring: device (x). Square: its tool in the world (x_e). Dashed: the difference that its coupling permits. Arrow: the force it exerts on the hand (f), whose scale is below, in N; a third axis is in the list alone. The world: ${springs}.${held}`,
   );
 }

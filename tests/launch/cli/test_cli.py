@@ -61,7 +61,7 @@ def test_a_broken_session_is_exit_2_and_one_message(path: Path) -> None:
         (["simulate", "example1.yaml", "--duration", "0"], "--duration: found 0 s"),
         (["simulate", "example1.yaml", "--duration", "nan"], "--duration: found nan s"),
         (["simulate", "example1.yaml", "--duration", "1e8"], "expected at most"),
-        (["simulate", "example1.yaml", "-o", "run.xls"], "expected one of .npz, .csv"),
+        (["simulate", "example1.yaml", "--record", "run.xls"], "expected one of .npz, .csv"),
         (["launch", "example1.yaml", "--clock", "sundial"], "--clock: found 'sundial'"),
         (["launch", "example1.yaml", "--transport", "udp"], "--transport: found 'udp'"),
         (["launch", "example1.yaml", "--record", "run"], "expected one of .npz, .csv"),
@@ -167,7 +167,7 @@ def test_the_printed_operator_is_refused_as_not_passive() -> None:
 
 def test_simulate_writes_what_launch_records(tmp_path: Path) -> None:
     one, other = tmp_path / "simulate.npz", tmp_path / "launch.npz"
-    assert manyhands_command("simulate", "example1.yaml", "--duration", "0.4", "-o", one).exit_code == 0
+    assert manyhands_command("simulate", "example1.yaml", "--duration", "0.4", "--record", one).exit_code == 0
     report = tmp_path / "report.json"
     result = manyhands_command(
         "launch", "example1", "--duration", "0.4", "--clock", "simulated", "--record", other, "--report", report

@@ -249,7 +249,7 @@ def test_a_run_that_was_slower_lets_the_next_one_measure(machine: Machine) -> No
 
 
 def test_other_machines_are_not_measured(machine: Machine, tmp_path: Path) -> None:
-    assert command("keys", "example1.yaml", "-o", tmp_path / "keys").exit_code == 0
+    assert command("invite", "example1.yaml", "--keys", tmp_path / "keys").exit_code == 0
     far = ("--transport", "tcp", "--listen", "127.0.0.1:7400", "--keys", tmp_path / "keys", "--remote", "dx")
     lines(command(*LAUNCH, *far))
     assert machine.tau == 0.0

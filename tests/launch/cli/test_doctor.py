@@ -29,7 +29,7 @@ def doctor(*arguments: str) -> Result:
 
 def test_the_object_has_what_was_measured_and_what_it_means() -> None:
     before = os.sched_getscheduler(0), os.sched_getaffinity(0)
-    result = doctor("--seconds", "1", "--json")
+    result = doctor("--duration", "1", "--json")
     assert result.exit_code == 0, result.stderr
     found: dict[str, Any] = json.loads(result.stdout)
     assert (os.sched_getscheduler(0), os.sched_getaffinity(0)) == before  # its processes are raised, it is not
@@ -61,7 +61,7 @@ def test_the_object_has_what_was_measured_and_what_it_means() -> None:
 
 
 def test_people_get_tables_of_any_session() -> None:
-    result = doctor("example1-centralised", "--seconds", "1")  # one coupling with three devices, nothing pinned
+    result = doctor("example1-centralised", "--duration", "1")  # one coupling with three devices, nothing pinned
     assert result.exit_code == 0, result.stderr
     for expected in (
         "this machine",
@@ -77,10 +77,10 @@ def test_people_get_tables_of_any_session() -> None:
 
 @pytest.mark.parametrize("seconds", ["0.5", "601", "nan", "inf", "-1"])
 def test_seconds_out_of_range_are_refused(seconds: str) -> None:
-    result = doctor("--seconds", seconds)
+    result = doctor("--duration", seconds)
     assert result.exit_code == 2
     assert result.stdout == ""
-    assert result.stderr.startswith("error: --seconds: found ")
+    assert result.stderr.startswith("error: --duration: found ")
     assert "expected 1 to 600 s" in result.stderr
 
 
@@ -109,7 +109,7 @@ def test_a_session_that_is_too_large_or_not_there_is_refused(tmp_path: Path) -> 
 def test_an_interrupted_doctor_leaves_nothing(which: signal.Signals) -> None:
     """The fixture of all tests looks for processes, files and descriptors afterwards."""
     with subprocess.Popen(
-        [sys.executable, "-P", "-m", "manyhands", "doctor", "--seconds", "60"],
+        [sys.executable, "-P", "-m", "manyhands", "doctor", "--duration", "60"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

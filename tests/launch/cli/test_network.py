@@ -44,7 +44,7 @@ def invited(folder: Path, node: str, *more: object) -> Result:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("command", ["graph", "keys", "invite", "node", "launch"])
+@pytest.mark.parametrize("command", ["graph", "invite", "node", "launch"])
 def test_help_ends_with_an_example(command: str) -> None:
     done = manyhands_command(command, "--help")
     assert done.exit_code == 0
@@ -57,7 +57,7 @@ def test_an_invitation_is_one_nodes_part_and_its_owners_alone(folder: Path) -> N
     assert done.exit_code == 0, done.stderr
     path = folder / "dx.bundle"
     assert f"{path}: the bundle of dx, under the certificate " in done.stderr
-    assert "on its machine: manyhands node dx --session dx.bundle --key dx.key --connect tcp://HOST:PORT" in done.stderr
+    assert "on its machine: manyhands node dx --bundle dx.bundle --key dx.key --connect tcp://HOST:PORT" in done.stderr
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     bundle = bundle_files.load(path, DeviceBundle)
     assert bundle.common.role is Role.DEVICE
@@ -96,6 +96,39 @@ def test_invitations_that_cannot_be(folder: Path) -> None:
         assert found in done.stderr
         assert done.stderr.count("\n") == 1
         assert not (folder / "x.bundle").exists()
+
+
+def test_several_bundles_come_from_one_call_which_makes_the_keys_that_are_absent(folder: Path, tmp_path: Path) -> None:
+    arguments = ("invite", "example1.yaml", "dx", "cx", "--keys", tmp_path / "keys", "--certificate", folder / "c.json")
+    refused = manyhands_command(*arguments, "-o", tmp_path / "none")
+    assert refused.exit_code == 2
+    assert "expected a folder that exists, for 2 bundles" in refused.stderr
+    twice = manyhands_command(*arguments, "cx", "-o", tmp_path)
+    assert (twice.exit_code, twice.stderr.count("twice")) == (2, 1)
+    assert list(tmp_path.iterdir()) == []
+    done = manyhands_command(*arguments, "-o", tmp_path)
+    assert done.exit_code == 0, done.stderr
+    assert done.stderr.count("on its machine: manyhands node ") == 2
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["cx.bundle", "dx.bundle", "keys"]
+    first = (tmp_path / "dx.bundle").read_bytes()
+    assert manyhands_command(*arguments, "-o", tmp_path).exit_code == 0
+    assert (tmp_path / "dx.bundle").read_bytes() == first, "keys that exist are kept"
+    assert manyhands_command(*arguments, "-o", tmp_path, "--renew", "dx").exit_code == 0
+    assert (tmp_path / "dx.bundle").read_bytes() != first
+
+
+def test_the_keys_alone(tmp_path: Path) -> None:
+    done = manyhands_command("invite", "example1.yaml", "--keys", tmp_path / "keys", "--json")
+    assert done.exit_code == 0, done.stderr
+    assert json.loads(done.stdout)["keys"]["dx"]["key"] == "new"
+    for more, found in (
+        (("-o", tmp_path / "x"), "found no NODE for -o"),
+        (("--certificate", tmp_path / "x"), "found no NODE for --certificate"),
+        (("--insecure",), "found neither --keys nor --insecure, or both"),
+    ):
+        refused = manyhands_command("invite", "example1.yaml", "--keys", tmp_path / "keys", *more)
+        assert (refused.exit_code, found in refused.stderr) == (2, True), refused.stderr
+    assert manyhands_command("invite", "example1.yaml", "--insecure").exit_code == 2
 
 
 def test_an_invitation_needs_a_folder_that_exists(folder: Path) -> None:
@@ -147,14 +180,14 @@ def test_plain_tcp_is_announced(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "found"),
     [
-        (("dy", "--session", "{}/dx.bundle", "--connect", "tcp://127.0.0.1:1"), "found the bundle of dx; expected"),
-        (("dx", "--session", "{}/none.bundle", "--connect", "tcp://127.0.0.1:1"), "none.bundle"),
-        (("dx", "--session", "{}/c.json", "--connect", "tcp://127.0.0.1:1"), "c.json: not a bundle"),
-        (("dx", "--session", "{}/dx.bundle", "--connect", "localhost"), "--connect: found 'localhost'; expected tcp://HOST:PORT"),
-        (("dx", "--session", "{}/dx.bundle", "--connect", "ipc:///x"), "for this bundle has keys"),
-        (("dx", "--session", "{}/dx.bundle", "--connect", "tcp://127.0.0.1:1"), "dx.key"),
+        (("dy", "--bundle", "{}/dx.bundle", "--connect", "tcp://127.0.0.1:1"), "found the bundle of dx; expected"),
+        (("dx", "--bundle", "{}/none.bundle", "--connect", "tcp://127.0.0.1:1"), "none.bundle"),
+        (("dx", "--bundle", "{}/c.json", "--connect", "tcp://127.0.0.1:1"), "c.json: not a bundle"),
+        (("dx", "--bundle", "{}/dx.bundle", "--connect", "localhost"), "--connect: found 'localhost'; expected tcp://HOST:PORT"),
+        (("dx", "--bundle", "{}/dx.bundle", "--connect", "ipc:///x"), "for this bundle has keys"),
+        (("dx", "--bundle", "{}/dx.bundle", "--connect", "tcp://127.0.0.1:1"), "dx.key"),
         (
-            ("dx", "--session", "{}/dx.bundle", "--key", "{}/keys/private/dy.key", "--connect", "tcp://127.0.0.1:1"),
+            ("dx", "--bundle", "{}/dx.bundle", "--key", "{}/keys/private/dy.key", "--connect", "tcp://127.0.0.1:1"),
             "dy.key",
         ),
     ],
@@ -221,7 +254,7 @@ def test_sessions_that_cannot_be_hosted(arguments: tuple[str, ...], found: str, 
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("content", [None, "", "{}", '{"format": "manyhands invitation", "version": 1}'])
+@pytest.mark.parametrize("content", [None, "", "{}", "manyhands://192.0.2.7:7400/ball/right_seat/right"])
 def test_an_invitation_that_is_none_is_one_clear_error(content: str | None, tmp_path: Path) -> None:
     path = tmp_path / "right_seat.invitation"
     if content is not None:

@@ -44,11 +44,11 @@ def running(*sessions: str) -> Iterator[None]:
 
 
 def test_nothing_runs() -> None:
-    for arguments, out in ((("list",), ""), (("list", "--json"), "[]\n")):
+    for arguments, out in ((("top", "--all"), ""), (("top", "--all", "--json"), "[]\n")):
         done = manyhands_command(*arguments)
         assert (done.exit_code, done.stdout) == (0, out)
         assert done.stderr == "no session is running; start one with: manyhands launch SESSION\n"
-    for arguments in (("echo", "dx/sample"), ("hz", "dx/sample"), ("top",), ("graph", "--session", "s")):
+    for arguments in (("echo", "dx/sample"), ("hz", "dx/sample"), ("top",), ("graph", "--running", "s")):
         done = manyhands_command(*arguments)
         assert (done.exit_code, done.stdout) == (2, "")
         assert done.stderr.startswith("error: found no running session; start one with: manyhands launch SESSION")
@@ -59,13 +59,13 @@ def test_nothing_runs() -> None:
     [
         (("echo", "d/smaple"), "found no topic 'd/smaple' in session 's'; did you mean d/sample?"),
         (("hz", "/other/d/sample"), "found no running session 'other'; expected one of s"),
-        (("echo", "d/sample", "--session", "z"), "found no running session 'z'"),
+        (("echo", "d/sample", "--running", "z"), "found no running session 'z'"),
         (("hz", "d/sample", "--duration", "0"), "--duration: found 0 s; expected more than 0"),
         (("hz", "d/sample", "--duration", "nan"), "--duration: found nan s"),
-        (("graph",), "found neither SESSION nor --session NAME, or both"),
-        (("graph", "example1.yaml", "--session", "s"), "or both"),
-        (("graph", "--session", "s", "--access"), "found --access or --set with --session"),
-        (("graph", "--session", "s", "--set", "period=1"), "found --access or --set with --session"),
+        (("graph",), "found neither SESSION nor --running NAME, or both"),
+        (("graph", "example1.yaml", "--running", "s"), "or both"),
+        (("graph", "--running", "s", "--access"), "found --access or --set with --running"),
+        (("graph", "--running", "s", "--set", "period=1"), "found --access or --set with --running"),
         (("graph", "example1.yaml", "--format", "png"), "--format: found 'png'; expected text or mermaid or svg"),
         (("graph", "example1.yaml", "--format", "svg", "--json"), "found --format and --json"),
         (("graph", "example1.yaml", "--access", "--format", "svg"), "--access: found --format svg"),
@@ -84,7 +84,7 @@ def test_what_is_refused(arguments: tuple[str, ...], found: str) -> None:
 
 def test_a_silent_session_is_listed_by_its_description() -> None:
     with running("mute"):
-        done = manyhands_command("list", "--json")
+        done = manyhands_command("top", "--all", "--json")
     (said,) = json.loads(done.stdout)
     assert (said["session"], said["pid"], said["health"], said["phase"]) == ("mute", os.getpid(), "waiting", None)
 
@@ -94,13 +94,13 @@ def test_several_sessions_have_to_be_told_apart() -> None:
         done = manyhands_command("top", "--once")
         assert done.exit_code == 2
         assert "found several running: " in done.stderr
-        assert completed("top", "--session", "") == ["s", "t"]
+        assert completed("top", "--running", "") == ["s", "t"]
         assert completed("echo", "d/") == []  # of which?
         topics = ("sample", "force", "ledger", "tau", "interface", "applied", "instants", "telemetry")
         assert completed("echo", "/t/d/") == [f"/t/d/{name}" for name in topics]
-        assert completed("echo", "--session", "t", "d/t") == ["d/tau", "d/telemetry"]
+        assert completed("echo", "--running", "t", "d/t") == ["d/tau", "d/telemetry"]
     with running("s", "s"):
-        assert completed("top", "--session", "") == [str(os.getpid())] * 2
+        assert completed("top", "--running", "") == [str(os.getpid())] * 2
 
 
 def test_at_tab_topics_of_the_running_session() -> None:
@@ -140,5 +140,5 @@ def test_a_directory_whose_description_is_damaged_is_no_session() -> None:
     with running("s"):
         for path in Path(tempfile.gettempdir()).glob("manyhands-*/about.json"):
             path.write_text("{")
-        assert completed("top", "--session", "") == []
-        assert manyhands_command("list", "--json").stdout == "[]\n"
+        assert completed("top", "--running", "") == []
+        assert manyhands_command("top", "--all", "--json").stdout == "[]\n"

@@ -404,7 +404,7 @@ def test_each_form_is_measured_once(refused: bool, monkeypatch: pytest.MonkeyPat
     if refused:
         monkeypatch.setattr(probe, "usual_placement", lambda *_: {"environment": 77})
     else:
-        monkeypatch.setattr(probe, "usual_placement", lambda graph, _: placement(graph, (0, 1, 2, 3), raised=True))
+        monkeypatch.setattr(probe, "usual_placement", lambda graph: placement(graph, (0, 1, 2, 3), raised=True))
     session = load_named("example1")
     shown: list[str] = []
     found = probe.measure(Plan(session), 10.0, (0, 1, 2, 3), False, shown.append)

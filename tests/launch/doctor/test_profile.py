@@ -101,6 +101,13 @@ def test_a_run_may_show_that_a_profile_does_not_hold(p99: float, p999: float, ti
     assert outlived(a_profile(), 1e-3, {"nodes": {"dx": device, "cx": {"ticks": ticks}}}) is found
 
 
+def test_what_a_driver_states_of_its_device_is_no_part_of_a_profile() -> None:
+    device = {"ticks": 5000, "tau_us": {"p50": 1200.0, "p99": 1600.0, "p999": 1900.0, "max": 4000.0}}
+    report = {"nodes": {"dx": device}}
+    assert outlived(a_profile(), 1e-3, report)
+    assert not outlived(a_profile(), 1e-3, report, {"dx": 1e-3})
+
+
 def test_a_run_without_figures_shows_nothing() -> None:
     assert not outlived(a_profile(), 1e-3, {"nodes": {"cx": {"ticks": 5000}}})
 

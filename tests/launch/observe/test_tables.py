@@ -6,6 +6,7 @@ import io
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import pytest
 from rich.console import Console
@@ -28,6 +29,7 @@ from manyhands.nodes.observer.scene import Scene
 from manyhands.protocol.clock import Duration, Instant
 
 from ...support.observed_frames import ABOUT, MS, Frames, condition, telemetry
+from ...support.observed_session import judged
 
 
 def minute(extra: dict[int, list[bytes]] | None = None, seconds: int = 3) -> dict[int, list[bytes]]:
@@ -139,7 +141,8 @@ def test_the_table_has_every_node_figure_and_alarm() -> None:
 
 def test_a_user_frozen_for_lateness_is_named_with_its_cost() -> None:
     late = {"waited_ticks_cx": 53.0, "waited_us_cx": 117e3, "waited_ticks_cy": 1.0, "waited_us_cy": 600.0}
-    text = printed(scene_of(telemetry("environment", 100, **late, frozen_late_cx=2.0), condition()), 200)
+    told = telemetry("environment", 100, **late, frozen_late_cx=2.0)
+    text = printed(scene_of(told, judged(told, condition(), about=ABOUT)), 200)
     assert "the others waited for cx in 53 ticks, 0.117 s in all, and it was frozen for that 2 times" in text
     assert "waited for cy" not in text
 
@@ -154,6 +157,40 @@ def test_in_a_narrow_table_figures_are_omitted_and_names_stay_whole(width: int) 
     heads = [column.title.split(" [")[0] for column in sorted(COLUMNS, key=lambda column: column.rank)]
     kept = [head in text for head in heads]
     assert kept == sorted(kept, reverse=True)  # the more important ones
+
+
+SEATED = replace(ABOUT, seats={"cx": "d"})
+
+
+def test_a_free_seat_is_free_and_nothing_is_wrong_with_its_links() -> None:
+    scene = Scene(SEATED)
+    scene.take(judged(condition(d="free", cx="free"), about=SEATED), Instant(0))
+    text = printed(scene, 140)
+    assert "seat cx: free" in text
+    assert "link" not in text
+    assert "lost" not in text
+    assert "(process 17, realtime clock): running, 2 s; waiting" not in text
+    said = top_object(scene)
+    assert said["seats"] == {"cx": {"device": "d", "state": "free", "felt": None, "health": "free"}}
+    assert said["nodes"]["cx"]["health"] == "free"
+    json.dumps(said, allow_nan=False)
+
+
+def test_list_and_top_name_what_is_not_kept_and_whom_it_is_about() -> None:
+    told = telemetry("d", 3400, clipped=7.0)
+    scene = scene_of(told, judged(told, condition(), about=ABOUT))
+    text = io.StringIO()
+    print_sessions(Console(file=text, width=140), [scene], ABOUT.started + 1.0)
+    assert shown(text)[0][-1] == "broken"
+    assert "s: force limits broken (d)" in text.getvalue()
+    top = printed(scene, 140)
+    assert "running, 2 s; broken" in top
+    assert "force limits: broken by d since 3.4 s (7 ticks)" in top
+    assert "kept: passivity, delay, period, lateness energy, motion limits, presence, punctuality, pace" in top
+    rows = [row for row in session_object(scene)["promises"] if row["state"] == "broken"]
+    assert [(row["promise"], row["who"], row["since"], row["cost"]) for row in rows] == [
+        ("force limits", ["d"], 3.4, {"ticks": 7.0})
+    ]
 
 
 def test_only_the_latest_sentences_are_shown() -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -157,6 +158,31 @@ def test_telemetry_is_sent_at_10_hz_or_as_traces_need(monkeypatch: pytest.Monkey
     monkeypatch.setattr(bundles, "MOST_TRACE_VALUES", 1200)
     # x, f_v, ledger and tau of one port; p and f_v of three, and a ledger
     assert [ticks(0.0001, name) for name in ("dx", "c")] == [1200 // 4, 1200 // 7]
+
+
+def test_many_wave_links_send_less_at_a_time(tmp_path: Path) -> None:
+    """What takes long to encode goes more often: an environment of 64 links has 450 columns."""
+
+    def ticks(users: int) -> int:
+        names = range(users)
+        plain = {
+            "session": "many",
+            "period": 0.001,
+            "devices": {f"d{i}": {"dof": 1, "osp": 1.37, "driver": "simulated", "mass": 0.2} for i in names},
+            "couplings": {f"c{i}": {"devices": [f"d{i}"], "wave_link": {"b": 20.0}} for i in names},
+            "environment": {
+                "type": "network",
+                "masses": {"hub": 3.0},
+                "links": [{"between": [f"d{i}", "hub"], "stiffness": 3500, "damping": 0.2} for i in names],
+            },
+            "design": {"coupling": "spring-damper", "objective": "feasible"},
+        }
+        (tmp_path / "many.yaml").write_text(yaml.safe_dump(plain))
+        prepared = prepare(load_session(tmp_path / "many.yaml"), uncertified=True)
+        return cut(prepared, RunPlan("simulated", None, ""))["environment"].common.telemetry_ticks
+
+    # a tool's position, p, f_v, c, and three of the tank for each user; the mass and the ledger
+    assert [ticks(users) for users in (4, 64, 128)] == [100, 8192 // (64 * 7 + 2), 10]
 
 
 def test_the_largest_traces_fit_a_frame() -> None:

@@ -89,18 +89,24 @@ def test_public_keys_go_to_nodes_that_share_a_channel(session: Session) -> None:
     assert ways.public("watch").keys() == {"watch", "supervisor"}
 
 
-def test_listeners_have_their_own_ports_and_local_links_stay_on_loopback(session: Session) -> None:
+def test_listeners_have_their_own_ports_and_local_links_need_none(session: Session) -> None:
     graph = topology(session)
     listen = Listen("192.0.2.7", 7400)
     ways = reach(Plan(session), "tcp", insecure=True, listen=listen, remote=frozenset({"dy"}))
+    places = {(link.binder, link.connector): ways.address(graph, i) for i, link in enumerate(graph.links)}
+    (number,) = (i for i, link in enumerate(graph.links) if link.connector == "dy")
+    far = [binder for binder, connector in places if connector == "dy"]
+    assert [places.pop((binder, "dy")) for binder in far] == [f"192.0.2.7:{7401 + number}"]
+    assert set(places.values()) == {""}
+    assert ways.hub_address() == "192.0.2.7:7400"
+    assert ways.observer_address(graph, 0) == f"192.0.2.7:{7401 + len(graph.links)}"
+
+
+def test_where_no_node_is_elsewhere_local_links_use_tcp_as_asked(session: Session) -> None:
+    graph = topology(session)
+    ways = reach(Plan(session), "tcp", insecure=True, listen=Listen("192.0.2.7", 7400))
     links = [ways.address(graph, i) for i in range(len(graph.links))]
-    everything = [ways.hub_address(), *links, ways.observer_address(graph, 0)]
-    assert [int(address.rpartition(":")[2]) for address in everything] == list(range(7400, 7400 + len(everything)))
-    hosts = {link.connector: address.partition(":")[0] for link, address in zip(graph.links, links, strict=True)}
-    assert hosts.pop("dy") == "192.0.2.7"
-    assert set(hosts.values()) == {"127.0.0.1"}
-    assert ways.hub_address().startswith("192.0.2.7:")
-    assert ways.observer_address(graph, 0).startswith("192.0.2.7:")
+    assert links == [f"127.0.0.1:{7401 + i}" for i in range(len(links))]
 
 
 def test_without_a_port_any_will_do_and_ipc_needs_none(session: Session) -> None:

@@ -39,3 +39,13 @@ def test_an_environment_that_comes_before_others_gets_the_least_used_processor(
 def test_where_nothing_is_pinned_nothing_else_is_either() -> None:
     graph = topology(load_session(SESSIONS / "example1-centralised.yaml"))
     assert placement(graph, [0, 1], raised=True) == {}
+
+
+def test_nodes_elsewhere_take_no_processor_and_leave_the_environment_its_own() -> None:
+    graph = topology(load_session(SESSIONS / "example1.yaml"))
+    one = {"dx", "cx"}
+    assert placement(graph, [0, 1], raised=True, remote=one) == {"dy": 0, "cy": 0, "dz": 1, "cz": 1, ENVIRONMENT: 1}
+    two = {"dx", "cx", "dy", "cy"}
+    assert placement(graph, [0, 1], raised=True, remote=two) == {"dz": 0, "cz": 0, ENVIRONMENT: 1}
+    assert placement(graph, [0, 1], raised=False, remote=two) == {}
+    assert placement(graph, [0, 1], raised=True, remote={*two, "dz", "cz"}) == {ENVIRONMENT: 1}

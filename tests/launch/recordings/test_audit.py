@@ -23,7 +23,7 @@ from manyhands.launch.recordings.checks import bounded, period_assumed
 from manyhands.launch.recordings.events import Course, course_of
 from manyhands.launch.recordings.findings import Check, CheckVerdict, UncheckedTicks, compare
 from manyhands.launch.recordings.integrity import findings
-from manyhands.launch.recordings.run import Figures, read_run, there
+from manyhands.launch.recordings.run import Figures, first_sign, read_run, there
 from manyhands.launch.session import load_session
 from manyhands.launch.simulation import Silence
 from manyhands.nodes.bundle import SIMULATED, CouplingBundle, DeviceBundle
@@ -59,6 +59,15 @@ def prepared() -> Prepared:
 def recording(prepared: Prepared, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("recording") / "run.mcap"
     return written(path, recorded_of(prepared), attachments_of(prepared), simulated(prepared, TICKS))
+
+
+def test_an_environment_that_raised_all_forces_again_is_computed_anew_up_to_there(recording: Path) -> None:
+    """Otherwise the ramp, of which no coupling and no device knows, would look like a forged row of the environment."""
+    run = read_run(recording)
+    figures = [(tick, {**of, **({"raised@57": 1.0} if tick > 57 else {})}) for tick, of in run.figures["environment"]]
+    assert first_sign(run, "environment") == (run.ticks, "")
+    raised = dataclasses.replace(run, figures={**run.figures, "environment": figures})
+    assert first_sign(raised, "environment") == (57, "the devices had waited")
 
 
 def audited(path: Path) -> Audit:

@@ -12,7 +12,7 @@ from manyhands.launch.recordings.info import read_info
 from manyhands.launch.recordings.plots import figure_of, picture_of_run
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.replay import require_simulated
-from manyhands.launch.recordings.run import RecordedRun, read_run
+from manyhands.launch.recordings.run import RecordedRun, RecordedTrace, read_run
 from manyhands.launch.recordings.tables import export, read_recording
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import Recorded
@@ -109,6 +109,29 @@ def test_a_table_has_the_newest_row_of_each_node_at_the_sessions_ticks(run: Reco
     lines = (tmp_path / "run.csv").read_text().splitlines()
     assert lines[3] == "2,0.002,8.0,2.0"
     assert len(lines) == 1 + TICKS
+
+
+def test_arrays_have_the_newest_row_at_the_sessions_ticks_and_velocities_each_devices_own(run: RecordedRun) -> None:
+    expected = np.stack([4.0 * np.arange(TICKS), np.arange(TICKS)], axis=1)
+    np.testing.assert_array_equal(run.x, expected)
+    np.testing.assert_array_equal(run.f_v, expected)
+    np.testing.assert_array_equal(run.columns("a/sample")["a.sample[a]_m"], expected[:, 0])
+    np.testing.assert_allclose(run.velocity[1:], np.tile([1.0 / OWN, 1.0 / T], (TICKS - 1, 1)))
+    assert (run.session, run.certificate, run.period, run.ports) == ("s", "id", T, ("a", "b"))
+
+
+def test_velocities_in_wall_time_are_over_the_instants_of_the_samples() -> None:
+    recorded = replace(RECORDED, periods={})
+    sample, instants = (topic for topic in recorded.topics("a") if topic.trace in ("x", "instants"))
+    x = np.array([[0.0], [0.002], [0.003]])  # m
+    s = np.array([[0.0, 0.0], [2e6, 2e6], [3e6, 3e6]])  # ns: the second sample came a period late
+    traces = {
+        ("a", sample.name): RecordedTrace(sample, ("a",), x),
+        ("a", instants.name): RecordedTrace(instants, ("s", "a"), s),
+        ("b", sample.name): RecordedTrace(sample, ("b",), x),
+    }
+    found = RecordedRun(recorded, traces).velocity
+    np.testing.assert_allclose(found[1:], [[1.0, 2.0], [1.0, 1.0]])
 
 
 def test_a_table_of_x_and_f_v_alone_needs_one_period_for_all_devices(tmp_path: Path) -> None:

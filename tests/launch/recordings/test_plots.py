@@ -441,7 +441,7 @@ class TestCommand:
     def test_beside_the_file_by_default(self, tmp_path: Path) -> None:
         recorded_file(tmp_path / "run.mcap", 400)
         assert self.call(tmp_path / "run.mcap") == (0, f"{tmp_path / 'run.png'}\n", "")
-        assert self.call(tmp_path / "run.mcap", "--to", "svg", "--topics", "velocity, tau", "--from", "0.1")[0] == 0
+        assert self.call(tmp_path / "run.mcap", "--format", "svg", "--show", "velocity, tau", "--from", "0.1")[0] == 0
         text = (tmp_path / "run.svg").read_text()
         assert "velocity [m/s]" in text
         assert "delays inside the tick" in text
@@ -459,7 +459,7 @@ class TestCommand:
         text = (tmp_path / "out.svg").read_text()
         for words in ("positions", "velocities", "forces", "b[0],", "not recorded"):
             assert words in text
-        code, _, said = self.call(tmp_path / f"run{suffix}", "--topics", "tau")
+        code, _, said = self.call(tmp_path / f"run{suffix}", "--show", "tau")
         assert (code, "expected some of sample, velocity, force" in said) == (2, True)
         figure = figure_of(picture_of_recording(kept))
         np.testing.assert_array_equal(line(figure.axes[0], "b[0],")[1], x[:, 1])
@@ -469,9 +469,9 @@ class TestCommand:
         [
             (["run.mcap", "-o", "out.pdf"], "found the suffix '.pdf'; expected .png or .svg"),
             (["run.mcap", "-o", "none/out.png"], "found no folder"),
-            (["run.mcap", "-o", "out.png", "--to", "svg"], "--to: found it beside -o"),
-            (["run.mcap", "--to", "pdf"], "--to: found 'pdf'; expected png or svg"),
-            (["run.mcap", "--topics", "speed"], "found 'speed'"),
+            (["run.mcap", "-o", "out.png", "--format", "svg"], "--format: found it beside -o"),
+            (["run.mcap", "--format", "pdf"], "--format: found 'pdf'; expected png or svg"),
+            (["run.mcap", "--show", "speed"], "found 'speed'"),
             (["run.mcap", "--from", "9"], "--from: found 9 s; expected at most 0.049 s"),
             (["absent.mcap"], "cannot be read"),
             (["absent.npz"], "cannot be read"),

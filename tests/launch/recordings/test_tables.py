@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import builtins
 import csv
 import json
+import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from pyarrow import parquet
 from typer.testing import CliRunner
 
+from manyhands.extras import MissingExtra
 from manyhands.launch.cli import app
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.run import RecordedRun, read_run
@@ -141,21 +141,14 @@ def test_a_pattern_without_match_is_refused_with_the_available_names(file: Path,
 def test_without_pyarrow_the_error_names_how_to_get_it(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    really = builtins.__import__
-
-    def without(name: str, *more: Any) -> Any:
-        if name.split(".")[0] == "pyarrow":
-            raise ImportError(name)
-        return really(name, *more)
-
-    monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(RecordingError, match=r"pip install 'manyhands\[parquet\]'"):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(MissingExtra, match=r"pip install 'manyhands\[parquet\]'"):
         export(read_run(file), tmp_path / "out.parquet", "parquet")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.mcap"]
 
 
 def test_the_command_writes_beside_the_recording(file: Path) -> None:
-    result = CliRunner().invoke(app, ["export", str(file), "--to", "csv", "--topics", "dx/*,masses"])
+    result = CliRunner().invoke(app, ["export", str(file), "--format", "csv", "--topics", "dx/*,masses"])
     assert (result.exit_code, result.stdout) == (0, "")
     assert [*from_csv(file.with_suffix(".csv"))] == ["tick", "time_s", *NAMES[:4], NAMES[8]]
 
@@ -172,11 +165,11 @@ def test_the_command_reports_a_cut_recording(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ([], "--to: found ''; expected csv or npz or parquet"),
-        (["--to", "xls"], "--to: found 'xls'"),
-        (["--to", "csv", "-o", "out.npz"], "expected one of .csv"),
-        (["--to", "csv", "-o", "nowhere/out.csv"], "found no folder nowhere"),
-        (["--to", "csv", "--topics", "dz"], "found 'dz'"),
+        ([], "--format: found ''; expected csv or npz or parquet"),
+        (["--format", "xls"], "--format: found 'xls'"),
+        (["--format", "csv", "-o", "out.npz"], "expected one of .csv"),
+        (["--format", "csv", "-o", "nowhere/out.csv"], "found no folder nowhere"),
+        (["--format", "csv", "--topics", "dz"], "found 'dz'"),
     ],
 )
 def test_the_command_refuses(arguments: list[str], said: str, file: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -10,7 +12,8 @@ from manyhands.launch.plan.topology import LinkPlan, Topology
 from manyhands.launch.run.conductor import Conductor
 from manyhands.launch.run.recovery import RETURN_TIME, RestartBudget
 from manyhands.launch.run.states import NodeState, ReleaseName, Send, SessionPhase
-from manyhands.protocol.messages import Fault, Report, Role, Stop, Telemetry
+from manyhands.protocol.limits import MAX_PIECE_BYTES
+from manyhands.protocol.messages import Fault, Fetch, Piece, Report, Role, Stop, Telemetry
 
 from ...support.cases import cases
 from ...support.fake_session import CERTIFICATE, FakeSession, hello_of
@@ -96,6 +99,20 @@ def test_a_user_takes_a_seat_and_leaves_it_again_and_again(site: str) -> None:
     sentences = s.conductor.incidents.sentences
     assert f"at 0.0 s: {site} has joined" in sentences
     assert f"at 0.0 s: {site} left after 50 ticks" in sentences
+
+
+def test_a_seat_that_nobody_has_taken_is_shown_as_free() -> None:
+    s = hosted()
+    assert {node: s.conductor.shown_state(node) for node in (*SITES["cx"], *HOME)} == {
+        **dict.fromkeys(SITES["cx"], "free"),
+        **dict.fromkeys(HOME, "running"),
+    }
+    take(s, "cx")
+    s.settle()
+    assert {s.conductor.shown_state(node) for node in SITES["cx"]} == {"running"}
+    leave(s, "cx")
+    s.settle()
+    assert {s.conductor.shown_state(node) for node in SITES["cx"]} == {"free"}
 
 
 def test_nobody_else_hears_of_it() -> None:
@@ -239,3 +256,64 @@ def test_whoever_comes_goes_or_dies_at_any_time(script: list[tuple[str, str]]) -
             take(s, site)
     s.settle()
     assert s.joined(), s.conductor.states
+
+
+def test_a_hello_that_only_repeats_an_accepted_one_is_no_news() -> None:
+    """A welcome that is lost on the way is sent again by the network; meanwhile the guest repeats its hello."""
+    s = hosted()
+    conductor = s.conductor
+    hello = hello_of(GRAPH, "dx", {})
+    assert conductor.receive("dx", hello, 0) != []
+    assert conductor.receive("dx", hello, 0) == []
+    assert conductor.ignored == 0
+    other = dataclasses.replace(hello, pid=hello.pid + 1)
+    conductor.receive("dx", other, 0)
+    assert conductor.ignored == 1
+
+
+def test_a_guest_on_its_way_in_shows_that_it_lives() -> None:
+    """Who is silent on the way loses the seat, long before a node that is here is given up."""
+    s = hosted()
+    s.conductor.receive("dx", hello_of(GRAPH, "dx", {}), 0)
+    assert s.conductor.comes_back("dx")
+    assert not s.conductor.comes_back("dy")
+    s.conductor.silent("dx", 0)
+    assert not s.conductor.comes_back("dx")
+    assert s.conductor.states["dx"] is NodeState.LOST
+
+
+def test_the_guest_of_a_free_seat_fetches_its_part_piece_by_piece() -> None:
+    s = hosted()
+    part = bytes(range(256)) * (MAX_PIECE_BYTES // 256) + b"the rest"
+    s.conductor.parts["dx"] = part
+    for at, content in (
+        (0, part[:MAX_PIECE_BYTES]),
+        (MAX_PIECE_BYTES, b"the rest"),
+        (2, part[2 : MAX_PIECE_BYTES + 2]),
+    ):
+        out = s.conductor.receive("dx", Fetch(at), s.now)
+        assert out == [Send("dx", Piece(at, len(part), content)), ReleaseName("dx")]
+    take(s, "cx")
+    s.settle()
+    assert taken(s) == {"cx"}
+    assert s.conductor.ignored == 0
+
+
+def test_nobody_else_is_sent_a_part_and_nothing_beyond_it() -> None:
+    s = hosted()
+    s.conductor.parts["dx"] = b"part"
+    fetches = [("dx", 4), ("dy", 0), ("cx", 0), ("dl", 0), ("environment", 0), ("stranger", 0)]
+    for ignored, (sender, at) in enumerate(fetches, start=1):
+        out = s.conductor.receive(sender, Fetch(at), s.now)
+        assert not any(isinstance(one, Send) and isinstance(one.message, Piece) for one in out), sender
+        assert s.conductor.ignored == ignored
+
+
+def test_a_seat_that_is_taken_has_no_part_to_send() -> None:
+    s = hosted()
+    s.conductor.parts["dx"] = b"part"
+    take(s, "cx")
+    s.settle()
+    out = s.conductor.receive("dx", Fetch(0), s.now)
+    assert not any(isinstance(one, Send) and isinstance(one.message, Piece) for one in out)
+    assert s.conductor.ignored == 1

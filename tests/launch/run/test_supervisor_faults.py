@@ -235,7 +235,7 @@ def test_the_table_shows_lost_nodes_silent_nodes_and_incidents(faulty: Faulty) -
     faulty.clock.at = 2 * TELEMETRY_SILENCE
     faulty.say("dy", Telemetry(200, {}, {}))
     console.print(table._render(faulty.progress()))
-    rows = {line.split("│")[1].strip(): line for line in shown.getvalue().splitlines() if line.count("│") > 5}
+    rows = {line.split()[0]: line for line in shown.getvalue().splitlines() if line.startswith(" ") and line.strip()}
     assert "lost" in rows["dx"]
     assert "silent" in rows["cx"]
     assert "silent" not in rows["dy"]
@@ -252,6 +252,33 @@ def test_lines_tell_each_incident_once(faulty: Faulty) -> None:
     table(faulty.progress())
     lines = [line for line in shown.getvalue().splitlines() if line.startswith("! ")]
     assert [line.split("s: ")[1].split()[0] for line in lines] == ["dx", "dy"]
+
+
+def test_a_session_slower_than_its_period_reports_so_once_and_at_once(faulty: Faulty) -> None:
+    shown = StringIO()
+    table = LiveTable(Console(file=shown, width=220), "t", faulty.graph, 0)
+    faulty.supervisor._began = Instant(0)
+    for second in range(1, 30):
+        faulty.clock.at = second * 10**9
+        for name in faulty.graph.nodes:
+            faulty.say(name, Telemetry(250 * second, {}, {}))
+        table(faulty.progress())
+    outcome = faulty.supervisor.outcome(None)
+    [notice] = outcome.notices
+    assert "0.25 of real time, 250 of 1000 ticks a second" in notice
+    assert shown.getvalue().count(notice) == 1
+    assert table.announced == {notice}
+    [row] = [row for row in outcome.report["promises"] if row["promise"] == "pace" and row["state"] == "broken"]
+    assert row["cost"] == pytest.approx({"x": 0.25, "s": 0.75 * 28})
+    assert outcome.code == 0  # nobody promised a rate to the certificate
+
+
+def test_a_dead_node_is_named_since_its_death_in_the_sessions_time(faulty: Faulty) -> None:
+    for name in faulty.graph.nodes:
+        faulty.say(name, Telemetry(900, {}, {}))
+    faulty.dies("dx")
+    [row] = [row for row in faulty.progress().promises if row.promise == "presence" and row.state == "broken"]
+    assert (row.who, row.since, row.remark) == (("dx",), 0.9, "dx: lost")
 
 
 def test_incidents_are_bounded_and_what_is_left_out_is_counted() -> None:

@@ -43,6 +43,8 @@ from manyhands.protocol.messages import (
 )
 from tests.support.memory_transport import MemoryTransport
 
+from ...support.cases import cases
+
 SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 OBSERVERS = "observers={watch: {reads: [telemetry, dx/sample, cx/tool]}}"
 KNOWN = [value for name, value in vars(names).items() if name.isupper() and isinstance(value, str)]
@@ -109,7 +111,7 @@ class Heard:
         return self.supervisor.progress(self.processes)  # type: ignore[arg-type]
 
 
-@settings(max_examples=60)
+@settings(max_examples=cases(30, 60))
 @given(
     st.booleans(),
     st.lists(st.tuples(st.sampled_from(["dx", "cx", "environment", "watch", "stranger"]), said), max_size=12),

@@ -98,7 +98,7 @@ TABLE = {
     "trace-key": (4, "devices.dx.hand.force", "a mapping with file", "{trace: FILE.csv}"),
     # couplings
     "unknown-device": (8, "couplings.cy.devices.0", "unknown device 'dyy'", "one of dx, dy (did you mean 'dy'?)"),
-    "unknown-port": (8, "couplings.cy.ports.0", "unknown port 'dy.0'", "one of dx, dy"),
+    "unknown-port": (8, "couplings.cy.ports.0", "unknown port 'dy.1'", "one of dx, dy"),
     "port-in-two-blocks": (8, "couplings.cy.ports.1", "'dx', which is also in the coupling 'cx'", "in one coupling"),
     "port-in-no-block": (6, "couplings", "no coupling for the port 'dy'", "exactly one"),
     "devices-and-ports": (8, "couplings.cy", "both", "one of the two"),

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 import yaml
 
+from manyhands.design.models.device import held_device
+from manyhands.launch.files import load_named, shipped_sessions
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings import tables
@@ -16,6 +18,7 @@ from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.run.broadcast import describe
 from manyhands.launch.session import BROWSER_HAND, Session, SessionError, limits, load_session
 from manyhands.nodes.bundle import BrowserHand, DeviceBundle, RecordedMotion, load, save
+from tests.support.exponential import errors
 
 SESSION = """
 session: played
@@ -278,3 +281,20 @@ def test_a_session_names_what_can_be_held(
     prepared: Prepared, clock: str, remote: tuple[str, ...], grips: tuple[str, ...]
 ) -> None:
     assert describe(prepared, clock, "ipc", 0, remote).grips == grips
+
+
+@pytest.mark.parametrize("name", shipped_sessions())
+def test_the_sampling_of_shipped_devices_is_as_exact_as_scipys(name: str) -> None:
+    shipped = load_named(name)
+    for device in shipped.devices.values():
+        hand, mass, damping = device.hand, device.mass, device.damping
+        held = held_device(
+            list(np.add(mass, hand.mass)),
+            list(damping),
+            hand.rational.realisation(),
+            list(hand.damping),
+            list(hand.stiffness),
+        ).continuous()
+        below = np.zeros((held.inputs, held.order + held.inputs))
+        found = errors(np.vstack([np.hstack([held.A, held.B]), below]) * shipped.period)
+        assert found.ours <= max(found.scipys, np.finfo(float).eps)

@@ -152,7 +152,7 @@ def test_the_limits_are_the_ones_in_force() -> None:
         f"n states (at most {limits.MAX_ENVIRONMENT_ORDER})",
         f"all entries together at most {limits.MAX_ENVIRONMENT_ORDER}",
         f"whole 1 to {limits.MAX_ITERATIONS};",
-        f"at most {limits.MAX_MODEL_NAME} characters",
+        f"at most {limits.MAX_FACTORY_NAME} characters",
         f"at most {limits.MAX_OBSERVERS} |",
         f"1 to {limits.MAX_READS} distinct",
         f"| | {limits.DEFAULT_RESTARTS} | whole 0 to {limits.MAX_RESTARTS} |",

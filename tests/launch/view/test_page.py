@@ -29,7 +29,7 @@ from manyhands.protocol.messages import Grasp, Release
 from manyhands.protocol.transport.broadcast import Broadcast
 from manyhands.protocol.transport.pointer import PointerInlet
 
-from ...support.observed_session import ABOUT, conditioned, moving, observed
+from ...support.observed_session import ABOUT, conditioned, judged, moving, observed
 
 with warnings.catch_warnings():
     # newer versions of it would rather have another client than httpx, older ones know no other
@@ -44,7 +44,7 @@ SOCKET = "ws://127.0.0.1:8000/socket"
 
 
 def fed(*frames: bytes) -> Feed:
-    feed = Feed(ABOUT, wall=1.7e9)
+    feed = Feed(ABOUT)
     for frame in frames:
         feed.take(frame, NOW)
     feed.look(NOW)
@@ -91,15 +91,34 @@ def test_a_slow_page_receives_what_is_kept_and_no_more() -> None:
     assert x[-1] == 99.999
 
 
-def test_alarms_are_sent_when_they_change_with_the_time_of_day() -> None:
-    feed, cursor = fed(conditioned(faults=("vl was killed",))), Cursor()
+def test_alarms_are_sent_when_they_change_with_the_sessions_time() -> None:
+    feed, cursor = fed(moving(12_300), conditioned(faults=("vl was killed",))), Cursor()
     [alarm] = picture(feed, cursor)["alarms"]
-    assert (alarm["text"], alarm["level"], alarm["since"], alarm["cleared"]) == (
-        "vl was killed",
-        "fault",
-        1.7e9 + 1.0,
-        None,
-    )
+    assert (alarm["text"], alarm["level"], alarm["since"], alarm["cleared"]) == ("vl was killed", "fault", 12.3, None)
+    assert alarm["earlier"] is True  # this page has just been opened
+
+
+def test_a_promise_that_is_not_kept_has_the_time_of_its_beginning_on_every_page() -> None:
+    broken = judged(observed("vl", 3400, {}, ledger_margin=-0.25), observed("left", 9000, {}))
+    told = picture(fed(moving(9000), broken), Cursor())
+    [alarm] = told["alarms"]
+    assert (alarm["since"], alarm["earlier"]) == (3.4, False)
+    assert told["health"] == "broken"
+    assert ["passivity", "broken", "vl", "3.4 s", "250 mJ"] in [row["cells"] for row in told["promises"]]
+
+
+def test_health_is_never_ok_beside_a_warning() -> None:
+    for frame in (
+        observed("left", 100, {}, clipped=3.0),
+        observed("vl", 100, {}, saturated=3.0),
+        observed("environment", 100, {}, **{"frozen:vl@90": 1.0}),
+        observed("environment", 100, {}, waited_ticks_vl=53.0, waited_us_vl=117e3, frozen_late_vl=2.0),
+        conditioned(silent=("vr",)),
+        conditioned(lost=("vr",)),
+    ):
+        told = picture(fed(moving(100), frame, judged(frame)), Cursor())
+        assert told["alarms"] != []
+        assert told["health"] != "ok", told["alarms"]
 
 
 def test_the_page_learns_the_end_and_strange_frames_are_counted() -> None:
@@ -396,7 +415,7 @@ def test_a_token_of_a_file_counts_on_loopback_too(told: list[tuple[str, Token | 
 
 
 @pytest.mark.parametrize(
-    "arguments", [["--session", "other"], ["--token-file", "/nowhere/token"], ["--port", "-1"], ["--port", "65536"]]
+    "arguments", [["--running", "other"], ["--token-file", "/nowhere/token"], ["--port", "-1"], ["--port", "65536"]]
 )
 def test_bad_input_is_refused(told: list[tuple[str, Token | None]], arguments: list[str]) -> None:
     done = CliRunner().invoke(app, ["view", *arguments])

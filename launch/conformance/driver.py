@@ -1,0 +1,519 @@
+"""The suite for drivers: it reads a device at rest, pushes it a little on each axis, falls silent, and compares.
+
+    at rest -> on each axis: push, release, push the other way, release -> push and fall silent -> close
+
+A push is small, short, and ends early once the device has moved by :attr:`Push.travel`. A device that does not obey on
+one axis is not pushed any more. Pushes both ways make the
+judgement independent of gravity and of a motion that the device has already. A real mechanism is pushed only where its
+user has agreed; without a push everything about forces stays open.
+
+**What is judged, and from what.** With x(t) the displacement and F the force on axis i:
+
+- *exception*, *wrong answer*: every call returns what :class:`manyhands.nodes.device.plugin.DeviceDriver` asks for.
+- *blocking call*: the median of a call's durations is at most T/2, and its p95 at most T.
+- *swapped axes*, *wrong sign*: of all axes, axis i answers F most, and in its direction. The answer is a in the fit
+  x(t) = x0 + v0 t + a t^2 / 2 over the push, half the difference between both ways.
+- *stale sample*: the delay L of the best fit x(t) = x0 + v0 t + g t^2 + W(t - L)/m - b/m int x dt, with W the double
+  integral of the pushes, is no longer than the stated latency and :data:`GRACE` periods. Samples that stay the same for
+  longer than the stated age, and then jump, are stale as well.
+- *wrong unit*: the mass m of that fit, or F/a, is one that a hand can move, and near the stated one. No sample is
+  beyond the stated reach.
+- *no release*: after ``release`` less than half of a is left.
+- *force kept on silence*: a force that was applied until an instant ends there, though no call follows.
+
+The suite can judge what it moves: a hand that holds the device, or much dry friction, leaves checks open. It proves
+nothing about a driver that behaves differently later.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manyhands.launch.conformance.judgement import Conformance, Judgement, broken
+from manyhands.launch.conformance.timing import CallTimer
+from manyhands.nodes.device.drivers import Driver
+from manyhands.nodes.device.plugin import DriverFailure
+from manyhands.nodes.device.specification import DeviceSpecification
+from manyhands.protocol.clock import Clock, Instant, SimulatedClock, from_seconds
+
+Array = NDArray[np.float64]
+_R = TypeVar("_R")
+
+EXCEPTION: Final = "exception"
+WRONG_ANSWER: Final = "wrong answer"
+BLOCKING: Final = "blocking call"
+STALE: Final = "stale sample"
+SWAPPED: Final = "swapped axes"
+SIGN: Final = "wrong sign"
+UNIT: Final = "wrong unit"
+RELEASE: Final = "no release"
+SILENCE: Final = "force kept on silence"
+CLOSE: Final = "close"
+
+REST_TICKS: Final = 200
+"""Ticks in which the device is only read."""
+
+PUSH_TICKS: Final = 60
+"""Ticks of a push, and of the time after it."""
+
+SILENT_TICKS: Final = 50
+"""Ticks of silence; the force is to end after a fifth of them."""
+
+LEAST_TICKS: Final = 15
+"""Ticks of a push that ended early, without which it is not judged."""
+
+LEAST_MOTION: Final = 1e-9
+"""m; a push that moves the device by less moves nothing."""
+
+GRACE: Final = 1.5
+"""Periods by which an answer may come later than stated: a force acts from one tick on, and a sample is of a tick."""
+
+LONGEST_DELAY: Final = 40
+"""Ticks; the longest delay that is looked for."""
+
+MASSES: Final = (0.005, 50.0)
+"""kg; the masses that a hand can move, where a driver states none."""
+
+PATIENCE: Final = 2.0
+"""s; a call that takes longer is taken for one that never returns."""
+
+
+@dataclass(frozen=True)
+class Push:
+    """How the device may be pushed.
+
+    Attributes:
+        force: N.
+        travel: a push ends once the device has moved by so much, m.
+    """
+
+    force: float = 0.5
+    travel: float = 0.01
+
+
+@dataclass
+class _Record:
+    """One stretch of ticks: when the samples were taken, and what they were.
+
+    Attributes:
+        at: s since the first tick of all.
+        x: ticks x axes, m.
+    """
+
+    at: list[float] = field(default_factory=list)
+    x: list[list[float]] = field(default_factory=list)
+
+    @property
+    def times(self) -> Array:
+        return np.array(self.at)
+
+    @property
+    def places(self) -> Array:
+        return np.array(self.x)
+
+    def __len__(self) -> int:
+        return len(self.at)
+
+
+class SuiteStopped(Exception):
+    """The user has ended the suite."""
+
+
+class Bench:
+    """A driver in a loop of its own, whose calls are timed.
+
+    Attributes:
+        durations: of the calls, by method, ns.
+        inside: the call that has not returned yet, and its number; None between calls.
+        stopping: set from outside, ends the suite at the next tick.
+    """
+
+    def __init__(self, driver: Driver, T: float, clock: Clock, timer: CallTimer | None = None) -> None:
+        """Begin at the clock's present instant.
+
+        Args:
+            driver: the driver.
+            T: period, s.
+            clock: paces the ticks: a :class:`SimulatedClock` for a counterpart that moves by the instants of the calls.
+            timer: what the calls are timed by.
+        """
+        self._driver, self.T, self._clock, self._timer = driver, T, clock, timer or CallTimer()
+        self._period, self._epoch = from_seconds(T), clock.now()
+        self._turn = self._slot = self._calls = 0
+        self.durations: dict[str, list[int]] = {}
+        self.inside: tuple[str, int] | None = None
+        self.stopping = False
+        self.samples = _Record()  # all of them
+
+    def rest(self, ticks: int) -> _Record:
+        """Read the device for some ticks, with no force."""
+        return self._run(ticks, None)
+
+    def push(self, f: list[float], ticks: int, travel: float) -> _Record:
+        """Exert f (N) for some ticks, or until the device has moved by ``travel``, m."""
+        return self._run(ticks, f, travel)
+
+    def silence(self, f: list[float], end: int, ticks: int) -> _Record:
+        """Exert f (N) until ``end`` ticks are over, call nothing for ``ticks``, and read the device on both ends."""
+        self._tick(None)
+        now = self._now()
+        until = Instant(now + end * self._period)
+        self._call("apply", lambda: self._driver.apply(f, now, until))
+        record = _Record(self.samples.at[-1:], self.samples.x[-1:])
+        self._slot += ticks - 1
+        self._tick(None)
+        record.at.append(self.samples.at[-1])
+        record.x.append(self.samples.x[-1])
+        return record
+
+    def close(self) -> None:
+        """Close the driver, twice."""
+        self._call("close", self._driver.close)
+        self._call("close", self._driver.close)
+
+    def _run(self, ticks: int, f: list[float] | None, travel: float | None = None) -> _Record:
+        record = _Record()
+        for _ in range(ticks):
+            self._tick(f)
+            record.at.append(self.samples.at[-1])
+            record.x.append(self.samples.x[-1])
+            moved = max(abs(now - first) for now, first in zip(record.x[-1], record.x[0], strict=True))
+            if travel is not None and moved > travel:
+                break
+        if f is not None:
+            now = self._now()
+            self._call("release", lambda: self._driver.release(now))
+        return record
+
+    def _tick(self, f: list[float] | None) -> None:
+        """One period: sample, and exert f (N) or nothing."""
+        if self.stopping:
+            raise SuiteStopped
+        self._clock.sleep_until(Instant(self._epoch + self._slot * self._period))
+        at, driver, turn = self._now(), self._driver, self._turn
+        x = self._call("sample", lambda: driver.sample(turn, at))
+        self.samples.at.append(at * 1e-9)
+        self.samples.x.append(list(x))
+        if f is None:
+            self._call("release", lambda: driver.release(at))
+        else:
+            until = Instant(at + SILENT_TICKS * self._period)
+            self._call("apply", lambda: driver.apply(f, at, until))
+        self._slot = max(self._slot + 1, -((self._epoch - self._clock.now()) // self._period))
+        self._turn += 1
+        due = Instant(self._slot * self._period)
+        self._call("idle", lambda: driver.idle(due))
+
+    def _now(self) -> Instant:
+        return Instant(self._clock.now() - self._epoch)
+
+    def _call(self, method: str, call: Callable[[], _R]) -> _R:
+        self._calls += 1
+        self.inside = method, self._calls
+        self._timer.begin()
+        try:
+            return call()
+        finally:
+            self.durations.setdefault(method, []).append(self._timer.end())
+            self.inside = None
+
+
+def check_driver(bench: Bench, stated: DeviceSpecification, push: Push | None) -> Iterator[Judgement]:
+    """Try a driver, and close it.
+
+    Args:
+        bench: the driver in its loop.
+        stated: what the driver states, at the bench's ports.
+        push: how the device may be pushed; None not to push it.
+    """
+    judged: list[Judgement] = []
+    m = len(stated.force)
+    try:
+        bench.rest(REST_TICKS)
+        for axis in range(m if push is not None else 0):
+            assert push is not None  # noqa: S101
+            force = min(push.force, stated.force[axis])
+            f = [force if i == axis else 0.0 for i in range(m)]
+            back = [-value for value in f]
+            ways = []
+            for way in (f, back):
+                ways += [bench.push(way, PUSH_TICKS, push.travel), bench.rest(PUSH_TICKS)]
+            pushed = _Pushed(axis, force, *ways)
+            found = list(_judged(pushed, bench.T, stated))
+            judged += found
+            if broken(found):
+                break  # what does not obey is not pushed any more
+            if found[-1].check == RELEASE:  # all before it is in order
+                bench.rest(PUSH_TICKS)
+                judged.append(_silence(pushed, (_silent(bench, f), _silent(bench, back)), bench.T, stated))
+    except DriverFailure as failure:
+        yield _failed(failure)
+        yield from _times(bench)
+        return
+    finally:
+        closing = _closed(bench)
+    yield Judgement(EXCEPTION, Conformance.KEPT, f"no call raised in {len(bench.samples)} ticks")
+    yield from _times(bench)
+    yield _reach(bench, stated)
+    if push is None:
+        for check in (STALE, SWAPPED, SIGN, RELEASE, SILENCE):
+            yield Judgement(check, Conformance.OPEN, "nothing was pushed")
+    yield from judged
+    yield closing
+
+
+def _silent(bench: Bench, f: list[float]) -> _Record:
+    """A push that ends by itself in silence, after some ticks that show how the device moves without it."""
+    before = bench.rest(LEAST_TICKS)
+    during = bench.silence(f, SILENT_TICKS // 5, SILENT_TICKS)
+    return _Record(before.at + during.at, before.x + during.x)
+
+
+def _failed(failure: DriverFailure) -> Judgement:
+    return Judgement(EXCEPTION if failure.raised else WRONG_ANSWER, Conformance.BROKEN, str(failure))
+
+
+def _closed(bench: Bench) -> Judgement:
+    try:
+        bench.close()
+    except DriverFailure as failure:
+        return Judgement(CLOSE, Conformance.BROKEN, f"{failure}; it may be called twice")
+    return Judgement(CLOSE, Conformance.KEPT, "closed twice")
+
+
+def _times(bench: Bench) -> Iterator[Judgement]:
+    """The durations of the calls of the loop."""
+    T, texts = bench.T * 1e6, []
+    for method in ("sample", "apply", "release", "idle"):
+        if method not in bench.durations:
+            continue
+        p50, p95 = (float(value) / 1e3 for value in np.percentile(bench.durations[method], (50, 95)))
+        texts.append(f"{method} p50 {p50:.3g} µs, p95 {p95:.3g} µs")
+        if p50 > T / 2 or p95 > T:
+            expected = f"a median of at most {T / 2:g} µs and a p95 of at most {T:g} µs, with a period of {T:g} µs"
+            yield Judgement(BLOCKING, Conformance.BROKEN, f"found {texts[-1]}; expected {expected}")
+            return
+    yield Judgement(BLOCKING, Conformance.KEPT, "; ".join(texts))
+
+
+def _reach(bench: Bench, stated: DeviceSpecification) -> Judgement:
+    most = np.abs(bench.samples.places).max(axis=0)
+    for axis, (found, reach) in enumerate(zip(most, stated.displacement, strict=True)):
+        if found > reach:
+            text = f"found a sample of {found:.4g} m on axis {stated.axes[axis]}; expected at most {reach:g} m"
+            return Judgement(UNIT, Conformance.BROKEN, f"{text}, its reach: displacements are in m")
+    return Judgement(UNIT, Conformance.KEPT, f"samples up to {most.max():.3g} m, within the stated reach")
+
+
+@dataclass(frozen=True)
+class _Pushed:
+    """A push on one axis: one way, the time after it, the other way, and the time after that."""
+
+    axis: int
+    force: float
+    there: _Record
+    after: _Record
+    back: _Record
+    after_back: _Record
+
+    def answer(self) -> Array:
+        """The acceleration of each axis along the push, m/s^2: half the difference between both ways."""
+        return (_acceleration(self.there) - _acceleration(self.back)) / 2.0
+
+    def words(self, stated: DeviceSpecification) -> str:
+        """Where the push acts."""
+        return f"on axis {stated.axes[self.axis]}" if len(stated.axes) > 1 else "on its axis"
+
+    def whole(self, m: int) -> tuple[Array, Array, Array]:
+        """Times (s), displacements (m) and the force on the axis (N) of all ticks."""
+        parts = (self.there, self.force), (self.after, 0.0), (self.back, -self.force), (self.after_back, 0.0)
+        times = np.concatenate([record.times for record, _ in parts])
+        places = np.concatenate([record.places.reshape(-1, m) for record, _ in parts])
+        # it is released at the instant of its last sample
+        forces = [[force] * (len(record) - 1) + [0.0] for record, force in parts]
+        return times, places, np.concatenate([np.array(every) for every in forces])
+
+
+def _acceleration(record: _Record) -> Array:
+    """The acceleration a of the fit x(t) = x0 + v0 t + a t^2 / 2, m/s^2, by axis."""
+    t = record.times - record.at[0]
+    fit = np.linalg.lstsq(np.column_stack([np.ones_like(t), t, t**2 / 2.0]), record.places, rcond=None)[0]
+    return np.asarray(fit[2])
+
+
+def _judged(pushed: _Pushed, T: float, stated: DeviceSpecification) -> Iterator[Judgement]:
+    """What the answers of all axes to a push on one of them show."""
+    axis, name, m = pushed.axis, stated.axes[pushed.axis], len(stated.force)
+    of = pushed.words(stated)
+    low, high = MASSES if stated.mass is None else (stated.mass[axis] / 3.0, 3.0 * stated.mass[axis])
+    expected = f"expected {low:.3g} to {high:.3g} kg: displacements are in m, and forces in N"
+    short = min(pushed.there, pushed.back, key=len)
+    ticks = len(short)
+    if ticks < LEAST_TICKS:
+        moved = float(np.abs(short.places[-1] - short.places[0]).max())  # beyond the travel, which ended it
+        mass = pushed.force * ((ticks - 1) * T) ** 2 / (2.0 * moved)
+        text = f"{pushed.force:g} N {of} moved it by {moved:.3g} m within {ticks} ticks, as if it weighed {mass:.2g} kg"
+        if mass < low:
+            yield Judgement(UNIT, Conformance.BROKEN, f"found that {text}; {expected}")
+        else:
+            yield Judgement(SWAPPED, Conformance.OPEN, f"{text}; push with less force")
+        return
+    times, places, force = pushed.whole(m)
+    a = pushed.answer()
+    duration = len(pushed.there) * T
+    if np.abs(a).max() * duration**2 / 2.0 < LEAST_MOTION:
+        text = (
+            f"found no motion for a push of {pushed.force:g} N {of}; expected one: its samples are old, its force is "
+            "not exerted, or something holds it"
+        )
+        yield Judgement(STALE, Conformance.OPEN if stated.hardware else Conformance.BROKEN, text)
+        return
+    strongest = int(np.argmax(np.abs(a)))
+    if text := _held(places[:, strongest], T, stated):
+        yield Judgement(STALE, Conformance.BROKEN, text)
+        return
+    if abs(a[strongest]) > 3.0 * abs(a[axis]):
+        found = f"a push {of} that moves axis {stated.axes[strongest]}"
+        yield Judgement(SWAPPED, Conformance.BROKEN, f"found {found}; expected a motion of axis {name}")
+        return
+    yield Judgement(SWAPPED, Conformance.KEPT, f"a push {of} moves that axis most")
+    if a[axis] < 0.0:
+        text = f"found a push of +{pushed.force:g} N {of} that moves it by {a[axis]:.3g} m/s²"
+        yield Judgement(SIGN, Conformance.BROKEN, f"{text}; expected a motion along the force")
+        return
+    yield Judgement(SIGN, Conformance.KEPT, f"it moves along a push {of}")
+    delay, mass, fits = _answer(times - times[0], places[:, axis], force, T)
+    latency = stated.timing.latency
+    if fits and delay > latency + GRACE * T:
+        yield Judgement(
+            STALE,
+            Conformance.BROKEN,
+            f"found an answer to a push {of} that comes {1e3 * delay:.3g} ms late; expected at most "
+            f"{1e3 * latency:.3g} ms, the stated sample_age and actuation_delay",
+        )
+        return
+    late = f"the answer to a push {of} comes within {1e3 * delay:.2g} ms; stated {1e3 * latency:.3g} ms, and a tick"
+    yield Judgement(
+        STALE, Conformance.KEPT if fits else Conformance.OPEN, late if fits else f"no fit of the motion {of}"
+    )
+    mass = mass if fits else pushed.force / float(a[axis])
+    if not low <= mass <= high:
+        found = f"found {pushed.force:g} N that seem to move {mass:.3g} kg {of}; {expected}"
+        held = stated.hardware and mass > high  # dry friction, or a hand
+        yield Judgement(UNIT, Conformance.OPEN if held else Conformance.BROKEN, found)
+        return
+    yield Judgement(UNIT, Conformance.KEPT, f"{pushed.force:g} N move {mass:.3g} kg {of}")
+    left = float((_acceleration(pushed.after) - _acceleration(pushed.after_back))[axis] / 2.0 / a[axis])
+    if left > 0.5:
+        found = f"{left:.0%} of a push {of} after its release"
+        yield Judgement(RELEASE, Conformance.BROKEN, f"found {found}; expected none")
+        return
+    yield Judgement(RELEASE, Conformance.KEPT, f"released, {max(0.0, left):.0%} of a push {of} is left")
+
+
+def _held(x: Array, T: float, stated: DeviceSpecification) -> str:
+    """How samples stay the same for longer than their age, and jump; empty where they do not.
+
+    An encoder also repeats a sample of a slow device, and then moves by one step. Samples that were held move by
+    several steps, of different sizes.
+    """
+    steps = np.diff(x)
+    moved = np.flatnonzero(steps)
+    if len(moved) < 3:
+        return ""
+    runs = np.diff(moved)  # samples from one change to the next
+    longest = stated.timing.sample_age / T + GRACE
+    held = runs > max(2.0, longest)
+    smallest = np.abs(steps[moved]).min()
+    jumps = np.abs(steps[moved[1:]])[held] > 1.5 * smallest
+    if np.count_nonzero(jumps) < max(3, len(moved) // 2):
+        return ""
+    found = f"samples that stay the same for {1e3 * T * float(np.median(runs[held])):.3g} ms, and then jump"
+    return f"found {found}; expected a new one at every call, or a sample_age as long as that"
+
+
+def _answer(t: Array, x: Array, force: Array, T: float) -> tuple[float, float, bool]:
+    """Delay (s) and mass (kg) of the best fit, and whether it fits: the rest is a twentieth of the motion at most."""
+    held = np.concatenate([[0.0], np.cumsum((x[1:] + x[:-1]) / 2.0 * np.diff(t))])
+    best, delay, mobility = np.inf, 0.0, np.nan
+    scale = float(np.std(x))
+    fine = T / 4.0
+    grid = np.arange(t[0], t[-1] + fine, fine)
+    f = force[np.searchsorted(t, grid + 1e-12, side="right") - 1]
+    W = np.cumsum(np.cumsum(f)) * fine**2
+    for step in range(4 * LONGEST_DELAY):
+        shifted = np.interp(t - step * fine, grid, W, left=0.0)
+        A = np.column_stack([np.ones_like(t), t, t**2, shifted, held])
+        fit = np.linalg.lstsq(A, x, rcond=None)[0]
+        size = float(np.sqrt(np.mean((x - A @ fit) ** 2)))
+        if size < best:
+            best, delay, mobility = size, step * fine, float(fit[3])
+    return delay, 1.0 / mobility if mobility > 0.0 else np.inf, best <= 0.05 * scale
+
+
+def _silence(pushed: _Pushed, silence: tuple[_Record, _Record], T: float, stated: DeviceSpecification) -> Judgement:
+    """Whether a force ended by itself: the way that it moved the device while nothing was called."""
+    axis, of, ways = pushed.axis, pushed.words(stated), []
+    a = float(pushed.answer()[axis])
+    for record in silence:
+        before = _Record(record.at[:-1], record.x[:-1])
+        t = before.times - before.at[-1]
+        line = np.polyfit(t, before.places[:, axis], 1)
+        ways.append(record.x[-1][axis] - float(np.polyval(line, record.at[-1] - before.at[-1])))
+    moved = (ways[0] - ways[1]) / 2.0
+    W, S = silence[0].at[-1] - silence[0].at[-2], SILENT_TICKS // 5 * T
+    ended, kept = a * (S * W - S**2 / 2.0), a * W**2 / 2.0
+    if moved > (ended + kept) / 2.0:
+        found = f"a force {of} that went on for {1e3 * W:.3g} ms in which nothing was called"
+        return Judgement(
+            SILENCE, Conformance.BROKEN, f"found {found}; expected its end after {1e3 * S:.3g} ms, its 'until'"
+        )
+    return Judgement(SILENCE, Conformance.KEPT, f"a force {of} ended by itself while nothing was called")
+
+
+def checked_apart(bench: Bench, suite: Callable[[], list[Judgement]], patience: float = PATIENCE) -> list[Judgement]:
+    """Run a suite in a thread of its own, so that a call that never returns is named as well.
+
+    Args:
+        bench: the suite's.
+        suite: makes the findings.
+        patience: s after which a call is taken for one that never returns.
+    """
+    found: list[Judgement] = []
+    failed: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            found.extend(suite())
+        except BaseException as error:  # noqa: BLE001 -- raised again in the caller's thread
+            failed.append(error)
+
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    last: tuple[str, int] | None = None
+    try:
+        while thread.is_alive():
+            thread.join(patience)
+            inside = bench.inside
+            if thread.is_alive() and inside is not None and inside == last:
+                text = f"found that {inside[0]} has not returned for {patience:g} s; the device may keep its force"
+                return [Judgement(BLOCKING, Conformance.BROKEN, f"{text}; expected it to return at once")]
+            last = inside
+    except BaseException:
+        bench.stopping = True  # the suite's thread closes the driver
+        thread.join(patience)
+        raise
+    if failed:
+        raise failed[0]
+    return found
+
+
+def clock_for(stated: DeviceSpecification, real: Clock) -> Clock:
+    """The clock of a bench: the real one for hardware, one that jumps for a simulated counterpart."""
+    return real if stated.hardware else SimulatedClock()

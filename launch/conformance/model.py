@@ -1,0 +1,187 @@
+"""The suite for models of the environment: it moves the tools along probe motions and keeps account of the energy.
+
+**What is judged, and from what.** With w(k) = (x_e(k) - x_e(k-1))/T the velocity of the tools and f(k) the forces:
+
+- *exception*, *wrong answer*: every answer is one finite force for each port, of a bounded size.
+- *blocking call*: the median of the answers' durations is at most T/2, and their p95 at most T.
+- *wrong sign*: a slow press against the world costs work; a world that helps it on every side pulls instead of pushing.
+- *level*: the least level phi of a passive environment, by
+
+      sum over ticks of  -f^T w + phi w^T w  >=  0    at every tick of a probe from rest on.
+
+  It is what the probes have found, and no proof: other motions may need more. What a session declares is enforced.
+- *not repeatable*: a second model of the same factory answers the same motion by the same forces, to the last bit. Only
+  then does ``simulate`` agree with ``launch``, and a recording can be replayed and audited.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manyhands.launch.conformance.driver import BLOCKING, EXCEPTION, SIGN, WRONG_ANSWER
+from manyhands.launch.conformance.judgement import Conformance, Judgement
+from manyhands.launch.conformance.timing import CallTimer
+from manyhands.nodes.environment.model import AskedModel, EnvironmentModel
+
+Array = NDArray[np.float64]
+
+LEVEL = "level"
+REPEATED = "not repeatable"
+
+PRESS_TIME = 0.5
+"""s; how long a slow press takes."""
+
+
+YIELDING = "tools that yield"
+"""The probe whose motion follows from the model's forces."""
+
+MASS, SPRING, DAMPER = 0.2, 200.0, 1.0  # kg, N/m and N·s/m of a tool that yields
+
+
+def probes(ports: int, T: float, reach: float) -> dict[str, Array]:
+    """The motions of the tools, ticks x ports, m, by name; each begins at rest in 0.
+
+    Args:
+        ports: their number.
+        T: period, s.
+        reach: the greatest displacement, m.
+    """
+    ticks = max(20, round(PRESS_TIME / T))
+    t = np.arange(2 * ticks) * T
+    still = np.zeros((2 * ticks, ports))
+    found = {"rest": still}
+    press = np.sin(np.pi * np.arange(2 * ticks) / (2 * ticks)) ** 2  # in and out
+    for port in range(ports):
+        for way in (reach, -reach, reach / 4.0, -reach / 4.0):
+            motion = still.copy()
+            motion[:, port] = way * press
+            found[f"press of port {port} by {way:g} m"] = motion
+    shake = reach * np.sin(2.0 * np.pi * 8.0 * t)[:, None] * np.cos(np.arange(ports))
+    step = np.where(t[:, None] < PRESS_TIME, 0.0, 0.2 * reach) * np.ones(ports)
+    walk = np.cumsum(np.random.default_rng(1).normal(0.0, reach * np.sqrt(T), (2 * ticks, ports)), axis=0)
+    return found | {"shake": shake, "step": step, "walk": np.clip(walk, -reach, reach), YIELDING: still}
+
+
+class _Tools:
+    """Tools that yield: masses on springs, drawn towards each other; a world that gives energy away moves them."""
+
+    def __init__(self, ports: int, T: float, reach: float) -> None:
+        self._T, self._goal = T, reach * np.cos(np.pi * np.arange(ports))
+        self._x, self._v = np.zeros(ports), np.zeros(ports)
+
+    def moved(self, f: Array, k: int) -> Array:
+        """Their places at tick k, m, after the force f (N) of the tick before; each is at most 1 m away."""
+        hand = SPRING * (min(1.0, k * self._T / PRESS_TIME) * self._goal - self._x) - DAMPER * self._v
+        self._v = self._v + self._T * (f + hand) / MASS
+        self._x = np.clip(self._x + self._T * self._v, -1.0, 1.0)
+        return self._x
+
+
+def check_model(
+    name: str,
+    make: Callable[[], EnvironmentModel],
+    ports: tuple[str, ...],
+    T: float,
+    reach: float,
+    level: float | None = None,
+    timer: CallTimer | None = None,
+) -> Iterator[Judgement]:
+    """Try a model.
+
+    Args:
+        name: of its factory, for the messages.
+        make: makes one, at rest.
+        ports: of the session.
+        T: period, s.
+        reach: the greatest displacement of a tool, m.
+        level: the level that the session declares, N·s/m; None to report what the probes need.
+        timer: what the answers are timed by.
+
+    Raises:
+        FactoryError: it cannot be made.
+    """
+    timer = timer or CallTimer()
+    durations: list[int] = []
+    needed, worst, pressed = 0.0, "none", []
+    repeated = True
+    for probe, given in probes(len(ports), T, reach).items():
+        forces = []
+        for turn in range(2):
+            asked, tools = _Noted(make()), _Tools(len(ports), T, reach)
+            model = AskedModel(name, asked, ports)
+            f, motion = np.zeros_like(given), given.copy()
+            for k in range(len(given)):
+                if probe == YIELDING:
+                    motion[k] = tools.moved(f[k - 1], k)
+                timer.begin()
+                f[k] = model.forces(motion[k].copy(), k)
+                took = timer.end()
+                if turn == 0:
+                    durations.append(took)
+                if model.failure is not None:
+                    check = EXCEPTION if asked.raised else WRONG_ANSWER
+                    yield Judgement(check, Conformance.BROKEN, f"in the probe {probe!r}: {model.failure}")
+                    return
+            forces.append(f)
+        repeated = repeated and forces[0].tobytes() == forces[1].tobytes()
+        w = np.diff(motion, axis=0, prepend=motion[:1]) / T
+        work, burnt = np.cumsum((w * forces[0]).sum(axis=1)), np.cumsum((w**2).sum(axis=1))
+        moved = burnt > 0.0
+        most = float((work[moved] / burnt[moved]).max(initial=0.0))
+        if most > needed:
+            needed, worst = most, probe
+        if probe.startswith("press"):
+            pressed.append(float(work[len(work) // 2]) * T)
+    yield Judgement(EXCEPTION, Conformance.KEPT, f"no answer failed in {len(durations)} ticks")
+    yield _duration(durations, T)
+    if min(pressed) >= 0.0 < max(pressed):
+        text = f"found that a slow press is helped by up to {max(pressed):.3g} J, and hindered on no side"
+        yield Judgement(SIGN, Conformance.BROKEN, f"{text}; expected forces on the hand, such as -c * x_e of a spring")
+    else:
+        yield Judgement(SIGN, Conformance.KEPT, f"a slow press costs up to {max(0.0, -min(pressed)):.3g} J")
+    yield _level(needed, worst, level)
+    if repeated:
+        yield Judgement(REPEATED, Conformance.KEPT, "a second model gives the same forces")
+    else:
+        text = "found other forces of a second model for the same motion; expected the same"
+        yield Judgement(REPEATED, Conformance.BROKEN, f"{text}: its runs can be neither replayed nor audited")
+
+
+class _Noted:
+    """A model, and whether it has raised an exception."""
+
+    def __init__(self, model: EnvironmentModel) -> None:
+        self._model, self.raised = model, False
+
+    def react(self, x_e: Array, k: int) -> object:
+        """The model's answer."""
+        self.raised = True
+        answer = self._model.react(x_e, k)
+        self.raised = False
+        return answer
+
+
+def _duration(durations: list[int], T: float) -> Judgement:
+    p50, p95 = (float(value) / 1e3 for value in np.percentile(durations, (50, 95)))
+    found = f"react p50 {p50:.3g} µs, p95 {p95:.3g} µs"
+    if p50 > 0.5e6 * T or p95 > 1e6 * T:
+        expected = f"a median of at most {0.5e6 * T:g} µs and a p95 of at most {1e6 * T:g} µs, the period"
+        return Judgement(BLOCKING, Conformance.BROKEN, f"found {found}; expected {expected}")
+    return Judgement(BLOCKING, Conformance.KEPT, found)
+
+
+def _level(needed: float, worst: str, level: float | None) -> Judgement:
+    if level is None:
+        text = f"the probes need a level of {needed:.3g} N·s/m, the most for {worst!r}; declare it, or less if enforced"
+        return Judgement(
+            LEVEL, Conformance.OPEN if needed else Conformance.KEPT, text if needed else "passive in every probe"
+        )
+    if needed > level:
+        text = (
+            f"found that the probe {worst!r} needs {needed:.3g} N·s/m; expected at most {level:g}, the declared level"
+        )
+        return Judgement(LEVEL, Conformance.BROKEN, f"{text}: its controller would change the model's forces")
+    return Judgement(LEVEL, Conformance.KEPT, f"the probes need {needed:.3g} N·s/m, declared {level:g}")

@@ -1,0 +1,61 @@
+"""The delay that is measured and the delay that a driver states add up, in what is to be certified."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from manyhands.launch.cli.common import settle_delay
+from manyhands.launch.doctor.profile import Lateness, Profile, allowance
+from manyhands.launch.plan.prepare import NotCertified, haptic_loop
+from manyhands.launch.session import Session, load_session
+
+T = 1e-3
+
+
+def session_of(folder: Path, **device: Any) -> Session:
+    content = {
+        "session": "plugged",
+        "period": T,
+        "devices": {"d": {"dof": 1, "osp": 1.37, "driver": "some.package:factory", **device}},
+        "couplings": {"c": {"devices": ["d"]}},
+        "environment": {"type": "network", "links": [{"between": ["d", "ground"], "stiffness": 100}]},
+        "design": {"coupling": "spring-damper"},
+    }
+    (folder / "session.yaml").write_text(json.dumps(content), encoding="utf-8")
+    return load_session(folder / "session.yaml")
+
+
+@pytest.fixture(autouse=True)
+def profile(monkeypatch: pytest.MonkeyPatch) -> Profile:
+    """This machine's, as if it had been measured before."""
+    measured = Profile({}, Lateness(200.0, 320.0, 500.0, 900.0), 1010.0, 0.0, 5.0, time.time())
+    monkeypatch.setattr("manyhands.launch.doctor.profile.kept_profile", lambda *_: measured)
+    return measured
+
+
+def test_a_stated_latency_is_added_to_the_measured_delay(tmp_path: Path, profile: Profile) -> None:
+    chosen = allowance(profile, T)
+    prompt, _ = settle_delay(session_of(tmp_path), realtime=True)
+    assert haptic_loop(prompt).tau == chosen.tau
+    late, found = settle_delay(session_of(tmp_path, sample_age=2e-4, actuation_delay=1e-4), realtime=True)
+    assert found is profile
+    assert haptic_loop(late).tau == pytest.approx(chosen.tau + 3e-4, abs=1e-12)
+    assert haptic_loop(late).period_tolerance == pytest.approx(chosen.period_tolerance + 0.2)
+    steady, _ = settle_delay(session_of(tmp_path, sample_age=2e-4, age_jitter=0.0), realtime=True)
+    assert haptic_loop(steady).period_tolerance == chosen.period_tolerance
+
+
+def test_more_than_a_period_together_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(NotCertified, match=r"0\.4 ms measured here, and 0\.7 ms of sample_age and actuation_delay"):
+        settle_delay(session_of(tmp_path, actuation_delay=7e-4), realtime=True)
+    settle_delay(session_of(tmp_path, actuation_delay=6e-4), realtime=True)
+
+
+def test_without_a_measurement_the_latency_alone_is_certified(tmp_path: Path) -> None:
+    session, _ = settle_delay(session_of(tmp_path, actuation_delay=7e-4), realtime=False)
+    assert haptic_loop(session).tau == 7e-4

@@ -1,0 +1,124 @@
+"""The suite for drivers: a good one passes, and each broken one is named for what it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from manyhands.launch.conformance.driver import (
+    BLOCKING,
+    EXCEPTION,
+    RELEASE,
+    SIGN,
+    SILENCE,
+    STALE,
+    SWAPPED,
+    UNIT,
+    WRONG_ANSWER,
+    Bench,
+    Push,
+    check_driver,
+    checked_apart,
+)
+from manyhands.launch.conformance.judgement import Conformance, Judgement, broken
+from manyhands.launch.conformance.timing import CallTimer
+from manyhands.nodes.device.plugin import DeviceDriver, PluginDriver
+from manyhands.nodes.device.specification import AxisMap
+from manyhands.protocol.clock import SimulatedClock
+
+from ...support import plugin_drivers as drivers
+
+T = 1e-3
+
+
+def bench_of(kind: type[DeviceDriver], axes: int = 2, **parameters: Any) -> tuple[Bench, Any]:
+    driver = kind(tuple(f"d.{axis}" for axis in range(axes)), T, parameters)  # type: ignore[call-arg]
+    stated = driver.specification()
+    plugin = PluginDriver(kind.__name__, driver, AxisMap(tuple(range(axes)), (1.0,) * axes), stated.timing.latency)
+    return Bench(plugin, T, SimulatedClock(), CallTimer(drivers.CALLS, lambda: 0)), stated
+
+
+def findings(kind: type[DeviceDriver], axes: int = 2, push: Push | None = Push(), **parameters: Any) -> list[Judgement]:  # noqa: B008
+    return list(check_driver(*bench_of(kind, axes, **parameters), push))
+
+
+@pytest.mark.parametrize("axes", [1, 2, 3])
+@pytest.mark.parametrize("damping", [0.0, 0.1, 1.5, 10.0])
+def test_a_good_driver_keeps_everything(axes: int, damping: float) -> None:
+    found = findings(drivers.Counterpart, axes, damping=damping)
+    assert {finding.verdict for finding in found} == {Conformance.KEPT}, found
+    assert {STALE, SIGN, UNIT, RELEASE, SILENCE, EXCEPTION, BLOCKING, SWAPPED} <= {finding.check for finding in found}
+
+
+@pytest.mark.parametrize("step", [1e-6, 1e-5, 5e-5])
+def test_the_steps_of_an_encoder_are_no_fault(step: float) -> None:
+    assert broken(findings(drivers.Counterpart, step=step)) == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        (drivers.OldSample, STALE),
+        (drivers.HeldSample, STALE),
+        (drivers.Frozen, STALE),
+        (drivers.NoRelease, RELEASE),
+        (drivers.KeptOnSilence, SILENCE),
+        (drivers.WrongSign, SIGN),
+        (drivers.Millimetres, UNIT),
+        (drivers.Millinewtons, UNIT),
+        (drivers.SwappedAxes, SWAPPED),
+        (drivers.Blocking, BLOCKING),
+        (drivers.Raising, EXCEPTION),
+        (drivers.WrongAnswer, WRONG_ANSWER),
+    ],
+    ids=lambda value: value.__name__ if isinstance(value, type) else None,
+)
+@pytest.mark.parametrize("damping", [0.1, 1.5])
+def test_a_broken_driver_is_named_for_what_it_is(kind: type[DeviceDriver], name: str, damping: float) -> None:
+    found = findings(kind, damping=damping)
+    assert set(broken(found)) == {name}, found
+    text = next(finding.text for finding in found if finding.verdict is Conformance.BROKEN)
+    assert "found" in text
+    assert "expected" in text
+
+
+@pytest.fixture
+def endless() -> Iterator[None]:
+    yield
+    drivers.Endless.freed.set()
+
+
+@pytest.mark.usefixtures("endless")
+def test_a_call_that_never_returns_is_named() -> None:
+    bench, stated = bench_of(drivers.Endless)
+    found = checked_apart(bench, lambda: list(check_driver(bench, stated, None)), patience=0.05)
+    assert broken(found) == [BLOCKING]
+    assert "sample has not returned" in found[0].text
+
+
+def test_without_a_push_nothing_about_forces_is_judged() -> None:
+    found = findings(drivers.Raising, push=None)  # it raises at a force
+    assert broken(found) == []
+    assert {finding.check for finding in found if finding.verdict is Conformance.OPEN} == {
+        STALE, SWAPPED, SIGN, RELEASE, SILENCE,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(("age", "delay"), [(0.004, 0.0), (0.0, 0.003), (0.002, 0.003)])
+def test_a_stated_delay_is_no_fault_and_an_unstated_one_is(age: float, delay: float) -> None:
+    late = {"age": age, "delay": delay}
+    assert broken(findings(drivers.Counterpart, **late, timing={"sample_age": age, "actuation_delay": delay})) == []
+    unstated = findings(drivers.Counterpart, **late)
+    assert set(broken(unstated)) == {STALE}
+    (text,) = {
+        finding.text.partition("ms late")[0][-8:] for finding in unstated if finding.verdict is Conformance.BROKEN
+    }
+    assert float(text.split()[-1]) == pytest.approx(1e3 * (age + delay), abs=1.0)
+
+
+def test_a_hardware_that_something_holds_is_not_judged() -> None:
+    found = findings(drivers.Counterpart, 1, mass=1e15, hardware=True)
+    assert broken(found) == []
+    assert [finding.check for finding in found if finding.verdict is Conformance.OPEN] == [STALE]

@@ -1,0 +1,229 @@
+"""A recording as a bag of ROS 2: rosbags' reader opens it, and it holds the same numbers at the same times."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+
+from manyhands.extras import MissingExtra
+from manyhands.launch.recordings import rosbag
+from manyhands.launch.recordings.recording import RecordingError
+from manyhands.launch.recordings.rosbag import JOINTS, POSE, WRENCH, ros_name, save_bag
+from manyhands.launch.recordings.run import RecordedRun, RecordedTrace, read_run
+from manyhands.nodes.recorder.core import RecorderCore
+from manyhands.nodes.recorder.format import Recorded
+from manyhands.protocol.channels import TOPICS
+from manyhands.protocol.codec import encode
+from manyhands.protocol.messages import Observation, Role
+
+from ...support.commands import manyhands_command
+
+STARTED = 1_700_000_000_123_456_789  # ns since 1970
+TICKS = 30
+AXES = {"dx": ("dx",), "flat": ("flat.0", "flat.1"), "hand-1": ("hand-1.x", "hand-1.y", "hand-1.z"), "arm": ()}
+AXES["arm"] = tuple(f"arm.{axis}" for axis in range(4))
+PORTS = {**AXES, "c": AXES["dx"] + AXES["flat"], "v": AXES["hand-1"][::-1], "w": AXES["arm"]}
+RECORDED = Recorded(
+    session="a-session.1",
+    certificate="0" * 64,
+    period=0.001,
+    clock="realtime",
+    roles={**dict.fromkeys(AXES, Role.DEVICE), **dict.fromkeys("cvw", Role.COUPLING)},
+    ports=PORTS,
+)
+LOST = range(10, 15)  # ticks of dx
+
+
+def numbers(node: str, trace: str) -> np.ndarray:
+    """Other numbers for each node and trace, of all magnitudes."""
+    draw = np.random.default_rng([*node.encode(), *trace.encode()])
+    return draw.normal(size=(TICKS, len(PORTS[node]))) * 10.0 ** draw.integers(-9, 9, size=(TICKS, len(PORTS[node])))
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    core = RecorderCore(RECORDED)
+    for node, role in RECORDED.roles.items():
+        for first, end in ((0, LOST.start), (LOST.start, LOST.stop), (LOST.stop, TICKS)):
+            if node == "dx" and first == LOST.start:
+                continue
+            traces = {"x": numbers(node, "x")[first:end]} if role is Role.DEVICE else {}
+            traces["f_v"] = numbers(node, "f_v")[first:end]
+            core.take(encode(Observation(node, end, {}, traces)), STARTED + end * 1_000_000)
+    path = tmp_path / "run.mcap"
+    path.write_bytes(core.cut() + core.end())
+    return path
+
+
+def read(path: Path) -> dict[str, tuple[str, list[tuple[int, Any]]]]:
+    """The type of each topic of a bag, and its messages with their times."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    out: dict[str, tuple[str, list[tuple[int, Any]]]] = {}
+    with Reader(path) as reader:
+        for connection in reader.connections:
+            out[connection.topic] = (connection.msgtype, [])
+            assert connection.digest == store.hash_rihs01(connection.msgtype)
+        times = []
+        for connection, time, data in reader.messages():
+            message = store.deserialize_cdr(data, connection.msgtype)
+            assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == time  # type: ignore[attr-defined]
+            out[connection.topic][1].append((time, message))
+            times.append(time)
+        assert times == sorted(times)
+        assert {c.topic: c.msgcount for c in reader.connections} == {topic: len(own[1]) for topic, own in out.items()}
+    return out
+
+
+def test_a_bag_holds_the_numbers_of_the_recording(file: Path, tmp_path: Path) -> None:
+    parts: list[float] = []
+    count = save_bag(read_run(file), tmp_path / "out.rosbag", progress=parts.append)
+    found = read(tmp_path / "out.rosbag")
+    space = "/a_session_1"
+    assert {topic: kind for topic, (kind, _) in found.items()} == {
+        f"{space}/dx/measured_js": JOINTS,
+        f"{space}/dx/measured_cf": WRENCH,
+        f"{space}/dx/servo_cf": WRENCH,
+        f"{space}/flat/measured_js": JOINTS,
+        f"{space}/flat/measured_cf": WRENCH,
+        f"{space}/flat/servo_cf": WRENCH,
+        f"{space}/hand_1/measured_cp": POSE,
+        f"{space}/hand_1/measured_cf": WRENCH,
+        f"{space}/hand_1/servo_cf": WRENCH,
+        f"{space}/arm/measured_js": JOINTS,
+        f"{space}/arm/servo_jf": JOINTS,
+    }
+    assert count == sum(len(messages) for _, messages in found.values())
+    assert parts[-1] == 1.0
+    every = np.arange(TICKS)
+    sent = {port: column for node in "cvw" for port, column in zip(PORTS[node], numbers(node, "f_v").T, strict=True)}
+    for device, axes in AXES.items():
+        kept = np.setdiff1d(every, LOST) if device == "dx" else every
+        x, f = numbers(device, "x")[kept], numbers(device, "f_v")[kept]
+        commanded = np.stack([sent[axis] for axis in axes], axis=1)
+        own = {topic.rpartition("/")[2]: m for topic, (_, m) in found.items() if f"/{ros_name(device)}/" in topic}
+        for name, messages in own.items():
+            ticks = every if name.startswith("servo") else kept
+            assert [time for time, _ in messages] == [STARTED + int(tick) * 1_000_000 for tick in ticks]
+            assert {message.header.frame_id for _, message in messages} == {device}
+        if device == "hand-1":
+            assert np.array_equal(x, [_three(m.pose.position) for _, m in own["measured_cp"]])
+            assert {_four(m.pose.orientation) for _, m in own["measured_cp"]} == {(0.0, 0.0, 0.0, 1.0)}
+        else:
+            assert np.array_equal(x, [m.position for _, m in own["measured_js"]])
+            assert np.array_equal(f, [m.effort for _, m in own["measured_js"]])
+            assert all(m.name == list(axes) and not len(m.velocity) for _, m in own["measured_js"])
+        if device == "arm":
+            assert np.array_equal(commanded, [m.effort for _, m in own["servo_jf"]])
+            continue
+        for name, values in (("measured_cf", f), ("servo_cf", commanded)):
+            forces = np.array([_three(m.wrench.force) for _, m in own[name]])
+            assert np.array_equal(forces[:, : len(axes)], values)
+            assert not forces[:, len(axes) :].any()
+            assert not any(any(_three(m.wrench.torque)) for _, m in own[name])
+
+
+def _three(vector: Any) -> tuple[float, ...]:
+    return vector.x, vector.y, vector.z
+
+
+def _four(vector: Any) -> tuple[float, ...]:
+    return vector.x, vector.y, vector.z, vector.w
+
+
+def test_the_times_of_a_recording_that_begins_late(tmp_path: Path) -> None:
+    core = RecorderCore(RECORDED)
+    core.take(encode(Observation("dx", TICKS, {}, {"x": numbers("dx", "x")[20:]})), STARTED + TICKS * 1_000_000)
+    path = tmp_path / "late.mcap"
+    path.write_bytes(core.cut() + core.end())
+    run = read_run(path)
+    assert run.started == STARTED
+    assert run.topics == [("dx", "sample")]
+    save_bag(run, tmp_path / "late.rosbag")
+    ((_, messages),) = read(tmp_path / "late.rosbag").values()
+    assert [time for time, _ in messages] == [STARTED + tick * 1_000_000 for tick in range(20, TICKS)]
+
+
+def test_topics_choose_what_is_written(file: Path, tmp_path: Path) -> None:
+    run = read_run(file)
+    save_bag(run, tmp_path / "one.rosbag", ["dx/sample", "c"])
+    found = read(tmp_path / "one.rosbag")
+    assert [*found] == [f"/a_session_1/{name}" for name in ("dx/measured_js", "dx/servo_cf", "flat/servo_cf")]
+    assert all(not len(message.effort) for _, message in found["/a_session_1/dx/measured_js"][1])
+    with pytest.raises(RecordingError, match="--topics: found no motion or force of a device"):
+        save_bag(run, tmp_path / "none.rosbag", ["dx/tau", "c/tool"])
+
+
+@pytest.mark.parametrize(
+    ("name", "plain"),
+    [("example-1", "example_1"), ("a.b--c", "a_b_c"), ("3d", "_3d"), ("Überall", "_berall"), ("left", "left")],
+)
+def test_names_that_ros_allows(name: str, plain: str) -> None:
+    assert ros_name(name) == plain
+
+
+def run_of(*devices: str, started: int = STARTED) -> RecordedRun:
+    recorded = Recorded(
+        "s", "0" * 64, 0.001, "realtime", dict.fromkeys(devices, Role.DEVICE), {d: (d,) for d in devices}
+    )
+    sample = TOPICS[Role.DEVICE][0]
+    traces: Mapping[tuple[str, str], RecordedTrace] = {
+        (device, "sample"): RecordedTrace(sample, (device,), np.zeros((3, 1))) for device in devices
+    }
+    return RecordedRun(recorded, traces, started=started)
+
+
+def test_devices_of_one_name_in_ros_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="which ROS 2 would both call /s/a_b"):
+        save_bag(run_of("a-b", "a.b"), tmp_path / "out.rosbag")
+    assert [*tmp_path.iterdir()] == []
+
+
+def test_times_beyond_those_of_ros_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="to 2038"):
+        save_bag(run_of("d", started=2**31 * 10**9 - 1000), tmp_path / "out.rosbag")
+
+
+def test_something_of_that_name_is_kept(tmp_path: Path) -> None:
+    (tmp_path / "out.rosbag").mkdir()
+    with pytest.raises(RecordingError, match="found something of that name; expected a new name"):
+        save_bag(run_of("d"), tmp_path / "out.rosbag")
+    with pytest.raises(RecordingError, match="found no folder"):
+        save_bag(run_of("d"), tmp_path / "none" / "out.rosbag")
+    assert [*tmp_path.iterdir()] == [tmp_path / "out.rosbag"]
+
+
+def test_nothing_is_left_of_a_bag_that_could_not_be_written(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(done: float) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(rosbag, "_REPORTED", 10)
+    with pytest.raises(RecordingError, match="cannot be written: No space left on device"):
+        save_bag(read_run(file), tmp_path / "out.rosbag", progress=full)
+    assert [*tmp_path.iterdir()] == [file]
+
+
+def test_a_missing_extra_is_one_sentence(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setitem(sys.modules, "rosbags", None)
+    with pytest.raises(MissingExtra, match=r"pip install 'manyhands\[ros\]'"):
+        save_bag(run_of("d"), tmp_path / "out.rosbag")
+    assert [*tmp_path.iterdir()] == []
+
+
+@pytest.mark.usefixtures("own_interrupt")
+def test_the_command_writes_a_bag_beside_the_recording(file: Path) -> None:
+    done = manyhands_command("export", file, "--format", "rosbag")
+    assert done.exit_code == 0, done.stderr
+    assert "messages written to" in done.stderr
+    assert {path.name for path in file.with_suffix(".rosbag").iterdir()} == {"metadata.yaml", "run.rosbag.mcap"}
+    again = manyhands_command("export", file, "-o", file.with_suffix(".rosbag"))
+    assert again.exit_code == 2
+    assert "found something of that name" in again.stderr

@@ -1,0 +1,52 @@
+"""Tables and sentences on a terminal of any width: no heading is cut, and no sentence within a word."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+
+from manyhands.launch.run.display import COLUMNS, RANKS, figure_table, heading, say
+
+TITLES = ("node", "role", "tick", "rate\n[Hz]", *(heading(column.title) for column in COLUMNS))
+cells = st.text(st.characters(categories=["L", "N"], max_codepoint=255), max_size=12)
+
+
+def shown(width: int, rows: list[list[str]]) -> tuple[str, list[str]]:
+    out = io.StringIO()
+    table, left_out = figure_table("t", TITLES, rows, RANKS, width)
+    Console(file=out, width=width, force_terminal=True, color_system=None).print(table)
+    return out.getvalue(), left_out
+
+
+@given(st.integers(80, 250), st.lists(st.lists(cells, min_size=len(TITLES), max_size=len(TITLES)), max_size=3))
+def test_what_is_shown_is_whole_and_the_rest_is_named(width: int, rows: list[list[str]]) -> None:
+    text, left_out = shown(width, rows)
+    kept = [place for place, title in enumerate(TITLES) if title not in left_out]
+    assert max(map(len, text.splitlines())) <= width
+    for word in " ".join(TITLES[place] for place in kept).split():
+        assert word in text
+    for row in rows:
+        assert all(row[place] in text for place in kept)
+    assert [RANKS[name] for name in left_out] == sorted((RANKS[name] for name in left_out), reverse=True)
+
+
+def test_a_usual_session_has_its_most_important_figures_in_80_columns() -> None:
+    row = ["environment", "environment", "123456", "1000", "12345", "1234", "1234", "0", "0", *["-1.23e-02"] * 4, "9"]
+    _, left_out = shown(80, [row])
+    assert not {"node", "tick", "rate\n[Hz]", "late", "τ p50\n[µs]", "τ p99\n[µs]", "frozen"} & set(left_out)
+    _, wide = shown(200, [row])
+    assert wide == []
+
+
+@pytest.mark.parametrize(("terminal", "lines"), [(True, 3), (False, 1)])
+def test_a_terminal_breaks_a_sentence_between_words(terminal: bool, lines: int) -> None:
+    out = io.StringIO()
+    sentence = "notice: the delay of dx was above the certified one in 12 % of its ticks; choose a longer period than T"
+    say(Console(file=out, width=40, force_terminal=terminal, color_system=None), sentence)
+    found = out.getvalue().splitlines()
+    assert len(found) == lines
+    assert " ".join(line.strip() for line in found) == sentence

@@ -1,0 +1,104 @@
+"""Layouts of Foxglove and PlotJuggler: their forms, and the names that need quotes."""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from manyhands.launch.files import TargetError
+from manyhands.launch.recordings.attached import recorded_of
+from manyhands.launch.view.layouts import (
+    Series,
+    foxglove_layout,
+    foxglove_path,
+    live_topics,
+    pages_of,
+    plotjuggler_layout,
+    plotjuggler_name,
+    save_layout,
+)
+
+from ...support.observed_session import ABOUT, UNCERTIFIED
+
+RECORDED, THERE = recorded_of(ABOUT), live_topics(ABOUT)
+
+
+@pytest.mark.parametrize(
+    ("curve", "foxglove", "plotjuggler"),
+    [
+        (Series("/a-1/d/sample", ("x", 2), ""), "/a-1/d/sample.x[2]", "/a-1/d/sample/x[2]"),
+        (Series("/a.b/d/tau", ("tau_us",), ""), '"/a.b/d/tau".tau_us', "/a.b/d/tau/tau_us"),
+        (Series("/a/d/c", ("states", "d.1"), ""), '/a/d/c.states."d.1"', "/a/d/c/states/d.1"),
+        (Series("/a/d/c", ("states", "3d"), ""), '/a/d/c.states."3d"', "/a/d/c/states/3d"),
+    ],
+)
+def test_names_of_curves(curve: Series, foxglove: str, plotjuggler: str) -> None:
+    assert foxglove_path(curve) == foxglove
+    assert plotjuggler_name(curve) == plotjuggler
+
+
+def leaves(tree: Any) -> list[str]:
+    """The panels of a layout's tree."""
+    return [tree] if isinstance(tree, str) else [*leaves(tree["first"]), *leaves(tree["second"])]
+
+
+def test_every_panel_of_foxglove_is_shown_and_has_its_settings() -> None:
+    layout = json.loads(foxglove_layout(RECORDED, THERE))
+    panels = layout["configById"]
+    shown = leaves(layout["layout"])
+    shown += [panel for tab in panels["Tab!pages"]["tabs"] for panel in leaves(tab["layout"])]
+    assert sorted(shown) == sorted(panels)
+    assert [tab["title"] for tab in panels["Tab!pages"]["tabs"]] == ["motion", "promises"]  # it has no wave link
+    (positions,) = [panel for panel in panels.values() if panel.get("foxglovePanelTitle", "").startswith("positions")]
+    assert positions["foxglovePanelTitle"].endswith(", m")
+    series = {path["value"]: path["label"] for path in positions["paths"]}
+    assert series["/pair/right/sample.x[1]"] == "x of right.y at right"
+
+
+def test_splits_give_each_plot_the_same_height() -> None:
+    layout = json.loads(foxglove_layout(RECORDED, THERE))
+    tree, left, heights = layout["configById"]["Tab!pages"]["tabs"][0]["layout"], 100.0, []
+    while not isinstance(tree, str):
+        heights.append(left * tree["splitPercentage"] / 100)
+        left, tree = left - heights[-1], tree["second"]
+    assert [*heights, left] == pytest.approx([100 / 3] * 3)
+
+
+def test_the_layouts_of_both_programs_have_the_same_curves() -> None:
+    root = ET.fromstring(plotjuggler_layout(RECORDED, THERE))
+    expected = [curve for page in pages_of(RECORDED, THERE) for plot in page.plots for curve in plot.curves]
+    assert [curve.get("name") for curve in root.iter("curve")] == [*map(plotjuggler_name, expected)]
+    assert [tab.get("tab_name") for tab in root.iter("Tab")] == ["motion", "promises"]
+    for split in root.iter("DockSplitter"):
+        assert split.get("count") == str(len(split))
+        assert len((split.get("sizes") or "").split(";")) == len(split)
+
+
+def test_a_topic_that_is_not_there_is_in_no_plot() -> None:
+    uncertified = live_topics(UNCERTIFIED)
+    titles = [plot.title for page in pages_of(RECORDED, uncertified) for plot in page.plots]
+    assert "ledgers" not in titles
+    assert pages_of(RECORDED, [("left", "sample")])[0].plots[0].curves == (
+        Series("/pair/left/sample", ("x", 0), "x of left at left"),
+    )
+
+
+def test_a_layout_of_another_suffix_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(TargetError, match=r"found the suffix '\.yaml'; expected \.json for Foxglove or \.xml"):
+        save_layout(tmp_path / "layout.yaml", RECORDED, THERE)
+    with pytest.raises(TargetError, match="found no folder"):
+        save_layout(tmp_path / "none" / "layout.xml", RECORDED, THERE)
+    assert [*tmp_path.iterdir()] == []
+
+
+def test_names_are_written_as_xml_allows(tmp_path: Path) -> None:
+    strange = replace(RECORDED, session='a"<&>b')
+    save_layout(tmp_path / "layout.xml", strange, THERE)
+    names = [curve.get("name") or "" for curve in ET.parse(tmp_path / "layout.xml").getroot().iter("curve")]
+    assert names
+    assert all(name.startswith('/a"<&>b/') for name in names)
