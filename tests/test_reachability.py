@@ -1,9 +1,9 @@
 """Every module, function, class and method of the product is reached from an entry point, the public API or a document.
 
-The roots are the commands of pyproject.toml, every ``__main__``, the names that :data:`PUBLIC` packages declare in
-``__all__``, the examples, and the documents: the Python that they show and the ``manyhands.…`` names in their text.
-From there the search follows what the code itself refers to. Tests are no root: what only they use belongs to
-tests/support.
+The roots are the commands of pyproject.toml and of manyhands' own list, every ``__main__``, the names that
+:data:`PUBLIC` packages declare in ``__all__``, the examples, and the documents: the Python that they show and the
+``manyhands.…`` names in their text. From there the search follows what the code itself refers to. Tests are no root:
+what only they use belongs to tests/support.
 
 A name at a module's top level is followed exactly, through imports. An attribute is followed by its name alone, to
 every class that is reached. So a dead method hides behind a living one of the same name, and nothing living is
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import ast
 import doctest
+import functools
 import importlib
 import os
 import re
@@ -22,13 +23,15 @@ import tomllib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import manyhands
+from manyhands.launch.cli import GROUPS
 
 PRODUCT = Path(manyhands.__file__).parent
 REPOSITORY = Path(__file__).parents[1]
-PUBLIC = ("manyhands", "manyhands.design")
+PUBLIC = ("manyhands", "manyhands.design.passivity")
 
 TRANSPARENT = {
     "abstractmethod", "cache", "cached_property", "classmethod", "contextmanager", "dataclass", "final", "lru_cache",
@@ -256,6 +259,7 @@ class Search:
         return (
             unit.method in self._attributes
             or unit in module.registered
+            or called_by_a_base(unit)
             or (unit.method.startswith("__") and unit.method.endswith("__"))
         )
 
@@ -330,13 +334,19 @@ def unreached(modules: dict[str, Module], commands: Iterable[str], texts: Iterab
     search = Search(modules)
     for command in commands:
         search.name(*command.split(":"))
+    for listed in (listed for group in GROUPS.values() for listed in group.values()):
+        search.module(f"manyhands.launch.cli.{listed.module}")  # imported when one of its commands runs
     for name in modules:
         if name.rpartition(".")[2] == "__main__":
             search.module(name)
     for name in PUBLIC:
         package = importlib.import_module(name)
         for exported in getattr(package, "__all__", ()):
-            search.public(getattr(package, exported))
+            one = getattr(package, exported)
+            if not isinstance(one, ModuleType):
+                search.public(one)
+            elif callable(one):  # a room whose name is a function's, too
+                search.name("manyhands.launch.api", exported)
     for text in texts:
         for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
             search.code([ast.parse(python(textwrap.dedent(block)))], "", {}, "")
@@ -351,10 +361,10 @@ def unreached(modules: dict[str, Module], commands: Iterable[str], texts: Iterab
         for unit in found
         if not (unit.name and Unit(unit.module) in missing)
         and not (unit.method and Unit(unit.module, unit.name) in missing)
-        and not (unit.method and called_by_a_base(unit))
     ]
 
 
+@functools.cache
 def called_by_a_base(unit: Unit) -> bool:
     """Whether a class that is not the product's knows the method: it may call it."""
     found = getattr(importlib.import_module(unit.module), unit.name)

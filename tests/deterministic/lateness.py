@@ -10,7 +10,8 @@ here takes time. Each session runs three times:
 - *counted*: the same instants without the tank. It is counted how many diverge or break their account: a campaign in
   which none does shows nothing.
 
-Hands push for a while, and are passive afterwards.
+Hands push for a while, and are passive afterwards. With a *latency* every device measures and acts late by itself, as a
+driver may state: its samples are old, and its forces act after their call. The certificate's tau has that in it.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import math
 import multiprocessing
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -32,11 +33,13 @@ from manyhands.design.errors import DesignError
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
-from manyhands.nodes.bundle import REALTIME, CouplingBundle, DeviceBundle, EnvironmentBundle
+from manyhands.nodes.bundle import REALTIME, CouplingBundle, DeviceBundle, EnvironmentBundle, PluginDevice
 from manyhands.nodes.coupling.core import CouplingCore
-from manyhands.nodes.device.drivers import driver_of
+from manyhands.nodes.device.drivers import Driver, driver_of
+from manyhands.nodes.device.specification import DeviceTiming
 from manyhands.nodes.device.tick import WallTimeTick
 from manyhands.nodes.environment.core import environment_core
+from manyhands.nodes.factory import FactoryName
 from manyhands.nodes.timeouts import STALE_TICKS
 from manyhands.protocol.clock import Duration, Instant, from_seconds
 
@@ -178,17 +181,56 @@ class Course:
         return not self.fastest < SPEED
 
 
-class Late:
-    """One device in wall time, with the instants of its loop."""
+class DelayedDriver:
+    """A device whose samples are ``age`` old, and whose forces act ``delay`` after their call, both in ns.
 
-    def __init__(self, bundle: DeviceBundle, tank: float | None) -> None:
-        self.tick = WallTimeTick(replace(bundle, tank=tank), driver_of(bundle))
+    The calls come in the order of their effects: no sample is older than the last force is new.
+    """
+
+    def __init__(self, driver: Driver, age: int, delay: int) -> None:
+        self._driver, self._age, self._delay, self.axes = driver, age, delay, driver.axes
+
+    def sample(self, tick: int, at: Instant) -> Sequence[float]:
+        return self._driver.sample(tick, Instant(at - self._age))
+
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> None:
+        end = None if until is None else Instant(until + self._delay)
+        self._driver.apply(f, Instant(at + self._delay), end)
+
+    def release(self, at: Instant) -> None:
+        self._driver.release(Instant(at + self._delay))
+
+    def idle(self, due: Instant) -> None:
+        """Nothing is integrated ahead: the next sample may be of an earlier instant than ``due``."""
+
+    def intended_work(self) -> float:
+        return self._driver.intended_work()
+
+    def figures(self) -> Mapping[str, float]:
+        return self._driver.figures()
+
+    def close(self) -> None:
+        self._driver.close()
+
+
+class Late:
+    """One device in wall time, with the instants of its loop, and a latency of its own in ns."""
+
+    def __init__(self, bundle: DeviceBundle, tank: float | None, latency: int = 0) -> None:
+        driver = driver_of(bundle)
+        if latency:
+            age = latency // 3
+            driver = DelayedDriver(driver, age, latency - age)
+            timing = DeviceTiming(age * 1e-9, 0.0, (latency - age) * 1e-9)
+            name = FactoryName("tests:made", {})
+            bundle = replace(bundle, source=PluginDevice(name, bundle.source.axes, timing=timing))
+        self.tick, self.latency = WallTimeTick(replace(bundle, tank=tank), driver), latency
         self.period = from_seconds(bundle.common.period)
         self.stale = Duration(STALE_TICKS * self.period)
         self.slot, self.turn, self.now, self.sampled, self.fastest = 0, 0, 0, 0, 0.0
 
     def sample(self, at: int) -> list[float]:
-        self.now = self.sampled = max(self.now, at)
+        self.now = self.sampled = max(self.now + self.latency, at)
         sent = self.tick.sample(self.turn, Instant(self.now))
         self.turn += 1
         self.fastest = max(self.fastest, self.tick.wall_interface.speed)
@@ -203,7 +245,7 @@ class Late:
         self.tick.driver.idle(Instant((at // self.period + 1) * self.period))
 
 
-def run(prepared: Prepared, plan: Plan, ticks: int, tank: float | None) -> Course:
+def run(prepared: Prepared, plan: Plan, ticks: int, tank: float | None, latency: int = 0) -> Course:
     """Run a session at drawn instants; it ends early once a device has diverged."""
     session = prepared.session
     bundles = cut(prepared, RunPlan(REALTIME, None, ""))
@@ -217,7 +259,7 @@ def run(prepared: Prepared, plan: Plan, ticks: int, tank: float | None) -> Cours
         ports = [index[port] for port in bundle.common.ports]
         match bundle:
             case DeviceBundle():
-                devices.append((Late(bundle, tank), ports))
+                devices.append((Late(bundle, tank, latency), ports))
             case CouplingBundle():
                 core = CouplingCore(bundle.block, bundle.K, bundle.level, session.period, bundle.limits.force)
                 couplings.append((core, ports))
@@ -245,7 +287,7 @@ def run(prepared: Prepared, plan: Plan, ticks: int, tank: float | None) -> Cours
         for device, ports in devices:
             at = closed + plan.delay()
             device.answer([f[port] for port in ports], at)
-            device.slot = plan.following(device.slot, at)
+            device.slot = plan.following(device.slot, at + latency)
         if any(device.fastest > SPEED for device, _ in devices):
             break
     return Course(
@@ -292,15 +334,19 @@ class Outcome:
         return tuple(found)
 
 
-def outcome_of(seed: int, ticks: int) -> Outcome | None:
-    """Design and run the session of this seed; None where nothing can be certified."""
+def outcome_of(seed: int, ticks: int, part: float = 0.0) -> Outcome | None:
+    """Design and run the session of this seed; None where nothing can be certified.
+
+    ``part`` is that of tau which is each device's own latency.
+    """
     prepared = prepared_session(seed)
     if prepared is None or prepared.certificate is None:
         return None
     period, tau = from_seconds(prepared.session.period), from_seconds(prepared.certificate.tau)
 
     def course(kind: str, tank: float | None) -> Course:
-        return run(prepared, Plan(tau, period, kind, seed), ticks, tank)
+        latency = int(part * tau)
+        return run(prepared, Plan(tau - latency, period, kind, seed), ticks, tank, latency)
 
     return Outcome(seed, course("covered", E_0), course("beyond", E_0), course("beyond", None))
 

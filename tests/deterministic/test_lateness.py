@@ -5,9 +5,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
-from tests.deterministic.lateness import Outcome, outcome_of
+from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.nodes.bundle import REALTIME, DeviceBundle
+from manyhands.nodes.device.drivers import driver_of
+from manyhands.nodes.device.tick import WallTimeTick
+from manyhands.protocol.clock import Instant
+from tests.deterministic.lateness import E_0, DelayedDriver, Late, Outcome, outcome_of, prepared_session
 
 SEEDS = (1, 2, 3, 5)
 
@@ -27,3 +35,42 @@ def test_without_the_tank_the_same_instants_break_accounts(outcomes: list[Outcom
     """Otherwise the other test would show nothing."""
     assert any(outcome.counted.diverged for outcome in outcomes)
     assert any(outcome.enforced.changed > 0 for outcome in outcomes)
+
+
+@pytest.mark.parametrize("part", [0.4, 1.0])
+def test_a_latency_that_is_stated_is_as_a_delay_of_the_loop(part: float) -> None:
+    """A part of tau, or all of it, is the devices' own: their age and delay are accounted for, and bounded alike."""
+    found = [outcome for seed in (2, 5) if (outcome := outcome_of(seed, 500, part)) is not None]
+    assert len(found) == 2
+    assert [outcome.violations for outcome in found] == [(), ()]
+    assert any(outcome.enforced.changed > 0 for outcome in found)
+    assert any(outcome.counted.least < -E_0 for outcome in found)
+
+
+def test_the_account_of_a_late_device_is_that_of_its_true_instants() -> None:
+    """A device that is late by itself, and a prompt one whose loop is late by as much, move and pay alike."""
+    prepared = prepared_session(2)
+    assert prepared is not None
+    bundle = next(one for one in cut(prepared, RunPlan(REALTIME, None, "")).values() if isinstance(one, DeviceBundle))
+    m, T = len(bundle.common.ports), round(1e9 * bundle.common.period)
+    latency, age = 3 * (T // 6), T // 6
+    late = Late(bundle, None, latency)
+    true = WallTimeTick(replace(bundle, tank=None), DelayedDriver(driver_of(bundle), 0, 0))
+    rng = np.random.default_rng(4)
+    at = 0
+    for k in range(300):
+        sampled = at + latency
+        applied = sampled + int(rng.integers(0, 2 * T))
+        at = max(at + T, -(-applied // T) * T)
+        f = rng.normal(0.0, 1.0, m).tolist()
+        for tick, sample, force in (
+            (late.tick, sampled, applied),
+            (true, sampled - age, applied + latency - age),
+        ):
+            tick.sample(k, Instant(sample))
+            tick.exert(f, Instant(force))
+            tick.book()
+        assert late.tick.x == true.x
+        e = late.tick.wall_interface.account.energy
+        assert e == pytest.approx(true.wall_interface.account.energy, abs=1e-12)
+    assert late.tick.wall_interface.account.energy > 1e-3

@@ -10,7 +10,11 @@ from pathlib import Path
 from typing import Any, Final
 from urllib.parse import urlsplit
 
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page, Route, WebSocketRoute, sync_playwright
+
+from manyhands.launch.view.feed import Cursor, Feed
+from manyhands.launch.view.security import HEADERS
+from manyhands.launch.view.server import load_assets
 
 from .commands import read_until, started
 
@@ -68,7 +72,7 @@ def viewed(*options: str | Path) -> Iterator[tuple[str, int]]:
     """
     with started("launch", SESSION, *SLOWED) as launched:
         read_until(launched, "running")
-        with started("view", "--session", str(launched.pid), *options) as view:
+        with started("view", "--running", str(launched.pid), *options) as view:
             address = re.sub(r"^page: ", "", read_until(view, "page: ").strip())
             yield address, launched.pid
             view.send_signal(signal.SIGINT)
@@ -120,3 +124,92 @@ def centre(page: Page, where: str) -> tuple[float, float]:
     box = page.locator(where).bounding_box()
     assert box is not None
     return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+
+NOWHERE: Final = "http://127.0.0.1:9/"
+"""The address of a page that no server serves: the test answers its requests itself."""
+
+BOXES: Final = """() => {
+  const wrong = [];
+  const seen = (element) => element.checkVisibility() && element.textContent.trim() !== "";
+  const compare = (what, elements) => {
+    const boxes = elements.filter(seen).map((element) => [element.textContent.trim(), element.getBoundingClientRect()]);
+    boxes.forEach(([text, a], i) => {
+      for (const [other, b] of boxes.slice(i + 1)) {
+        const width = Math.min(a.right, b.right) - Math.max(a.left, b.left);
+        const height = Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top);
+        if (width > 1 && height > 1) wrong.push(`${what}: ${text} | ${other}`);
+      }
+    });
+    return boxes;
+  };
+  for (const drawing of document.querySelectorAll("#world-drawing svg, #graph-drawing svg")) {
+    const whole = drawing.getBoundingClientRect();
+    for (const [text, box] of compare("drawing", [...drawing.querySelectorAll("text")])) {
+      const aside = Math.max(whole.left - box.left, box.right - whole.right);
+      const outside = Math.max(aside, whole.top - box.top, box.bottom - whole.bottom);
+      if (outside > 1) wrong.push(`outside its drawing: ${text}`);
+    }
+  }
+  const words = "header :is(h1, p, dt, dd), section :is(h2, button, caption), table :is(th, td), #lobby li, #forces li";
+  compare("words", [...document.querySelectorAll(words)]);
+  const over = document.documentElement.scrollWidth - document.documentElement.clientWidth;
+  if (over > 0) wrong.push(`the page is ${over} px wider than its window`);
+  return wrong;
+}"""
+"""The texts that overlap, or that leave their drawing, by their boxes on the screen; and what is too wide."""
+
+
+class ShownPage:
+    """The page of a session that exists only as a feed of given frames, without a server and without processes.
+
+    Attributes:
+        page: the browser's page.
+        wrong: every error and warning of the page.
+    """
+
+    def __init__(self, browser: Browser, feed: Feed, width: int, scheme: Any) -> None:
+        """Open the page, and show the feed's present state."""
+        self.wrong: list[str] = []
+        self._feed, self._cursor, self._sent = feed, Cursor(), 0
+        self._sockets: list[WebSocketRoute] = []
+        self.page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
+        self.page.set_default_timeout(60_000)
+        self.page.on("pageerror", lambda error: self.wrong.append(f"error {error}"))
+        self.page.on(
+            "console", lambda told: self.wrong.append(told.text) if told.type in ("error", "warning") else None
+        )
+        assets = load_assets()
+
+        def answer(route: Route) -> None:
+            asset = assets.get(urlsplit(route.request.url).path)
+            if asset is None:
+                self.wrong.append(f"request to {route.request.url}")
+                route.abort()
+                return
+            headers = {name.decode(): value.decode() for name, value in HEADERS}
+            route.fulfill(body=asset.content, headers=headers | {"content-type": asset.type})
+
+        def connected(socket: WebSocketRoute) -> None:
+            self._sockets.append(socket)
+            socket.send(feed.session())
+            self._send()
+
+        self.page.route("**/*", answer)
+        self.page.route_web_socket("**/socket", connected)
+        self.page.goto(NOWHERE)
+        self._await_drawing()
+
+    def show(self) -> None:
+        """Show what the feed has taken in since."""
+        self._send()
+        self._await_drawing()
+
+    def _send(self) -> None:
+        self._sent += 1
+        self._sockets[-1].send(self._feed.picture(self._cursor, {}))
+
+    def _await_drawing(self) -> None:
+        until(self.page, "body", "data-pictures", equals=str(self._sent))
+        tick = self._feed.scene.tick
+        until(self.page, "body", "data-tick", equals=str(tick))

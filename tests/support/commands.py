@@ -6,8 +6,9 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import chdir, contextmanager
 from pathlib import Path
+from typing import Final
 
 from click.testing import Result
 from typer.testing import CliRunner
@@ -15,6 +16,10 @@ from typer.testing import CliRunner
 from manyhands.launch.cli import app
 
 MANYHANDS = [sys.executable, "-P", "-m", "manyhands"]
+
+
+STARTS_PROCESSES: Final = ("launch", "host", "doctor")
+"""Commands that ask the kernel for what a test's process should not have, and so run in processes of their own."""
 
 
 def manyhands_command(*arguments: object) -> Result:
@@ -25,14 +30,25 @@ def manyhands_command(*arguments: object) -> Result:
 def run(*arguments: str | Path, cwd: Path | None = None) -> str:
     """Run a command to its end and return its standard output.
 
+    It runs within this process, which has imported everything, unless it starts a session. Ctrl-C is as it was before.
+
     Raises:
         AssertionError: its exit code is not 0; the message has its output.
     """
-    done = subprocess.run([*MANYHANDS, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, (
-        f"manyhands {' '.join(map(str, arguments))} ended with {done.returncode}: {done.stderr}"
-    )
-    return done.stdout
+    words = [str(argument) for argument in arguments]
+    if words[0] in STARTS_PROCESSES:
+        done = subprocess.run([*MANYHANDS, *words], cwd=cwd, capture_output=True, text=True, timeout=120)
+        code, out, errors = done.returncode, done.stdout, done.stderr
+    else:
+        before = signal.getsignal(signal.SIGINT)
+        try:
+            with chdir(cwd or Path.cwd()):
+                ended = manyhands_command(*words)
+        finally:
+            signal.signal(signal.SIGINT, before)
+        code, out, errors = ended.exit_code, ended.stdout, ended.stderr
+    assert code == 0, f"manyhands {' '.join(words)} ended with {code}: {errors}"
+    return out
 
 
 @contextmanager

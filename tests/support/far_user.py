@@ -99,7 +99,7 @@ SET: Final = tuple(word for override in OVERRIDES for word in ("--set", override
 def run_across(one: Wan, folder: Path, seconds: float) -> tuple[RecordedRun, dict[str, Any], list[str]]:
     """Run the session, its far nodes by invitation; the recording, the report, and what was wrong with the run."""
     certificate, keys = folder / "c.json", folder / "keys"
-    run("keys", EXAMPLE, *SET, "-o", keys)
+    run("invite", EXAMPLE, *SET, "--keys", keys)
     shared = ("--keys", str(keys), "--certificate", str(certificate), *SET)
     for name in FAR:
         run("invite", EXAMPLE, name, *shared, "-o", folder / f"{name}.bundle")
@@ -111,7 +111,7 @@ def run_across(one: Wan, folder: Path, seconds: float) -> tuple[RecordedRun, dic
     )
     nodes = {
         name: (
-            *("node", name, "--session", str(folder / f"{name}.bundle"), "--connect", f"tcp://{place}"),
+            *("node", name, "--bundle", str(folder / f"{name}.bundle"), "--connect", f"tcp://{place}"),
             *("--key", str(keys / "private" / f"{name}.key")),
         )
         for name in FAR

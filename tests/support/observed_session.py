@@ -8,9 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from manyhands.nodes.observer.health_model import HealthModel
 from manyhands.nodes.observer.scene import About, CertificateAbout, LinkAbout, NodeAbout, SpringAbout
 from manyhands.nodes.observer.tracks import Floats
-from manyhands.protocol.codec import encode
+from manyhands.protocol.codec import decode, encode
+from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Condition, Observation, Role
 
 ABOUT = About(
@@ -50,6 +52,19 @@ UNCERTIFIED = replace(ABOUT, certificate=None)
 def observed(node: str, tick: int, traces: Mapping[str, Floats], **figures: float) -> bytes:
     """A frame of a node's telemetry."""
     return encode(Observation(node, tick, figures, traces))
+
+
+def judged(*frames: bytes, about: About = ABOUT) -> bytes:
+    """The frame of the condition that a supervisor shows after these frames, with what they say of the promises."""
+    model, shown = HealthModel(about.terms), Condition("running", 1.0, dict.fromkeys(about.nodes, "running"))
+    for frame in frames:
+        message = decode(frame, MAX_CONTROL_BYTES)
+        if isinstance(message, Observation):
+            model.take(message.node, message.tick, message.figures)
+        elif isinstance(message, Condition):
+            shown = message
+    model.look(shown.states, shown.silent, shown.elapsed)
+    return encode(replace(shown, promises=model.rows()))
 
 
 def moving(tick: int, rows: int = 100) -> bytes:

@@ -73,7 +73,7 @@ def loop(
     began = clock.now()
     ages: list[int] = []
     newest: Wave | None = None
-    taken, up = 0, 0
+    taken, up, opened, latest = 0, 0, 0, -1
     for tick in range(time // PERIOD):
         clock.sleep_until(Instant(began + tick * PERIOD))
         path.send(Wave(tick, (float(clock.now()),), float(tick)))
@@ -84,6 +84,8 @@ def loop(
         taken += wave is not None
         newest = wave or newest
         up += path.state is PathState.UP
+        if path.end.opened > opened:
+            opened, latest = path.end.opened, tick
         if newest is not None:
             ages.append(clock.now() - int(newest.sums[0]))
     return {
@@ -92,6 +94,7 @@ def loop(
         "up": up,
         "state": path.state,
         "opened": path.end.opened,
+        "latest": latest,
         "refused": path.end.refused,
         "dropped": path.gate.dropped,
         "ticks": time // PERIOD,

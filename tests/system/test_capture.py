@@ -25,7 +25,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("capture")
     (folder / "session.yaml").write_text(distinctive_session.as_file(distinctive_session.session()))
     run("design", folder / "session.yaml", "-o", folder / "certificate.json")
-    run("keys", folder / "session.yaml", "-o", folder / "keys")
+    run("invite", folder / "session.yaml", "--keys", folder / "keys")
     return folder
 
 

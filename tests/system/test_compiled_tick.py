@@ -77,6 +77,7 @@ def test_every_module_of_the_list_exists() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.alone  # real-time sessions of another worker leave the compiler no processor
 def test_a_compiled_run_has_the_numbers_of_pure_python(tmp_path: Path) -> None:
     """The same sessions under the simulated clock, recorded by both, to the last bit."""
     compiler = (sysconfig.get_config_var("CC") or "cc").split()[0]

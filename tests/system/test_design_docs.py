@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 from typer.testing import CliRunner
 
-from manyhands import design
+from manyhands import passivity
 from manyhands.launch import cli
 
 ROOT = Path(__file__).parents[2]
@@ -92,8 +91,6 @@ def test_every_block_prints_its_quoted_output(tmp_path: Path, monkeypatch: pytes
     """In the page's order, in one folder: commands leave files that the code reads, and the other way round."""
     monkeypatch.chdir(tmp_path)
     # as to a file, even where the tests themselves write to a terminal
-    monkeypatch.setattr(cli, "out", Console(width=140, color_system=None, highlight=False))
-    monkeypatch.setattr(cli, "err", Console(width=140, color_system=None, highlight=False, stderr=True))
     runner = doctest.DocTestRunner(optionflags=FLAGS, verbose=False)
     names: dict[str, object] = {}
     wrong: list[str] = []
@@ -154,6 +151,6 @@ def test_the_check_sees_what_is_wrong() -> None:
     assert unfounded(page + "<!-- computed by: python a.py -->\n| 2750.5 |\n") == []
 
 
-def test_the_page_describes_every_public_name_of_design() -> None:
+def test_the_page_describes_every_name_of_the_passivity_library() -> None:
     text = PAGE.read_text(encoding="utf-8")
-    assert [name for name in design.__all__ if f"`{name}`" not in text] == []
+    assert [name for name in passivity.__all__ if f"`{name}`" not in text] == []

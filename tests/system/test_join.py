@@ -94,7 +94,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Home:
     folder = tmp_path_factory.mktemp("home")
     (folder / "session.yaml").write_text((SESSIONS / "example1.yaml").read_text() + OBSERVERS)
     run("design", folder / "session.yaml", "-o", folder / "c.json")
-    run("keys", folder / "session.yaml", "-o", folder / "keys")
+    run("invite", folder / "session.yaml", "--keys", folder / "keys")
     session = load_session(folder / "session.yaml")
     return Home(folder, prepare(session, folder / "c.json"), load_folder(session, folder / "keys"))
 
@@ -115,7 +115,7 @@ def machine(tmp_path: Path) -> Path:
 @contextmanager
 def guest(name: str, machine: Path, listen: Listen, *options: str) -> Iterator[subprocess.Popen[str]]:
     """``manyhands node`` on another machine; killed if the test fails before it ends."""
-    arguments = ["node", name, "--session", f"{name}.bundle", "--connect", f"tcp://{listen.host}:{listen.port}"]
+    arguments = ["node", name, "--bundle", f"{name}.bundle", "--connect", f"tcp://{listen.host}:{listen.port}"]
     with subprocess.Popen(
         [*MANYHANDS, *arguments, *options],
         cwd=machine,
@@ -170,7 +170,7 @@ def assert_as_simulated(outcome: Outcome, home: Home) -> None:
 def test_from_keys_to_a_run_with_a_guest(tmp_path: Path, machine: Path, listen: Listen) -> None:
     """As two people do it, by the command line alone; the private key has left the launching machine."""
     run("design", "example1.yaml", "-o", tmp_path / "c.json")
-    run("keys", "example1.yaml", "-o", tmp_path / "keys")
+    run("invite", "example1.yaml", "--keys", tmp_path / "keys")
     invitation = ("--keys", tmp_path / "keys", "--certificate", tmp_path / "c.json", "--clock", "simulated")
     run("invite", "example1.yaml", "dx", *invitation, "-o", machine / "dx.bundle")
     (tmp_path / "keys/private/dx.key").rename(machine / "dx.key")
@@ -214,7 +214,7 @@ def test_several_guests_give_the_simulations_numbers(
         guests = []
         for name in names:
             home.invited(name, machine, keyed=keyed)
-            guests.append(stack.enter_context(guest(name, machine, listen, "--host", "127.0.0.1")))
+            guests.append(stack.enter_context(guest(name, machine, listen, "--address", "127.0.0.1")))
         outcome = home.supervisor(listen, *names, ticks=TICKS, keyed=keyed).run()
         assert [end_of(process) for process in guests] == [(EXIT_OK, "")] * len(names)
     assert_as_simulated(outcome, home)
@@ -373,7 +373,7 @@ def test_a_guest_with_another_certificate_gets_the_reason(home: Home, machine: P
         code, err = end_of(dx)
     text = (
         f"supervisor refused dx: found the certificate {'0' * 64}; expected {home.prepared.id}; "
-        "start all nodes of the session from one certificate file"
+        "start all nodes of the session from one certificate file, or have the invitation renewed"
     )
     assert (code, err) == (EXIT_REFUSED, text)
     assert outcome.faults == (text,)

@@ -144,14 +144,14 @@ def test_one_command_starts_nodes_on_another_machine(home: Home, stand: Stand, t
     words = stand.seen.read_text()
     assert words.count("\nlab\n") == len(FAR)
     assert "secret" not in words
-    assert f"node dx --session - --connect tcp://10.9.0.1:{PORT}\n" in words
+    assert f"node dx --bundle - --connect tcp://10.9.0.1:{PORT}\n" in words
     assert list(stand.machine.iterdir()) == [], "a bundle or a key is left on the other machine"
 
 
 @pytest.mark.long
 def test_the_same_by_hand(home: Home, tmp_path: Path) -> None:
     """The launch prints what is to be run on the other machine, which has bundles and keys and nothing else."""
-    run("keys", EXAMPLE, *SET, "-o", home.folder / "keys")
+    run("invite", EXAMPLE, *SET, "--keys", home.folder / "keys")
     for name in FAR:
         run("invite", *home.session, name, "--keys", home.folder / "keys", "-o", tmp_path / f"{name}.bundle")
         (home.folder / "keys" / "private" / f"{name}.key").rename(tmp_path / f"{name}.key")

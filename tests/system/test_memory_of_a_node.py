@@ -80,7 +80,7 @@ def owner(tmp_path_factory: pytest.TempPathFactory) -> Owner:
     session = distinctive_session.session()
     (folder / "session.yaml").write_text(distinctive_session.as_file(session))
     run("design", folder / "session.yaml", "-o", folder / "certificate.json")
-    run("keys", folder / "session.yaml", "-o", folder / "keys")
+    run("invite", folder / "session.yaml", "--keys", folder / "keys")
     run(
         *("invite", folder / "session.yaml", DEVICE, "--keys", folder / "keys", "--clock", "simulated"),
         *("--certificate", folder / "certificate.json", "-o", folder / f"{DEVICE}.bundle"),
@@ -130,7 +130,7 @@ def remote(owner: Owner, port: int) -> tuple[str | Path, ...]:
 
 def joining(port: int) -> tuple[str, ...]:
     """The command on the other machine, in the folder with the bundle and the key."""
-    files = ("--session", f"{DEVICE}.bundle", "--key", f"{DEVICE}.key")
+    files = ("--bundle", f"{DEVICE}.bundle", "--key", f"{DEVICE}.key")
     return ("node", DEVICE, *files, "--connect", f"tcp://127.0.0.1:{port}")
 
 

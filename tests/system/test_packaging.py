@@ -1,8 +1,13 @@
-"""From the source distribution to a wheel to an installation: the way on which layouts with links lose files."""
+"""From the source distribution to a wheel to an installation: the way on which layouts with links lose files.
+
+An installation of the base alone runs what a guest needs, and names the extra that anything else needs.
+"""
 
 from __future__ import annotations
 
-import os
+import json
+import re
+import shlex
 import subprocess
 import sys
 import tarfile
@@ -10,52 +15,79 @@ import zipfile
 from pathlib import Path
 
 import pytest
+import typer
+from packaging.metadata import Metadata
 
-ROOT = Path(__file__).parents[2]
+from manyhands.extras import EXTRAS
+from manyhands.launch.cli import app
+
+from ..support.installed import NEEDED, ROOT, Distributions, build, install_base, run
+
 ROOMS = ("design", "protocol", "nodes", "launch")
 
-
-def run(*command: str | Path, cwd: Path, **environment: str) -> str:
-    done = subprocess.run(
-        [str(part) for part in command],
-        cwd=cwd,
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+RUN_EXAMPLES = """
+import json, sys
+from typer.testing import CliRunner
+from manyhands.launch.cli import app
+found = {}
+for name, arguments in json.load(sys.stdin).items():
+    done = CliRunner().invoke(app, arguments)
+    found[name] = done.exit_code, done.stderr
+json.dump(found, sys.stdout)
+"""
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The wheel built from the unpacked source distribution, without the checkout around it."""
-    out = tmp_path_factory.mktemp("dist")
-    build = [sys.executable, "-P", "-m", "build", "--no-isolation", "--outdir"]
-    run(*build, out, "--sdist", ROOT, cwd=out)
-    (sdist,) = out.glob("*.tar.gz")
-    with tarfile.open(sdist) as archive:
-        # Python 3.11 has filters from its fourth patch on
-        archive.extractall(out, **({"filter": "data"} if hasattr(tarfile, "data_filter") else {}))
-    (source,) = [path for path in out.iterdir() if path.is_dir()]
-    run(*build, out, "--wheel", source, cwd=out)
-    (built,) = out.glob("*.whl")
-    return built
+def distributions(tmp_path_factory: pytest.TempPathFactory) -> Distributions:
+    return build(tmp_path_factory.mktemp("dist"))
+
+
+@pytest.fixture(scope="module")
+def wheel(distributions: Distributions) -> Path:
+    return distributions.wheel
+
+
+@pytest.fixture(scope="module")
+def base(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return install_base(tmp_path_factory.mktemp("base"), wheel)
 
 
 def test_the_wheel_holds_every_file_of_the_rooms_once(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
     held = {name for name in names if name.startswith("manyhands/")}
-    expected = {"manyhands/__init__.py", "manyhands/__main__.py", "manyhands/py.typed"}
+    expected = {
+        f"manyhands/{name}"
+        for name in ("__init__.py", "__init__.pyi", "__main__.py", "extras.py", "lazy_names.py", "py.typed")
+    }
     for room in ROOMS:
         for path in (ROOT / room).rglob("*"):
             if path.is_file() and "__pycache__" not in path.parts:
                 expected.add(f"manyhands/{path.relative_to(ROOT)}")
     assert held == expected
     assert len(names) == len(set(names))
-    assert not any(name.startswith(("tests/", "src/", "launch/", "nodes/")) for name in names)
+    others = {re.sub(r"^manyhands-[^/]+\.dist-info/", "", name) for name in names} - held
+    assert others == {"METADATA", "WHEEL", "RECORD", "entry_points.txt", "licenses/LICENSE"}
+
+
+def test_the_source_distribution_holds_no_caches_links_or_output(distributions: Distributions) -> None:
+    with tarfile.open(distributions.sdist) as archive:
+        members = archive.getmembers()
+    names = [member.name.partition("/")[2] for member in members]
+    assert all(member.isfile() for member in members)
+    assert not [name for name in names if re.search(r"(^|/)(__pycache__|out|dist|\.venv|\.\w+_cache)/", name)]
+    assert {"LICENSE", "README.md", "CHANGELOG.md", "CITATION.cff", "Makefile", "tests/conftest.py"} <= {*names}
+
+
+def test_the_metadata_are_valid_and_name_every_extra(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        (name,) = [name for name in archive.namelist() if name.endswith(".dist-info/METADATA")]
+        found = Metadata.from_email(archive.read(name), validate=True)
+    assert found.description_content_type == "text/markdown"
+    assert found.description is not None
+    assert found.description.startswith("# manyhands")
+    assert found.license_expression == "Apache-2.0"
+    assert {*EXTRAS, "all", "dev", "docs"} == {*(found.provides_extra or ())}
 
 
 def test_the_installed_package_designs_and_runs(wheel: Path, tmp_path: Path) -> None:
@@ -74,3 +106,67 @@ def test_the_installed_package_designs_and_runs(wheel: Path, tmp_path: Path) -> 
         "--report", "r.json", cwd=tmp_path, PYTHONPATH=str(site),
     )  # fmt: skip
     assert (tmp_path / "r.json").exists()
+
+
+def test_the_base_has_no_library_of_an_extra(base: Path, tmp_path: Path) -> None:
+    modules = [module for every in EXTRAS.values() for module in every]
+    code = f"from importlib.util import find_spec; print([name for name in {modules} if find_spec(name)])"
+    assert run(base / "python", "-c", code, cwd=tmp_path).strip() == "[]"
+
+
+def test_a_guest_and_every_kind_of_node_need_the_base_alone(base: Path, tmp_path: Path) -> None:
+    nodes = ("device.__main__", "coupling.__main__", "environment.__main__", "observer.node", "remote", "seat")
+    code = "import " + ", ".join(f"manyhands.nodes.{module}" for module in nodes)
+    run(base / "python", "-c", code, cwd=tmp_path)
+    assert "Share:" in run(base / "manyhands", "--help", cwd=tmp_path)
+    for arguments, words in (
+        (("join", "nothing.invitation"), "error: nothing.invitation: found no file"),
+        (("node", "dx", "--bundle", "no.bundle", "--connect", "tcp://127.0.0.1:7400"), "error: no.bundle: cannot be"),
+    ):
+        done = subprocess.run([base / "manyhands", *arguments], cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == 2
+        assert done.stderr.startswith(words)
+
+
+def test_without_its_extra_each_command_names_it_and_writes_nothing(base: Path, tmp_path: Path) -> None:
+    group = typer.main.get_group(app)
+    examples = {}
+    for name in group.list_commands(None):
+        (line,) = [line for line in group.get_command(None, name).epilog.splitlines() if line.startswith("Example: ")]
+        examples[name] = shlex.split(line.removeprefix("Example: manyhands "))
+    done = subprocess.run(
+        [base / "python", "-P", "-c", RUN_EXAMPLES],
+        cwd=tmp_path,
+        input=json.dumps({name: examples[name] for name in NEEDED}),
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    for name, (code, text) in json.loads(done.stdout).items():
+        assert code == 2, f"{name}: {text}"
+        assert re.fullmatch(r"error: found no \w+(, \w+)*; expected .*\n", text), f"{name}: {text}"
+        assert text.endswith(f": pip install 'manyhands[{NEEDED[name]}]'\n"), f"{name}: {text}"
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_its_extra_each_function_of_python_names_it(base: Path, tmp_path: Path) -> None:
+    code = """
+from pathlib import Path
+import manyhands as mh
+from manyhands.launch.recordings.recording import RUN_SUFFIXES, require_suffix
+for act in (
+    lambda: mh.load("example1"),
+    lambda: mh.design({}),
+    lambda: mh.passivity.greatest_output_level,
+    lambda: mh.read("a.mcap"),
+    lambda: require_suffix(Path("a.mcap"), RUN_SUFFIXES),
+    lambda: mh.plot(None),
+):
+    try:
+        act()
+    except ImportError as error:
+        print(str(error).partition(": pip install ")[2])
+"""
+    found = run(base / "python", "-P", "-c", code, cwd=tmp_path).splitlines()
+    extras = ["design"] * 3 + ["record"] * 2 + ["plot"]
+    assert found == [f"'manyhands[{extra}]'" for extra in extras]

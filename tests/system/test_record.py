@@ -17,11 +17,12 @@ from ..support.commands import read_until, started
 
 def test_a_running_session_is_recorded_from_another_terminal(tmp_path: Path) -> None:
     kept, part, rest = tmp_path / "run", tmp_path / "part.mcap", tmp_path / "rest.mcap"
-    with started("launch", "example1.yaml", "--set", "design.tau=0", "--directory", kept) as session:
+    slow = ["--set", "design.tau=0", "--set", "period=0.01"]  # a tenth of the ticks to record and to read
+    with started("launch", "example1.yaml", *slow, "--directory", kept) as session:
         read_until(session, "running")
         with (
             started("record", kept, "-o", part) as first,
-            started("record", "--session", "example-1", "-o", rest) as other,
+            started("record", "--running", "example-1", "-o", rest) as other,
         ):
             read_until(first, "recording example-1")
             read_until(other, "recording example-1")

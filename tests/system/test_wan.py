@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import ipaddress
+import struct
 from typing import Literal
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from ..support.nat import Nat
 from ..support.path_ends import run_ends
 from ..support.wan import Way, Wire, wan
 
@@ -49,6 +54,42 @@ def test_a_wire_may_let_no_datagrams_pass() -> None:
     assert len(sent(Wire())) == 4000
 
 
+# --- a router, without any namespace
+
+
+def datagram(source: tuple[str, int], destination: tuple[str, int], content: bytes) -> bytes:
+    """A datagram over IPv4, with both checksums."""
+    ends = b"".join(ipaddress.IPv4Address(address).packed for address, _ in (source, destination))
+    udp = struct.pack(">HHHH", source[1], destination[1], 8 + len(content), 0) + content
+    pseudo = ends + struct.pack(">BBH", 0, 17, len(udp))
+    udp = udp[:6] + struct.pack(">H", checksum(pseudo + udp)) + content
+    head = struct.pack(">BBHHHBBH", 0x45, 0, 20 + len(udp), 7, 0x4000, 64, 17, 0) + ends
+    return head[:10] + struct.pack(">H", checksum(head)) + ends + udp
+
+
+def checksum(data: bytes) -> int:
+    """The checksum of the internet (RFC 1071)."""
+    data += bytes(len(data) % 2)
+    total = sum(struct.unpack(f">{len(data) // 2}H", data))
+    while total >> 16:
+        total = (total & 0xFFFF) + (total >> 16)
+    return 0xFFFF - total
+
+
+@given(st.binary(max_size=60), st.integers(1, 65535), st.integers(1, 65535))
+def test_a_router_changes_address_and_port_alone_and_back(content: bytes, own: int, other: int) -> None:
+    router = Nat()
+    inner, outer, peer = ("10.9.0.2", own), ("10.9.0.77", 20000), ("10.9.0.1", other)
+    assert router.outward(datagram(inner, peer, content)) == datagram(outer, peer, content)
+    assert router.inward(datagram(peer, outer, content)) == datagram(peer, inner, content)
+    assert router.inward(datagram(("10.9.0.1", other % 65535 + 1), outer, content)) is None
+    assert router.inward(datagram(peer, inner, content)) is None
+    assert router.turned_away == 2
+    router.forget()
+    assert router.inward(datagram(peer, outer, content)) is None
+    assert router.outward(datagram(inner, peer, content)) == datagram(("10.9.0.77", 20001), peer, content)
+
+
 # --- two processes
 
 
@@ -63,6 +104,15 @@ def test_datagrams_bring_the_waves_across_a_wan(version: Literal[4, 6]) -> None:
         assert not any(count for reason, count in end["dropped"].items() if reason != "old_tick")
         assert end["refused"]["forged"] == end["refused"]["unknown_path"] == end["refused"]["no_datagram"] == 0
         assert end["refused"]["replayed"] > 0, "no packet has overtaken another"
+
+
+def test_datagrams_pass_a_router_that_translates_addresses_and_forgets_them() -> None:
+    """The environment learns the coupling's new address from its datagrams, each time that the router changes it."""
+    with wan(Wire(delay=0.02, jitter=0.005, loss=0.01, router=0.6)) as one:
+        ends = run_ends(one, SECONDS)
+    for end in ends.values():
+        assert end["latest"] > 0.8 * end["ticks"], "no datagram came any more after the router had changed its ports"
+        assert end["refused"]["forged"] == end["refused"]["unknown_path"] == 0
 
 
 def test_where_no_datagram_passes_the_link_brings_the_waves() -> None:

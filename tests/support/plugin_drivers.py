@@ -1,0 +1,189 @@
+"""A driver as another package would write it, moved by the instants of its calls, and eight that are broken."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from manyhands.nodes.device.plugin import DeviceDriver
+from manyhands.nodes.device.specification import NO_DELAY, DeviceSpecification, DeviceTiming
+from manyhands.protocol.clock import Instant
+
+STEP = 50_000  # ns of the integration
+SLOW = 3_000_000  # ns that a blocking call takes by CALLS
+
+
+class Calls:
+    """A timer of calls that only a driver moves on."""
+
+    def __init__(self) -> None:
+        self.ns = 0
+
+    def __call__(self) -> int:
+        return self.ns
+
+
+CALLS = Calls()
+
+
+class Counterpart(DeviceDriver):
+    """A mass with damping on each axis: what a package ships beside the driver of its hardware.
+
+    Its samples are ``age`` old, and its forces act ``delay`` later, s.
+    """
+
+    def __init__(self, ports: tuple[str, ...], period: float, parameters: Mapping[str, Any]) -> None:
+        self.n = n = len(ports)
+        self.mass, self.damping = parameters.get("mass", 0.2), parameters.get("damping", 1.5)
+        self.step = parameters.get("step", 0.0)  # of its encoders, m
+        self.clip = parameters.get("clip", 8.0)
+        self.age, self.delay = (round(1e9 * parameters.get(key, 0.0)) for key in ("age", "delay"))
+        self.stated = DeviceTiming(**parameters["timing"]) if "timing" in parameters else NO_DELAY
+        self.hardware = bool(parameters.get("hardware", False))
+        self.now: int | None = None
+        self.x, self.v, self.f = [0.0] * n, [0.0] * n, [0.0] * n
+        self.coming: list[tuple[int, list[float]]] = []  # forces, from an instant on
+        self.past: list[tuple[int, list[float]]] = []  # displacements
+        self.closed = False
+
+    def specification(self) -> DeviceSpecification:
+        n = self.n
+        return DeviceSpecification(
+            (8.0,) * n, (0.2,) * n, (2.0,) * n, self.stated, mass=(self.mass,) * n, hardware=self.hardware
+        )
+
+    def sample(self, tick: int, at: Instant) -> Sequence[float]:
+        self._move(at)
+        wanted = at - self.age
+        while len(self.past) > 1 and self.past[1][0] <= wanted:
+            del self.past[0]
+        return [x if self.step == 0.0 else self.step * round(x / self.step) for x in self.past[0][1]]
+
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Sequence[float] | None:
+        self._move(at)
+        clipped = [max(-self.clip, min(self.clip, force)) for force in f]
+        # what was to come later than this is replaced
+        self.coming = [one for one in self.coming if one[0] <= at + self.delay] + [(at + self.delay, clipped)]
+        if until is not None:
+            self.coming.append((until + self.delay, [0.0] * self.n))
+        self.commanded = clipped
+        return None if self.age or self.delay else self.x
+
+    def release(self, at: Instant) -> Sequence[float] | None:
+        return self.apply([0.0] * self.n, at)
+
+    def exerted(self) -> Sequence[float] | None:
+        return self.commanded
+
+    def close(self) -> None:
+        self.closed = True
+
+    def _move(self, to: int) -> None:
+        now = to if self.now is None else self.now
+        if self.now is None:
+            self.past.append((now, list(self.x)))
+        while now < to:
+            end = min(to, now + STEP)
+            while self.coming and self.coming[0][0] <= now:
+                self.f = self.coming.pop(0)[1]
+            if self.coming:
+                end = min(end, self.coming[0][0])
+            dt = (end - now) * 1e-9
+            for i in range(self.n):
+                self.v[i] += dt * (self.f[i] - self.damping * self.v[i]) / self.mass
+                self.x[i] += dt * self.v[i]
+            now = end
+            self.past.append((now, list(self.x)))
+        self.now = now
+
+
+class OldSample(Counterpart):
+    """Stale sample: it returns the displacement of 20 ms ago, and does not state it."""
+
+    def __init__(self, ports: tuple[str, ...], period: float, parameters: Mapping[str, Any]) -> None:
+        super().__init__(ports, period, {**parameters, "age": 0.02})
+
+
+class HeldSample(Counterpart):
+    """Stale sample: it reads the device once in twelve calls."""
+
+    def sample(self, tick: int, at: Instant) -> Sequence[float]:
+        if tick % 12 == 0:
+            self.held = list(super().sample(tick, at))
+        return self.held
+
+
+class Frozen(Counterpart):
+    """Stale sample: it never reads the device again."""
+
+    def sample(self, tick: int, at: Instant) -> Sequence[float]:
+        return [0.0] * self.n
+
+
+class NoRelease(Counterpart):
+    def release(self, at: Instant) -> Sequence[float] | None:
+        self._move(at)
+        return self.x
+
+
+class KeptOnSilence(Counterpart):
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Sequence[float] | None:
+        return super().apply(f, at)
+
+
+class WrongSign(Counterpart):
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Sequence[float] | None:
+        return super().apply([-force for force in f], at, until)
+
+
+class Millimetres(Counterpart):
+    """Wrong unit."""
+
+    def sample(self, tick: int, at: Instant) -> Sequence[float]:
+        return [1e3 * x for x in super().sample(tick, at)]
+
+
+class Millinewtons(Counterpart):
+    """Wrong unit."""
+
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Sequence[float] | None:
+        return super().apply([1e-3 * force for force in f], at, until)
+
+
+class SwappedAxes(Counterpart):
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Sequence[float] | None:
+        return super().apply(list(reversed(f)), at, until)
+
+
+class Blocking(Counterpart):
+    """Its sample waits for the next frame of the device."""
+
+    def sample(self, tick: int, at: Instant) -> Sequence[float]:
+        CALLS.ns += SLOW
+        return super().sample(tick, at)
+
+
+class Endless(Counterpart):
+    """A call of it returns only once somebody sets ``freed``."""
+
+    freed = threading.Event()
+
+    def sample(self, tick: int, at: Instant) -> Sequence[float]:
+        if tick == 100:
+            self.freed.wait()
+        return super().sample(tick, at)
+
+
+class Raising(Counterpart):
+    """Exception."""
+
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Sequence[float] | None:
+        if any(f):
+            raise OSError("no such device")
+        return super().apply(f, at, until)
+
+
+class WrongAnswer(Counterpart):
+    def sample(self, tick: int, at: Instant) -> Sequence[float]:
+        return [float("nan")] * self.n

@@ -1,0 +1,104 @@
+"""Which module belongs to which extra: one table, held against what is declared and what is imported."""
+
+from __future__ import annotations
+
+import ast
+import sys
+import tomllib
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+from manyhands.extras import EXTRAS, MissingExtra, explained, require
+
+from .support.commands import manyhands_command
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+SETS = PROJECT["optional-dependencies"]
+NO_MODULES = {"all", "dev", "docs"}  # sets of other extras, and of tools
+
+
+def names_in(requirements: list[str]) -> set[str]:
+    return {canonicalize_name(Requirement(text).name) for text in requirements}
+
+
+BY_MODULE = packages_distributions()
+
+
+def distributions_of(module: str) -> set[str]:
+    return {canonicalize_name(name) for name in BY_MODULE[module]}
+
+
+def test_the_table_has_the_extras_that_are_declared() -> None:
+    assert EXTRAS.keys() == SETS.keys() - NO_MODULES
+    (everything,) = map(Requirement, SETS["all"])
+    assert everything.extras == EXTRAS.keys() - {"parquet", "pandas", "foxglove", "ros"}
+
+
+@pytest.mark.parametrize("extra", EXTRAS)
+def test_every_library_of_an_extra_has_its_module_in_the_table(extra: str) -> None:
+    provided = [distributions_of(module) for module in EXTRAS[extra]]
+    declared = names_in(SETS[extra])
+    assert all(one & declared for one in provided)
+    assert declared <= set().union(*provided)
+
+
+def test_every_import_of_the_product_is_declared() -> None:
+    """By the base, or by an extra that the table has; what only a library of the base brings is the base's as well."""
+    base = names_in(PROJECT["dependencies"]) | {"pydantic-core"}
+    extras = {module for modules in EXTRAS.values() for module in modules}
+    imported = set()
+    for room in ("design", "protocol", "nodes", "launch"):
+        for path in (ROOT / room).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Import):
+                    imported |= {alias.name.partition(".")[0] for alias in node.names}
+                elif isinstance(node, ast.ImportFrom) and node.module is not None and node.level == 0:
+                    imported.add(node.module.partition(".")[0])
+    types_alone = {"_typeshed"}  # of every type checker, and imported by none of our processes
+    others = imported - set(sys.stdlib_module_names) - {"manyhands"} - extras - types_alone
+    assert {module: distributions_of(module) for module in others if not distributions_of(module) & base} == {}
+
+
+def test_a_missing_module_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    require(*EXTRAS)
+    monkeypatch.setitem(sys.modules, "flint", None)
+    monkeypatch.setitem(sys.modules, "mcap", None)
+    with pytest.raises(MissingExtra, match=r"^found no flint; expected the extra design: pip"):
+        require("design", "plot")
+    both = r"^found no mcap, flint; expected the extras record, design: pip install 'manyhands\[record,design\]'$"
+    with pytest.raises(MissingExtra, match=both):
+        require("record", "design")
+    with pytest.raises(MissingExtra, match=r"manyhands\[record\]"), explained():
+        import mcap.records  # noqa: F401
+
+
+@pytest.mark.parametrize(
+    ("module", "extra", "arguments"),
+    [
+        ("matplotlib", "plot", ("design", "example1.yaml", "--plot", "pictures")),
+        ("matplotlib", "plot", ("budget", "example1.yaml", "--plot", "budget.png")),
+        ("mcap", "record", ("launch", "example1.yaml", "--record", "run.mcap", "--duration", "0.1")),
+        ("mcap", "record", ("host", "ball", "--listen", "127.0.0.1:7400", "--record", "run.mcap")),
+    ],
+)
+@pytest.mark.usefixtures("own_interrupt")
+def test_an_option_that_needs_an_extra_is_refused_before_any_work(
+    module: str, extra: str, arguments: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, module, None)
+    done = manyhands_command(*arguments)
+    assert done.exit_code == 2
+    assert done.stderr == f"error: found no {module}; expected the extra {extra}: pip install 'manyhands[{extra}]'\n"
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_missing_module_of_nobodys_is_reported_as_it_is() -> None:
+    with pytest.raises(ModuleNotFoundError, match="No module named 'nowhere_at_all'") as found, explained():
+        import nowhere_at_all  # noqa: F401
+    assert not isinstance(found.value, MissingExtra)

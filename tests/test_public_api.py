@@ -1,0 +1,120 @@
+"""`import manyhands as mh`: its names are declared once, load nothing before their use, and each has an example."""
+
+from __future__ import annotations
+
+import ast
+import doctest
+import importlib
+import inspect
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import manyhands as mh
+
+ROOT = Path(__file__).parents[1]
+ROOMS = ("design", "protocol", "nodes", "launch")
+FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+LIGHT = ("numpy", "scipy", "cvxpy", "zmq", "pydantic", "matplotlib", "typer", "yaml", "ast")
+"""What nobody pays for who only imports the package."""
+
+
+def modules_with_examples() -> list[str]:
+    found = [] if ">>>" not in (ROOT / "src/manyhands/__init__.py").read_text() else ["manyhands"]
+    for room in ROOMS:
+        for path in sorted((ROOT / room).rglob("*.py")):
+            if ">>> " in path.read_text(encoding="utf-8"):
+                parts = path.relative_to(ROOT).with_suffix("").parts
+                found.append(".".join(("manyhands", *(parts[:-1] if parts[-1] == "__init__" else parts))))
+    return found
+
+
+def public(package: ModuleType) -> dict[str, object]:
+    return {name: getattr(package, name) for name in package.__all__}
+
+
+def in_fresh_python(code: str) -> str:
+    command = [sys.executable, "-P", "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, "PYTHONPATH": ""})
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("name", modules_with_examples())
+def test_every_example_of_a_docstring_prints_what_it_shows(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    tests = doctest.DocTestFinder(recurse=True).find(importlib.import_module(name))
+    report: list[str] = []
+    runner = doctest.DocTestRunner(optionflags=FLAGS)
+    for test in tests:
+        runner.run(test, out=report.append)
+    assert runner.tries > 0
+    assert runner.failures == 0, "".join(report)
+
+
+@pytest.mark.parametrize("package", [mh, mh.passivity], ids=["manyhands", "passivity"])
+def test_every_public_name_has_an_example(package: ModuleType) -> None:
+    without = [
+        name for name, one in public(package).items() if not isinstance(one, ModuleType) and ">>>" not in own_text(one)
+    ]
+    assert without == []
+
+
+def own_text(one: object) -> str:
+    """The docstring of a name, and those of a class's own methods."""
+    texts = [inspect.getdoc(one) or ""]
+    if inspect.isclass(one):
+        texts += [inspect.getdoc(value) or "" for key, value in vars(one).items() if not key.startswith("_")]
+    return "\n".join(texts)
+
+
+def test_importing_the_package_loads_no_library() -> None:
+    code = f"import sys, manyhands; print([name for name in {LIGHT} if name in sys.modules])"
+    assert in_fresh_python(code) == "[]\n"
+
+
+def test_a_node_loads_no_solver_by_the_package() -> None:
+    code = "import sys, manyhands.nodes.device.node; print([n for n in ('cvxpy', 'pydantic') if n in sys.modules])"
+    assert in_fresh_python(code) == "[]\n"
+
+
+@pytest.mark.parametrize("first", ["manyhands.design.certificate", "manyhands.launch.api", "manyhands"])
+def test_a_room_that_is_a_function_is_both_whatever_is_imported_first(first: str) -> None:
+    code = f"""
+import {first}
+import inspect
+import manyhands as mh, manyhands.design.certificate, manyhands.launch.session
+from manyhands import design, launch
+print(callable(mh.design), callable(launch), mh.design is design, "session" in str(inspect.signature(design)))
+print(manyhands.design.certificate.__name__, manyhands.launch.session.__name__)
+"""
+    assert in_fresh_python(code) == "True True True True\nmanyhands.design.certificate manyhands.launch.session\n"
+
+
+@pytest.mark.parametrize("package", [mh, mh.passivity], ids=["manyhands", "passivity"])
+def test_the_stub_declares_what_the_package_gives(package: ModuleType) -> None:
+    assert package.__file__ is not None
+    stub = ast.parse(Path(package.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
+    declared = [alias.asname for one in stub.body if isinstance(one, ast.ImportFrom) for alias in one.names]
+    assert package.__all__ == sorted(declared) == sorted(set(declared))
+    assert set(package.__all__) <= set(dir(package))
+    for name, one in public(package).items():
+        home = getattr(one, "__module__", name)
+        assert isinstance(one, ModuleType) or home.startswith("manyhands."), f"{name} of {home}"
+
+
+def test_a_room_that_is_a_function_is_documented_as_both() -> None:
+    assert mh.design.__doc__ is not None
+    assert mh.design.__doc__.startswith("Find the virtual coupling")
+    assert "As a package: Pure mathematics" in mh.design.__doc__
+
+
+def test_a_wrong_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match=r"module 'manyhands' has no attribute 'desing'"):
+        mh.desing  # noqa: B018
