@@ -253,9 +253,9 @@ def main() -> None:
         (folder / "session.yaml").write_text(
             f"{shipped.read_text()}\nobservers: {{{OBSERVER}: {{reads: [telemetry]}}}}\n"
         )
-        for command, target in (("keys", "keys"), ("design", "certificate.json")):
+        for command, option, target in (("invite", "--keys", "keys"), ("design", "-o", "certificate.json")):
             subprocess.run(  # noqa: S603 -- our own command
-                [*MANYHANDS, command, str(folder / "session.yaml"), "-o", str(folder / target)],
+                [*MANYHANDS, command, str(folder / "session.yaml"), option, str(folder / target)],
                 check=True,
                 capture_output=True,
             )

@@ -19,14 +19,16 @@ import math
 import signal
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import proc
 from loop_ours import COMPILED, install_compiled
-from page import fill
+from page import add_outputs, fill, make_folders
+from users_curve import HOLDS, curve, headline, verdict
 from users_load import Broken, Served, scheduled, serving, session_text
 
 from manyhands.nodes import telemetry as names
@@ -37,7 +39,6 @@ from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Telemetry
 
 NUMBERS = (1, 4, 8, 16, 32, 48, 64, 96, 128)
-HOLDS = 0.01
 TARGET = 64
 IMPEDANCE = 20.0  # N*s/m
 AMPLITUDE, FREQUENCY = 1e-3, 2.0  # m and Hz, of every tool
@@ -181,27 +182,13 @@ class _Users:
         self.ticks = tick
 
 
-def curve(numbers: Sequence[int], interval: int, seconds: float, repeats: int, compiled: bool) -> list[LinkedPoint]:
-    """The medians of every number of users, up to two in a row that do not hold."""
-    points: list[LinkedPoint] = []
-    for users in numbers:
-        runs = []
-        for _ in range(repeats):
-            try:
-                runs.append(measure(users, interval, seconds, compiled))
-            except Broken as error:
-                tell(f"{users} users: {error}")
-                return points
-        points.append(sorted(runs, key=lambda run: run.late)[len(runs) // 2])
-        last = points[-1]
-        tell(
-            f"{users} users, {series(interval, compiled)}: late {last.late:.2%}, loop {last.loop_us:.0f} us a tick "
-            f"({last.loop_us / users:.1f} a user), ZeroMQ {last.zeromq_us:.0f}, generator {last.generator_cpu:.2f} "
-            f"processors, {last.waves:.0f} waves a second"
-        )
-        if len(points) > 1 and all(point.late > HOLDS for point in points[-2:]):
-            break
-    return points
+def described(point: LinkedPoint) -> str:
+    """What a number of users gave, as progress."""
+    return (
+        f", {series(point.interval, point.compiled)}: late {point.late:.2%}, loop {point.loop_us:.0f} us a tick "
+        f"({point.loop_us / point.users:.1f} a user), ZeroMQ {point.zeromq_us:.0f}, generator "
+        f"{point.generator_cpu:.2f} processors, {point.waves:.0f} waves a second"
+    )
 
 
 def series(interval: int, compiled: bool) -> str:
@@ -213,9 +200,7 @@ def series(interval: int, compiled: bool) -> str:
 def table(content: Mapping[str, Any]) -> str:
     """All curves."""
     lines = [
-        f"{content['seconds']:g} s each, median of {content['repeats']} by late ticks; "
-        + ", ".join(f"{name} {value}" for name, value in content["machine"].items())
-        + ".",
+        headline(content),
         "",
         "| waves, tick | users | late | loop, us a tick | a user | ZeroMQ's thread, us a tick | waves a second "
         "| generator, processors | memory, MiB | silences |",
@@ -230,9 +215,7 @@ def table(content: Mapping[str, Any]) -> str:
     lines.append("")
     for name in dict.fromkeys(series(p.interval, p.compiled) for p in points):
         held = [p.users for p in points if series(p.interval, p.compiled) == name and p.late <= HOLDS]
-        most = max(held, default=0)
-        verdict = "met" if most >= TARGET else "missed"
-        lines.append(f"- {name}: at most {HOLDS:.0%} late with up to {most} users; target {TARGET}: {verdict}.")
+        lines.append(f"- {name}: {verdict(max(held, default=0), TARGET)}")
     return "\n".join(lines)
 
 
@@ -263,11 +246,6 @@ def plot(content: Mapping[str, Any], path: Path) -> None:
     plt.close(figure)
 
 
-def tell(text: str) -> None:
-    """Progress, beside the table on standard output."""
-    print(text, file=sys.stderr, flush=True)
-
-
 def main() -> None:
     """Measure, print a table, and write what was asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -277,11 +255,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--compiled", action="store_true", help="with a compiled environment as well")
     parser.add_argument("--install", action="store_true", help="compile the tick, and end")
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--plot", type=Path, metavar="FILE")
-    parser.add_argument(
-        "--markdown", type=Path, metavar="FILE", help="a page with marks, such as docs/loop-benchmark.md"
-    )
+    add_outputs(parser)
     arguments = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # what it has started is ended, too
     if arguments.install:
@@ -290,11 +264,17 @@ def main() -> None:
         parser.error("expected at least one user, one tick and one repeat, and more than 0 seconds")
     if arguments.compiled and not any(COMPILED.glob("*.so")):
         parser.error(f"found no extension in {COMPILED.name}; expected it there: run with --install first")
+    make_folders(arguments.json, arguments.plot)
     points = [
         point
         for compiled in ((False, True) if arguments.compiled else (False,))
         for interval in arguments.interval
-        for point in curve(sorted(arguments.users), interval, arguments.seconds, arguments.repeats, compiled)
+        for point in curve(
+            sorted(arguments.users),
+            arguments.repeats,
+            partial(measure, interval=interval, seconds=arguments.seconds, compiled=compiled),
+            described,
+        )
     ]
     content: dict[str, Any] = {
         "machine": proc.machine(),

@@ -30,7 +30,7 @@ from loop_figures import SOAK, TABLE, plot, soak_table, table
 from loop_middleware import BARE, FOLDER, MIDDLEWARES, PEERS_VENV, peer
 from loop_ours import MANYHANDS, OURS, VARIANTS, install_compiled, ours
 from loop_runs import Failed, Run, Treatment
-from page import fill
+from page import add_outputs, fill, make_folders, tell
 
 from manyhands.launch.plan.topology import topology
 from manyhands.launch.session import load_session
@@ -126,11 +126,6 @@ def install() -> None:
                 tell(f"{name}: {middleware.installs[0]}: {error.strerror}")
 
 
-def tell(text: str) -> None:
-    """Progress, beside the table on standard output."""
-    print(text, file=sys.stderr, flush=True)
-
-
 def main() -> None:
     """Measure, print a table, and write what was asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -139,11 +134,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", metavar="NAME", help=f"beside ours and {BARE}: {', '.join(MIDDLEWARES)}")
     parser.add_argument("--soak", type=float, metavar="SECONDS", help="ours alone, for its memory")
     parser.add_argument("--install", action="store_true", help="get what is measured beside ours, and end")
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--plot", type=Path, metavar="FILE")
-    parser.add_argument(
-        "--markdown", type=Path, metavar="FILE", help="a page with marks, such as docs/loop-benchmark.md"
-    )
+    add_outputs(parser)
     arguments = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # what it has started is ended, too
     if arguments.install:
@@ -152,9 +143,7 @@ def main() -> None:
         parser.error("expected at least one round, and more than 0 seconds")
     if unknown := set(arguments.only or ()) - set(MIDDLEWARES):
         parser.error(f"--only: found {', '.join(sorted(unknown))}; expected some of {', '.join(MIDDLEWARES)}")
-    for file in (arguments.json, arguments.plot):
-        if file is not None:
-            file.parent.mkdir(parents=True, exist_ok=True)
+    make_folders(arguments.json, arguments.plot)
     if arguments.soak is not None:
         content = {"machine": proc.machine(), **soak(arguments.soak)}
         text, mark = soak_table(content), SOAK

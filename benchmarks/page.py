@@ -1,8 +1,34 @@
-"""Pages whose tables a benchmark rewrites between two marks; the text around them stays as it is."""
+"""What a benchmark prints and writes: its progress, its files, and its tables within pages.
+
+A page's table stands between two marks and is rewritten there; the text around it stays as it is.
+"""
 
 from __future__ import annotations
 
+import argparse
+import sys
 from pathlib import Path
+
+
+def tell(text: str) -> None:
+    """Progress, beside the table on standard output."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def add_outputs(parser: argparse.ArgumentParser) -> None:
+    """Add the options for files: --json, --plot and --markdown."""
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("--plot", type=Path, metavar="FILE")
+    parser.add_argument(
+        "--markdown", type=Path, metavar="FILE", help="a page with marks, such as docs/loop-benchmark.md"
+    )
+
+
+def make_folders(*files: Path | None) -> None:
+    """Make the folders of the files that were asked for, before anything is measured."""
+    for file in files:
+        if file is not None:
+            file.parent.mkdir(parents=True, exist_ok=True)
 
 
 def fill(path: Path, mark: str, text: str) -> None:

@@ -25,11 +25,11 @@ from typing import Any
 
 import proc
 from loop_middleware import PEERS_VENV
-from page import fill
-from users_load import Broken, Point, measure
+from page import add_outputs, fill, make_folders, tell
+from users_curve import HOLDS, curve, headline, verdict
+from users_load import Point, measure
 
 NUMBERS = (1, 2, 4, 8, 12, 16, 24, 32, 48, 64)
-HOLDS = 0.01
 TARGET = 32
 PROFILE_RATE = 500  # samples a second
 SHOWN = 14  # functions of a profile
@@ -40,26 +40,12 @@ class NoProfile(Exception):
     """There is no profile; the text gives the reason."""
 
 
-def curve(numbers: Sequence[int], seconds: float, repeats: int) -> list[Point]:
-    """The medians of every number of users, up to two in a row that do not hold."""
-    points: list[Point] = []
-    for users in numbers:
-        runs = []
-        for _ in range(repeats):
-            try:
-                runs.append(measure(users, seconds))
-            except Broken as error:
-                tell(f"{users} users: {error}")
-                return points
-        points.append(sorted(runs, key=lambda run: run.late)[len(runs) // 2])
-        last = points[-1]
-        tell(
-            f"{users} users: late {last.late:.2%}, round trip {last.round_trip_us['p50']:.0f} us, "
-            f"environment {last.environment_cpu:.2f}, generator {last.generator_cpu:.2f} processors"
-        )
-        if all(point.late > HOLDS for point in points[-2:]) and len(points) > 1:
-            break
-    return points
+def described(point: Point) -> str:
+    """What a number of users gave, as progress."""
+    return (
+        f": late {point.late:.2%}, round trip {point.round_trip_us['p50']:.0f} us, "
+        f"environment {point.environment_cpu:.2f}, generator {point.generator_cpu:.2f} processors"
+    )
 
 
 def profile(users: int, seconds: float, attempts: int = 3) -> dict[str, Any]:
@@ -111,9 +97,7 @@ def profile(users: int, seconds: float, attempts: int = 3) -> dict[str, Any]:
 def table(content: Mapping[str, Any]) -> str:
     """The curve."""
     lines = [
-        f"{content['seconds']:g} s each, median of {content['repeats']} by late ticks; "
-        + ", ".join(f"{name} {value}" for name, value in content["machine"].items())
-        + ".",
+        headline(content),
         "",
         "| users | late | round trip, us: median | p99 | p99.9 | environment, processors | generator | memory, MiB |",
         "|---:|---:|---:|---:|---:|---:|---:|---:|",
@@ -124,9 +108,7 @@ def table(content: Mapping[str, Any]) -> str:
             f"| {point.users} | {point.late:.2%} | {trip['p50']:.0f} | {trip['p99']:.0f} | {trip['p999']:.0f} "
             f"| {point.environment_cpu:.2f} | {point.generator_cpu:.2f} | {point.resident:.0f} |"
         )
-    most = _most(content["points"])
-    verdict = "met" if most >= TARGET else "missed"
-    lines += ["", f"At most {HOLDS:.0%} late with up to {most} users; target {TARGET}: {verdict}."]
+    lines += ["", verdict(_most(content["points"]), TARGET).capitalize()]
     return "\n".join(lines)
 
 
@@ -178,11 +160,6 @@ def plot(content: Mapping[str, Any], path: Path) -> None:
     plt.close(figure)
 
 
-def tell(text: str) -> None:
-    """Progress, beside the table on standard output."""
-    print(text, file=sys.stderr, flush=True)
-
-
 def main() -> None:
     """Measure, print tables, and write what was asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -190,23 +167,25 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=10.0, help="of each run (default: %(default)s)")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--profile", action="store_true", help="with py-spy, at the largest number that holds")
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--plot", type=Path, metavar="FILE")
-    parser.add_argument(
-        "--markdown", type=Path, metavar="FILE", help="a page with marks, such as docs/loop-benchmark.md"
-    )
+    add_outputs(parser)
     arguments = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # what it has started is ended, too
     if min(arguments.users) < 1 or arguments.seconds <= 0.0 or arguments.repeats < 1:
         parser.error("expected at least one user and one repeat, and more than 0 seconds")
-    for file in (arguments.json, arguments.plot):
-        if file is not None:
-            file.parent.mkdir(parents=True, exist_ok=True)
+    make_folders(arguments.json, arguments.plot)
     content: dict[str, Any] = {
         "machine": proc.machine(),
         "seconds": arguments.seconds,
         "repeats": arguments.repeats,
-        "points": [asdict(p) for p in curve(sorted(arguments.users), arguments.seconds, arguments.repeats)],
+        "points": [
+            asdict(point)
+            for point in curve(
+                sorted(arguments.users),
+                arguments.repeats,
+                lambda users: measure(users, arguments.seconds),
+                described,
+            )
+        ],
     }
     text = table(content)
     print(text)

@@ -295,8 +295,8 @@ def _shake_hands(prepared: Prepared, bundle: EnvironmentBundle, transport: ZmqTr
         D_V = blocks[peer.name].D if wave is None else wave_feedthrough(wave.b, bundle.common.period)
         feedthrough = tuple(map(tuple, D_V.tolist()))
         own = LinkHello(
-            PROTOCOL_VERSION, bundle.common.certificate, bundle.common.session, peer.name, Role.COUPLING, peer.ports,
-            feedthrough,
+            PROTOCOL_VERSION, peer.certificate or bundle.common.certificate, bundle.common.session, peer.name,
+            Role.COUPLING, peer.ports, feedthrough,
         )  # fmt: skip
         link = transport.connect(hello.endpoints[peer.name], ENVIRONMENT)
         handshake = LinkHandshake(own, Expected(ENVIRONMENT, Role.ENVIRONMENT, peer.ports), opens=True)

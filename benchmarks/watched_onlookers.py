@@ -115,7 +115,7 @@ def _top(launch: int, onlookers: Onlookers) -> Iterator[None]:
     ours, its = pty.openpty()
     fcntl.ioctl(its, termios.TIOCSWINSZ, struct.pack("HHHH", _LINES, _COLUMNS, 0, 0))
     try:
-        with _started([*MANYHANDS, "top", "--session", str(launch)], signal.SIGINT, terminal=its) as process:
+        with _started([*MANYHANDS, "top", "--running", str(launch)], signal.SIGINT, terminal=its) as process:
             onlookers.add(process.pid)
             onlookers.show(ours)
             _await(lambda: onlookers.read() > 0, process, "top shows nothing")
@@ -129,7 +129,7 @@ def _top(launch: int, onlookers: Onlookers) -> Iterator[None]:
 @contextmanager
 def _page(launch: int, onlookers: Onlookers) -> Iterator[tuple[int, str]]:
     """``manyhands view``; its port and address."""
-    command = [*MANYHANDS, "view", "--session", str(launch), "--port", "0", "--no-open"]
+    command = [*MANYHANDS, "view", "--running", str(launch), "--port", "0", "--no-open"]
     with _started(command, signal.SIGINT, stderr=subprocess.PIPE) as process:
         onlookers.add(process.pid)
         said = ""

@@ -7,17 +7,16 @@ tick in which a spring acts on it, up to the speed at which it is cut off: once 
 certificate could be had for it. Its session, puck.yaml beside this file, declares it passive up to a small level and
 has that enforced. To run it with processes:
 
-    PYTHONPATH=examples manyhands launch examples/puck.yaml --duration 4
+    manyhands launch examples/puck.yaml --duration 4
 """
 
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
+from manyhands.launch.files import load_named
 from manyhands.launch.plan.prepare import prepare
-from manyhands.launch.session import load_session
 from manyhands.launch.simulation import Simulation
 from manyhands.nodes.environment.enforced import EnforcedCore
 
@@ -48,9 +47,8 @@ class Puck:
 
 def main() -> None:
     """Run the session with and without its controller, and print the resulting speeds of the hands."""
-    sys.path.append(str(FOLDER))  # where the session's model is
     for enforce in (True, False):
-        session = load_session(FOLDER / "puck.yaml", [f"environment.enforce={str(enforce).lower()}"])
+        session = load_named(FOLDER / "puck.yaml", [f"environment.enforce={str(enforce).lower()}"])
         simulation = Simulation(prepare(session, uncertified=not enforce))
         recording = simulation.run(round(SECONDS / session.period))
         fastest = abs(recording.velocity[-round(0.5 / session.period) :]).max()
