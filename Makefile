@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test test-long lint types imports pytest campaign fuzz datagrams wan far-user flood loop watched soak users linked-users chaos faults lateness hostile remote pictures page benchmark curve clean
+.PHONY: demo test test-long guests lint types imports pytest campaign fuzz datagrams wan far-user flood loop watched soak users linked-users chaos faults lateness hostile remote pictures page benchmark curve docs docs-pictures clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -39,7 +39,11 @@ pytest: $(VENV)/.installed
 test-long campaign: export MANYHANDS_WIDE = 1
 test-long: $(VENV)/.installed
 	$(BIN)/pytest -n $(WORKERS) $(SPREAD) -m "(long or wide) and not alone"
-	$(BIN)/pytest -m "(long or wide) and alone"
+	$(BIN)/pytest -m "(long or wide) and alone and not minutes"
+
+# guests who come and go by real processes across a WAN: in every phase, and twenty at random; ten minutes
+guests: $(VENV)/.installed
+	$(BIN)/pytest -m minutes
 
 # properties of the mathematics, the codec and session files with new random cases in each round; not part of `make test`.
 # Then the attack: so many certificates that `prove` accepts, designed and forged, against an oracle of other code
@@ -147,6 +151,14 @@ $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --editable '.[dev]'
 	touch $@
+
+# the documentation as a site, in out/docs/; a broken link or a page that is not listed ends it
+docs: $(VENV)/.installed
+	$(BIN)/sphinx-build --fail-on-warning --keep-going --quiet --conf-dir docs/site . out/docs
+
+# pictures of ten pages of the site, on a screen and on a telephone, in out/docs-pictures/; needs Debian's Chromium
+docs-pictures: $(VENV)/.installed
+	$(BIN)/python -m tests.support.site out/docs-pictures
 
 clean:
 	rm -rf $(VENV) out dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
