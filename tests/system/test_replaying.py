@@ -53,14 +53,14 @@ def test_a_session_in_real_time_audits_to_the_end(tmp_path: Path) -> None:
     out = run("audit", path)
     for device in ("dx", "dy", "dz"):
         assert f"{device}: lateness put in no more than its tank of 5 mJ: least account " in out
-    checks = json.loads(run("audit", path, "--json"))["checks"]
-    found = {(check["party"], check["name"]): check for check in checks}
+    audit = json.loads(run("audit", path, "--json"))
+    found = {(check["party"], check["name"]): check for check in audit["checks"]}
     for device in ("dx", "dy", "dz"):
         for name in ("signal", "exerted", "interface", "ended", "instants", "account", "ledger"):
             assert (found[device, name]["verdict"], found[device, name]["unchecked"]) == ("holds", []), found[
                 device, name
             ]
-        assert found[device, "interface"]["numbers"] > 500
+        assert found[device, "interface"]["numbers"] > 0.9 * audit["ticks"]  # the last ones may be unsent at the end
         assert found[device, "interface"]["tolerance"] == 0.0
 
 

@@ -8,14 +8,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.design.errors import Infeasible
+from manyhands.design.errors import Infeasible, SolverFailure
 from manyhands.design.levels.contract import loop_inequality
 from manyhands.design.models.coupling import Partition
 from manyhands.design.models.network import GROUND, Network, NetworkLink
 from manyhands.design.models.statespace import Matrix, StateSpace
 from manyhands.design.models.weights import Filter, Transparency, weighted
-from manyhands.design.transparency.design import LinearDesign, design_fixed_poles, design_spring_damper
-from manyhands.design.transparency.families import UNWEIGHTED, NormalisedLoop
+from manyhands.design.transparency.design import (
+    FEASIBLE_COMPLIANCE,
+    ROOM,
+    LinearDesign,
+    design_fixed_poles,
+    design_spring_damper,
+    fixed_pole_family,
+    recovered,
+)
+from manyhands.design.transparency.families import UNWEIGHTED, NormalisedLoop, PoleBasis
+from manyhands.design.transparency.minimax import Minimum
 from manyhands.design.transparency.pole_search import design_linear
 
 T = 1e-3
@@ -171,6 +180,24 @@ def test_no_spring_damper_of_one_port_is_better(problems: Any, data: st.DataObje
                 response = w * e * v if aim is SHAPING else w * (e / (1.0 + e * v) - e)
                 best = min(best, float(np.max(np.abs(response))))
     assert design.gamma <= best * 1.01
+
+
+def test_an_answer_just_outside_its_conditions_goes_back_inside() -> None:
+    """On some processors a solver ended 1e-6 outside. What is far outside is no answer."""
+    loop = NormalisedLoop(one_port(), np.array([[4.0]]), 0.5, T, ONE, UNWEIGHTED)
+    family = fixed_pole_family(loop, (PoleBasis(RESONANCE),), small_levels(ONE), ROOM)
+    stiffest, middle = family.stiffest(), family.roomiest(FEASIBLE_COMPLIANCE)
+    (block,) = family.blocks
+    assert min(block.margins(stiffest)) < 1e-3 < min(block.margins(middle))
+    outside = next(
+        x
+        for x in (stiffest + part * (stiffest - middle) for part in np.geomspace(1e-7, 1e-2, 60))
+        if min(block.margins(x)) < -1e-6
+    )
+    design = recovered(family, Minimum(outside, np.inf, 0.0, 1), ())
+    assert_promises(design, loop.E, loop.Delta_D, loop.kappa, ONE, small_levels(ONE))
+    with pytest.raises(SolverFailure, match="does not survive a check"):
+        recovered(family, Minimum(stiffest + (stiffest - middle), np.inf, 0.0, 1), ())
 
 
 def test_no_spring_damper_if_the_environment_needs_more_than_the_device(problems: Any) -> None:
