@@ -258,7 +258,10 @@ class _Visit:
             life.begin()
             self._lines = ()
             code = self._attempt(life)
-            if life.signal is not None or not self._lines:
+            if life.signal is not None:
+                # a user who ends it while the session is lost has ended it, as at any other instant
+                return EXIT_OK if life.orphaned and life.failure is None else code
+            if not self._lines:
                 return code
             stops = [line.stop for line in self._lines if line.stop is not None]
             if not (any(stop.again for stop in stops) or (life.orphaned and not stops)):
