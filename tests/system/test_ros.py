@@ -21,6 +21,8 @@ from rosbags.typesys import Stores, get_typestore
 from zenoh.ext import Int64, z_deserialize
 from zenoh_ros2_sdk import get_topic_info, get_topic_names_and_types
 
+from manyhands.launch.view import ros
+
 from ..support.commands import read_until, run, started
 from ..support.ros_nodes import JOINTS, POSE, WRENCH, RosNodes, free_port, zenoh_session
 
@@ -235,6 +237,25 @@ def test_attachments_are_those_of_zenohs_own_serialiser(seen: Seen) -> None:
 def test_no_port_is_open_that_nobody_asked_for(seen: Seen) -> None:
     assert seen.ports == [set(), set()]
     assert seen.without_router
+
+
+PAGE = (Path(__file__).parents[2] / "docs" / "ros.md").read_text(encoding="utf-8")
+
+
+def test_the_page_shows_what_the_command_says(seen: Seen) -> None:
+    """With this session's name, device and router in place of the page's."""
+    (quoted,) = re.findall(r"```text\n(warning: .*?)```", PAGE, flags=re.DOTALL)
+    found = "".join(seen.said.splitlines(keepends=True)[:2]).replace("hold pen;", "hold left;")
+    found = re.sub(r"tcp/127\.0\.0\.1:\d+", "tcp/localhost:7447", found).replace("of three-axes", "of browser")
+    assert found == quoted
+
+
+def test_the_page_names_every_topic_and_every_refusal(seen: Seen) -> None:
+    source = Path(ros.__file__).read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \|", PAGE, flags=re.MULTILINE)
+    kinds = re.findall(r'refused\["(\w+)"\]', source)
+    assert kinds == [row for row in rows if row in kinds]
+    assert {name.rpartition("/")[2] for name in (*seen.received, HELD)} <= {*rows}
 
 
 def test_the_user_reads_who_may_hold_and_what_was_refused(seen: Seen) -> None:
