@@ -216,8 +216,8 @@ def view(
         str | None,
         typer.Option(
             "--router",
-            metavar="LOCATOR",
-            help="With --ros, the router of Zenoh that ROS 2 uses [tcp/localhost:7447].",
+            metavar="HOST:PORT",
+            help="With --ros, the router of Zenoh that ROS 2 uses [localhost:7447].",
         ),
     ] = None,
     servo: Annotated[
@@ -317,10 +317,10 @@ def _view_in_ros(
         if not is_loopback(host):
             refuse(f"--host: found {host} with --ros; expected a loopback address, for nobody needs a token there")
         shown = f"[{host}]" if ":" in host else host
-        access = ZenohAccess(router or ROUTER) if port is None else ZenohAccess(f"tcp/{shown}:{port}", listens=True)
+        access = ZenohAccess(router or ROUTER) if port is None else ZenohAccess(f"{shown}:{port}", listens=True)
         if servo and not access.is_local:
             refuse(
-                f"--servo: found the router {access.locator}; expected one of this machine, for nobody needs a token "
+                f"--servo: found the router {access.address}; expected one of this machine, for nobody needs a token "
                 "there: reach it with ssh -L 7447:127.0.0.1:7447"
             )
         domain, running = domain_of(os.environ), find_session(session)
@@ -339,12 +339,12 @@ def _view_in_ros(
         if servo:
             say(
                 err,
-                f"warning: every node of ROS 2 that reaches {access.locator} can hold {', '.join(held)}; a router that "
+                f"warning: every node of ROS 2 that reaches {access.address} can hold {', '.join(held)}; a router that "
                 "listens to other machines lets theirs in, too",
             )
 
         def ready(topics: int) -> None:
-            where = f"listening at {access.locator}" if access.listens else f"by the router {access.locator}"
+            where = f"listening at {access.address}" if access.listens else f"by the router {access.address}"
             say(err, f"ros: {topics} topics of {running.about.session} in domain {domain}, {where}")
 
         refused: Counter[str] = Counter()

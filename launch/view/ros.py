@@ -54,7 +54,7 @@ from manyhands.protocol.channels import DISPLACEMENT, FORCE
 from manyhands.protocol.clock import Clock, Instant, RealtimeClock
 from manyhands.protocol.messages import Observation, Role
 
-ROUTER: Final = "tcp/localhost:7447"
+ROUTER: Final = "localhost:7447"
 """The router of Zenoh at which ROS 2 looks for one by default."""
 
 DOMAIN_VARIABLE: Final = "ROS_DOMAIN_ID"
@@ -80,7 +80,7 @@ _ATTACHMENT: Final = struct.Struct("<qqB16s")  # sequence number, ns since 1970,
 _ID_BYTES: Final = 16
 _PUBLISHED: Final = "2::,10:,:,:,,"  # quality of service: best effort, volatile, the last ten
 _SUBSCRIBED: Final = "::,1:,:,:,,"  # reliable, volatile, the last one
-_LOCATOR: Final = re.compile(r"tcp/(\[[0-9A-Fa-f:.%\w]+\]|[\w.-]+):(\d{1,5})")
+_ADDRESS: Final = re.compile(r"(\[[\w:.%]+\]|[\w.-]+):(\d{1,5})", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -374,32 +374,32 @@ class ZenohAccess:
     """How Zenoh is joined.
 
     Attributes:
-        locator: ``tcp/HOST:PORT``.
+        address: ``HOST:PORT``, reached by TCP.
         listens: whether to listen there, as a peer; otherwise a router there is connected to, and no port is opened.
     """
 
-    locator: str
+    address: str
     listens: bool = False
 
     def __post_init__(self) -> None:
-        """Check the locator.
+        """Check the address.
 
         Raises:
             ViewError: it is none.
         """
-        found = _LOCATOR.fullmatch(self.locator)
+        found = _ADDRESS.fullmatch(self.address)
         if found is None or not 0 < int(found[2]) < 2**16:
             option = "--port" if self.listens else "--router"
-            raise ViewError(f"{option}: found {self.locator!r}; expected tcp/HOST:PORT, such as {ROUTER}")
+            raise ViewError(f"{option}: found {self.address!r:.100}; expected HOST:PORT, such as {ROUTER}")
 
     @property
     def is_local(self) -> bool:
-        """Whether the locator is this machine's own."""
-        return is_loopback(self.locator.removeprefix("tcp/").rpartition(":")[0].strip("[]"))
+        """Whether the address is this machine's own."""
+        return is_loopback(self.address.rpartition(":")[0].strip("[]"))
 
     def settings(self) -> dict[str, str]:
         """The settings of Zenoh that are not its defaults, as JSON: nobody is looked for, nothing else listens."""
-        one, none = f'["{self.locator}"]', "[]"
+        one, none = f'["tcp/{self.address}"]', "[]"
         return {
             "mode": '"peer"' if self.listens else '"client"',
             "listen/endpoints": one if self.listens else none,
@@ -559,10 +559,10 @@ def _opened(access: ZenohAccess) -> Any:
         return zenoh.open(config)
     except zenoh.ZError as error:
         if access.listens:
-            why = f"--port: cannot listen at {access.locator}; expected a port that is free"
+            why = f"--port: cannot listen at {access.address}; expected a port that is free"
         else:
             why = (
-                f"--router: found no router of Zenoh at {access.locator}; start one with: ros2 run rmw_zenoh_cpp "
+                f"--router: found no router of Zenoh at {access.address}; start one with: ros2 run rmw_zenoh_cpp "
                 "rmw_zenohd; or let ROS 2 connect to this program, with --port"
             )
         raise ViewError(why) from error

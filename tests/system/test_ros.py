@@ -96,7 +96,7 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Seen:
 def _look(out: Seen) -> None:
     router, own = free_port(), free_port()
     launched = ("launch", "three.yaml", "--record", "run.mcap")
-    through = ("view", "--ros", "--router", f"tcp/127.0.0.1:{router}", "--servo", "--every", "2")
+    through = ("view", "--ros", "--router", f"127.0.0.1:{router}", "--servo", "--every", "2")
     with zenoh_session("router", listen=router), started(*launched, cwd=out.folder) as session:
         read_until(session, ": running")
         with started(*through) as view, started("view", "--ros", "--port", str(own)) as listening:
@@ -246,7 +246,7 @@ def test_the_page_shows_what_the_command_says(seen: Seen) -> None:
     """With this session's name, device and router in place of the page's."""
     (quoted,) = re.findall(r"```text\n(warning: .*?)```", PAGE, flags=re.DOTALL)
     found = "".join(seen.said.splitlines(keepends=True)[:2]).replace("hold pen;", "hold left;")
-    found = re.sub(r"tcp/127\.0\.0\.1:\d+", "tcp/localhost:7447", found).replace("of three-axes", "of browser")
+    found = re.sub(r"127\.0\.0\.1:\d+", "localhost:7447", found).replace("of three-axes", "of browser")
     assert found == quoted
 
 
@@ -260,6 +260,6 @@ def test_the_page_names_every_topic_and_every_refusal(seen: Seen) -> None:
 
 def test_the_user_reads_who_may_hold_and_what_was_refused(seen: Seen) -> None:
     assert "can hold pen; a router that listens to other machines" in seen.said
-    assert re.search(r"^ros: 7 topics of three-axes in domain 0, by the router tcp/127.0.0.1:\d+$", seen.said, re.M)
+    assert re.search(r"^ros: 7 topics of three-axes in domain 0, by the router 127.0.0.1:\d+$", seen.said, re.M)
     (refused,) = re.findall(r"^refused: (.*)$", seen.said, re.M)
     assert re.sub(r"\d+", "N", refused) == "servo_not_held N, servo_other_frame N, servo_wrong_type N"
