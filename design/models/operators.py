@@ -12,7 +12,9 @@ frequency either test finds the least eigenvalue, the reported figure is that of
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -61,19 +63,14 @@ class RationalMatrix:
         size = len(self.entries)
         if size == 0 or any(len(row) != size for row in self.entries):
             raise ValueError("expected a square matrix of entries")
-        trimmed = []
-        for i, row in enumerate(self.entries):
-            for j, (num, den) in enumerate(row):
-                place = f"entry ({i + 1}, {j + 1})"
-                if not _trim(den):
-                    raise ValueError(f"{place}: the denominator is zero")
-                if len(_trim(num)) > len(_trim(den)):
-                    raise ValueError(
-                        f"{place}: improper, the numerator's degree {len(_trim(num)) - 1} exceeds the "
-                        f"denominator's {len(_trim(den)) - 1}; put inertia into the mass instead"
-                    )
-            trimmed.append(tuple((_trim(num), _trim(den)) for num, den in row))
-        object.__setattr__(self, "entries", tuple(trimmed))
+        trimmed = tuple(
+            tuple(
+                _proper(entry, f"entry ({i}, {j})", "put inertia into the mass instead")
+                for j, entry in enumerate(row, 1)
+            )
+            for i, row in enumerate(self.entries, 1)
+        )
+        object.__setattr__(self, "entries", trimmed)
 
     @property
     def size(self) -> int:
@@ -209,6 +206,48 @@ def _trim(coefficients: tuple[float, ...]) -> tuple[float, ...]:
         if c != 0.0:
             return tuple(float(x) for x in coefficients[i:])
     return ()
+
+
+def proper_entries(num: Sequence[Any], den: Sequence[Any]) -> tuple[tuple[Rational, ...], ...]:
+    """The entries of a transfer matrix, without leading zeros.
+
+    Args:
+        num: m rows of p numerators, descending powers.
+        den: m rows of p denominators.
+
+    Raises:
+        ValueError: no rows, rows of different lengths, a zero denominator, or an improper entry.
+    """
+    rows = [[(_plain(a), _plain(b)) for a, b in zip(*row, strict=True)] for row in zip(num, den, strict=True)]
+    if not rows or any(len(row) != len(rows[0]) for row in rows):
+        raise ValueError(
+            f"found rows of {[len(row) for row in rows]} entries; expected as many in each row, one at least"
+        )
+    return tuple(
+        tuple(_proper(entry, f"entry ({i}, {j})", "give it a faster pole") for j, entry in enumerate(row, 1))
+        for i, row in enumerate(rows, 1)
+    )
+
+
+def _plain(polynomial: Any) -> tuple[float, ...]:
+    return tuple(float(one) for one in polynomial)
+
+
+def _proper(entry: Rational, place: str, instead: str) -> Rational:
+    """An entry without leading zeros.
+
+    Raises:
+        ValueError: a zero denominator, or an improper entry, with what to do instead.
+    """
+    num, den = _trim(entry[0]), _trim(entry[1])
+    if not den:
+        raise ValueError(f"{place}: the denominator is zero")
+    if len(num) > len(den):
+        raise ValueError(
+            f"{place}: improper, the numerator's degree {len(num) - 1} exceeds the denominator's {len(den) - 1}; "
+            f"{instead}"
+        )
+    return num, den
 
 
 def companion_forms(entries: tuple[tuple[Rational, ...], ...], *, idle: bool) -> StateSpace:

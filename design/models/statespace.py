@@ -30,7 +30,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -135,12 +135,35 @@ class StateSpace:
         return cls(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((m, 0)), gain)
 
     @classmethod
-    def of(cls, system: HasMatrices) -> StateSpace:
-        """The matrices of any object with A, B, C and D: of ``control.ss``, ``scipy.signal.StateSpace`` and the like.
+    def of(cls, system: HasMatrices | HasPolynomials) -> StateSpace:
+        """A system of any library: of ``control.ss``, ``control.tf``, ``scipy.signal`` and the like.
 
-        Its sample time is not kept: functions that depend on it have the argument ``time``.
+        An object with A, B, C and D keeps its matrices. One with ``num`` and ``den``, descending powers of s or z, gets
+        a companion form for each entry, which is not minimal in general. The sample time is not kept: functions that
+        depend on it have the argument ``time``.
+
+        Raises:
+            ValueError: the object has neither, or an entry is improper.
+
+        Example:
+            >>> import scipy.signal
+            >>> from manyhands import passivity
+            >>> device = scipy.signal.TransferFunction([1.0], [0.2, 1.37])      # N to m/s
+            >>> passivity.StateSpace.of(device)
+            StateSpace(A=-6.85, B=1, C=5, D=0)
         """
-        return cls(system.A, system.B, system.C, system.D)
+        if isinstance(system, HasMatrices):
+            return cls(system.A, system.B, system.C, system.D)
+        if not isinstance(system, HasPolynomials):
+            raise ValueError(
+                f"found {type(system).__name__}; expected a linear system, with A, B, C and D or with num and den"
+            )
+        from manyhands.design.models.operators import companion_forms, proper_entries  # it uses what is defined here
+
+        num, den = system.num, system.den
+        if isinstance(num[0], int | float | np.number):  # SciPy's, with one input and one output
+            num, den = [[num]], [[den]]
+        return companion_forms(proper_entries(num, den), idle=False)
 
     @property
     def order(self) -> int:
@@ -172,6 +195,7 @@ class StateSpace:
         return outputs
 
 
+@runtime_checkable
 class HasMatrices(Protocol):
     """A linear system of any library, by its matrices."""
 
@@ -190,6 +214,32 @@ class HasMatrices(Protocol):
     @property
     def D(self) -> Any:
         """M x p."""
+
+
+@runtime_checkable
+class HasPolynomials(Protocol):
+    """A transfer matrix of any library, by its polynomials; SciPy's has one input and one output, and no rows."""
+
+    @property
+    def num(self) -> Any:
+        """M rows of p numerators, descending powers."""
+
+    @property
+    def den(self) -> Any:
+        """M rows of p denominators."""
+
+
+def require_state_space(system: object) -> None:
+    """Refuse a system of another library, whose matrices and sample time the lemmas would misread.
+
+    Raises:
+        ValueError: ``system`` is no :class:`StateSpace`.
+    """
+    if not isinstance(system, StateSpace):
+        raise ValueError(
+            f"found {type(system).__name__}; expected a StateSpace: mh.passivity.StateSpace.of(system) converts what "
+            'has A, B, C and D or num and den, and time="continuous" says that it is one in s'
+        )
 
 
 class LinearSystem(NamedTuple):
