@@ -4,14 +4,17 @@ Each device has the namespace ``/SESSION/DEVICE``, and in each tick up to four m
 
 - ``measured_cp`` (geometry_msgs/PoseStamped), of a device with three axes: x, in the device's own frame, whose axes are
   those of the device in their order. It has no orientation to report; the pose has that of the frame.
-- ``measured_js`` (sensor_msgs/JointState), of every other device: x and the exerted force by axis, m and N. A pose
-  would state coordinates that such a device does not have.
+- ``measured_cv`` (geometry_msgs/TwistStamped), of such a device: its velocity (x(k) - x(k-1))/T, m/s. A device in wall
+  time has the difference of the recorded instants in place of T. After a missing tick there is none.
+- ``measured_js`` (sensor_msgs/JointState), of every other device: x, its velocity and the exerted force by axis, m, m/s
+  and N. A pose would state coordinates that such a device does not have.
 - ``measured_cf`` (geometry_msgs/WrenchStamped): the force that the device exerted on the hand, N.
 - ``servo_cf`` (geometry_msgs/WrenchStamped): the force that its couplings sent it, N. The device's limits, and what
   bounds the cost of lateness, stand between the two.
 
 A device of more than three axes has ``servo_jf`` (JointState, effort alone) in place of the last two. The numbers are
-those of the recording, exactly. A tick that the recording misses has no message.
+those of the recording, exactly; velocities alone are computed from them. A tick that the recording misses has no
+message.
 """
 
 from __future__ import annotations
@@ -45,6 +48,7 @@ CARTESIAN: Final = 3
 """The number of axes of a device whose position is a point in space."""
 
 POSE: Final = "geometry_msgs/msg/PoseStamped"
+TWIST: Final = "geometry_msgs/msg/TwistStamped"
 WRENCH: Final = "geometry_msgs/msg/WrenchStamped"
 JOINTS: Final = "sensor_msgs/msg/JointState"
 
@@ -64,7 +68,7 @@ class Stream:
         axes: names of the device's axes.
         tick: the device's tick of the first row.
         tick_ns: its T, ns.
-        values: ticks x columns: what its messages hold, m or N.
+        values: ticks x columns: what its messages hold, m, m/s or N.
     """
 
     topic: str
@@ -77,7 +81,7 @@ class Stream:
 
     @property
     def recorded(self) -> NDArray[np.bool_]:
-        """The rows that were recorded; an effort beside a position may be missing."""
+        """The rows that were recorded; a velocity or an effort beside a position may be missing."""
         return np.asarray(np.isfinite(self.values[:, : len(self.axes)]).all(axis=1), dtype=np.bool_)
 
 
@@ -101,10 +105,11 @@ def streams_of(run: RecordedRun, traces: Traces) -> list[Stream]:
         sent = _sent_to(run, traces, device)
         found: list[tuple[str, str, Array]] = []
         wrench = len(ports) <= CARTESIAN
-        if x is not None and len(ports) == CARTESIAN:
-            found.append(("measured_cp", POSE, x))
-        elif x is not None:
-            found.append(("measured_js", JOINTS, np.hstack([x, np.full_like(x, np.nan) if f is None else f])))
+        v = run.velocity_of(device) if x is not None else None
+        if x is not None and v is not None and len(ports) == CARTESIAN:
+            found += [("measured_cp", POSE, x), ("measured_cv", TWIST, v)]
+        elif x is not None and v is not None:
+            found.append(("measured_js", JOINTS, np.hstack([x, v, np.full_like(x, np.nan) if f is None else f])))
         if f is not None and wrench:
             found.append(("measured_cf", WRENCH, f))
         if sent is not None:
@@ -168,19 +173,22 @@ def _serialiser(typestore: Any, stream: Stream) -> Serialise:
     vector, message = types["geometry_msgs/msg/Vector3"], types[name]
     point, pose = types["geometry_msgs/msg/Point"], types["geometry_msgs/msg/Pose"]
     upright, wrench = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0), types["geometry_msgs/msg/Wrench"]
-    no_torque, none, axes = vector(0.0, 0.0, 0.0), np.empty(0), list(stream.axes)
+    twist = types["geometry_msgs/msg/Twist"]
+    no_turn, none, axes = vector(0.0, 0.0, 0.0), np.empty(0), list(stream.axes)
     effort_alone = stream.topic.endswith("servo_jf")
 
     def body(row: Sequence[float]) -> tuple[Any, ...]:
         if name == POSE:
             return (pose(point(*row), upright),)
         if name == WRENCH:
-            return (wrench(vector(*row, *(0.0,) * (CARTESIAN - width)), no_torque),)
+            return (wrench(vector(*row, *(0.0,) * (CARTESIAN - width)), no_turn),)
+        if name == TWIST:
+            return (twist(vector(*row), no_turn),)
         numbers = np.array(row)
         if effort_alone:
             return axes, none, none, numbers
-        effort = numbers[width:]
-        return axes, numbers[:width], none, effort if np.isfinite(effort).all() else none
+        velocity, effort = (known if np.isfinite(known).all() else none for known in np.split(numbers[width:], 2))
+        return axes, numbers[:width], velocity, effort
 
     def serialise(time: int, row: Sequence[float]) -> bytes:
         seconds, nanoseconds = divmod(time, 10**9)
