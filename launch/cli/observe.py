@@ -248,17 +248,21 @@ def view(
         return
     with errors("view", *(["foxglove"] if foxglove else [])):
         from manyhands.launch.observe.sessions import find_session
-        from manyhands.launch.view.feed import EVERY
-        from manyhands.launch.view.foxglove import PORT, application_address, serve_foxglove
-        from manyhands.launch.view.layouts import live_topics, save_layout
         from manyhands.launch.view.security import is_loopback, new_token, read_token
-        from manyhands.launch.view.server import serve
-        from manyhands.nodes.recorder.format import recorded_of
 
         if foxglove and open_ and (token_file is not None or not is_loopback(host)):
             refuse("--open: found it with --foxglove and a token, which would go to foxglove.dev; expected one of them")
         token = None if token_file is None else read_token(token_file)
         running = find_session(session)
+        name = running.about.session
+        say(err, f"{name}: starting {'the live connection' if foxglove else 'its page'}")  # the libraries take a while
+
+        from manyhands.launch.view.feed import EVERY
+        from manyhands.launch.view.foxglove import PORT, application_address, serve_foxglove
+        from manyhands.launch.view.layouts import live_topics, save_layout
+        from manyhands.launch.view.server import serve
+        from manyhands.nodes.recorder.format import recorded_of
+
         if not is_loopback(host):
             token = token or new_token()
             say(
@@ -275,6 +279,7 @@ def view(
             say(err, f"foxglove: {address}{'' if token is None or token_file else f'?token={token.reveal()}'}")
             if token_file is not None:
                 say(err, f"connect to it with ?token= and the token in {token_file} at its end")
+            say(err, f"{name}: waiting for Foxglove to connect to this address; Ctrl-C ends")
             if open_:
                 import webbrowser
 
@@ -286,6 +291,7 @@ def view(
             else:  # the token's owner has it already
                 say(err, f"page: {address.partition('#')[0]}")
                 say(err, f"open it with #token= and the token in {token_file} at its end")
+            say(err, f"{name}: waiting for a browser to open this address; Ctrl-C ends")
             if open_:
                 import webbrowser
 

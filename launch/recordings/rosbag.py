@@ -6,14 +6,17 @@ four messages, stamped with the tick's time:
 
 - ``measured_cp`` (geometry_msgs/PoseStamped), of a device with three axes: x, in the device's own frame, whose axes are
   those of the device in their order. It has no orientation to report; the pose has that of the frame.
-- ``measured_js`` (sensor_msgs/JointState), of every other device: x and the exerted force by axis, m and N. A pose
-  would state coordinates that such a device does not have.
+- ``measured_cv`` (geometry_msgs/TwistStamped), of such a device: its velocity (x(k) - x(k-1))/T, m/s. A device in wall
+  time has the difference of the recorded instants in place of T. After a missing tick there is none.
+- ``measured_js`` (sensor_msgs/JointState), of every other device: x, its velocity and the exerted force by axis, m, m/s
+  and N. A pose would state coordinates that such a device does not have.
 - ``measured_cf`` (geometry_msgs/WrenchStamped): the force that the device exerted on the hand, N.
 - ``servo_cf`` (geometry_msgs/WrenchStamped): the force that its couplings sent it, N. The device's limits, and what
   bounds the cost of lateness, stand between the two.
 
 A device of more than three axes has ``servo_jf`` (JointState, effort alone) in place of the last two. The numbers are
-those of the recording, exactly. A tick that the recording misses has no message.
+those of the recording, exactly; velocities alone are computed from them. A tick that the recording misses has no
+message.
 """
 
 from __future__ import annotations
@@ -47,6 +50,7 @@ CARTESIAN: Final = 3
 """The number of axes of a device whose position is a point in space."""
 
 POSE: Final = "geometry_msgs/msg/PoseStamped"
+TWIST: Final = "geometry_msgs/msg/TwistStamped"
 WRENCH: Final = "geometry_msgs/msg/WrenchStamped"
 JOINTS: Final = "sensor_msgs/msg/JointState"
 
@@ -75,9 +79,17 @@ class RosTopic:
 
 
 class DeviceTopics(NamedTuple):
-    """The topics of a device: its motion, what it exerted (None beyond three axes), and what its couplings sent it."""
+    """The topics of a device.
+
+    Attributes:
+        motion: its position; a JointState has velocity and effort beside it.
+        velocity: of a device with three axes.
+        exerted: the force that it exerted; None beyond three axes.
+        sent: the force that its couplings sent it.
+    """
 
     motion: RosTopic
+    velocity: RosTopic | None
     exerted: RosTopic | None
     sent: RosTopic
 
@@ -107,21 +119,25 @@ def device_topics(session: str, devices: Mapping[str, tuple[str, ...]]) -> dict[
         sent = ("servo_cf", WRENCH) if wrench else ("servo_jf", JOINTS)
         out[device] = DeviceTopics(
             RosTopic(f"{space}/{motion[0]}", motion[1], device, axes),
+            RosTopic(f"{space}/measured_cv", TWIST, device, axes) if point else None,
             RosTopic(f"{space}/measured_cf", WRENCH, device, axes) if wrench else None,
             RosTopic(f"{space}/{sent[0]}", sent[1], device, axes),
         )
     return out
 
 
-def motion_rows(topic: RosTopic, x: Array, f: Array | None) -> Array:
-    """The rows of a device's motion, from its displacements and the forces that it exerted, ticks x axes, m and N."""
+def motion_rows(topic: RosTopic, x: Array, v: Array | None, f: Array | None) -> Array:
+    """The rows of a device's motion: of a JointState with its velocities and the forces that it exerted, NaN for None.
+
+    Each is ticks x axes, m, m/s and N.
+    """
     if topic.type == POSE:
         return x
-    return np.hstack([x, np.full_like(x, np.nan) if f is None else f])
+    return np.hstack([x, *(np.full_like(x, np.nan) if known is None else known for known in (v, f))])
 
 
 def whole_rows(topic: RosTopic, values: Array) -> NDArray[np.bool_]:
-    """The rows that have a message: all finite; an effort beside a position may be missing."""
+    """The rows that have a message: all finite; a velocity or an effort beside a position may be missing."""
     return np.asarray(np.isfinite(values[:, : len(topic.axes)]).all(axis=1), dtype=np.bool_)
 
 
@@ -133,7 +149,7 @@ class Stream:
         topic: the topic.
         tick: the device's tick of the first row.
         tick_ns: its T, ns.
-        values: ticks x columns: what its messages hold, m or N.
+        values: ticks x columns: what its messages hold, m, m/s or N.
     """
 
     topic: RosTopic
@@ -150,10 +166,12 @@ def streams_of(run: RecordedRun, traces: Traces) -> list[Stream]:
     """
     recorded, out = run.recorded, []
     topics = device_topics(recorded.session, recorded.devices)
-    for device, (motion, exerted, sent) in topics.items():
+    for device, (motion, velocity, exerted, sent) in topics.items():
         x, f = (_trace_of(traces, device, name) for name in (DISPLACEMENT, FORCE))
+        v = None if x is None else run.velocity_of(device)
         found = [
-            (motion, None if x is None else motion_rows(motion, x, f)),
+            (motion, None if x is None else motion_rows(motion, x, v, f)),
+            (velocity, v),
             (exerted, f),
             (sent, _sent_to(run, traces, device)),
         ]
@@ -234,19 +252,22 @@ def serialiser(typestore: Any, topic: RosTopic) -> Serialise:
     vector, message = types["geometry_msgs/msg/Vector3"], types[name]
     point, pose = types["geometry_msgs/msg/Point"], types["geometry_msgs/msg/Pose"]
     upright, wrench = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0), types["geometry_msgs/msg/Wrench"]
-    no_torque, none, axes = vector(0.0, 0.0, 0.0), np.empty(0), list(topic.axes)
+    twist = types["geometry_msgs/msg/Twist"]
+    no_turn, none, axes = vector(0.0, 0.0, 0.0), np.empty(0), list(topic.axes)
     effort_alone = topic.name.endswith("servo_jf")
 
     def body(row: Sequence[float]) -> tuple[Any, ...]:
         if name == POSE:
             return (pose(point(*row), upright),)
         if name == WRENCH:
-            return (wrench(vector(*row, *(0.0,) * (CARTESIAN - width)), no_torque),)
+            return (wrench(vector(*row, *(0.0,) * (CARTESIAN - width)), no_turn),)
+        if name == TWIST:
+            return (twist(vector(*row), no_turn),)
         numbers = np.array(row)
         if effort_alone:
             return axes, none, none, numbers
-        effort = numbers[width:]
-        return axes, numbers[:width], none, effort if np.isfinite(effort).all() else none
+        velocity, effort = (known if np.isfinite(known).all() else none for known in np.split(numbers[width:], 2))
+        return axes, numbers[:width], velocity, effort
 
     def serialise(time: int, row: Sequence[float]) -> bytes:
         seconds, nanoseconds = divmod(time, 10**9)

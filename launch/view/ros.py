@@ -222,7 +222,8 @@ class RosMessages:
         self._recorded, self._scene, self._every = recorded_of(about), Scene(about), every
         self._time, self.unfit = SessionTime(self._recorded), 0
         self._devices = device_topics(about.session, self._recorded.devices)
-        self.topics = [topic for topics in self._devices.values() for topic in topics if topic is not None]
+        live = ((one.motion, one.exerted, one.sent) for one in self._devices.values())  # a bag alone has velocities
+        self.topics = [topic for topics in live for topic in topics if topic is not None]
         self._serialise = {topic: serialiser(typestore, topic) for topic in self.topics}
         devices = self._recorded.devices
         axes = {axis: (device, place) for device, own in devices.items() for place, axis in enumerate(own)}
@@ -260,14 +261,14 @@ class RosMessages:
 
     def _measured(self, observation: Observation, wanted: Callable[[RosTopic], bool]) -> Iterator[RosMessage]:
         node = observation.node
-        motion, exerted, _ = self._devices[node]
+        motion, _, exerted, _ = self._devices[node]
         width = len(motion.axes)
         x, f = (self._kept(observation, name, width) for name in (DISPLACEMENT, FORCE))
         if x is not None and wanted(motion):
             if f is not None and len(f[1]) != len(x[1]):
                 self.unfit += 1
                 f = None
-            yield from self._messages(motion, x[0], motion_rows(motion, x[1], None if f is None else f[1]))
+            yield from self._messages(motion, x[0], motion_rows(motion, x[1], None, None if f is None else f[1]))
         if f is not None and exerted is not None and wanted(exerted):
             yield from self._messages(exerted, *f)
 
