@@ -107,15 +107,24 @@ def ticks_of(messages: list[RosMessage], name: str) -> list[int]:
 # ---- what is published
 
 
-def test_messages_are_those_of_a_bag(tmp_path: Path) -> None:
+def without_velocity(type_: str, data: bytes) -> bytes:
+    """A message of a bag, as a running session sends it."""
+    message = TYPES.deserialize_cdr(data, type_)
+    if hasattr(message, "velocity"):
+        message.velocity = np.empty(0)
+    return bytes(TYPES.serialize_cdr(message, type_))
+
+
+def test_messages_are_those_of_a_bag_but_for_velocities(tmp_path: Path) -> None:
     core = RecorderCore(recorded_of(WIDE))
     for frame in FRAMES:
         core.take(frame, WALL)
     (tmp_path / "run.mcap").write_bytes(core.cut() + core.end())
     save_bag(read_run(tmp_path / "run.mcap"), tmp_path / "run.rosbag")
     with Reader(tmp_path / "run.rosbag") as reader:
-        kept = {(connection.topic, bytes(data)) for connection, _, data in reader.messages()}
-        types = {connection.topic: connection.msgtype for connection in reader.connections}
+        both = [one for one in reader.connections if not one.topic.endswith("/measured_cv")]
+        kept = {(one.topic, without_velocity(one.msgtype, bytes(data))) for one, _, data in reader.messages(both)}
+        types = {connection.topic: connection.msgtype for connection in both}
     sent = made(*FRAMES)
     assert len(sent) == len(kept) == 8 * TICKS
     assert {(one.topic.name, one.data) for one in sent} == kept
