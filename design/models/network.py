@@ -35,12 +35,11 @@ import numpy as np
 
 from manyhands.design.errors import Infeasible
 from manyhands.design.models.brief import brief_repr
+from manyhands.design.models.contacts import GROUND as GROUND
 from manyhands.design.models.device import zero_order_hold
 from manyhands.design.models.integrators import Split
 from manyhands.design.models.operators import Rational, companion_forms
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix, symmetric_part
-
-GROUND = "ground"
 
 _RANK_TOLERANCE = 1e-12  # relative pivot below which a direction of K stores no energy (double precision: 2e-16 * size)
 

@@ -23,7 +23,7 @@ from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.reach import Reach
 from manyhands.launch.plan.topology import Topology
 from manyhands.launch.run.outcome import Progress
-from manyhands.launch.session import SUPERVISOR, Interval, NetworkEnvironment, Session
+from manyhands.launch.session import SUPERVISOR, Interval, NetworkEnvironment, SceneEnvironment, Session
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import SIMULATED
 from manyhands.nodes.observer.scene import About, CertificateAbout, LinkAbout, NodeAbout, SpringAbout
@@ -150,8 +150,10 @@ def _margins(prepared: Prepared) -> dict[str, float]:
 
 
 def _world(session: Session) -> tuple[dict[str, float], tuple[SpringAbout, ...]]:
-    """Masses (kg) and springs of a network environment; an interval is shown by its middle, which is what runs."""
+    """Masses (kg) and springs of a network, an interval by its middle, which is what runs; or the bodies of a scene."""
     environment = session.environment
+    if isinstance(environment, SceneEnvironment):
+        return {f"{name}.{axis}": body.mass for name, body in environment.bodies.items() for axis in "xyz"}, ()
     if not isinstance(environment, NetworkEnvironment):
         return {}, ()
     springs = (
