@@ -15,8 +15,10 @@ before, with the gap's tangent plane g(z) = d + n^T (u - u(k-1)) in place of the
 N(k-1) being the normal force of the tick before. Both are gradients of convex functions of z, so that the tick has one
 solution. docs/decisions/0041-scenes.md proves that the scene then keeps the level 0, for every W.
 
-A Newton iteration finds the solution, from the tick before on, in :data:`MOST_STEPS` steps at most. The forces that are
-sent are those from which z follows. What an unfinished iteration leaves is an error of a contact's law alone; the
+A primal-dual active-set iteration [Hintermueller2002]_ finds the solution, from the forces of the tick before on, in
+:data:`MOST_STEPS` steps at most. It works with the forces along the rows of a matrix G, one row along the gradient of
+each pair and three across it, and projects them on what the laws admit [Alart1991]_. The forces that are sent are those
+from which z follows. What an unfinished iteration leaves is an error of a contact's law alone; the
 passivity controller of :class:`manyhands.nodes.environment.enforced.EnforcedCore` covers it.
 """
 
@@ -99,6 +101,11 @@ class SceneLaw:
         self._prepare()
 
     @property
+    def touching(self) -> int:
+        """The number of pairs that press on each other in the tick before."""
+        return int(np.count_nonzero(self._normal))
+
+    @property
     def masses(self) -> Floats:
         """How far the bodies are from where they started, x, y and z of each, m."""
         found: Floats = (self._z - self._home)[self._first :].tolist()
@@ -144,8 +151,9 @@ class SceneLaw:
         T, contacts, size = self._T, self._contacts, len(self._z)
         n, J, gap = self._gradient[near], self._jacobian[near], self._gap[near]
         self._near, self._kappa = near, self._total[near]
-        # the normal force is max(0, push - kappa n^T (u - u(k-1)))
-        self._push = -self._kappa * gap - contacts.damping[near] / T * np.maximum(0.0, -gap)
+        # the normal force is max(0, kappa (constant - n^T (u - u(k-1))))
+        constants = -gap - contacts.damping[near] / T * np.maximum(0.0, -gap) / self._kappa
+        compliances = 1.0 / self._kappa
         rows = np.matmul(n[:, None, :], J)[:, 0]
         last = self._normal[near]
         most = contacts.friction[near] * last
@@ -158,18 +166,20 @@ class SceneLaw:
             self._across = np.matmul(across, J[rubbing])
             rows = np.concatenate([rows, self._across.reshape(-1, size)])
             last = np.concatenate([last, (-self._k[:, None] * self._e).ravel()])
-        self._G, self._last = rows, last
+            constants = np.concatenate([constants, -self._e.ravel()])
+            compliances = np.concatenate([compliances, np.repeat(1.0 / self._k, 3)])
+        self._G, self._last, self._constants, self._compliances = rows, last, constants, compliances
         self._weigh()
 
     def _weigh(self) -> None:
         """What follows from G and the compliance together."""
         self._WG = self._W @ self._G.T
+        yielding = (self._G * self._WG.T).sum(axis=1)
         count = len(self._near)
-        yielding = np.einsum("ij,ji->i", self._G, self._WG)
-        self._rho = 1.0 / (yielding[:count] + 1.0 / self._kappa)
-        if len(self._rubbing):
-            across = yielding[count:].reshape(-1, 3).sum(axis=1) / 2.0
-            self._rho_across = 1.0 / (across + 1.0 / self._k)
+        if len(self._rubbing):  # one weight for the three rows of a pair, two of which are independent
+            yielding[count:] = np.repeat(yielding[count:].reshape(-1, 3).sum(axis=1) / 2.0, 3)
+        self._compliant = yielding + self._compliances
+        self._weights = 1.0 / self._compliant
 
     def _touched(self, free: Vector) -> tuple[Vector, Vector]:
         """The positions and the contacts' forces on all points, from the positions ``free`` without contacts."""
@@ -193,13 +203,14 @@ class SceneLaw:
         """The positions, and the contacts' forces on all points."""
         if len(self._near) == 0:
             return free, np.zeros(len(free))
-        G, WG, I = self._G, self._WG, self._I
+        G, WG = self._G, self._WG
         past = free - self._z
         forces = self._last
         best, least = forces, np.inf
         for step in range(MOST_STEPS + 1):
-            u = G @ (past + WG @ forces)
-            wanted, off, constant, firm = self._laws(u, forces)
+            trial = self._trial(G @ (past + WG @ forces), forces)
+            wanted = self._admitted(trial)
+            off = float((np.abs(wanted - forces) * self._compliant).max())
             if off < least:
                 best, least = wanted, off
             if off <= _ENOUGH:
@@ -208,40 +219,52 @@ class SceneLaw:
                 self.unfinished += 1
                 break
             self.steps += 1
-            moved = np.linalg.solve(I + WG @ firm, past + WG @ constant)
-            forces = constant - firm @ moved
+            constant, firm = self._linear_laws(trial)
+            forces = constant - firm @ np.linalg.solve(self._I + WG @ firm, past + WG @ constant)
         self._found = best
         return free + WG @ best, G.T @ best
 
-    def _laws(self, u: Vector, forces: Vector) -> tuple[Vector, float, Vector, Vector]:
-        """The contacts' laws where the points have moved by u along the rows of G, m, and the forces are given, N.
+    def _trial(self, u: Vector, forces: Vector) -> Vector:
+        """The forces that the laws would be fulfilled with, N, if they admitted every force.
 
-        Returns:
-            The forces projected on what the laws admit; how far they are from the laws, m; and the laws made linear:
-            the forces are the third result less the fourth (N/m) times the points' motion.
+        Args:
+            u: the motion of the points along the rows of G, m.
+            forces: along the rows of G, N.
         """
+        # a law is compliance * force + u = constant; the weights make it a step towards the solution
+        trial: Vector = forces + self._weights * (self._constants - forces * self._compliances - u)
+        return trial
+
+    def _admitted(self, trial: Vector) -> Vector:
+        """The nearest forces that the laws admit, N: no pull, and no more friction than its bound."""
         count = len(self._near)
-        kappa, rho = self._kappa, self._rho
-        given = forces[:count]
-        normal = np.maximum(0.0, given + rho * ((self._push - given) / kappa - u[:count]))
-        firm = normal > 0.0
-        off = float((np.abs(normal - given) / rho).max())
-        constant, rows = firm * self._push, (firm * kappa)[:, None] * self._G[:count]
+        admitted = trial.copy()
+        np.maximum(trial[:count], 0.0, out=admitted[:count])
+        if len(self._rubbing):
+            across = admitted[count:].reshape(-1, 3)
+            length = np.sqrt((across * across).sum(axis=1))
+            across *= (self._most / np.maximum(length, self._most))[:, None]
+        return admitted
+
+    def _linear_laws(self, trial: Vector) -> tuple[Vector, Vector]:
+        """The laws around ``trial``: the forces are the first result less the second (N/m) times the points' motion."""
+        count = len(self._near)
+        firm = self._kappa * (trial[:count] > 0.0)
+        constant, rows = firm * self._constants[:count], firm[:, None] * self._G[:count]
         if len(self._rubbing) == 0:
-            return normal, off, constant, rows
-        k, e, rho, most = self._k, self._e, self._rho_across, self._most
-        given = forces[count:].reshape(-1, 3)
-        trial = given - rho[:, None] * (e + u[count:].reshape(-1, 3) + given / k[:, None])
-        length = np.sqrt((trial * trial).sum(axis=1))
-        part = most / np.maximum(length, most)
-        rubbing = part[:, None] * trial
-        off = max(off, float((np.sqrt(((rubbing - given) ** 2).sum(axis=1)) / rho).max()))
-        # where it slips, the force keeps its size and turns with the motion across it
+            return constant, rows
+        k, e, most, rho = self._k, self._e, self._most, self._weights[count::3]
+        across = trial[count:].reshape(-1, 3)
+        length = np.maximum(np.sqrt((across * across).sum(axis=1)), most)
+        part = most / length
         slips = part < 1.0
+        # where it slips, the force keeps its size and turns with the motion across it
         stiffness = np.where(slips, part * rho / (1.0 - part * (1.0 - rho / k)), k)
-        along = trial * (slips / np.maximum(length, most))[:, None]
+        along = across * (slips / length)[:, None]
         turned = e - (along * e).sum(axis=1)[:, None] * along
-        across = self._across - along[:, :, None] * np.matmul(along[:, None, :], self._across)
-        constant = np.concatenate([constant, ((most * slips)[:, None] * along - stiffness[:, None] * turned).ravel()])
-        rows = np.concatenate([rows, (stiffness[:, None, None] * across).reshape(-1, rows.shape[1])])
-        return np.concatenate([normal, rubbing.ravel()]), off, constant, rows
+        blocks = self._across - along[:, :, None] * np.matmul(along[:, None, :], self._across)
+        tangential = (most * slips)[:, None] * along - stiffness[:, None] * turned
+        return (
+            np.concatenate([constant, tangential.ravel()]),
+            np.concatenate([rows, (stiffness[:, None, None] * blocks).reshape(-1, rows.shape[1])]),
+        )

@@ -55,6 +55,9 @@ def test_the_shipped_sessions() -> None:
         "example2": "example-2",
         "example2-closed-loop": "example-2-closed-loop",
         "example2-linear": "example-2-linear",
+        "peg": "peg",
+        "rub": "rub",
+        "tray": "tray",
     }
 
 
