@@ -11,7 +11,7 @@ import pytest
 from manyhands.design.models.scene import ContactScene
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import Session, load_session
-from manyhands.launch.simulation import Simulation
+from manyhands.launch.simulation import Silence, Simulation
 from manyhands.nodes.environment.enforced import EnforcedCore
 
 from ..support.cases import cases
@@ -85,6 +85,16 @@ def test_every_account_holds_in_a_random_scene(seed: int) -> None:
         assert ledger.minimum >= -1e-9 * (1.0 + stored), name
     assert simulation.environment.controller is not None
     assert simulation.environment.controller.energy <= 1e-6 * (1.0 + stored)
+
+
+def test_a_user_who_falls_silent_comes_back_to_the_ball() -> None:
+    """While one user is frozen the other goes on, and no account falls below 0 when the first one comes back."""
+    simulation = Simulation(prepare(load_session(SHIPPED / "carry.yaml")))
+    recording = simulation.run(2200, faults=[Silence("to_ben", 1300, 1700)])
+    assert not recording.f_v[1300:1700, 3:].any()
+    assert np.abs(recording.f_v[1300:1700, :3]).max() > 1.0
+    assert simulation.environment.clutches.all[1].ratio > 0.7
+    assert min(ledger.minimum for ledger in simulation.ledgers.values()) >= -1e-12
 
 
 @pytest.mark.parametrize("name", ["carry", "rub", "peg", "tray"])

@@ -270,6 +270,25 @@ def test_a_curved_obstacle_needs_its_tangent_plane() -> None:
     assert work > 0.01
 
 
+def test_friction_acts_across_the_gradient_alone() -> None:
+    """A hand sticks to a stone and turns about it: along the gradient acts the spring of the contact alone."""
+    stone = Obstacle("stone", "sphere", ((0.0, 0.0, 0.0),), 0.03)
+    scene = ContactScene(PORTS, tools=(HAND,), obstacles=(stone,), surface=Surface(2000.0, 0.0, 3.0))
+    core, x_e, turned, before = core_of(scene), np.zeros(3), 0.0, np.zeros(3)
+    for k in range(600):
+        gap, (n,) = scene.contacts.gaps(scene.points + x_e)
+        angle = 0.3 * min(1.0, k / 400) + 0.2 * np.sin(0.02 * k)
+        f = react(core, np.array([0.035 * np.sin(angle), 0.0, 0.035 * np.cos(angle) - 0.05]))
+        core.settle()
+        moved, x_e = np.array(core.tools) - x_e, np.array(core.tools)
+        pressed = 2000.0 * max(0.0, -float(gap[0] + n @ moved))
+        assert f @ n == pytest.approx(pressed, abs=1e-8)
+        turned, before = max(turned, float(np.linalg.norm(n - before)) if k else 0.0), n
+    assert pressed > 1.0
+    assert np.linalg.norm(f - (f @ n) * n) > 0.1
+    assert turned > 1e-5
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_two_runs_are_the_same_to_the_last_bit(seed: int) -> None:
     def run() -> list[list[float]]:
