@@ -30,19 +30,19 @@ def main(target: Path) -> None:
     for name in NAMES:
         kind = "tools" if name in scene.tools else "masses"
         paths[name] = [
-            spheres[name].at[axis] + columns[f"environment.{kind}[{name}.{'xyz'[axis]}]_m"] for axis in (0, 2)
+            spheres[name].at[axis] + columns[f"environment.{kind}[{name}.{'xyz'[axis]}]_m"] for axis in (0, 1)
         ]
     figure = Figure(figsize=(8.0, 3.4), layout="constrained", facecolor="white")
     side, heights = figure.subplots(1, 2)
     from_the_side(side)
     for instant in INSTANTS:
         k = round(instant / run.period)
-        for name, (x, z) in paths.items():
+        for name, (x, y) in paths.items():
             strength = 0.25 + 0.75 * instant / INSTANTS[-1]
-            outline = Circle((x[k], z[k]), spheres[name].radius, ec=COLOURS[name], fc="none", alpha=strength, lw=1.5)
+            outline = Circle((x[k], y[k]), spheres[name].radius, ec=COLOURS[name], fc="none", alpha=strength, lw=1.5)
             side.add_patch(outline)
-    for name, (_, z) in paths.items():
-        heights.plot(run.time, 1e3 * z, color=COLOURS[name], label=name)
+    for name, (_, y) in paths.items():
+        heights.plot(run.time, 1e3 * y, color=COLOURS[name], label=name)
     heights.set(xlabel="time [s]", ylabel="height [mm]", title="heights of the centres")
     heights.legend(frameon=False)
     figure.savefig(target, dpi=130)
@@ -50,9 +50,9 @@ def main(target: Path) -> None:
 
 
 def from_the_side(axes: Axes) -> None:
-    """Axes that show x and z, with the floor."""
+    """Axes that show x and y, with the floor."""
     axes.axhspan(-0.01, 0.0, color="0.8", lw=0)
-    axes.set(xlim=(-0.11, 0.11), ylim=(-0.01, 0.16), xlabel="x [m]", ylabel="z [m]", aspect="equal")
+    axes.set(xlim=(-0.11, 0.11), ylim=(-0.01, 0.16), xlabel="x [m]", ylabel="y [m]", aspect="equal")
     axes.set_title(f"at {', '.join(f'{instant:g}' for instant in INSTANTS)} s")
 
 
