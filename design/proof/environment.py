@@ -409,11 +409,7 @@ def _declared(data: DeclaredData, Phi_E: Sparse, m: int) -> Finding:
             argument = "by the rules of the wave link's face, whatever arrives; not proved here"
             return Finding(_ISP, True, 0.0, 0.0, argument=argument, assumed=True)
         case SceneData():
-            argument = (
-                "contacts, springs and friction at the tick's end store what they take in, up to what an iteration "
-            )
-            argument += "leaves: kept at run time by a controller"
-            return Finding(_ISP, True, 0.0, 0.0, argument=argument, enforced=True)
+            return Finding(_ISP, True, 0.0, 0.0, argument=scene.argument(data), enforced=True)
         case PromiseData():
             argument = "assumed of the world, whose own certificate proves it"
             return Finding(_ISP, True, 0.0, 0.0, argument=argument, assumed=True)

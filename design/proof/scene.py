@@ -41,6 +41,16 @@ def findings(data: SceneData, m: int) -> list[Finding]:
     ]
 
 
+def argument(data: SceneData) -> str:
+    """What the level 0 rests on: the theorem's part for each kind of obstacle, and the controller."""
+    shapes = {thing.shape for thing in data.obstacles.values()}
+    flat, curved = sorted(shapes & {"wall", "room"}), sorted(shapes - {"wall", "room"})
+    parts = [f"{' and '.join(flat)} by convex potentials"] if flat else []
+    parts.append(f"{', '.join([*curved, 'spheres'])} by tangent planes; friction by the bound of the tick before")
+    kept = "kept at run time by a controller, which is not proved here"
+    return f"for solved ticks by a theorem, {'; '.join(parts)}; {kept}"
+
+
 def _finding(condition: str, holds: bool, value: float = 0.0, because: str = "") -> Finding:
     argument = f"not so for {because}" if because else _EXACTLY
     return Finding(condition, holds, value if value or holds else -1.0, 0.0, argument=argument)

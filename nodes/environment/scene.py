@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from manyhands.design.models.scene import ContactScene
 from manyhands.nodes.arithmetic import Floats
+from manyhands.nodes.environment.model import MOST_FORCE
 
 Vector = NDArray[np.float64]
 
@@ -47,11 +48,10 @@ class SceneLaw:
     """The forces of a scene, as a law of :class:`manyhands.nodes.environment.enforced.EnforcedCore`.
 
     Attributes:
+        failure: that a tick had forces beyond :data:`.MOST_FORCE`, after which they are zero; None before.
         steps: Newton steps so far.
         unfinished: ticks whose iteration did not end in :data:`MOST_STEPS` steps.
     """
-
-    failure: str | None = None
 
     def __init__(self, scene: ContactScene, T: float) -> None:
         """Start at rest, with all displacements 0; T is the period, s."""
@@ -97,6 +97,7 @@ class SceneLaw:
         self._linear: Vector = self._mobility
         self._next: Vector = self._z
         self._normal_next, self._bristles_next = self._normal, self._bristles
+        self.failure: str | None = None
         self.steps = self.unfinished = 0
         self._prepare()
 
@@ -124,7 +125,13 @@ class SceneLaw:
         past = self._past
         self._next, force = self._touched(self._linear @ self._free + self._W @ past)
         f: Vector = (past - self._K @ self._next + force)[self._ports]
-        return f
+        # written with not: a comparison with NaN is false
+        if self.failure is None and not np.abs(f).max() <= MOST_FORCE:
+            self.failure = f"the scene failed: found a force beyond {MOST_FORCE:g} N; expected tools near the scene"
+        if self.failure is None:
+            return f
+        self._next = self._z
+        return np.zeros(len(f))
 
     def advance(self, x_e: Vector) -> None:
         """Step to the next tick, with the tools at ``x_e``, m."""

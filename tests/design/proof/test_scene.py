@@ -53,7 +53,7 @@ def test_a_scene_is_proved_and_its_level_enforced(data: dict[str, Any]) -> None:
     findings = prove(sealed(data))
     assert [finding for finding in findings if not finding.holds] == []
     (level,) = [finding for finding in findings if finding.enforced]
-    assert "contacts" in level.argument
+    assert "wall by convex potentials; box, spheres by tangent planes" in level.argument
     assert data["levels"]["Phi_E"] == [[0.0] * 3] * 3 or not np.any(
         [np.any(block) for block in data["levels"]["Phi_E"].values()]
     )

@@ -249,6 +249,21 @@ def test_nothing_passes_through_a_wall_in_one_tick() -> None:
     assert 0.2 + core.masses[2] > 0.01 - 1e-3
 
 
+@pytest.mark.filterwarnings("ignore:overflow", "ignore:invalid value")
+def test_forces_beyond_all_measure_reach_nobody() -> None:
+    """A position that overflows ends the session with a reason, and the forces are zero from then on."""
+    core = core_of(ContactScene(PORTS, tools=(HAND,), obstacles=(FLOOR,), surface=Surface(2000.0, 0.0, 0.5)))
+    for _ in range(3):
+        react(core, np.array([0.0, 0.0, -0.05]))
+        core.settle()
+    assert core.failure is None
+    for p in (np.array([1e200, 0.0, -1e200]), np.zeros(3)):
+        assert react(core, p).tolist() == [0.0, 0.0, 0.0]
+        core.settle()
+        assert core.failure is not None
+        assert core.failure.startswith("the scene failed: ")
+
+
 def test_a_curved_obstacle_needs_its_tangent_plane() -> None:
     """Round and round a stone, pressed on by 4 mm: the scene pays out nothing, however the hand moves."""
     scene = ContactScene(
