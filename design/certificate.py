@@ -38,6 +38,7 @@ from manyhands.design.models.brief import brief, brief_names, brief_repr
 from manyhands.design.models.coupling import CouplingBlock, Partition, SpringDamper, realisations, spring_damper_of
 from manyhands.design.models.environment import (
     DeclaredEnvironment,
+    DeclaredScene,
     DelayedNetwork,
     Environment,
     NetworkBox,
@@ -45,6 +46,7 @@ from manyhands.design.models.environment import (
     TransferEnvironment,
 )
 from manyhands.design.models.network import METHODS, Network, NetworkLink
+from manyhands.design.models.scene import scene_of
 from manyhands.design.models.statespace import LinearSystem, Matrix, Rational, StateSpace, matrix
 from manyhands.design.models.weights import Filter, Transparency
 from manyhands.design.problem import (
@@ -114,6 +116,8 @@ def describe_environment(environment: Environment) -> dict[str, Any]:
             return {"type": "transfer-function", "entries": rows, "method": method, "delay": delay}
         case WaveLinkFace() | WorldPromise():
             return environment.terms()
+        case DeclaredScene():
+            return environment.scene.terms()
         case DeclaredEnvironment():
             return {"type": "declared", "level": environment.promised().tolist()}
     raise TypeError(f"expected an environment of a known kind, found {type(environment).__name__}")
@@ -149,6 +153,8 @@ def environment_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> Environme
     m = len(ports)
     if kind == "declared":
         return DeclaredEnvironment(ports, matrix(data["level"], m, m))
+    if kind == "scene":
+        return DeclaredScene(scene_of(data, ports))
     if kind == "wave-link":
         return face_of(data, ports)
     if kind == "world":
@@ -175,7 +181,7 @@ def environment_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> Environme
             raise ValueError(f"environment.method: found {data['method']!r}, expected 'backward-euler' or 'tustin'")
         rows = tuple(tuple(_rational(entry) for entry in row) for row in data["entries"])
         return TransferEnvironment(ports, rows, data["method"], delay)
-    expected = "'network', 'state-space', 'transfer-function', 'declared', 'wave-link' or 'world'"
+    expected = "'network', 'scene', 'state-space', 'transfer-function', 'declared', 'wave-link' or 'world'"
     raise ValueError(f"environment.type: found {kind!r}, expected {expected}")
 
 

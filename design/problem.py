@@ -15,7 +15,7 @@ import numpy as np
 from manyhands.design.levels.contract import NO_DELAY_GAIN
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import Partition, SpringDamper, loop_gain
-from manyhands.design.models.environment import DeclaredEnvironment, Environment
+from manyhands.design.models.environment import DeclaredEnvironment, DeclaredScene, Environment
 from manyhands.design.models.integrators import Split
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix, symmetric_part
 from manyhands.design.models.weights import Transparency
@@ -213,8 +213,10 @@ class HapticLoop:
     def enforced(self) -> tuple[str, ...]:
         """The parties whose level is not proved; a passivity controller enforces it at run time."""
         # the other kinds of declared environment are kept by a face's tank, or proved in the world's certificate
-        declared = type(self.environment) is DeclaredEnvironment and self.environment.enforced
-        return ("environment",) if declared else ()
+        environment = self.environment
+        if not isinstance(environment, DeclaredEnvironment) or not environment.enforced:
+            return ()
+        return ("environment",) if type(environment) in (DeclaredEnvironment, DeclaredScene) else ()
 
     @cached_property
     def split(self) -> Split:

@@ -22,6 +22,7 @@ from rich.table import Table
 from manyhands.design.certificate import Certificate, asked_text, load, save, unrecorded
 from manyhands.design.errors import CertificateError, DesignError, Infeasible
 from manyhands.design.models.coupling import SpringDamper
+from manyhands.design.models.environment import DeclaredScene
 from manyhands.design.models.statespace import Matrix
 from manyhands.design.models.weights import Filter
 from manyhands.design.problem import HapticLoop
@@ -132,6 +133,10 @@ def print_certificate(console: Console, certificate: Certificate) -> None:
         _face_rows(table, loop.environment, certificate.margins)
     elif isinstance(loop.environment, WorldPromise):
         table.add_row("environment", "a level that the certificate of the world proves, and that is assumed here")
+    elif isinstance(loop.environment, DeclaredScene):
+        table.add_row(
+            "environment", "a scene, level 0: by its contacts' energy, and enforced at run time by a controller"
+        )
     elif loop.enforced:
         table.add_row("environment", "enforced: not proved, its declared level is kept at run time by a controller")
     else:

@@ -27,6 +27,7 @@ import numpy as np
 from manyhands.design.files import open_new, read_regular
 from manyhands.design.levels.contract import DeviceShare
 from manyhands.design.models.coupling import loop_gain
+from manyhands.design.models.scene import ContactScene, scene_of
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix
 from manyhands.nodes.device.specification import NO_DELAY, DeviceTiming
 from manyhands.nodes.environment.energy import EnergyBudget
@@ -580,7 +581,7 @@ class EnvironmentBundle:
 
     Attributes:
         common: the part that every node needs.
-        E: the environment, tool displacement (m) to force (N); None for a model.
+        E: the environment, tool displacement (m) to force (N); None for a model and for a scene.
         Phi_E: its passivity level, m x m, N*s/m; None where none is promised.
         tool_magnitude: by port, the greatest |p| that honest devices and couplings can send, m; None for no bound.
         tool_step: by port, the greatest |p(k) - p(k-1)|, m; None for no bound.
@@ -590,7 +591,9 @@ class EnvironmentBundle:
         independent: whether each coupling may change its rung by itself; otherwise all change in one tick.
         enforce: whether a controller keeps Phi_E.
         model: the model in place of E; None for E.
-        masses: the masses whose positions are entries of E's state, from the m-th on; none where E is no network.
+        scene: the scene in place of E; None for E.
+        masses: the masses whose positions are entries of E's state, from the m-th on, or a scene's bodies, one for each
+            coordinate; none for other kinds.
         longest_tau: the longest delay that the session can cover, s: that of the ladder's last rung where a breach
             softens couplings, else the certificate's; 0 where no delay is covered.
         budgets: the energy that each coupling may put into the others, in the order of the peers.
@@ -598,8 +601,8 @@ class EnvironmentBundle:
         waves: its ends of wave links, by coupling.
 
     Raises:
-        ValueError: there are both or neither of E and a model, or budgets, storage or rungs do not fit. A model with a
-            level needs its controller, for the certificate rests on it.
+        ValueError: there is not exactly one of E, a model and a scene, or budgets, storage or rungs do not fit. A model
+            or a scene with a level needs its controller, for the certificate rests on it.
     """
 
     common: Common
@@ -612,6 +615,7 @@ class EnvironmentBundle:
     independent: bool = True
     enforce: bool = False
     model: FactoryName | None = None
+    scene: ContactScene | None = None
     masses: tuple[str, ...] = ()
     longest_tau: float = 0.0
     budgets: tuple[EnergyBudget, ...] = ()
@@ -619,9 +623,10 @@ class EnvironmentBundle:
     waves: Mapping[str, WaveEnd] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if (self.E is None) == (self.model is None):
-            raise ValueError("found both or neither of an environment's matrices and its model; expected one of them")
-        if self.enforce != (self.Phi_E is not None) and (self.enforce or self.model is not None):
+        kinds = sum(kind is not None for kind in (self.E, self.model, self.scene))
+        if kinds != 1:
+            raise ValueError(f"found {kinds} of an environment's matrices, model and scene; expected one of them")
+        if self.enforce != (self.Phi_E is not None) and (self.enforce or self.E is None):
             raise ValueError(
                 f"found enforce {self.enforce} {'with' if self.Phi_E is not None else 'without'} a level; expected a "
                 "model's level to be enforced, and a level wherever one is"
@@ -685,7 +690,7 @@ def save(bundle: Bundle, path: Path) -> None:
 def encoded(bundle: Bundle) -> bytes:
     """The content of a bundle's file."""
     fields = {field.name: getattr(bundle, field.name) for field in dataclasses.fields(bundle)}
-    written = {name: plain_source(value) if name == "source" else plain(value) for name, value in fields.items()}
+    written = {name: _WRITTEN.get(name, plain)(value) for name, value in fields.items()}
     return json.dumps(written, allow_nan=False).encode()
 
 
@@ -806,6 +811,11 @@ _FITS: dict[str, Callable[[Any], bool]] = {
 }
 """The checks of :class:`Common`'s entries, which a node then uses without further checks."""
 
+_WRITTEN: dict[str, Callable[[Any], Any]] = {
+    "source": plain_source,
+    "scene": lambda scene: None if scene is None else {"ports": list(scene.ports), "terms": scene.terms()},
+}
+
 _READ: dict[str, Any] = {
     "common": _common,
     "level": _optional_array,
@@ -817,6 +827,7 @@ _READ: dict[str, Any] = {
     "enforce": _flag,
     "independent": _flag,
     "model": lambda data: None if data is None else _factory(data),
+    "scene": lambda data: None if data is None else scene_of(data["terms"], tuple(data["ports"])),
     "masses": lambda data: tuple(str(name) for name in data),
     "longest_tau": _tau,
     "budgets": lambda all_: tuple(EnergyBudget(float(b["power"]), float(b["energy"]), float(b["store"])) for b in all_),

@@ -5,7 +5,8 @@ and Phi-ISP (Definition 2 of [Bianchini2010]_) satisfies, at every tick k,
 
     E_k = sum_{j <= k} T (y^T u - y^T Delta y - u^T Phi u) >= -V(psi_0),
 
-and every party starts at rest, V(psi_0) = 0. A ledger below zero is a broken promise.
+and every party starts at rest. Its ledger begins at V(psi_0): at 0, unless it stores energy at the start, as a scene
+with raised bodies does. A ledger below zero is a broken promise.
 
 **The controller** stands at the environment's ports and keeps a promise that nothing proves. A physics engine or a
 neural simulator has no known storage function. So the controller reduces the model's forces, tick by tick, as far as
@@ -55,25 +56,30 @@ class Ledger:
 
     Attributes:
         total: E_k, J.
-        minimum: the least total so far, J; at most 0, where the ledger began.
+        minimum: the least total so far, J; at most the total with which the ledger began.
         ticks: the number of ticks entered.
-        at: the number of ticks after which the total was least; 0 where it never fell below 0.
+        at: the number of ticks after which the total was least; 0 where it never fell below its beginning.
     """
 
     __slots__ = ("_allowed", "at", "minimum", "ticks", "total")
 
-    def __init__(self, allowed: float = 0.0) -> None:
-        """No energy is entered yet; ``allowed`` is how far the total may fall below 0, J."""
+    def __init__(self, allowed: float = 0.0, stored: float = 0.0) -> None:
+        """No energy is entered yet.
+
+        Args:
+            allowed: how far the total may fall below 0, J.
+            stored: V(psi_0), the energy that the party stores at the start, J.
+        """
         self._allowed = allowed
-        self.total = 0.0
-        self.minimum = 0.0
+        self.total = stored
+        self.minimum = stored
         self.ticks = self.at = 0
 
     @property
     def margin(self) -> float:
         """The least total's distance from its bound, J; negative for a broken promise.
 
-        The bound is -V(psi_0) = 0; for a device whose lateness is bounded it is less by what lateness may put in.
+        The bound is 0; for a device whose lateness is bounded it is less by what lateness may put in.
         """
         return self.minimum + self._allowed
 

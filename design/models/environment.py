@@ -14,7 +14,7 @@ argument needs neither linearity nor time invariance. The certificate of such a 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, NoReturn, Protocol
 
 import numpy as np
@@ -23,6 +23,7 @@ from manyhands.design.errors import Infeasible
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.integrators import Split, delayed_split, delayed_system, split_system
 from manyhands.design.models.network import Method, Network, NetworkLink, discretise, realise, substitute
+from manyhands.design.models.scene import ContactScene
 from manyhands.design.models.statespace import Matrix, Rational, StateSpace, matrix
 
 
@@ -337,3 +338,31 @@ class DeclaredEnvironment(WithoutEnergy):
                 "give the environment as a network or as matrices",
             ),
         )
+
+
+@dataclass(frozen=True, eq=False)
+class DeclaredScene(DeclaredEnvironment):
+    """A scene, of which the design uses the level 0: that of an exact solution of its ticks, kept by a controller.
+
+    Attributes:
+        scene: the tools, bodies and obstacles.
+    """
+
+    ports: tuple[str, ...] = field(init=False)
+    level: Matrix = field(init=False)
+    enforced: bool = field(init=False, default=True)
+    scene: ContactScene
+
+    __repr__ = brief_repr
+
+    def __post_init__(self) -> None:
+        m = len(self.scene.ports)
+        object.__setattr__(self, "ports", self.scene.ports)
+        object.__setattr__(self, "level", np.zeros((m, m)))
+        super().__post_init__()
+
+    def __eq__(self, other: object) -> bool:
+        """Equal when the scenes are."""
+        return isinstance(other, DeclaredScene) and self.scene == other.scene
+
+    __hash__ = None  # matrices have none

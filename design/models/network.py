@@ -35,11 +35,10 @@ import numpy as np
 
 from manyhands.design.errors import Infeasible
 from manyhands.design.models.brief import brief_repr
+from manyhands.design.models.contacts import GROUND as GROUND
 from manyhands.design.models.device import zero_order_hold
 from manyhands.design.models.integrators import Split
 from manyhands.design.models.statespace import Matrix, Rational, StateSpace, companion_forms, matrix, symmetric_part
-
-GROUND = "ground"
 
 _RANK_TOLERANCE = 1e-12  # relative pivot below which a direction of K stores no energy (double precision: 2e-16 * size)
 

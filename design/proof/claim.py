@@ -4,7 +4,8 @@ The format is version 3 of the certificate file, or version 2, which lacks ``ask
 Indices count ports from 0 in the certificate's order, and masses after them.
 
 An environment's physical data are a network, a state space, or rational functions of s. A declared environment has
-none: only the level that a controller enforces at run time is stated.
+none: only the level that a controller enforces at run time is stated. A scene has its level by its kind, 0, and the
+data that the theorem about it needs.
 """
 
 from __future__ import annotations
@@ -162,6 +163,46 @@ class PromiseData(DeclaredData):
     id: str
 
 
+@dataclass(frozen=True)
+class ObstacleData:
+    """A thing that stands still.
+
+    Attributes:
+        shape: "wall", "room", "box", "sphere" or "capsule".
+        points: a point and a normal; two corners; a centre; or two ends.
+        radius: m.
+    """
+
+    shape: str
+    points: tuple[tuple[Number, ...], ...]
+    radius: Number
+
+
+@dataclass(frozen=True, eq=False)
+class SceneData(DeclaredData):
+    """A scene of tools, bodies, obstacles, springs and contacts; its level is 0.
+
+    Attributes:
+        moved: for each port and axis of a tool: the port's index, the tool's, the axis.
+        masses: of the bodies by name, kg.
+        amounts: all radii, stiffnesses, dampings and coefficients of friction.
+        obstacles: by name.
+        links: by ends: the stiffness, N/m.
+        touching: by ends: the stiffness of a contact that is not that of all others, N/m.
+        stiffness: of all other contacts, N/m.
+        gravity: m/s^2.
+    """
+
+    moved: tuple[tuple[int, int, int], ...]
+    masses: dict[str, Number]
+    amounts: tuple[Number, ...]
+    obstacles: dict[str, ObstacleData]
+    links: tuple[tuple[frozenset[str], Number], ...]
+    touching: dict[frozenset[str], Number]
+    stiffness: Number
+    gravity: tuple[Number, ...]
+
+
 DynamicsData = NetworkData | SystemData | TransferData
 EnvironmentData = DynamicsData | DeclaredData
 
@@ -175,7 +216,7 @@ def read_environment(item: Item, ports: tuple[str, ...]) -> EnvironmentData:
     found = item.entries(16)
     if "type" not in found:
         raise ProofInputError(f"{item.path}: the key type is missing")
-    match found["type"].text("network", "state-space", "transfer-function", "declared", "wave-link", "world"):
+    match found["type"].text("network", "scene", "state-space", "transfer-function", "declared", "wave-link", "world"):
         case "declared":
             return DeclaredData(item.fields(("type", "level"))["level"].symmetric(len(ports)))
         case "wave-link":
@@ -185,6 +226,8 @@ def read_environment(item: Item, ports: tuple[str, ...]) -> EnvironmentData:
             return PromiseData(parts["level"].symmetric(len(ports)), parts["id"].text())
         case "network":
             return _network(item, ports)
+        case "scene":
+            return _scene(item, ports)
         case "state-space":
             return _system(item, len(ports))
         case _:
@@ -211,6 +254,78 @@ def _network(item: Item, ports: tuple[str, ...]) -> NetworkData:
         tuple(links),
         parts["delay"].whole(0, _MAX_DELAY),
     )
+
+
+_MOST_THINGS = 100  # tools, bodies or obstacles
+_POINTS = {"wall": 2, "room": 2, "box": 2, "sphere": 1, "capsule": 2}
+
+
+def _scene(item: Item, ports: tuple[str, ...]) -> SceneData:
+    parts = item.fields(("type", "gravity", "tools", "bodies", "obstacles", "links", "contact", "contacts"))
+    tools, bodies, things = (parts[key].entries(_MOST_THINGS) for key in ("tools", "bodies", "obstacles"))
+    names = [*tools, *bodies, *things, GROUND]
+    if len(set(names)) != len(names):
+        raise item.refusal(f"distinct names, none of them {GROUND!r}")
+    index = {name: i for i, name in enumerate(ports)}
+    moved: list[tuple[int, int, int]] = []
+    amounts: list[Number] = []
+    for number, tool in enumerate(tools.values()):
+        fields = tool.fields(("ports", "axes", "at", "radius"))
+        _vector(fields["at"])
+        amounts.append(fields["radius"].number())
+        its = indices(fields["ports"], index)
+        axes = ["xyz".index(axis.text("x", "y", "z")) for axis in fields["axes"].items(len(its), exactly=len(its))]
+        moved += [(port, number, axis) for port, axis in zip(its, axes, strict=True)]
+    masses: dict[str, Number] = {}
+    for name, body in bodies.items():
+        fields = body.fields(("mass", "at", "radius"))
+        _vector(fields["at"])
+        masses[name] = fields["mass"].number()
+        amounts.append(fields["radius"].number())
+    obstacles: dict[str, ObstacleData] = {}
+    for name, thing in things.items():
+        fields = thing.fields(("shape", "points", "radius"))
+        shape = fields["shape"].text(*_POINTS)
+        points = tuple(map(_vector, fields["points"].items(_POINTS[shape], exactly=_POINTS[shape])))
+        obstacles[name] = ObstacleData(shape, points, fields["radius"].number())
+        amounts.append(obstacles[name].radius)
+    links = []
+    for link in parts["links"].items(MAX_LINKS):
+        fields = link.fields(("between", "stiffness", "damping", "rest"))
+        _vector(fields["rest"])
+        links.append((_two_of(fields["between"], [*tools, *bodies, GROUND]), fields["stiffness"].number()))
+        amounts += [fields[key].number() for key in ("stiffness", "damping")]
+    keys = ("stiffness", "damping", "friction")
+    everywhere = parts["contact"].fields(keys)
+    amounts += [everywhere[key].number() for key in keys]
+    touching: dict[frozenset[str], Number] = {}
+    for contact in parts["contacts"].items(MAX_LINKS):
+        fields = contact.fields(("between", *keys))
+        amounts += [fields[key].number() for key in keys]
+        # the first statement about a pair is the one that holds
+        touching.setdefault(_two_of(fields["between"], names[:-1]), fields["stiffness"].number())
+    return SceneData(
+        StatedMatrix(len(ports), len(ports), [[0] * len(ports) for _ in ports]),
+        tuple(moved),
+        masses,
+        tuple(amounts),
+        obstacles,
+        tuple(links),
+        touching,
+        everywhere["stiffness"].number(),
+        _vector(parts["gravity"]),
+    )
+
+
+def _vector(item: Item) -> tuple[Number, ...]:
+    return tuple(entry.number() for entry in item.items(3, exactly=3))
+
+
+def _two_of(item: Item, names: list[str]) -> frozenset[str]:
+    found = frozenset(entry.text() for entry in item.items(2, exactly=2))
+    if len(found) != 2 or not found <= set(names):
+        raise item.refusal("two different names of the scene")
+    return found
 
 
 def _wave_link(item: Item, m: int) -> WaveLinkData:

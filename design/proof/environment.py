@@ -33,7 +33,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from flint import arb_mat, fmpq
 
-from manyhands.design.proof import exact, rational, statics
+from manyhands.design.proof import exact, rational, scene, statics
 from manyhands.design.proof.claim import (
     DeclaredData,
     DynamicsData,
@@ -41,6 +41,7 @@ from manyhands.design.proof.claim import (
     LinkData,
     NetworkData,
     PromiseData,
+    SceneData,
     Span,
     SystemData,
     WaveLinkData,
@@ -371,7 +372,8 @@ def split(data: DynamicsData, T: fmpq) -> EnclosedSplit:
 def findings(data: EnvironmentData, P: StatedMatrix | None, Phi_E: Sparse, m: int, T: fmpq) -> list[Finding]:
     """Whether E_hat is (-Phi_E)-ISP with the storage matrix P, or with its energy if P is None."""
     if isinstance(data, DeclaredData):
-        return [_declared(data, Phi_E, m)]
+        own = scene.findings(data, m) if isinstance(data, SceneData) else []
+        return [*own, _declared(data, Phi_E, m)]
     out = []
     if isinstance(data, NetworkData):
         physics = physical(data)
@@ -406,6 +408,8 @@ def _declared(data: DeclaredData, Phi_E: Sparse, m: int) -> Finding:
         case WaveLinkData():
             argument = "by the rules of the wave link's face, whatever arrives; not proved here"
             return Finding(_ISP, True, 0.0, 0.0, argument=argument, assumed=True)
+        case SceneData():
+            return Finding(_ISP, True, 0.0, 0.0, argument=scene.argument(data), enforced=True)
         case PromiseData():
             argument = "assumed of the world, whose own certificate proves it"
             return Finding(_ISP, True, 0.0, 0.0, argument=argument, assumed=True)

@@ -22,7 +22,7 @@ import numpy as np
 
 from manyhands.design.files import replacing
 from manyhands.design.levels.contract import DeviceShare
-from manyhands.design.models.environment import DeclaredEnvironment, NetworkBox
+from manyhands.design.models.environment import DeclaredEnvironment, DeclaredScene, NetworkBox
 from manyhands.design.models.network import Network
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix
 from manyhands.design.peak_gain import output_bounds
@@ -31,7 +31,7 @@ from manyhands.launch.plan.keys import Keys
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.reach import IPC, Listen, Reach, ReachError, reach
 from manyhands.launch.plan.topology import Topology
-from manyhands.launch.session import NetworkEnvironment, PythonEnvironment, Session, TraceData
+from manyhands.launch.session import NetworkEnvironment, PythonEnvironment, SceneEnvironment, Session, TraceData
 from manyhands.launch.session.errors import one_of
 from manyhands.launch.session.limits import HAND_STORE
 from manyhands.launch.session.session import ENVIRONMENT
@@ -182,6 +182,8 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         wave = None if link is None else _wave_end(session, name, link, at_user=True)
         bundles[name] = CouplingBundle(commons[name], own.block, own.K, own.level, limits, tuple(softer), wave)
     E, Phi_E, model = _environment(prepared)
+    given, environment = session.environment, prepared.loop.environment
+    scene = environment.scene if isinstance(environment, DeclaredScene) else None
     waves = {name: _wave_end(session, name, link, at_user=False) for name, link in session.wave_links.items()}
     bundles[ENVIRONMENT] = EnvironmentBundle(
         commons[ENVIRONMENT],
@@ -196,12 +198,13 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         },
         {name: tuple(rung.block.D for rung in softer) for name, (_, *softer) in rungs.items()},
         independent=prepared.ladder is None or prepared.ladder.independent,
-        enforce=session.environment.enforce and Phi_E is not None,
+        enforce=(isinstance(given, SceneEnvironment) or given.enforce) and Phi_E is not None,
         model=model,
+        scene=scene,
         masses=mass_names(session),
         longest_tau=_longest_tau(prepared, rungs),
         budgets=budgets(session),
-        storage=None if model is not None else _storage(prepared),
+        storage=_storage(prepared),
         waves=waves,
     )
     return bundles if prepared.world is None else _with_part_ids(prepared, bundles)
@@ -269,9 +272,12 @@ def _storage(prepared: Prepared) -> Matrix | None:
 def _environment(prepared: Prepared) -> tuple[StateSpace | None, Matrix | None, FactoryName | None]:
     """E, the level that the environment promises, and the Python model in place of E.
 
-    A model's level is its *declared* one, certified or not; a model without a passivity controller promises none.
+    A model's level is its *declared* one, certified or not; a model without a passivity controller promises none. So
+    is the level 0 of a scene, which has neither E nor a model.
     """
     given, environment = prepared.session.environment, prepared.loop.environment
+    if isinstance(environment, DeclaredScene):
+        return None, environment.level, None
     if isinstance(given, PythonEnvironment) and isinstance(environment, DeclaredEnvironment):
         level = environment.level if environment.enforced else None
         return None, level, prepared.session.foreign_code["environment.model"]
@@ -400,8 +406,10 @@ def _phase(session: Session, node: str) -> float:
 
 
 def mass_names(session: Session) -> tuple[str, ...]:
-    """The masses of an environment that is a network, in the order of its state."""
+    """The masses of a network, in the order of its state; or the coordinates of a scene's bodies."""
     environment = session.environment
+    if isinstance(environment, SceneEnvironment):
+        return tuple(f"{name}.{axis}" for name in environment.bodies for axis in "xyz")
     return tuple(environment.masses) if isinstance(environment, NetworkEnvironment) else ()
 
 

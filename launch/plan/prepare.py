@@ -22,6 +22,7 @@ from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import Partition, SpringDamper
 from manyhands.design.models.environment import (
     DeclaredEnvironment,
+    DeclaredScene,
     DelayedNetwork,
     Environment,
     NetworkBox,
@@ -51,6 +52,7 @@ from manyhands.launch.session.design import AUTO
 from manyhands.launch.session.environment import NetworkEnvironment
 from manyhands.launch.session.environment import StateSpaceEnvironment as GivenMatrices
 from manyhands.launch.session.fields import Interval
+from manyhands.launch.session.scene import SceneEnvironment
 
 if TYPE_CHECKING:
     from manyhands.design.ladder import Ladder
@@ -108,6 +110,8 @@ def session_environment(session: Session) -> Environment:
     given, ports = session.environment, session.ports
     if isinstance(given, PythonEnvironment):
         return DeclaredEnvironment(ports, given.level_matrix(len(ports)), given.enforce)
+    if isinstance(given, SceneEnvironment):
+        return DeclaredScene(given.scene(ports))
     if isinstance(given, NetworkEnvironment):
         low = _network(given, ports, high=False)
         if given.uncertain:

@@ -480,7 +480,8 @@ class _AuditRun:
                     silent[:, its] = sent_no_force(figures, name, there(blocks.f[:, its]))[:, None]
             events = (event for _, values in figures for event in events_in(values))
             begun = [event.tick for event in events if event.kind is Kind.BEGAN and 0 < event.tick < len(tools)]
-            own = increments(bundle.Phi_E, self._session.period, blocks, tools, ledger, sign[0], silent, begun)
+            stored = 0.0 if bundle.scene is None else bundle.scene.energy_at_start
+            own = increments(bundle.Phi_E, self._session.period, blocks, tools, ledger, sign[0], silent, begun, stored)
             what = "its ledger gains in each tick the work at the couplings' ends and the dissipation by Phi_E"
             source = let_go_source(own.offsets)
             out.append(

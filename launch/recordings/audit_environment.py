@@ -219,6 +219,7 @@ def increments(
     sign: int,
     silent: NDArray[np.bool_],
     begun: Sequence[int] = (),
+    stored: float = 0.0,
 ) -> Increments:
     """The increments of the environment's ledger, from tools and couplings alone.
 
@@ -231,6 +232,7 @@ def increments(
         sign: the first tick at which a clutch may have moved.
         silent: ticks x m, true where a coupling has no row and was sent no force.
         begun: the first ticks of processes that took the place of one, which begin at rest with a ledger of their own.
+        stored: the energy that the environment stores at the start, with which its ledger begins, J.
     """
     ends, size = blocks.ends()
     rest = np.zeros((1, tools.shape[1]))
@@ -242,14 +244,14 @@ def increments(
     w = step_e / T
     dissipated = T * np.einsum("ki,ij,kj->k", w, Phi, w)
     totals = ledger[:, 0]
-    recorded = np.diff(np.concatenate([[0.0], totals]))
+    recorded = np.diff(np.concatenate([[stored], totals]))
     recomputed = dissipated - work.sum(axis=1)
     recomputed[blocks.clipped] = recomputed[list(begun)] = np.nan
     before = np.vstack([rest, size[:-1]])
     moved = np.where(still, 0.0, np.abs(f) * np.where(still, 0.0, size + before + np.abs(tools)))
     speeds = T * np.abs(w) + np.abs(tools)
     largest = moved.sum(axis=1) + np.einsum("ki,ij,kj->k", np.abs(w), np.abs(Phi), speeds)
-    largest += np.abs(totals) + np.abs(np.concatenate([[0.0], totals[:-1]]))
+    largest += np.abs(totals) + np.abs(np.concatenate([[stored], totals[:-1]]))
     tolerance = ROUNDING * _EPSILON * largest
     # a last offset is dropped after a freeze, once after each
     allowed = 0

@@ -18,12 +18,14 @@ from types import MappingProxyType
 import numpy as np
 
 from manyhands.design.files import open_new
+from manyhands.design.models.contacts import GROUND
+from manyhands.design.models.scene import ContactScene
 from manyhands.launch.plan.access import observed
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.reach import Reach
 from manyhands.launch.plan.topology import Topology
 from manyhands.launch.run.outcome import Progress
-from manyhands.launch.session import SUPERVISOR, Interval, NetworkEnvironment, Session
+from manyhands.launch.session import SUPERVISOR, Interval, NetworkEnvironment, SceneEnvironment, Session
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import SIMULATED
 from manyhands.nodes.observer.scene import About, CertificateAbout, LinkAbout, NodeAbout, SpringAbout
@@ -150,8 +152,10 @@ def _margins(prepared: Prepared) -> dict[str, float]:
 
 
 def _world(session: Session) -> tuple[dict[str, float], tuple[SpringAbout, ...]]:
-    """Masses (kg) and springs of a network environment; an interval is shown by its middle, which is what runs."""
+    """Masses (kg) and springs of a network, an interval by its middle, which is what runs; or the bodies of a scene."""
     environment = session.environment
+    if isinstance(environment, SceneEnvironment):
+        return _bodies(environment.scene(session.ports))
     if not isinstance(environment, NetworkEnvironment):
         return {}, ()
     springs = (
@@ -159,6 +163,22 @@ def _world(session: Session) -> tuple[dict[str, float], tuple[SpringAbout, ...]]
         for link in environment.links
     )
     return {name: Interval.of(mass).nominal for name, mass in environment.masses.items()}, tuple(springs)
+
+
+def _bodies(scene: ContactScene) -> tuple[dict[str, float], tuple[SpringAbout, ...]]:
+    """The bodies of a scene (kg) and its springs, one for each coordinate."""
+    axes = "xyz"
+    moved = [(tool.name, axis, port) for tool in scene.tools for axis, port in zip(tool.axes, tool.ports, strict=True)]
+    at = {(name, axes[axis]): scene.ports[port] for name, axis, port in moved}
+    at |= {(body.name, axis): f"{body.name}.{axis}" for body in scene.bodies for axis in axes}
+    at |= {(GROUND, axis): GROUND for axis in axes}
+    springs = (
+        SpringAbout((at[link.ends[0], axis], at[link.ends[1], axis]), link.stiffness, link.damping)
+        for link in scene.links
+        for axis in axes
+        if all((end, axis) in at for end in link.ends)
+    )
+    return {f"{body.name}.{axis}": body.mass for body in scene.bodies for axis in axes}, tuple(springs)
 
 
 class Showing:

@@ -20,6 +20,7 @@ from manyhands.launch.session.errors import SessionError
 from manyhands.launch.session.fields import Interval, LevelInterval, PortLimits
 from manyhands.launch.session.matrices import Rational
 from manyhands.launch.session.motion import Motion, TraceData
+from manyhands.launch.session.scene import SceneEnvironment
 from manyhands.launch.session.session import (
     ENVIRONMENT,
     RESERVED,
@@ -55,6 +56,7 @@ __all__ = [
     "PortLimits",
     "PythonEnvironment",
     "Rational",
+    "SceneEnvironment",
     "Session",
     "SessionError",
     "SessionLink",

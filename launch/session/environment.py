@@ -1,4 +1,4 @@
-"""The virtual environment of a session: masses, springs and dampers; matrices; rational functions; or a Python model.
+"""The virtual environment of a session: masses and springs; a scene; matrices; rational functions; or a Python model.
 
 Every kind maps the displacements (m) of the session's ports to forces (N), one for each port. The key ``type`` names
 the kind, and the kind determines the other keys. With ``enforce``, a passivity controller keeps the environment's level
@@ -66,6 +66,7 @@ from manyhands.launch.session.matrices import (
     one_of_two,
     size_problems,
 )
+from manyhands.launch.session.scene import SceneEnvironment
 from manyhands.nodes.factory import MODELS
 
 _LEVEL: Final = Quantity("a level", "N·s/m")
@@ -316,10 +317,13 @@ class TransferFunctionEnvironment(SessionModel):
                 yield Problem(("entries", i), f"a row of {len(row)}", f"{m} entries, one for each port")
 
 
-Environment: TypeAlias = NetworkEnvironment | StateSpaceEnvironment | TransferFunctionEnvironment | PythonEnvironment
+Environment: TypeAlias = (
+    NetworkEnvironment | SceneEnvironment | StateSpaceEnvironment | TransferFunctionEnvironment | PythonEnvironment
+)
 
 _KINDS: Final[Mapping[str, type[Environment]]] = {
     "network": NetworkEnvironment,
+    "scene": SceneEnvironment,
     "state-space": StateSpaceEnvironment,
     "transfer-function": TransferFunctionEnvironment,
     "python": PythonEnvironment,

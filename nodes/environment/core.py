@@ -25,7 +25,7 @@ The environment promises that E_hat is (-Phi_E)-ISP: from the tool velocity w to
 T (w^T (-f_e) + w^T Phi_E w) is never below zero.
 
 :func:`environment_core` makes the core that a bundle asks for: E as it is proved, in an :class:`EnvironmentCore`, or
-a model or E under a controller (:mod:`manyhands.nodes.environment.enforced`).
+a model, a scene or E under a controller (:mod:`manyhands.nodes.environment.enforced`).
 """
 
 from __future__ import annotations
@@ -44,6 +44,7 @@ from manyhands.nodes.environment.clutch import RAMP, Blocks, Clutch, Clutches, C
 from manyhands.nodes.environment.energy import BOUND_TICKS, Energy, EnergyBudget
 from manyhands.nodes.environment.enforced import BlackBox, EnforcedCore, ForceLaw, LinearLaw
 from manyhands.nodes.environment.model import AskedModel, make_model
+from manyhands.nodes.environment.scene import SceneLaw
 from manyhands.nodes.passivity import Ledger, PassivityController
 
 Vector = NDArray[np.float64]
@@ -340,15 +341,17 @@ def environment_core(bundle: EnvironmentBundle, D_V: Vector, blocks: Blocks | No
 
     Raises:
         FactoryError: the model cannot be made.
-        ValueError: the bundle has neither matrices nor a model, or the core cannot be made with this D_V.
+        ValueError: the bundle has neither matrices nor a model nor a scene, or the core cannot be made with this D_V.
     """
-    common, E = bundle.common, bundle.E
+    common, E, stored = bundle.common, bundle.E, 0.0
     law: ForceLaw
     if bundle.model is not None:
         model = make_model(bundle.model, common.ports, common.period)
         law = BlackBox(AskedModel(bundle.model.factory, model, common.ports))
+    elif bundle.scene is not None:
+        law, stored = SceneLaw(bundle.scene, common.period), bundle.scene.energy_at_start
     elif E is None:
-        raise ValueError("found an environment without matrices and without a model; expected one of the two")
+        raise ValueError("found an environment without matrices, a model and a scene; expected one of them")
     elif bundle.enforce:
         law = LinearLaw(E, len(bundle.masses))
     else:
@@ -362,4 +365,6 @@ def environment_core(bundle: EnvironmentBundle, D_V: Vector, blocks: Blocks | No
             budgets=bundle.budgets,
             storage=bundle.storage,
         )
-    return EnforcedCore(law, D_V, bundle.Phi_E, common.period, bundle.enforce, blocks, budgets=bundle.budgets)
+    return EnforcedCore(
+        law, D_V, bundle.Phi_E, common.period, bundle.enforce, blocks, budgets=bundle.budgets, stored=stored
+    )

@@ -7,11 +7,13 @@ controller (:mod:`manyhands.nodes.passivity`) decides which part of them is exer
 
 with the greatest part in [0, 1] that keeps the ledger from falling below zero. S and r are those of the blocks'
 clutches (:mod:`manyhands.nodes.environment.clutch`), r = p and S = I while all are settled. At a port with s = 0 the
-tool rests whatever the force is, and h does not matter. There are two kinds of models:
+tool rests whatever the force is, and h does not matter. There are three kinds of models:
 
 - a black box (:mod:`manyhands.nodes.environment.model`), which receives the tool positions predicted with its forces of
   the tick before. It is explicit, so the algebraic loop closes without any knowledge of the model;
-- matrices E, whose own implicit force solves the algebraic loop. Their promise is proved, so the controller never acts.
+- matrices E, whose own implicit force solves the algebraic loop. Their promise is proved, so the controller never acts;
+- a scene (:mod:`manyhands.nodes.environment.scene`), whose force solves the algebraic loop with its contacts. Its
+  promise is proved for an exact solution, so the controller acts on what an iteration leaves.
 """
 
 from __future__ import annotations
@@ -150,6 +152,7 @@ class EnforcedCore:
         blocks: Blocks | None = None,
         ramp: int = RAMP,
         budgets: Sequence[EnergyBudget] | None = None,
+        stored: float = 0.0,
     ) -> None:
         """Start at rest, all tools at 0, all blocks coupled.
 
@@ -162,6 +165,7 @@ class EnforcedCore:
             blocks: the ports of each coupling, in its own order; None for one block of all ports.
             ramp: ticks from frozen to coupled.
             budgets: the energy that each coupling may put into the others; None for no bound.
+            stored: the energy that the law stores at the start, with which its ledger begins, J.
 
         Raises:
             ValueError: there is no level to enforce; or the symmetric part of D_V is not positive definite, so that
@@ -179,7 +183,7 @@ class EnforcedCore:
         self._x_e, self._f, self._w = np.zeros(m), np.zeros(m), np.zeros(m)  # those of the tick before, until react
         self._next = np.zeros(m)  # x_e of this tick
         self._S = np.ones(m)
-        self.ledger = None if Phi_E is None else Ledger()
+        self.ledger = None if Phi_E is None else Ledger(stored=stored)
         self.controller = PassivityController(T) if enforce else None
         self.ill_posed = 0
         self._stiffness = self._stiffness_of(self._D_V)

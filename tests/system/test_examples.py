@@ -42,6 +42,12 @@ def test_a_paper_figure_is_drawn_and_its_hands_move_as_stated(script: str, tmp_p
     assert fastest < AT_REST if FIGURES[script] else fastest > SHAKING
 
 
+def test_the_carried_ball_is_drawn_and_lifted(tmp_path: Path) -> None:
+    said = run("carry.py", tmp_path)
+    assert (tmp_path / "carry.png").read_bytes().startswith(PNG)
+    assert said == "carry.png: the ball is lifted by 56 mm\n"
+
+
 @pytest.mark.long
 def test_the_order_curve_begins_as_the_page_shows_it(tmp_path: Path) -> None:
     """The first two rows; `tests/system/test_design_docs.py` designs the third, and the others take minutes."""

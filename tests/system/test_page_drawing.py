@@ -12,6 +12,9 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser
 
+from manyhands.launch.files import load_named
+from manyhands.launch.plan.prepare import unproved
+from manyhands.launch.run.broadcast import describe
 from manyhands.launch.view.feed import Feed
 from manyhands.nodes.observer.health import Promise
 from manyhands.nodes.observer.health_model import HealthModel
@@ -69,7 +72,18 @@ CHAIN = replace(
         SpringAbout(("the_first_mass_of_a_chain", "the_second_mass_of_a_chain"), 100.0, 0.1),
     ),
 )
-SESSIONS = {"pair": ABOUT, "crowd": crowd(7), "hosted": HOSTED, "chain": CHAIN}
+
+
+def scene(name: str) -> About:
+    """A shipped scene, uncertified: as its run would describe itself."""
+    return describe(
+        unproved(load_named(name, ["design={coupling: given, stiffness: 900, damping: 0.2}"])), "simulated", "ipc", 0
+    )
+
+
+SESSIONS = {"pair": ABOUT, "crowd": crowd(7), "hosted": HOSTED, "chain": CHAIN} | {
+    name: scene(name) for name in ("carry", "tray")
+}
 
 
 class Played:

@@ -50,10 +50,11 @@ def test_processes_in_lockstep_give_the_simulations_numbers_twice(transport: str
         "example1-centralised.yaml",
         pytest.param("example1-operator.yaml", marks=pytest.mark.long),
         "example1-uncoupled.yaml",
+        "carry.yaml",
     ],
 )
 def test_every_shipped_session_runs(file: str) -> None:
-    """One block over three devices, three blocks over one device, and no coupling at all."""
+    """One block over three devices, three blocks over one device, no coupling at all, and a scene."""
     prepared = prepare(load_session(SESSIONS / file), uncertified=True)
     outcome = run(prepared, "ipc", ticks=400)
     recording = recording_of(outcome)

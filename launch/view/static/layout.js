@@ -4,6 +4,9 @@ A body is what is drawn as one: a device's tool with its first two axes, a mass,
 body, recognised by their names (`ball.x`, `ball.y`). Columns and rows are counted from 0; a body moves about its position.
 */
 
+/** The axis of a body that no spring joins to a port, by its name. */
+const named = (mass) => Math.max(0, "xyz".indexOf(mass.match(/[._-]([xyz])$/)?.[1] ?? "-"));
+
 const stem = (mass) => mass.replace(/[._-]?([xyz012])$/, "") || mass;
 
 /** For each mass, the axis along which it moves (that of the nearest ports), and the number of springs to these ports. */
@@ -37,9 +40,9 @@ export function layout(about) {
   }
   const masses = Object.keys(about.masses);
   masses.forEach((mass, index) => {
-    const { axis, far } = reached.get(mass) ?? { axis: 0, far: 1 };
+    const { axis, far } = reached.get(mass) ?? { axis: named(mass), far: 1 };
     const siblings = masses.filter((m) => stem(m) === stem(mass));
-    const axes = new Set(siblings.map((m) => (reached.get(m) ?? { axis: 0 }).axis));
+    const axes = new Set(siblings.map((m) => (reached.get(m) ?? { axis: named(m) }).axis));
     const together = siblings.length > 1 && axes.size === siblings.length;
     const id = `mass ${together ? stem(mass) : mass}`;
     const body = bodies.get(id) ?? { kind: "mass", name: id.slice(5), axes: [], column: far, row: 0 };

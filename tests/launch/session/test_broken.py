@@ -124,7 +124,7 @@ TABLE = {
     "delay-negative": (11, "environment.delay", "-1", "a whole number of ticks from 0 to 16"),
     "delay-long": (11, "environment.delay", "17", "a whole number of ticks from 0 to 16"),
     "network-with-matrices": (11, "environment.A", "unknown key 'A'", "one of type, masses, links, delay"),
-    "environment-without-type": (9, "environment", "no key 'type'", "network, state-space, transfer-function"),
+    "environment-without-type": (9, "environment", "no key 'type'", "network, scene, state-space, transfer-function"),
     "environment-type-misspelt": (10, "environment.typ", "unknown key 'typ'", "type"),
     "environment-not-a-mapping": (9, "environment", "'network'", "a mapping with the key type"),
     "state-space-missing-matrix": (9, "environment", "no key 'D'", "the m x m matrix D"),

@@ -20,6 +20,7 @@ from manyhands.launch.session import (
     PortLimits,
     PythonEnvironment,
     Rational,
+    SceneEnvironment,
     Session,
     SessionLink,
     StateSpaceEnvironment,
@@ -32,6 +33,7 @@ from manyhands.launch.session import (
     load_session,
 )
 from manyhands.launch.session.fields import SessionModel, keys_of
+from manyhands.launch.session.scene import SceneBody, SceneContact, SceneObstacle, ScenePair, SceneSpring, SceneTool
 from manyhands.nodes.device import pointer
 
 PAGE = (Path(__file__).parents[3] / "docs" / "session-file.md").read_text(encoding="utf-8")
@@ -46,6 +48,13 @@ MODELS: dict[str, tuple[type[SessionModel], ...]] = {
     "Wave link": (WaveLink,),
     "Network": (NetworkEnvironment,),
     "Link": (SessionLink,),
+    "Scene": (SceneEnvironment,),
+    "Tool": (SceneTool,),
+    "Body": (SceneBody,),
+    "Obstacle": (SceneObstacle,),
+    "Contact": (SceneContact,),
+    "Contact pair": (ScenePair,),
+    "Spring": (SceneSpring,),
     "State space": (StateSpaceEnvironment,),
     "Transfer function": (TransferFunctionEnvironment,),
     "Model": (PythonEnvironment,),
@@ -100,6 +109,15 @@ OVERRIDES = {
     "Interval": "environment.links.0.{key}={value}",
     "Network": "environment.{key}={value}",
     "Link": "environment.links.0={{{key}: {value}}}",
+    "Scene": "environment={{{key}: {value}}}",
+    "Tool": "environment={{type: scene, tools: {{{key}: {value}}}}}",
+    "Body": "environment={{type: scene, tools: {{dx: {{}}}}, bodies: {{{key}: {value}}}}}",
+    "Obstacle": "environment={{type: scene, tools: {{dx: {{at: [9, 9, 9]}}}}, obstacles: {{{key}: {value}}}}}",
+    "Contact": "environment={{type: scene, tools: {{dx: {{}}}}, contact: {{{key}: {value}}}}}",
+    "Contact pair": "environment={{type: scene, tools: {{dx: {{}}}}, "
+    "obstacles: {{floor: {{shape: sphere, at: [0, 0, -1], radius: 0.1}}}}, contacts: [{{{key}: {value}}}]}}",
+    "Spring": "environment={{type: scene, tools: {{dx: {{}}}}, bodies: {{ball: {{mass: 1, at: [0, 0, 0]}}}}, "
+    "links: [{{{key}: {value}}}]}}",
     "State space": "{key}={value}",
     "Transfer function": "{key}={value}",
     "Model": "{key}={value}",

@@ -45,6 +45,7 @@ def test_the_shipped_sessions() -> None:
     assert names == {
         "ball": "ball",
         "browser": "browser",
+        "carry": "carry",
         "example1": "example-1",
         "example1-centralised": "example-1-centralised",
         "example1-delayed": "example-1-delayed",
@@ -54,6 +55,9 @@ def test_the_shipped_sessions() -> None:
         "example2": "example-2",
         "example2-closed-loop": "example-2-closed-loop",
         "example2-linear": "example-2-linear",
+        "peg": "peg",
+        "rub": "rub",
+        "tray": "tray",
     }
 
 

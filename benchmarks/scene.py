@@ -1,0 +1,96 @@
+"""The time of a scene's step against the number of contacts: 4 tools with three axes, and up to 4 bodies, in a room.
+
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/scene.py
+
+Every sphere is pressed into a corner of the room, where it touches three faces with friction, and is moved along them.
+The step is that of the environment's core, with its controller and ledger: what it does between receiving p and sending
+f_c, and what it does afterwards. One core is used. Times are processor times of the thread, so that other programs on
+the machine do not count; ``wall_p99`` is by the clock.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+
+import numpy as np
+
+from manyhands.design.models.contacts import Surface
+from manyhands.design.models.scene import Body, ContactScene, Obstacle, SceneLink, ToolSphere
+from manyhands.nodes.environment.enforced import EnforcedCore
+from manyhands.nodes.environment.scene import SceneLaw
+
+T = 1e-3
+TICKS = 4000
+WARM = 200  # ticks before the measurement
+SIDE, RADIUS, DEPTH = 0.1, 0.02, 2e-3  # m: half a side of the room, the spheres, and how far they are pressed
+CORNERS = [(x, y, z) for z in (-1.0, 1.0) for x in (-1.0, 1.0) for y in (-1.0, 1.0)]
+
+
+def scene_of(spheres: int) -> ContactScene:
+    """Four tools, and bodies beyond four spheres; the first ``spheres`` begin in a corner."""
+
+    def place(i: int) -> tuple[float, float, float]:
+        x, y, z = CORNERS[i]
+        at = SIDE - RADIUS if i < spheres else 0.5 * SIDE
+        return x * at, y * at, z * at
+
+    def beyond(i: int) -> tuple[float, float, float]:
+        x, y, z = CORNERS[i]
+        return x * (SIDE - RADIUS + DEPTH), y * (SIDE - RADIUS + DEPTH), z * (SIDE - RADIUS + DEPTH)
+
+    bodies = range(4, max(4, spheres))
+    return ContactScene(
+        tuple(f"t{i}.{axis}" for i in range(4) for axis in "xyz"),
+        tools=tuple(ToolSphere(f"t{i}", (3 * i, 3 * i + 1, 3 * i + 2), (0, 1, 2), place(i), RADIUS) for i in range(4)),
+        bodies=tuple(Body(f"b{i}", 0.2, place(i), RADIUS) for i in bodies),
+        obstacles=(Obstacle("room", "room", ((-SIDE,) * 3, (SIDE,) * 3)),),
+        links=tuple(SceneLink((f"b{i}", "ground"), 1000.0, 1.0, beyond(i)) for i in bodies),
+        surface=Surface(5000.0, 1.0, 0.5),
+    )
+
+
+def measure(spheres: int) -> dict[str, float]:
+    """Times in microseconds, over TICKS ticks with ``spheres`` spheres in corners."""
+    scene = scene_of(spheres)
+    law = SceneLaw(scene, T)
+    core = EnforcedCore(law, np.eye(12) / 900.0, np.zeros((12, 12)), T, True, stored=scene.energy_at_start)
+    corners = np.array(CORNERS[:4]).ravel()
+    pressed = np.repeat(np.arange(4) < spheres, 3) * DEPTH * corners
+    touching, react, settle, wall = [], [], [], []
+    for k in range(WARM + TICKS):
+        p = (pressed + 1e-3 * np.sin(2.0 * np.pi * 2.0 * k * T + np.arange(12))).tolist()
+        clock, begin = time.perf_counter(), time.thread_time()
+        core.react(p)
+        sent = time.thread_time()
+        core.settle()
+        end, passed = time.thread_time(), time.perf_counter() - clock
+        if k >= WARM:
+            react.append(sent - begin)
+            settle.append(end - sent)
+            wall.append(passed)
+            touching.append(law.touching)
+    step = 1e6 * (np.array(react) + np.array(settle))
+    return {
+        "contacts": round(float(np.mean(touching)), 1),
+        "p50": round(float(np.median(step)), 1),
+        "p99": round(float(np.percentile(step, 99)), 1),
+        "wall_p99": round(1e6 * float(np.percentile(wall, 99)), 1),
+        "before_sending_p50": round(1e6 * float(np.median(react)), 1),
+        "before_sending_p99": round(1e6 * float(np.percentile(react, 99)), 1),
+        "newton_steps": round(law.steps / (WARM + TICKS), 2),
+        "unfinished": law.unfinished,
+        "kept_back": core.controller.ticks if core.controller is not None else 0,
+    }
+
+
+def main() -> None:
+    """Print a line of JSON for each number of spheres."""
+    for spheres in (0, 1, 2, 4, 6, 7, 8):
+        sys.stdout.write(json.dumps({"spheres": spheres, **measure(spheres)}) + "\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,341 @@
+"""The scene of a session: tools and bodies in space, springs between them, obstacles, contacts with friction.
+
+A device with one to three axes is one tool, under the device's own name. Positions are in m, in one frame for all. The
+positions in the file are those at the start; everything starts at rest.
+"""
+
+from collections.abc import Iterator
+from typing import Annotated, Any, Final, Literal, Self, TypeAlias
+
+from pydantic import BeforeValidator, ConfigDict, Field, model_validator
+
+from manyhands.design.models.contacts import GROUND, Surface
+from manyhands.design.models.scene import (
+    MOST_OBSTACLES,
+    MOST_POINTS,
+    SHAPES,
+    STIFFEST,
+    Body,
+    ContactScene,
+    Falling,
+    Obstacle,
+    Point,
+    SceneLink,
+    ToolSphere,
+)
+from manyhands.launch.session.errors import listed, one_of, show
+from manyhands.launch.session.fields import (
+    DAMPING,
+    MASS,
+    STIFFNESS,
+    Choice,
+    Described,
+    Items,
+    NamedParts,
+    Problem,
+    Quantity,
+    SessionModel,
+    ValueCheck,
+    defaulted,
+    each,
+    optional,
+    part_name,
+    refuse,
+)
+from manyhands.launch.session.forms import either, list_of, where
+from manyhands.launch.session.limits import MAX_LINKS
+
+_XYZ: Final = ("x", "y", "z")
+_TOUCH: Final = 1e-9  # m; a tool may touch at the start
+_FARTHEST: Final = 1e3  # m; positions beyond it would lose the micrometres in which contacts are felt
+
+
+def _vector(check: ValueCheck, what: str) -> Described:
+    def of_three(value: object) -> Point:
+        if not isinstance(value, list | tuple) or len(value) != 3:
+            raise refuse(show(value), f"{what} [x, y, z]")
+        x, y, z = each(check, value)
+        return x, y, z
+
+    return Described(of_three, list_of(check.json_schema, 3, 3))
+
+
+_COORDINATE: Final = Quantity("a coordinate", "m", least=-_FARTHEST, most=_FARTHEST)
+_PLACE: Final = _vector(_COORDINATE, "a place")
+_DIRECTION: Final = _vector(Quantity("a component", least=-_FARTHEST, most=_FARTHEST), "a direction")
+_ACCELERATION: Final = _vector(Quantity("an acceleration", "m/s²", least=-100.0, most=100.0), "an acceleration")
+_RADIUS: Final = Quantity("a radius", "m", least=0.0, most=_FARTHEST)
+_ROUND: Final = Quantity("a radius", "m", above=0.0, most=_FARTHEST)
+_CONTACT_STIFFNESS: Final = Quantity("a stiffness", "N/m", least=0.0, most=STIFFEST)
+_FRICTION: Final = Quantity("a coefficient of friction", least=0.0, most=10.0)
+
+Place: TypeAlias = Annotated[tuple[float, float, float], BeforeValidator(_PLACE)]
+Radius: TypeAlias = Annotated[float, BeforeValidator(_RADIUS)]
+
+
+class SceneTool(SessionModel):
+    """A point or a sphere that a device moves."""
+
+    at: Place = Field(default=(0.0, 0.0, 0.0), description="where it is when all displacements are 0, in m: [x, y, z]")
+    radius: Radius = Field(default=0.0, description="its radius in m; 0 for a point")
+
+
+class SceneBody(SessionModel):
+    """A point mass or a sphere that moves freely, without turning."""
+
+    mass: Annotated[float, BeforeValidator(MASS)] = Field(description="its mass in kg")
+    at: Place = Field(description="where its centre is at the start, in m: [x, y, z]")
+    radius: Radius = Field(default=0.0, description="its radius in m; 0 for a point")
+
+
+_SHAPED: Final[dict[str, Any]] = {
+    "allOf": [
+        {
+            "if": where("shape", shape),
+            "then": {
+                "required": [*keys],
+                "properties": {key: False for of_others in SHAPES.values() for key in of_others if key not in keys},
+            },
+        }
+        for shape, keys in SHAPES.items()
+    ]
+}
+
+_ENDS: Final = Described(lambda value: None if value is None else _two_places(value), list_of(_PLACE.json_schema, 2, 2))
+
+
+def _two_places(value: object) -> tuple[Point, Point]:
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        raise refuse(show(value), "two places [[x, y, z], [x, y, z]]")
+    a, b = each(_PLACE, value)
+    return a, b
+
+
+_OptionalPlace: TypeAlias = Annotated[tuple[float, float, float] | None, BeforeValidator(optional(_PLACE))]
+
+
+class SceneObstacle(SessionModel):
+    """A thing that stands still: a wall or a room that spheres stay inside of, or a shape that they stay outside of."""
+
+    model_config = ConfigDict(json_schema_extra=_SHAPED)
+
+    shape: Annotated[Literal["wall", "room", "box", "sphere", "capsule"], BeforeValidator(Choice(tuple(SHAPES)))] = (
+        Field(description="its shape: wall, room, box, sphere or capsule")
+    )
+    at: _OptionalPlace = defaulted(None, "a point of a wall, or a sphere's centre, in m: [x, y, z]")
+    normal: Annotated[tuple[float, float, float] | None, BeforeValidator(optional(_DIRECTION))] = defaulted(
+        None, "the direction from a wall to the side where things are: [x, y, z]"
+    )
+    low: _OptionalPlace = defaulted(None, "the corner of a room or a box with the least coordinates, in m: [x, y, z]")
+    high: _OptionalPlace = defaulted(None, "the corner with the greatest coordinates, in m: [x, y, z]")
+    ends: Annotated[tuple[tuple[float, float, float], tuple[float, float, float]] | None, BeforeValidator(_ENDS)] = (
+        defaulted(None, "the two ends of a capsule's axis, in m: [[x, y, z], [x, y, z]]")
+    )
+    radius: Annotated[float | None, BeforeValidator(optional(_ROUND))] = defaulted(
+        None, "the radius of a sphere or a capsule in m"
+    )
+
+    @model_validator(mode="after")
+    def _of_its_shape(self) -> Self:
+        keys = SHAPES[self.shape]
+        stated = {key for of_one in SHAPES.values() for key in of_one if getattr(self, key) is not None}
+        if missing := [key for key in keys if key not in stated]:
+            raise refuse(f"a {self.shape} without {listed(missing)}", f"the keys {listed(keys)} for a {self.shape}")
+        if other := sorted(stated.difference(keys)):
+            raise refuse(
+                f"{other[0]} of a {self.shape}", f"only the keys {listed(keys)} for a {self.shape}", (other[0],)
+            )
+        if self.normal is not None and not any(self.normal):
+            raise refuse("the normal [0, 0, 0]", "a direction", at=("normal",))
+        if self.low is not None and self.high is not None:
+            for axis, low, high in zip(_XYZ, self.low, self.high, strict=True):
+                if not low < high:
+                    raise refuse(f"{low:g} m in low and {high:g} m in high along {axis}", "low below high", ("high",))
+        return self
+
+    def obstacle(self, name: str) -> Obstacle:
+        """The same as design has it."""
+        given = {"wall": (self.at, self.normal), "sphere": (self.at,), "capsule": self.ends or ()}
+        points = given.get(self.shape, (self.low, self.high))
+        return Obstacle(name, self.shape, tuple(point for point in points if point is not None), self.radius or 0.0)
+
+
+class SceneContact(SessionModel):
+    """How things touch; with the stiffness 0 they do not."""
+
+    stiffness: Annotated[float, BeforeValidator(_CONTACT_STIFFNESS)] = Field(
+        default=2000.0, description="the contact's stiffness in N/m, at most 1e6"
+    )
+    damping: Annotated[float, BeforeValidator(DAMPING)] = Field(
+        default=0.0, description="the damping of a contact along its normal in N·s/m"
+    )
+    friction: Annotated[float, BeforeValidator(_FRICTION)] = Field(
+        default=0.0, description="the coefficient of Coulomb friction"
+    )
+
+    @property
+    def surface(self) -> Surface:
+        """The same as design has it."""
+        return Surface(self.stiffness, self.damping, self.friction)
+
+
+def _two_names(value: object) -> tuple[str, str]:
+    if not isinstance(value, list | tuple) or len(value) != 2 or not all(isinstance(end, str) for end in value):
+        raise refuse(show(value), "two names [a, b]")
+    if value[0] == value[1]:
+        raise refuse(f"{show(value[0])} twice", "two different names")
+    return value[0], value[1]
+
+
+_BETWEEN: Final = BeforeValidator(Described(_two_names, list_of({"type": "string"}, 2, 2)))
+
+
+class ScenePair(SceneContact):
+    """How two things touch that do not touch as all others do."""
+
+    between: Annotated[tuple[str, str], _BETWEEN] = Field(
+        description="the two things [a, b]: a tool or a body, and a tool, a body or an obstacle"
+    )
+
+
+class SceneSpring(SessionModel):
+    """A spring and a damper in parallel between two tools or bodies, or one of them and the ground."""
+
+    model_config = ConfigDict(json_schema_extra=either({"required": ["stiffness"]}, {"required": ["damping"]}))
+
+    between: Annotated[tuple[str, str], _BETWEEN] = Field(
+        description=f"the two ends [a, b], each a tool, a body or {GROUND}"
+    )
+    stiffness: Annotated[float, BeforeValidator(STIFFNESS)] = Field(default=0.0, description="the stiffness in N/m")
+    damping: Annotated[float, BeforeValidator(DAMPING)] = Field(default=0.0, description="the damping in N·s/m")
+    rest: _OptionalPlace = defaulted(
+        None, "a less b where the spring has no force, in m: [x, y, z]; as at the start without it"
+    )
+
+    @model_validator(mode="after")
+    def _has_spring_or_damper(self) -> Self:
+        if self.stiffness == 0.0 and self.damping == 0.0:
+            raise refuse(
+                "neither stiffness nor damping", "a stiffness in N/m, a damping in N·s/m, or both, greater than 0"
+            )
+        return self
+
+
+def _by_device(ports: tuple[str, ...]) -> dict[str, list[str]]:
+    """The ports of each device, by its name."""
+    found: dict[str, list[str]] = {}
+    for port in ports:
+        found.setdefault(port.partition(".")[0], []).append(port)
+    return found
+
+
+def _axes_of(ports: list[str]) -> tuple[int, ...]:
+    """The axis along which each of a device's ports moves its tool: by their names, else x, y and z in order."""
+    names = [port.partition(".")[2] for port in ports]
+    return tuple(_XYZ.index(name) for name in names) if set(names) <= {*_XYZ} else tuple(range(len(ports)))
+
+
+class SceneEnvironment(SessionModel):
+    """Tools, bodies and obstacles in space, with springs, gravity, contacts and friction."""
+
+    type: Annotated[Literal["scene"], BeforeValidator(Choice(("scene",)))] = Field(
+        description="the kind of environment: scene"
+    )
+    tools: Annotated[dict[str, SceneTool], BeforeValidator(NamedParts(part_name("a device's name"), MOST_POINTS))] = (
+        Field(description="the tool of each device, by the device's name")
+    )
+    bodies: Annotated[
+        dict[str, SceneBody], BeforeValidator(NamedParts(part_name("a body's name"), MOST_POINTS, least=0))
+    ] = Field(default={}, description="the bodies that move freely, by name")
+    obstacles: Annotated[
+        dict[str, SceneObstacle], BeforeValidator(NamedParts(part_name("an obstacle's name"), MOST_OBSTACLES, least=0))
+    ] = Field(default={}, description="the things that stand still, by name")
+    links: Annotated[tuple[SceneSpring, ...], BeforeValidator(Items("links", MAX_LINKS, least=0))] = Field(
+        default=(), description="the springs and dampers; things that one joins do not touch each other"
+    )
+    contact: SceneContact = Field(default=SceneContact(), description="how all things touch")
+    contacts: Annotated[tuple[ScenePair, ...], BeforeValidator(Items("contacts", MAX_LINKS, least=0))] = Field(
+        default=(), description="how pairs of things touch that do not touch as all others do"
+    )
+    gravity: Annotated[tuple[float, float, float], BeforeValidator(_ACCELERATION)] = Field(
+        default=(0.0, 0.0, 0.0), description="the acceleration of free bodies in m/s²: [x, y, z]"
+    )
+
+    def problems(self, ports: tuple[str, ...]) -> Iterator[Problem]:
+        """The problems of the scene in a session with these ports."""
+        basic = list(self._names(ports))
+        yield from basic or self._beginning(ports)
+
+    def _names(self, ports: tuple[str, ...]) -> Iterator[Problem]:
+        """The problems of names and numbers."""
+        devices = _by_device(ports)
+        for name in devices:
+            if name not in self.tools:
+                yield Problem(("tools",), f"no tool for the device {name!r}", "one tool for each device, by its name")
+        for name in self.tools:
+            if name not in devices:
+                yield Problem(("tools", name), f"the name {name!r}", one_of(tuple(devices), name))
+            elif len(devices[name]) > len(_XYZ):
+                found = f"a device with {len(devices[name])} axes"
+                yield Problem(("tools", name), found, "a device with one to three axes")
+        movable = (*self.tools, *self.bodies)
+        if len(movable) > MOST_POINTS:
+            yield Problem(("bodies",), f"{len(movable)} tools and bodies", f"at most {MOST_POINTS}")
+        for kind, taken in (("bodies", self.tools), ("obstacles", {**self.tools, **self.bodies})):
+            for name in getattr(self, kind):
+                if name in taken or name == GROUND:
+                    owner = "the ground" if name == GROUND else "a different thing"
+                    yield Problem((kind, name), f"the name {name!r} of {owner}", "a name of its own")
+        for key, ends in (("links", (*movable, GROUND)), ("contacts", (*movable, *self.obstacles))):
+            for index, pair in enumerate(getattr(self, key)):
+                for position, end in enumerate(pair.between):
+                    if end not in ends:
+                        yield Problem(
+                            (key, index, "between", position), f"the unknown end {show(end)}", one_of(ends, end)
+                        )
+        for index, contact in enumerate(self.contacts):
+            if all(end in self.obstacles for end in contact.between):
+                yield Problem(("contacts", index, "between"), "two obstacles", "a tool or a body at one of the ends")
+
+    def _beginning(self, ports: tuple[str, ...]) -> Iterator[Problem]:
+        """The problems of what stands where: bodies that fall, and tools inside other things."""
+        try:
+            scene = self.scene(ports)
+        except Falling as error:
+            yield Problem(("bodies", error.body), error.FOUND, error.EXPECTED)
+            return
+        contacts = scene.contacts
+        for pair, gap in zip(contacts.pairs, contacts.gaps(scene.points)[0].tolist(), strict=True):
+            for name in {*pair.names} & {*self.tools} if gap < -_TOUCH else ():
+                (other,) = {*pair.names} - {name}
+                found = f"a tool that begins {-1e3 * gap:.3g} mm inside {other!r}"
+                yield Problem(("tools", name), found, f"a place outside, or a contact of stiffness 0 with {other!r}")
+
+    def scene(self, ports: tuple[str, ...]) -> ContactScene:
+        """The same as design has it, in a session with these ports.
+
+        Raises:
+            Falling: a body under gravity has nothing that holds it.
+            ValueError: the scene has one of the other problems that :meth:`problems` reports.
+        """
+        devices = _by_device(ports)
+        index = {port: i for i, port in enumerate(ports)}
+        return ContactScene(
+            ports,
+            tools=tuple(
+                ToolSphere(
+                    name,
+                    tuple(index[port] for port in devices[name]),
+                    _axes_of(devices[name]),
+                    tool.at,
+                    tool.radius,
+                )
+                for name, tool in self.tools.items()
+            ),
+            bodies=tuple(Body(name, body.mass, body.at, body.radius) for name, body in self.bodies.items()),
+            obstacles=tuple(thing.obstacle(name) for name, thing in self.obstacles.items()),
+            links=tuple(SceneLink(link.between, link.stiffness, link.damping, link.rest) for link in self.links),
+            surface=self.contact.surface,
+            surfaces=tuple((pair.between, pair.surface) for pair in self.contacts),
+            gravity=self.gravity,
+        )

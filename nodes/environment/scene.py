@@ -1,0 +1,277 @@
+"""One tick of a scene: springs, contacts and friction, solved together with the couplings' compliance.
+
+With the positions z of all tools and bodies (P x 3, m) and the forces F(z) of springs, dampers and contacts on them, a
+tick is
+
+    z = z_free + W F(z),        W = blockdiag(S D_V S at the ports, T^2/m I at each body),
+
+where z_free is where the tools would be without forces, r, and where the bodies' velocities carry them. Springs and
+dampers are linear, and a matrix made beforehand holds them. Contacts act along the gradients n of the gaps at the tick
+before, with the gap's tangent plane g(z) = d + n^T (u - u(k-1)) in place of the gap, u the first point less the second:
+
+    normal force    max(0, -k g - b (g - min(0, d))/T),
+    friction        -k e, with e = (I - n n^T) (e(k-1) + u - u(k-1)), shortened to at most mu N(k-1)/k,
+
+N(k-1) being the normal force of the tick before. Both are gradients of convex functions of z, so that the tick has one
+solution. docs/decisions/0041-scenes.md proves that the scene then keeps the level 0, for every W.
+
+A primal-dual active-set iteration [Hintermueller2002]_ finds the solution, from the forces of the tick before on, in
+:data:`MOST_STEPS` steps at most. It works with the forces along the rows of a matrix G, one row along the gradient of
+each pair and three across it, and projects them on what the laws admit [Alart1991]_. The forces that are sent are those
+from which z follows. What an unfinished iteration leaves is an error of a contact's law alone; the
+passivity controller of :class:`manyhands.nodes.environment.enforced.EnforcedCore` covers it.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manyhands.design.models.scene import ContactScene
+from manyhands.nodes.arithmetic import Floats
+from manyhands.nodes.environment.model import MOST_FORCE
+
+Vector = NDArray[np.float64]
+
+MOST_STEPS: Final = 12
+"""Newton steps of a tick: they bound its time."""
+
+NEAR: Final = 2e-3
+"""m; a pair with a greater gap takes part in a tick only if points are fast enough to close it."""
+
+_ENOUGH: Final = 1e-12  # m; a residual of this size is a force's rounding
+
+
+class SceneLaw:
+    """The forces of a scene, as a law of :class:`manyhands.nodes.environment.enforced.EnforcedCore`.
+
+    Attributes:
+        failure: that a tick had forces beyond :data:`.MOST_FORCE`, after which they are zero; None before.
+        steps: Newton steps so far.
+        unfinished: ticks whose iteration did not end in :data:`MOST_STEPS` steps.
+    """
+
+    def __init__(self, scene: ContactScene, T: float) -> None:
+        """Start at rest, with all displacements 0; T is the period, s."""
+        tools, bodies = scene.tools, scene.bodies
+        points = len(tools) + len(bodies)
+        size = 3 * points
+        self._T = T
+        self._first = 3 * len(tools)  # the first coordinate of the bodies
+        self._ports = np.zeros(len(scene.ports), dtype=np.intp)
+        for i, tool in enumerate(tools):
+            self._ports[list(tool.ports)] = [3 * i + axis for axis in tool.axes]
+        K, B, load = np.zeros((size, size)), np.zeros((size, size)), np.zeros(size)
+        for link in scene.links:
+            a, b = scene.ends_of(link)
+            rest = scene.rest_of(link)
+            for end, other, sign in ((a, b, 1.0), (b, a, -1.0)):
+                if end is None:
+                    continue
+                own = slice(3 * end, 3 * end + 3)
+                load[own] += sign * link.stiffness * rest
+                for matrix, amount in ((K, link.stiffness), (B, link.damping)):
+                    matrix[own, own] += amount * np.eye(3)
+                    if other is not None:
+                        matrix[own, 3 * other : 3 * other + 3] -= amount * np.eye(3)
+        self._mobility = np.zeros((size, size))
+        for i, body in enumerate(bodies, len(tools)):
+            own = slice(3 * i, 3 * i + 3)
+            load[own] += body.mass * np.array(scene.gravity)
+            self._mobility[own, own] = T * T / body.mass * np.eye(3)
+        self._K, self._B, self._load = K + B / T, B / T, load
+        contacts = self._contacts = scene.contacts
+        self._total = contacts.stiffness + contacts.damping / T
+        self._jacobian = np.kron(contacts.incidence, np.eye(3)).reshape(len(contacts), 3, size)
+        self._I = np.eye(size)
+        self._z: Vector = scene.points.ravel()
+        self._home: Vector = self._z
+        self._step = np.zeros(size)  # of the tick before
+        self._free = self._z.copy()
+        self._normal = np.zeros(len(contacts))  # the normal forces of the tick before, N
+        self._bristles = np.zeros((len(contacts), 3))  # e of the tick before, m
+        self._compliance: Vector | None = None
+        self._W: Vector = self._mobility
+        self._linear: Vector = self._mobility
+        self._next: Vector = self._z
+        self._normal_next, self._bristles_next = self._normal, self._bristles
+        self.failure: str | None = None
+        self.steps = self.unfinished = 0
+        self._prepare()
+
+    @property
+    def touching(self) -> int:
+        """The number of pairs that press on each other in the tick before."""
+        return int(np.count_nonzero(self._normal))
+
+    @property
+    def masses(self) -> Floats:
+        """How far the bodies are from where they started, x, y and z of each, m."""
+        found: Floats = (self._z - self._home)[self._first :].tolist()
+        return found
+
+    def propose(self, r: Vector, compliance: Vector, x_e: Vector) -> Vector:
+        """The forces on the tools, N, of the tick's solution."""
+        if compliance is not self._compliance:
+            self._compliance = compliance
+            ports, W = self._ports, self._mobility.copy()
+            W[np.ix_(ports, ports)] = compliance
+            self._linear = np.asarray(np.linalg.inv(self._I + W @ self._K), dtype=np.float64)
+            self._W = self._linear @ W
+            self._weigh()
+        self._free[self._ports] = self._home[self._ports] + r
+        past = self._past
+        self._next, force = self._touched(self._linear @ self._free + self._W @ past)
+        f: Vector = (past - self._K @ self._next + force)[self._ports]
+        # written with not: a comparison with NaN is false
+        if self.failure is None and not np.abs(f).max() <= MOST_FORCE:
+            self.failure = f"the scene failed: found a force beyond {MOST_FORCE:g} N; expected tools near the scene"
+        if self.failure is None:
+            return f
+        self._next = self._z
+        return np.zeros(len(f))
+
+    def advance(self, x_e: Vector) -> None:
+        """Step to the next tick, with the tools at ``x_e``, m."""
+        z = self._next.copy()
+        z[self._ports] = self._home[self._ports] + x_e
+        self._step = z - self._z
+        self._z = z
+        self._normal, self._bristles = self._normal_next, self._bristles_next
+        self._free[self._first :] = z[self._first :] + self._step[self._first :]
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """Everything of the next tick that follows from the positions of this one."""
+        self._past = self._load + self._B @ self._z
+        self._gap, self._gradient = self._contacts.gaps(self._z.reshape(-1, 3))
+        self._reach = NEAR + 8.0 * float(np.abs(self._step).max(initial=0.0))
+        self._take(np.flatnonzero(self._gap < self._reach))
+
+    def _take(self, near: NDArray[np.intp]) -> None:
+        """Let the pairs ``near`` take part in the tick.
+
+        The rows of G are their gradients, and then three for each pair with friction: what is across the gradient.
+        """
+        T, contacts, size = self._T, self._contacts, len(self._z)
+        n, J, gap = self._gradient[near], self._jacobian[near], self._gap[near]
+        self._near, self._kappa = near, self._total[near]
+        # the normal force is max(0, kappa (constant - n^T (u - u(k-1))))
+        constants = -gap - contacts.damping[near] / T * np.maximum(0.0, -gap) / self._kappa
+        compliances = 1.0 / self._kappa
+        rows = np.matmul(n[:, None, :], J)[:, 0]
+        last = self._normal[near]
+        most = contacts.friction[near] * last
+        rubbing = self._rubbing = np.flatnonzero(most > 0.0)
+        if len(rubbing):
+            n = n[rubbing]
+            across = np.eye(3) - n[:, :, None] * n[:, None, :]
+            self._most, self._k = most[rubbing], contacts.stiffness[near[rubbing]]
+            self._e = np.matmul(across, self._bristles[near[rubbing]][:, :, None])[:, :, 0]
+            self._across = np.matmul(across, J[rubbing])
+            rows = np.concatenate([rows, self._across.reshape(-1, size)])
+            last = np.concatenate([last, (-self._k[:, None] * self._e).ravel()])
+            constants = np.concatenate([constants, -self._e.ravel()])
+            compliances = np.concatenate([compliances, np.repeat(1.0 / self._k, 3)])
+        self._G, self._last, self._constants, self._compliances = rows, last, constants, compliances
+        self._weigh()
+
+    def _weigh(self) -> None:
+        """What follows from G and the compliance together."""
+        self._WG = self._W @ self._G.T
+        yielding = (self._G * self._WG.T).sum(axis=1)
+        count = len(self._near)
+        if len(self._rubbing):  # one weight for the three rows of a pair, two of which are independent
+            yielding[count:] = np.repeat(yielding[count:].reshape(-1, 3).sum(axis=1) / 2.0, 3)
+        self._compliant = yielding + self._compliances
+        self._weights = 1.0 / self._compliant
+
+    def _touched(self, free: Vector) -> tuple[Vector, Vector]:
+        """The positions and the contacts' forces on all points, from the positions ``free`` without contacts."""
+        z, force = self._solved(free)
+        moved = float(np.abs(z - self._z).max(initial=0.0))
+        if 4.0 * moved > self._reach and len(self._near) < len(self._contacts):
+            self._take(np.arange(len(self._contacts)))
+            z, force = self._solved(free)
+        self._normal_next = np.zeros(len(self._contacts))
+        self._bristles_next = np.zeros((len(self._contacts), 3))
+        near = self._near
+        if len(near):
+            self._normal_next[near] = self._found[: len(near)]
+            rubbing = self._rubbing
+            if len(rubbing):
+                tangential = self._found[len(near) :].reshape(-1, 3)
+                self._bristles_next[near[rubbing]] = tangential / -self._k[:, None]
+        return z, force
+
+    def _solved(self, free: Vector) -> tuple[Vector, Vector]:
+        """The positions, and the contacts' forces on all points."""
+        if len(self._near) == 0:
+            return free, np.zeros(len(free))
+        G, WG = self._G, self._WG
+        past = free - self._z
+        forces = self._last
+        best, least = forces, np.inf
+        for step in range(MOST_STEPS + 1):
+            trial = self._trial(G @ (past + WG @ forces), forces)
+            wanted = self._admitted(trial)
+            off = float((np.abs(wanted - forces) * self._compliant).max())
+            if off < least:
+                best, least = wanted, off
+            if off <= _ENOUGH:
+                break
+            if step == MOST_STEPS:
+                self.unfinished += 1
+                break
+            self.steps += 1
+            constant, firm = self._linear_laws(trial)
+            forces = constant - firm @ np.linalg.solve(self._I + WG @ firm, past + WG @ constant)
+        self._found = best
+        return free + WG @ best, G.T @ best
+
+    def _trial(self, u: Vector, forces: Vector) -> Vector:
+        """The forces that the laws would be fulfilled with, N, if they admitted every force.
+
+        Args:
+            u: the motion of the points along the rows of G, m.
+            forces: along the rows of G, N.
+        """
+        # a law is compliance * force + u = constant; the weights make it a step towards the solution
+        trial: Vector = forces + self._weights * (self._constants - forces * self._compliances - u)
+        return trial
+
+    def _admitted(self, trial: Vector) -> Vector:
+        """The nearest forces that the laws admit, N: no pull, and no more friction than its bound."""
+        count = len(self._near)
+        admitted = trial.copy()
+        np.maximum(trial[:count], 0.0, out=admitted[:count])
+        if len(self._rubbing):
+            across = admitted[count:].reshape(-1, 3)
+            length = np.sqrt((across * across).sum(axis=1))
+            across *= (self._most / np.maximum(length, self._most))[:, None]
+        return admitted
+
+    def _linear_laws(self, trial: Vector) -> tuple[Vector, Vector]:
+        """The laws around ``trial``: the forces are the first result less the second (N/m) times the points' motion."""
+        count = len(self._near)
+        firm = self._kappa * (trial[:count] > 0.0)
+        constant, rows = firm * self._constants[:count], firm[:, None] * self._G[:count]
+        if len(self._rubbing) == 0:
+            return constant, rows
+        k, e, most, rho = self._k, self._e, self._most, self._weights[count::3]
+        across = trial[count:].reshape(-1, 3)
+        length = np.maximum(np.sqrt((across * across).sum(axis=1)), most)
+        part = most / length
+        slips = part < 1.0
+        # where it slips, the force keeps its size and turns with the motion across it
+        stiffness = np.where(slips, part * rho / (1.0 - part * (1.0 - rho / k)), k)
+        along = across * (slips / length)[:, None]
+        turned = e - (along * e).sum(axis=1)[:, None] * along
+        blocks = self._across - along[:, :, None] * np.matmul(along[:, None, :], self._across)
+        tangential = (most * slips)[:, None] * along - stiffness[:, None] * turned
+        return (
+            np.concatenate([constant, tangential.ravel()]),
+            np.concatenate([rows, (stiffness[:, None, None] * blocks).reshape(-1, rows.shape[1])]),
+        )

@@ -1,0 +1,195 @@
+"""Scenes: signed distances and their tangent planes, the energy at the start, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from manyhands.design.certificate import describe_environment, environment_of
+from manyhands.design.models.contacts import ContactPair, Contacts, Surface
+from manyhands.design.models.environment import DeclaredScene
+from manyhands.design.models.scene import Body, ContactScene, Falling, Obstacle, SceneLink, ToolSphere
+
+from ...support.scenes import random_scene
+
+SURFACE = Surface(1000.0)
+LOW, HIGH = (-1.0, -2.0, -0.5), (1.0, 2.0, 0.5)
+SHAPES = {
+    "spheres": ((), 1),
+    "plane": (((0.1, 0.2, 0.3), (1.0, -2.0, 0.5)), -1),
+    "capsule": (((-1.0, 0.0, 0.2), (0.5, 1.0, 0.0)), -1),
+    "point": (((0.3, 0.0, -0.2), (0.3, 0.0, -0.2)), -1),
+    "box": ((LOW, HIGH), -1),
+}
+
+
+def contacts_of(shape: str, reach: float = 0.0) -> Contacts:
+    points, b = SHAPES[shape]
+    kind = "capsule" if shape == "point" else shape
+    return Contacts([ContactPair(("a", "b"), 0, b, SURFACE, reach, kind, points)], 2)
+
+
+def distance(shape: str, u: np.ndarray, z: np.ndarray) -> float:
+    """The signed distance by its definition: the nearest of many points, or the farthest of many planes."""
+    if shape == "spheres":
+        return float(np.linalg.norm(z[0] - z[1]))
+    points = np.array(SHAPES[shape][0])
+    if shape == "plane":
+        return float((u - points[0]) @ points[1] / np.linalg.norm(points[1]))
+    if shape != "box":
+        along = np.linspace(0.0, 1.0, 20001)[:, None]
+        return float(np.linalg.norm(u - (points[0] + along * (points[1] - points[0])), axis=1).min())
+    nearest = np.clip(u, *points)
+    inside = np.min([u - points[0], points[1] - u])
+    return float(np.linalg.norm(u - nearest)) if inside < 0.0 else -float(inside)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_a_tangent_plane_is_below_the_gap(shape: str, seed: int) -> None:
+    """Convexity, on which the proof of a scene rests; and the gap is the distance less the reach."""
+    rng = np.random.default_rng(seed)
+    contacts = contacts_of(shape, reach=0.25)
+    z, other = (rng.normal(size=(2, 3)) * 10.0 ** rng.uniform(-2.0, 0.5) for _ in range(2))
+    gap, gradient = contacts.gaps(z)
+    assert gap[0] + 0.25 == pytest.approx(distance(shape, z[0], z), abs=1e-7)
+    assert np.linalg.norm(gradient[0]) == pytest.approx(1.0, abs=1e-12)
+    moved = contacts.incidence @ (other - z)
+    assert contacts.gaps(other)[0][0] >= gap[0] + float(gradient[0] @ moved[0]) - 1e-12
+    step = 1e-6 * rng.normal(size=(2, 3))
+    there = contacts.gaps(z + step)[0][0]
+    assert there - gap[0] == pytest.approx(float(gradient[0] @ (contacts.incidence @ step)[0]), abs=1e-8)
+
+
+@pytest.mark.parametrize(("shape", "at"), [("spheres", (0.3, 0, -0.2)), ("capsule", (-1, 0, 0.2)), ("box", (0, 0, 0))])
+def test_a_centre_has_a_gradient(shape: str, at: tuple[float, ...]) -> None:
+    """Where the distance has a corner, one of its tangent planes is taken."""
+    contacts, z = contacts_of(shape), np.array([at, at])
+    gap, gradient = contacts.gaps(z)
+    assert gap[0] == pytest.approx(-0.5 if shape == "box" else 0.0)
+    assert np.linalg.norm(gradient[0]) == pytest.approx(1.0)
+    for step in np.random.default_rng(1).normal(size=(20, 2, 3)):
+        assert contacts.gaps(z + step)[0][0] >= gap[0] + float(gradient[0] @ (contacts.incidence @ step)[0]) - 1e-12
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_a_scene_is_read_as_it_was_written(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    scene = random_scene(rng, int(rng.integers(1, 4)), int(rng.integers(0, 4)), int(rng.integers(1, 4)))
+    again = environment_of(describe_environment(DeclaredScene(scene)), scene.ports)
+    assert again == DeclaredScene(scene)
+    assert isinstance(again, DeclaredScene)
+    assert again.scene.energy_at_start == pytest.approx(scene.energy_at_start, abs=1e-12)
+    assert scene != replace(scene, surface=Surface(scene.surface.stiffness, 0.1, 0.2))
+
+
+BALL = Body("ball", 0.5, (0.0, 0.0, 0.3), 0.05)
+G = (0.0, 0.0, -9.81)
+FLOOR = Obstacle("floor", "wall", ((1.0, 1.0, 0.1), (0.0, 0.0, 2.0)))
+ROOM = Obstacle("room", "room", ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)))
+SPRING = SceneLink(("ball", "ground"), 200.0, 0.0)
+
+
+def scene_of(**parts: Any) -> ContactScene:
+    given_parts: dict[str, Any] = {"tools": (ToolSphere("p", (0,), (0,), (0.0, 0.0, 0.0)),), "surface": SURFACE}
+    return ContactScene(("p",), **{**given_parts, **parts})
+
+
+def test_the_energy_at_the_start() -> None:
+    weight = 0.5 * 9.81
+    sunk = weight**2 / (2 * 1000.0)
+    assert scene_of(bodies=(BALL,)).energy_at_start == 0.0
+    apart = ((("p", "floor"), Surface(0.0)),)  # the tool is below the floor
+    on_floor = scene_of(bodies=(BALL,), obstacles=(FLOOR,), gravity=G, surfaces=apart)
+    assert on_floor.energy_at_start == pytest.approx(weight * 0.15 + sunk)
+    in_room = scene_of(bodies=(BALL,), obstacles=(ROOM,), gravity=(3.0, -9.0, 0.0))
+    expected = 0.5 * (3.0 + 9.0) * 0.95 + (1.5**2 + 4.5**2) / 2000.0
+    assert in_room.energy_at_start == pytest.approx(expected)
+    assert scene_of(bodies=(BALL,), links=(SPRING,), gravity=G).energy_at_start == pytest.approx(weight**2 / 400.0)
+    strained = SceneLink(("p", "ball"), 100.0, 0.0, (0.0, 0.0, 0.0))
+    assert scene_of(bodies=(BALL,), links=(strained,)).energy_at_start == pytest.approx(50.0 * 0.09)
+    overlapping = Body("ball", 0.5, (0.0, 0.0, 0.04), 0.05)
+    assert scene_of(bodies=(overlapping,)).energy_at_start == pytest.approx(500.0 * 0.01**2)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_no_position_has_less_energy_than_the_lowest(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    x, y, z = rng.normal(size=3).tolist()
+    held = rng.integers(0, 3)
+    obstacles = ((ROOM,), (Obstacle("w", "wall", ((x, y, z), (-x, -y, -z))),), ())[held]
+    scene = scene_of(
+        bodies=(BALL,), obstacles=obstacles, gravity=(x, y, z), links=(SPRING,) if held == 2 else (), surface=SURFACE
+    )
+    lowest = scene.lowest_energy(BALL)
+    for at in rng.normal(size=(50, 3)):
+        q = np.array(at)
+        energy = scene.contacts.energy(np.array([[100.0, 0.0, 0.0], q])) - 0.5 * float(q @ [x, y, z])
+        if held == 2:
+            energy += 100.0 * float((q - BALL.at) @ (q - BALL.at))
+        elif held == 0:  # the tool is outside of the room
+            energy -= scene.contacts.energy(np.array([[100.0, 0.0, 0.0], [0.0, 0.0, 0.0]]))
+        else:
+            energy -= scene.contacts.energy(np.array([[100.0, 0.0, 0.0], 1e3 * -np.array([x, y, z])]))
+        assert energy >= lowest - 1e-9
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        {},
+        {"obstacles": (replace(FLOOR, points=((0.0, 0.0, 0.0), (0.0, 1e-9, 1.0))),)},
+        {"obstacles": (replace(FLOOR, points=((0.0, 0.0, 0.0), (0.0, 0.0, -1.0))),)},
+        {"obstacles": (Obstacle("block", "box", ((-1.0, -1.0, -1.0), (1.0, 1.0, 0.0))),)},
+        {"obstacles": (FLOOR,), "surfaces": ((("ball", "floor"), Surface(0.0)),)},
+        {"links": (SceneLink(("ball", "ground"), 0.0, 1.0),)},
+        {"links": (SceneLink(("ball", "p"), 100.0, 1.0),)},
+    ],
+)
+def test_a_body_that_would_fall_for_good_is_refused(parts: dict[str, Any]) -> None:
+    with pytest.raises(Falling, match="body ball: found gravity, and nothing that holds the body"):
+        scene_of(bodies=(BALL,), gravity=G, **parts)
+
+
+@pytest.mark.parametrize(
+    ("parts", "error"),
+    [
+        ({"bodies": (BALL, BALL)}, "distinct names"),
+        ({"bodies": (replace(BALL, name="ground"),)}, "distinct names"),
+        ({"bodies": (replace(BALL, mass=0.0),)}, "masses"),
+        ({"bodies": (replace(BALL, radius=-0.1),)}, "radius"),
+        ({"bodies": (replace(BALL, at=(0.0, float("nan"), 0.0)),)}, "finite coordinates"),
+        ({"bodies": tuple(replace(BALL, name=f"b{i}") for i in range(32))}, "at most 32"),
+        ({"surface": Surface(2e6)}, "at most 1e"),
+        ({"surface": Surface(1.0, -1.0)}, ">= 0"),
+        ({"tools": ()}, "every port at one tool"),
+        ({"tools": (ToolSphere("p", (0,), (3,), (0.0, 0.0, 0.0)),)}, "axes"),
+        ({"obstacles": (Obstacle("o", "cone", ()),)}, "shape 'cone'"),
+        ({"obstacles": (Obstacle("o", "box", (HIGH, LOW)),)}, "'low' below 'high'"),
+        ({"obstacles": (Obstacle("o", "wall", (LOW, (0.0, 0.0, 0.0))),)}, "normal"),
+        ({"links": (SceneLink(("p", "q"), 1.0, 0.0),)}, "link between"),
+        ({"surfaces": ((("p", "p"), SURFACE),)}, "contact between"),
+    ],
+)
+def test_what_makes_no_scene(parts: dict[str, Any], error: str) -> None:
+    with pytest.raises(ValueError, match=error):
+        scene_of(**parts)
+
+
+def test_linked_and_excepted_things_touch_as_stated() -> None:
+    scene = scene_of(
+        bodies=(BALL, replace(BALL, name="other")),
+        obstacles=(ROOM,),
+        links=(SceneLink(("p", "ball"), 1.0, 0.0),),
+        surfaces=((("other", "room"), Surface(0.0)), (("other", "ball"), Surface(7.0, 1.0, 0.5))),
+    )
+    assert [(pair.names, pair.surface.stiffness) for pair in scene.pairs() if pair.kind == "spheres"] == [
+        (("p", "other"), 1000.0),
+        (("ball", "other"), 7.0),
+    ]
+    assert {pair.names for pair in scene.pairs() if pair.kind == "plane"} == {("p", "room"), ("ball", "room")}

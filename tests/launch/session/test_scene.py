@@ -1,0 +1,134 @@
+"""Scenes in session files: what they become, and the place of every error."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from manyhands.design.models.contacts import Surface
+from manyhands.design.models.environment import DeclaredScene
+from manyhands.launch.plan.prepare import session_environment
+from manyhands.launch.session import SceneEnvironment, Session, SessionError, load_session
+
+TEXT = """
+session: scene
+period: 0.001
+devices:
+  anna: {dof: 3, osp: 1.37, driver: simulated, mass: 0.2, hand: {}}
+  ben: {dof: 2, axes: [z, x], osp: 1.37, driver: simulated, mass: 0.2, hand: {}}
+couplings: {ca: {devices: [anna]}, cb: {devices: [ben]}}
+environment:
+  type: scene
+  gravity: [0, 0, -9.81]
+  tools:
+    anna: {at: [-0.1, 0, 0.05], radius: 0.01}
+    ben: {at: [0.1, 0, 0.05]}
+  bodies:
+    ball: {mass: 0.5, at: [0, 0, 0.05], radius: 0.03}
+  obstacles:
+    floor: {shape: wall, at: [0, 0, 0], normal: [0, 0, 1]}
+    room: {shape: room, low: [-1, -1, -1], high: [1, 1, 1]}
+    block: {shape: box, low: [0.3, 0.3, 0], high: [0.4, 0.4, 0.1]}
+    stone: {shape: sphere, at: [0.3, 0, 0], radius: 0.05}
+    rail: {shape: capsule, ends: [[0, 0.3, 0], [0.1, 0.3, 0]], radius: 0.05}
+  links:
+    - {between: [ben, ball], stiffness: 300, damping: 0.1, rest: [0.1, 0, 0]}
+  contact: {stiffness: 3000, damping: 1, friction: 0.4}
+  contacts:
+    - {between: [anna, floor], stiffness: 500, friction: 2}
+design: {coupling: spring-damper}
+"""
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    file = tmp_path / "scene.yaml"
+    file.write_text(TEXT, encoding="utf-8")
+    return file
+
+
+def test_a_file_becomes_a_scene(path: Path) -> None:
+    environment = session_environment(load_session(path))
+    assert isinstance(environment, DeclaredScene)
+    assert not np.any(environment.level)
+    scene = environment.scene
+    anna, ben = scene.tools
+    assert (anna.ports, anna.axes, anna.at, anna.radius) == ((0, 1, 2), (0, 1, 2), (-0.1, 0.0, 0.05), 0.01)
+    assert (ben.ports, ben.axes) == ((3, 4), (2, 0))  # by the names of the device's axes
+    assert scene.bodies[0].mass == 0.5
+    assert [(o.shape, len(o.points), o.radius) for o in scene.obstacles] == [
+        ("wall", 2, 0.0),
+        ("room", 2, 0.0),
+        ("box", 2, 0.0),
+        ("sphere", 1, 0.05),
+        ("capsule", 2, 0.05),
+    ]
+    assert scene.rest_of(scene.links[0]).tolist() == [0.1, 0.0, 0.0]
+    assert scene.surface == Surface(3000.0, 1.0, 0.4)
+    assert scene.surface_of("floor", "anna") == Surface(500.0, 0.0, 2.0)
+    assert scene.surface_of("ball", "ben").stiffness == 0.0
+
+
+def test_a_session_is_the_same_after_it_is_written(path: Path) -> None:
+    session = load_session(path)
+    again = Session.model_validate(session.as_plain())
+    assert isinstance(again.environment, SceneEnvironment)
+    assert session_environment(again) == session_environment(session)
+
+
+@pytest.mark.parametrize(
+    ("override", "at", "found"),
+    [
+        ("tools.cleo={}", "tools.cleo", "'cleo'"),
+        ("tools={anna: {}}", "tools", "no tool for the device 'ben'"),
+        ("tools.anna.at=[0, 0]", "tools.anna.at", "a list of 2"),
+        ("tools.anna.at=[0, 0, 2e3]", "tools.anna.at.2", "2000"),
+        ("tools.anna.at=[0.3, 0.3, 0.1]", "tools.anna", "10 mm inside 'block'"),
+        ("tools.anna.at=[-0.1, 0, 0.005]", "tools.anna", "5 mm inside 'floor'"),
+        ("bodies.ball.mass=0", "bodies.ball.mass", "0"),
+        ("bodies.ball.at=here", "bodies.ball.at", "here"),
+        ("bodies.ben={mass: 1, at: [0, 0, 1]}", "bodies.ben", "'ben'"),
+        ("obstacles.ground={shape: sphere, at: [0, 0, 9], radius: 1}", "obstacles.ground", "of the ground"),
+        ("obstacles.floor.shape=cone", "obstacles.floor.shape", "cone"),
+        ("obstacles.floor.radius=1", "obstacles.floor.radius", "radius of a wall"),
+        ("obstacles.floor.normal=[0, 0, 0]", "obstacles.floor.normal", "[0, 0, 0]"),
+        ("obstacles.rail={shape: capsule, radius: 0.1}", "obstacles.rail", "a capsule without ends"),
+        ("obstacles.room.high=[1, 1, -2]", "obstacles.room.high", "along z"),
+        ("obstacles.stone.radius=0", "obstacles.stone.radius", "0"),
+        ("links.0.between=[ben, floor]", "links.0.between.1", "unknown end 'floor'"),
+        ("links.0.between=[ben, ben]", "links.0.between", "'ben' twice"),
+        ("links.0={between: [ben, ball]}", "links.0", "neither stiffness nor damping"),
+        ("contact.stiffness=2e6", "contact.stiffness", "2"),
+        ("contact.friction=-1", "contact.friction", "-1"),
+        ("contacts.0.between=[floor, room]", "contacts.0.between", "two obstacles"),
+        ("contacts.0.between=[anna, lamp]", "contacts.0.between.1", "unknown end 'lamp'"),
+        (
+            "obstacles={floor: {shape: sphere, at: [3, 3, 3], radius: 1}}",
+            "bodies.ball",
+            "gravity, and nothing that holds the body",
+        ),
+        ("gravity=9.81", "gravity", "9.81"),
+        ("enforce=false", "enforce", "enforce"),
+        ("delay=1", "delay", "delay"),
+    ],
+)
+def test_an_error_names_its_place(path: Path, override: str, at: str, found: str) -> None:
+    with pytest.raises(SessionError) as error:
+        load_session(path, [f"environment.{override}"])
+    text = str(error.value)
+    assert f"environment.{at}: " in text
+    assert found in text
+
+
+@pytest.mark.parametrize(("device", "found"), [("{dof: 4", "a device with 4 axes"), ("{dof: 3, axes: [x, y, w]", "")])
+def test_a_device_has_at_most_three_axes(path: Path, device: str, found: str) -> None:
+    override = f"devices.anna={device}, osp: 1.37, driver: simulated, mass: 0.2, hand: {{}}}}"
+    if not found:  # without names of the scene's axes, x, y and z in order
+        environment: Any = session_environment(load_session(path, [override]))
+        assert environment.scene.tools[0].axes == (0, 1, 2)
+        return
+    with pytest.raises(SessionError, match=found):
+        load_session(path, [override])

@@ -1,0 +1,49 @@
+"""Random scenes: crowded rooms with every shape, springs and friction."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from manyhands.design.models.contacts import Surface
+from manyhands.design.models.scene import Body, ContactScene, Obstacle, Point, SceneLink, ToolSphere
+
+HALF = 0.08  # m, of the room's sides
+OBSTACLES = (
+    Obstacle("room", "room", ((-HALF, -HALF, 0.0), (HALF, HALF, 2 * HALF))),
+    Obstacle("rail", "capsule", ((-0.05, 0.0, 0.02), (0.05, 0.02, 0.02)), 0.015),
+    Obstacle("block", "box", ((0.02, 0.02, 0.0), (0.06, 0.06, 0.04))),
+    Obstacle("stone", "sphere", ((-0.04, -0.04, 0.05),), 0.02),
+    Obstacle("ramp", "wall", ((0.0, 0.0, 0.0), (0.3, 0.0, 1.0))),
+)
+
+
+def random_scene(rng: np.random.Generator, tools: int, bodies: int, axes: int = 3) -> ContactScene:
+    """A room in which tools of ``axes`` axes, bodies and obstacles may overlap at the start."""
+
+    def place() -> Point:
+        x, y, z = rng.uniform(-0.05, 0.05, 3).tolist()
+        return x, y, z + HALF
+
+    ports = tuple(f"t{i}.{'xyz'[axis]}" for i in range(tools) for axis in range(axes))
+    links = [SceneLink(("t0", "b0"), 500.0, 0.2)] if bodies else []
+    if bodies > 2:
+        links += [SceneLink(("b1", "b2"), 300.0, 0.1), SceneLink(("b1", "ground"), 50.0, 0.0, place())]
+    return ContactScene(
+        ports,
+        tools=tuple(
+            ToolSphere(f"t{i}", tuple(range(axes * i, axes * i + axes)), tuple(range(axes)), place(), 0.01)
+            for i in range(tools)
+        ),
+        bodies=tuple(Body(f"b{i}", rng.uniform(0.02, 1.0), place(), rng.uniform(0.01, 0.03)) for i in range(bodies)),
+        obstacles=OBSTACLES,
+        links=tuple(links),
+        surface=Surface(10.0 ** rng.uniform(2.5, 6.0), rng.uniform(0.0, 5.0), rng.choice([0.0, 0.3, 1.0])),
+        surfaces=((("t0", "stone"), Surface(0.0)), (("t0", "ramp"), Surface(800.0, 1.0, 2.0))),
+        gravity=(0.0, 0.0, rng.choice([0.0, -9.81])),
+    )
+
+
+def random_compliance(rng: np.random.Generator, m: int) -> np.ndarray:
+    """D_V, m x m, m/N: any matrix whose symmetric part is positive definite."""
+    A = rng.normal(size=(m, m))
+    return np.asarray((np.eye(m) + 0.1 * (A - A.T) + 0.3 * A @ A.T / m) / 10.0 ** rng.uniform(2.0, 3.5))
