@@ -41,6 +41,7 @@ from manyhands.design.models.environment import (
     DelayedNetwork,
     Environment,
     NetworkBox,
+    ProxyEnvironment,
     StateSpaceEnvironment,
     TransferEnvironment,
 )
@@ -115,6 +116,9 @@ def describe_environment(environment: Environment) -> dict[str, Any]:
             return {"type": "transfer-function", "entries": rows, "method": method, "delay": delay}
         case WaveLinkFace() | WorldPromise():
             return environment.terms()
+        case ProxyEnvironment():
+            level, K = environment.level.tolist(), environment.stiffness.tolist()
+            return {"type": "proxy", "level": level, "stiffness": K}
         case DeclaredEnvironment():
             return {"type": "declared", "level": environment.promised().tolist()}
     raise TypeError(f"expected an environment of a known kind, found {type(environment).__name__}")
@@ -150,6 +154,8 @@ def environment_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> Environme
     m = len(ports)
     if kind == "declared":
         return DeclaredEnvironment(ports, matrix(data["level"], m, m))
+    if kind == "proxy":
+        return ProxyEnvironment(ports, matrix(data["level"], m, m), matrix(data["stiffness"], m, m))
     if kind == "wave-link":
         return face_of(data, ports)
     if kind == "world":

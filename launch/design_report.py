@@ -22,6 +22,7 @@ from rich.table import Table
 from manyhands.design.certificate import Certificate, asked_text, load, save, unrecorded
 from manyhands.design.errors import CertificateError, DesignError, Infeasible
 from manyhands.design.models.coupling import SpringDamper
+from manyhands.design.models.environment import DeclaredEnvironment, ProxyEnvironment
 from manyhands.design.models.statespace import Matrix
 from manyhands.design.models.weights import Filter
 from manyhands.design.problem import HapticLoop
@@ -131,6 +132,8 @@ def print_certificate(console: Console, certificate: Certificate) -> None:
         _face_rows(table, loop.environment, certificate.margins)
     elif isinstance(loop.environment, WorldPromise):
         table.add_row("environment", "a level that the certificate of the world proves, and that is assumed here")
+    elif isinstance(loop.environment, ProxyEnvironment):
+        table.add_row("environment", "springs to proxies: their level is kept by the proxy test at every tick")
     elif loop.enforced:
         table.add_row("environment", "enforced: not proved, its declared level is kept at run time by a controller")
     else:
@@ -302,7 +305,7 @@ def run_design(
         print_certificate(out, certificate)
         if output is not None:
             say(err, f"written to {output}; prove it again with: manyhands verify {output}")
-    if pictures is not None and certificate.loop.enforced:
+    if pictures is not None and type(certificate.loop.environment) in (DeclaredEnvironment, ProxyEnvironment):
         say(err, "no pictures: they show the environment's response, and of a model only its level is known")
     elif pictures is not None:
         with progress_on(err, "drawing") as progress:
@@ -379,7 +382,9 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
     if not as_json:
         enforced = ", ".join(certificate.loop.enforced)
         proved = f"proved, where the level of the {enforced} is enforced at run time" if enforced else "proved"
-        if isinstance(certificate.loop.environment, WaveLinkFace):
+        if isinstance(certificate.loop.environment, ProxyEnvironment):
+            proved = "proved, where the level of the environment is kept by the proxy test at every tick"
+        elif isinstance(certificate.loop.environment, WaveLinkFace):
             proved = f"{certificate.loop.partition.names[0]}: proved, whatever is behind its wave link"
         elif isinstance(certificate.loop.environment, WorldPromise):
             proved = "users in the tick: proved, where the certificate of the world proves the level assumed of it"

@@ -590,6 +590,7 @@ class EnvironmentBundle:
         independent: whether each coupling may change its rung by itself; otherwise all change in one tick.
         enforce: whether a controller keeps Phi_E.
         model: the model in place of E; None for E.
+        stiffness: K of the springs to the model's proxies, m x m, N/m; None for a model that is asked for forces.
         masses: the masses whose positions are entries of E's state, from the m-th on; none where E is no network.
         longest_tau: the longest delay that the session can cover, s: that of the ladder's last rung where a breach
             softens couplings, else the certificate's; 0 where no delay is covered.
@@ -599,7 +600,7 @@ class EnvironmentBundle:
 
     Raises:
         ValueError: there are both or neither of E and a model, or budgets, storage or rungs do not fit. A model with a
-            level needs its controller, for the certificate rests on it.
+            level needs its controller or proxies, for the certificate rests on them.
     """
 
     common: Common
@@ -612,6 +613,7 @@ class EnvironmentBundle:
     independent: bool = True
     enforce: bool = False
     model: FactoryName | None = None
+    stiffness: Matrix | None = None
     masses: tuple[str, ...] = ()
     longest_tau: float = 0.0
     budgets: tuple[EnergyBudget, ...] = ()
@@ -621,10 +623,13 @@ class EnvironmentBundle:
     def __post_init__(self) -> None:
         if (self.E is None) == (self.model is None):
             raise ValueError("found both or neither of an environment's matrices and its model; expected one of them")
-        if self.enforce != (self.Phi_E is not None) and (self.enforce or self.model is not None):
+        if self.stiffness is not None and (self.model is None or self.stiffness.shape != (len(self.common.ports),) * 2):
+            raise ValueError(f"found a stiffness of shape {self.stiffness.shape}; expected m x m, and a model")
+        needs = self.model is not None and self.stiffness is None
+        if self.enforce != (self.Phi_E is not None) and (self.enforce or needs):
             raise ValueError(
                 f"found enforce {self.enforce} {'with' if self.Phi_E is not None else 'without'} a level; expected a "
-                "model's level to be enforced, and a level wherever one is"
+                "model's level to be enforced or kept by proxies, and a level wherever one is"
             )
         if len(self.budgets) != len(self.feedthrough):
             raise ValueError(f"found {len(self.budgets)} budgets; expected {len(self.feedthrough)}, one a coupling")
@@ -817,6 +822,7 @@ _READ: dict[str, Any] = {
     "enforce": _flag,
     "independent": _flag,
     "model": lambda data: None if data is None else _factory(data),
+    "stiffness": _optional_array,
     "masses": lambda data: tuple(str(name) for name in data),
     "longest_tau": _tau,
     "budgets": lambda all_: tuple(EnergyBudget(float(b["power"]), float(b["energy"]), float(b["store"])) for b in all_),

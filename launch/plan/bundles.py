@@ -22,7 +22,7 @@ import numpy as np
 
 from manyhands.design.files import replacing
 from manyhands.design.levels.contract import DeviceShare
-from manyhands.design.models.environment import DeclaredEnvironment, NetworkBox
+from manyhands.design.models.environment import DeclaredEnvironment, NetworkBox, ProxyEnvironment
 from manyhands.design.models.network import Network
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix
 from manyhands.design.peak_gain import output_bounds
@@ -198,6 +198,7 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         independent=prepared.ladder is None or prepared.ladder.independent,
         enforce=session.environment.enforce and Phi_E is not None,
         model=model,
+        stiffness=_stiffness(prepared),
         masses=mass_names(session),
         longest_tau=_longest_tau(prepared, rungs),
         budgets=budgets(session),
@@ -269,11 +270,13 @@ def _storage(prepared: Prepared) -> Matrix | None:
 def _environment(prepared: Prepared) -> tuple[StateSpace | None, Matrix | None, FactoryName | None]:
     """E, the level that the environment promises, and the Python model in place of E.
 
-    A model's level is its *declared* one, certified or not; a model without a passivity controller promises none.
+    A model's level is its *declared* one, certified or not; a model without proxies and without a passivity controller
+    promises none.
     """
     given, environment = prepared.session.environment, prepared.loop.environment
     if isinstance(given, PythonEnvironment) and isinstance(environment, DeclaredEnvironment):
-        level = environment.level if environment.enforced else None
+        kept = environment.enforced or isinstance(environment, ProxyEnvironment)
+        level = environment.level if kept else None
         return None, level, prepared.session.foreign_code["environment.model"]
     E = environment.environment(prepared.session.period)
     if prepared.world is not None:
@@ -281,6 +284,12 @@ def _environment(prepared: Prepared) -> tuple[StateSpace | None, Matrix | None, 
     if prepared.certificate is None:
         return E, None, None
     return E, prepared.certificate.levels.Phi_E if prepared.ladder is None else prepared.ladder.Phi_E, None
+
+
+def _stiffness(prepared: Prepared) -> Matrix | None:
+    """K of the springs to a model's proxies, N/m; None where the environment has none."""
+    environment = prepared.loop.environment
+    return environment.stiffness if isinstance(environment, ProxyEnvironment) else None
 
 
 @dataclass(frozen=True, eq=False)

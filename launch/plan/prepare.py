@@ -25,6 +25,7 @@ from manyhands.design.models.environment import (
     DelayedNetwork,
     Environment,
     NetworkBox,
+    ProxyEnvironment,
     StateSpaceEnvironment,
     TransferEnvironment,
 )
@@ -107,7 +108,10 @@ def session_environment(session: Session) -> Environment:
     """The environment as one of the types of ``design``."""
     given, ports = session.environment, session.ports
     if isinstance(given, PythonEnvironment):
-        return DeclaredEnvironment(ports, given.level_matrix(len(ports)), given.enforce)
+        level, stiffness = given.level_matrix(len(ports)), given.stiffness_matrix(len(ports))
+        if stiffness is not None:
+            return ProxyEnvironment(ports, level, stiffness)
+        return DeclaredEnvironment(ports, level, given.enforce)
     if isinstance(given, NetworkEnvironment):
         low = _network(given, ports, high=False)
         if given.uncertain:

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
 from typing import Annotated, Any, Final, Literal, Self, TypeAlias
 
+import numpy as np
 from pydantic import (
     BeforeValidator,
     ConfigDict,
@@ -53,6 +54,7 @@ from manyhands.launch.session.limits import (
     MAX_LINKS,
     MAX_MASSES,
     MAX_PORTS,
+    MAX_STIFFNESS,
 )
 from manyhands.launch.session.matrices import (
     D_OR_STATIC,
@@ -69,6 +71,7 @@ from manyhands.launch.session.matrices import (
 from manyhands.nodes.factory import MODELS
 
 _LEVEL: Final = Quantity("a level", "N·s/m")
+_STIFFNESS: Final = Quantity("a stiffness", "N/m", magnitude=MAX_STIFFNESS)
 
 
 Enforce: TypeAlias = Flag
@@ -78,7 +81,13 @@ ENFORCE_MEANING: Final = "whether a passivity controller keeps its level at run 
 
 
 class PythonEnvironment(SessionModel):
-    """A model in Python that computes its forces tick by tick; the design uses nothing but its declared level."""
+    """A model in Python that is asked tick by tick; the design uses nothing but its declared level.
+
+    With a stiffness the model proposes proxies, and springs of that stiffness exert the forces. Without, the model
+    computes forces, and declares the level.
+    """
+
+    model_config = ConfigDict(json_schema_extra=either({"required": ["stiffness"]}, {"required": ["level"]}))
 
     type: Annotated[Literal["python"], BeforeValidator(Choice(("python",)))] = Field(
         description="the kind of environment: python"
@@ -86,8 +95,12 @@ class PythonEnvironment(SessionModel):
     model: Annotated[str, BeforeValidator(Factory(MODELS))] = Field(
         description="the model's factory, package.module:factory"
     )
+    stiffness: Annotated[OneOrMany | None, one_or_many(_STIFFNESS)] = defaulted(
+        None, "the stiffness of the springs to the model's proxies in N/m: a number, one for each port, or a matrix"
+    )
     level: Annotated[OneOrMany, one_or_many(_LEVEL)] = Field(
-        description="the declared level Phi_E in N·s/m: a number, one for each port, or a matrix"
+        default=0.0,
+        description="the declared level Phi_E in N·s/m: a number, one for each port, or a matrix; 0 with a stiffness",
     )
     enforce: Enforce = Field(default=True, description=ENFORCE_MEANING)
     parameters: Annotated[dict[str, Any], BeforeValidator(PARAMETERS)] = Field(
@@ -96,19 +109,45 @@ class PythonEnvironment(SessionModel):
 
     def problems(self, ports: tuple[str, ...]) -> Iterator[Problem]:
         """The problems of the level in a session with these ports."""
-        m, level = len(ports), self.level
-        rows = level if isinstance(level, tuple) else (level,) * m
-        if len(rows) != m or any(isinstance(row, tuple) and len(row) != m for row in rows):
-            expected = f"a number, {m} numbers, or {m} rows of {m}, for the ports {listed(ports)}"
-            yield Problem(("level",), show(level), expected)
-        elif isinstance(rows[0], tuple):
-            matrix: Any = rows
-            if problem := unsymmetric(matrix):
-                yield problem._replace(at=("level", *problem.at))
+        level_problems = [*_size_problems("level", self.level, ports)]
+        yield from level_problems
+        if self.stiffness is None:
+            return
+        stiffness_problems = [*_size_problems("stiffness", self.stiffness, ports)]
+        yield from stiffness_problems
+        m = len(ports)
+        if not stiffness_problems and not np.linalg.eigvalsh(full_matrix(self.stiffness, m))[0] > 0.0:
+            yield Problem(("stiffness",), show(self.stiffness), "a positive definite matrix, or numbers above 0")
+        if not level_problems and np.linalg.eigvalsh(self.level_matrix(m))[0] < 0.0:
+            yield Problem(("level",), show(self.level), "no negative eigenvalue where the model proposes proxies")
+
+    @model_validator(mode="after")
+    def _level_or_stiffness(self) -> Self:
+        if self.stiffness is None and "level" not in self.model_fields_set:
+            expected = "level, the declared level in N·s/m, or stiffness, for a model that proposes proxies"
+            raise refuse("neither level nor stiffness", expected)
+        return self
 
     def level_matrix(self, ports: int) -> Array:
         """Phi_E, ``ports`` x ``ports``, N·s/m."""
         return full_matrix(self.level, ports)
+
+    def stiffness_matrix(self, ports: int) -> Array | None:
+        """K of the springs to the proxies, ``ports`` x ``ports``, N/m; None for a model that computes forces."""
+        return None if self.stiffness is None else full_matrix(self.stiffness, ports)
+
+
+def _size_problems(key: str, value: OneOrMany, ports: tuple[str, ...]) -> Iterator[Problem]:
+    """A problem where a value is no number, list or symmetric matrix for these ports."""
+    m = len(ports)
+    rows = value if isinstance(value, tuple) else (value,) * m
+    if len(rows) != m or any(isinstance(row, tuple) and len(row) != m for row in rows):
+        expected = f"a number, {m} numbers, or {m} rows of {m}, for the ports {listed(ports)}"
+        yield Problem((key,), show(value), expected)
+    elif isinstance(rows[0], tuple):
+        matrix: Any = rows
+        if problem := unsymmetric(matrix):
+            yield problem._replace(at=(key, *problem.at))
 
 
 GROUND: Final = "ground"

@@ -45,6 +45,9 @@ MAX_PROBLEMS: Final = 200
 MAX_MAGNITUDE: Final = 1e12
 MIN_POSITIVE: Final = 1e-12
 """Smallest value of a quantity that must be greater than 0: dividing by it stays well inside double precision."""
+MAX_STIFFNESS: Final = 1e8
+"""The greatest stiffness of a spring to a proxy, N/m: beyond it the deflections are near the rounding of positions."""
+
 MAX_DEGREE: Final = 16
 MAX_COEFFICIENT: Final = 1e24
 SHORTEST_PERIOD: Final = 1e-5

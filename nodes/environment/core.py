@@ -43,7 +43,8 @@ from manyhands.nodes.bundle import EnvironmentBundle
 from manyhands.nodes.environment.clutch import RAMP, Blocks, Clutch, Clutches, ClutchEvent, ports_of, ports_of_blocks
 from manyhands.nodes.environment.energy import BOUND_TICKS, Energy, EnergyBudget
 from manyhands.nodes.environment.enforced import BlackBox, EnforcedCore, ForceLaw, LinearLaw
-from manyhands.nodes.environment.model import AskedModel, make_model
+from manyhands.nodes.environment.model import PROXY, REACT, AskedModel, make_model
+from manyhands.nodes.environment.proxy import ProxyLaw
 from manyhands.nodes.passivity import Ledger, PassivityController
 
 Vector = NDArray[np.float64]
@@ -57,6 +58,7 @@ class EnvironmentCore:
     Attributes:
         failure: always None, for matrices cannot fail; see :class:`manyhands.nodes.environment.enforced.EnforcedCore`.
         controller: always None, for the promise is proved and needs no controller.
+        held: always empty, for matrices have no proxies.
         ledger: its energy ledger; None when the session is not certified.
         energy: the energy that each coupling puts into the others, and their budgets.
         clutches: the clutches of the blocks.
@@ -65,6 +67,7 @@ class EnvironmentCore:
 
     failure: str | None = None
     controller: PassivityController | None = None
+    held: Sequence[int] = ()
 
     def __init__(
         self,
@@ -345,8 +348,14 @@ def environment_core(bundle: EnvironmentBundle, D_V: Vector, blocks: Blocks | No
     common, E = bundle.common, bundle.E
     law: ForceLaw
     if bundle.model is not None:
-        model = make_model(bundle.model, common.ports, common.period)
-        law = BlackBox(AskedModel(bundle.model.factory, model, common.ports))
+        K = bundle.stiffness
+        model = make_model(bundle.model, common.ports, common.period, REACT if K is None else PROXY)
+        asked = AskedModel(bundle.model.factory, model, common.ports)
+        if K is None:
+            law = BlackBox(asked)
+        else:
+            parties = ports_of_blocks(blocks, len(common.ports))
+            law = ProxyLaw(asked, K, bundle.Phi_E, common.period, parties)
     elif E is None:
         raise ValueError("found an environment without matrices and without a model; expected one of the two")
     elif bundle.enforce:

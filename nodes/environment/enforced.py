@@ -7,8 +7,10 @@ controller (:mod:`manyhands.nodes.passivity`) decides which part of them is exer
 
 with the greatest part in [0, 1] that keeps the ledger from falling below zero. S and r are those of the blocks'
 clutches (:mod:`manyhands.nodes.environment.clutch`), r = p and S = I while all are settled. At a port with s = 0 the
-tool rests whatever the force is, and h does not matter. There are two kinds of models:
+tool rests whatever the force is, and h does not matter. There are three kinds of laws:
 
+- springs to the proxies of a model (:mod:`manyhands.nodes.environment.proxy`), which solve the algebraic loop. A test
+  of their own keeps the level, so the controller has nothing to do but against rounding;
 - a black box (:mod:`manyhands.nodes.environment.model`), which receives the tool positions predicted with its forces of
   the tick before. It is explicit, so the algebraic loop closes without any knowledge of the model;
 - matrices E, whose own implicit force solves the algebraic loop. Their promise is proved, so the controller never acts.
@@ -50,8 +52,8 @@ class ForceLaw(Protocol):
         """
         ...
 
-    def advance(self, x_e: Vector) -> None:
-        """Step to the next tick, with the tools at x_e(k), m."""
+    def advance(self, x_e: Vector, f: Vector) -> None:
+        """Step to the next tick, with the tools at x_e(k), m, under the forces f_e(k) that were exerted, N."""
         ...
 
     @property
@@ -59,9 +61,16 @@ class ForceLaw(Protocol):
         """The positions of the masses after :meth:`advance`, m; empty where none are known."""
         ...
 
+    @property
+    def held(self) -> Sequence[int]:
+        """By party, the ticks in which a test held its proxies; empty for a law without proxies."""
+        ...
+
 
 class BlackBox:
     """The law of a model that is asked at the predicted tool position."""
+
+    held: Sequence[int] = ()
 
     def __init__(self, model: AskedModel) -> None:
         """Ask ``model`` from its tick 0 on."""
@@ -79,7 +88,7 @@ class BlackBox:
             self._answer = self._model.forces(x_e, self._k)
         return self._answer
 
-    def advance(self, x_e: Vector) -> None:
+    def advance(self, x_e: Vector, f: Vector) -> None:
         """Step to the next tick; the model needs no positions for it."""
         self._k += 1
         self._answer = None
@@ -94,6 +103,7 @@ class LinearLaw:
     """The law f_e = -(I + D_E S D_V S)^{-1} (C_E eta + D_E r), eta(k+1) = A_E eta + B_E x_e: E as it is proved."""
 
     failure: str | None = None
+    held: Sequence[int] = ()
 
     def __init__(self, E: StateSpace, masses: int = 0) -> None:
         """Start at rest.
@@ -118,7 +128,7 @@ class LinearLaw:
         f: Vector = self._force @ np.concatenate([self._eta, r])
         return f
 
-    def advance(self, x_e: Vector) -> None:
+    def advance(self, x_e: Vector, f: Vector) -> None:
         """One step of E."""
         self._eta = self._state @ np.concatenate([self._eta, x_e])
 
@@ -187,7 +197,7 @@ class EnforcedCore:
 
     @property
     def failure(self) -> str | None:
-        """Why the model is not asked any more, in one sentence, after which its forces are zero; None while it is."""
+        """Why the model is not asked any more, in one sentence; its forces are zero then, or its proxies rest."""
         return self._law.failure
 
     def react(self, p: Floats) -> Floats:
@@ -207,7 +217,7 @@ class EnforcedCore:
             self.controller.settle()
         self.energy.enter(self._f.tolist(), self._next.tolist(), self._x_e.tolist())
         self._x_e = self._next
-        self._law.advance(self._x_e)
+        self._law.advance(self._x_e, self._f)
         if self.energy.restrained:
             self.clutches.restrain()
 
@@ -221,6 +231,11 @@ class EnforcedCore:
     def masses(self) -> Floats:
         """The positions of the masses in that tick, m; empty where none are known."""
         return self._law.masses
+
+    @property
+    def held(self) -> Sequence[int]:
+        """By party, the ticks in which the test held its proxies; empty without proxies."""
+        return self._law.held
 
     def exchange(self, block: int, D_V: Vector) -> None:
         """Change the feedthrough of a frozen block.
