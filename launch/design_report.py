@@ -29,7 +29,7 @@ from manyhands.design.problem import HapticLoop
 from manyhands.design.wave_link import FELT_STIFFNESS, WaveLinkFace, WorldPromise, felt_mass
 from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK
 from manyhands.launch.plan.prepare import certify, haptic_loop
-from manyhands.launch.run.display import energy_line, figure_table, printable, promise_lines, say, status
+from manyhands.launch.run.display import figure_table, printable, promise_lines, say, status, world_lines
 from manyhands.launch.run.outcome import lateness_sentence, rows_of, wave_link_sentences
 from manyhands.launch.session import Session
 from manyhands.nodes import telemetry as names
@@ -206,11 +206,13 @@ def print_report(console: Console, report: Mapping[str, Any]) -> None:
     if sentence := lateness_sentence(report):
         say(console, sentence)
     for node in report["nodes"].values():
-        if "energy" in node:
-            entry = node["energy"]
-            figures = {f"{names.MOVED}{pair}": joules for pair, joules in entry.get("moved", {}).items()}
-            figures |= {f"{names.SCALED}{party}": ticks for party, ticks in entry.get("scaled", {}).items()}
-            say(console, energy_line(figures))
+        entry = node.get("energy", {})
+        figures = {f"{names.MOVED}{pair}": joules for pair, joules in entry.get("moved", {}).items()}
+        figures |= {f"{names.SCALED}{party}": ticks for party, ticks in entry.get("scaled", {}).items()}
+        figures |= {f"{names.HELD}{party}": ticks for party, ticks in node.get("held", {}).items()}
+        figures |= {f"{names.CHATTER}{party}": most for party, most in node.get("chatter", {}).items()}
+        for line in world_lines(figures):
+            say(console, line)
     for name, node in report["nodes"].items():
         counts = {**node.get("refused", {}), **node.get("dropped", {})}
         counts |= {kind: node[kind] for kind in ("clipped", "saturated") if node.get(kind)}

@@ -40,6 +40,7 @@ from numpy.typing import NDArray
 from manyhands.design.models.statespace import StateSpace
 from manyhands.nodes.arithmetic import FEW, Floats, LinearMap, Rows, dot, linear_map, minus, solve
 from manyhands.nodes.bundle import EnvironmentBundle
+from manyhands.nodes.environment.chatter import Chatter
 from manyhands.nodes.environment.clutch import RAMP, Blocks, Clutch, Clutches, ClutchEvent, ports_of, ports_of_blocks
 from manyhands.nodes.environment.energy import BOUND_TICKS, Energy, EnergyBudget
 from manyhands.nodes.environment.enforced import BlackBox, EnforcedCore, ForceLaw, LinearLaw
@@ -59,6 +60,7 @@ class EnvironmentCore:
         failure: always None, for matrices cannot fail; see :class:`manyhands.nodes.environment.enforced.EnforcedCore`.
         controller: always None, for the promise is proved and needs no controller.
         held: always empty, for matrices have no proxies.
+        chatter: always None, for matrices are solved within the tick.
         ledger: its energy ledger; None when the session is not certified.
         energy: the energy that each coupling puts into the others, and their budgets.
         clutches: the clutches of the blocks.
@@ -68,6 +70,7 @@ class EnvironmentCore:
     failure: str | None = None
     controller: PassivityController | None = None
     held: Sequence[int] = ()
+    chatter: Chatter | None = None
 
     def __init__(
         self,

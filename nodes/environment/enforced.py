@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from manyhands.design.models.statespace import StateSpace
 from manyhands.nodes.arithmetic import Floats
+from manyhands.nodes.environment.chatter import Chatter
 from manyhands.nodes.environment.clutch import RAMP, Blocks, Clutch, Clutches, ports_of_blocks
 from manyhands.nodes.environment.energy import Energy, EnergyBudget
 from manyhands.nodes.environment.model import AskedModel
@@ -147,6 +148,7 @@ class EnforcedCore:
         controller: keeps the ledger from falling below zero; None where no level is enforced.
         energy: the energy that each coupling puts into the others, and their budgets.
         clutches: the clutches of the blocks.
+        chatter: how often the forces on the tools reversed.
         ill_posed: ticks in which the loop had no unique solution: always 0, by construction or by the certificate.
     """
 
@@ -189,6 +191,7 @@ class EnforcedCore:
         self._x_e, self._f, self._w = np.zeros(m), np.zeros(m), np.zeros(m)  # those of the tick before, until react
         self._next = np.zeros(m)  # x_e of this tick
         self._S = np.ones(m)
+        self.chatter = Chatter(parts, T)
         self.ledger = None if Phi_E is None else Ledger()
         self.controller = PassivityController(T) if enforce else None
         self.ill_posed = 0
@@ -216,6 +219,7 @@ class EnforcedCore:
         if self.controller is not None:
             self.controller.settle()
         self.energy.enter(self._f.tolist(), self._next.tolist(), self._x_e.tolist())
+        self.chatter.enter(self._f)
         self._x_e = self._next
         self._law.advance(self._x_e, self._f)
         if self.energy.restrained:

@@ -15,7 +15,7 @@ model that does not return holds up its ticks; devices then let go by themselves
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final, Protocol, TypeAlias
 
 import numpy as np
@@ -121,14 +121,18 @@ class AskedModel:
 
     def forces(self, x_e: Vector, k: int) -> Vector:
         """The model's forces at x_e, N; zero once it has failed. The model may keep the array ``x_e``, m."""
-        found = self._answer(REACT, x_e, k, ("force", "N", MOST_FORCE))
+        model: Any = self._model
+        found = self._answer(model.react, x_e, k, ("force", "N", MOST_FORCE))
         return self._none if found is None else found
 
     def proxies(self, x: Vector, k: int) -> Vector | None:
         """The model's proxies for the tools at x, m; None once it has failed. The model may keep the array ``x``, m."""
-        return self._answer(PROXY, x, k, ("position", "m", MOST_POSITION))
+        model: Any = self._model
+        return self._answer(model.proxy, x, k, ("position", "m", MOST_POSITION))
 
-    def _answer(self, method: str, x: Vector, k: int, kind: tuple[str, str, float]) -> Vector | None:
+    def _answer(
+        self, ask: Callable[[Vector, int], Any], x: Vector, k: int, kind: tuple[str, str, float]
+    ) -> Vector | None:
         """The checked answer; None once the model has failed, with :attr:`failure` as the reason."""
         if self.failure is not None:
             return None
@@ -136,7 +140,7 @@ class AskedModel:
         m, expected = len(self._ports), f"{kind[0]}s in {kind[1]}"
         try:
             # a copy: the model may change the array that it has returned
-            answer = np.array(getattr(self._model, method)(x, k), dtype=np.float64)
+            answer = np.array(ask(x, k), dtype=np.float64)
         except (Exception, SystemExit) as error:  # noqa: BLE001 -- foreign code: no exception of its may end the loop unnamed
             found = in_one_line(error)
         else:

@@ -383,20 +383,23 @@ def test_a_model_needs_a_level_or_a_stiffness(file: Path) -> None:
 @pytest.mark.usefixtures("importable")
 def test_a_stiff_wall_does_not_chatter_through_a_proxy(file: Path) -> None:
     """The same wall of 5000 N/m: asked explicitly its force turns back and forth, through a proxy it does not."""
-    turned = {}
+    turned, runner = {}, CliRunner()
     for kind, overrides in (("proxy", PROXIES), ("react", ["environment.parameters={stiffness: 5000}"])):
-        session = load_session(file, [f"environment.model={MODULE}:Wall", *overrides, *PRESS])
-        simulation = Simulation(prepare(session))
-        f = simulation.run(800).f_v[:, 0]
-        steps = np.diff(f)
-        turned[kind] = int(np.count_nonzero((steps[1:] * steps[:-1] < 0.0) & (np.abs(steps[1:]) > 0.01)))
-        assert f.min() < -1.0
+        words = [f"environment.model={MODULE}:Wall", *overrides, *PRESS]
+        simulation = Simulation(prepare(load_session(file, words)))
+        assert simulation.run(800).f_v[:, 0].min() < -1.0
         core = simulation.environment
         assert isinstance(core, EnforcedCore)
+        turned[kind] = core.chatter.reversals[0]
         assert core.controller is not None
         if kind == "proxy":
             assert list(core.held) == [0, 0]
             assert core.controller.ticks == 0
+        shown = runner.invoke(
+            app, ["simulate", str(file), "--duration", "0.8", *(w for word in words for w in ("--set", word))]
+        )
+        assert ("the model's force chatters: cx up to" in shown.stdout) == (kind == "react")
+        assert ("use a proxy" in shown.stdout) == ("the controller kept back" in shown.stdout) == (kind == "react")
     assert turned["proxy"] <= 2
     assert turned["react"] > 20
 
