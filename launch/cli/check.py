@@ -11,7 +11,7 @@ import typer
 from manyhands.launch.cli.common import Json, end, err, errors, out, refuse
 from manyhands.launch.files import EXIT_FAILED, EXIT_OK
 from manyhands.launch.run.display import say
-from manyhands.nodes.factory import DRIVERS, MODELS, FactoryError, FactoryName
+from manyhands.nodes.factory import DRIVERS, ENGINES, MODELS, FactoryError, FactoryName, published
 
 if TYPE_CHECKING:
     from manyhands.nodes.device.specification import DeviceSpecification
@@ -121,7 +121,7 @@ def check_model(
             if not 0.0 < value <= most:
                 refuse(f"{option}: found {value:g}; expected a number greater than 0 and at most {most:g}")
         names = _ports("port", int(ports)) if ports.isdecimal() else tuple(ports.split(","))
-        name = _factory(model, MODELS, parameters)
+        name = _factory(model, ENGINES if model in published(ENGINES) else MODELS, parameters)
         if stiffness is not None and not 0.0 < stiffness <= MAX_STIFFNESS:
             refuse(f"--stiffness: found {stiffness:g}; expected a number greater than 0 and at most {MAX_STIFFNESS:g}")
         method = REACT if stiffness is None else PROXY

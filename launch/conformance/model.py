@@ -23,6 +23,7 @@ is where the tools are under the forces.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +32,9 @@ from manyhands.launch.conformance.driver import BLOCKING, EXCEPTION, SIGN, WRONG
 from manyhands.launch.conformance.judgement import Conformance, Judgement
 from manyhands.launch.conformance.timing import CallTimer
 from manyhands.nodes.environment.enforced import BlackBox, ForceLaw
-from manyhands.nodes.environment.model import PROXY, REACT, AskedModel, EnvironmentModel
+from manyhands.nodes.environment.model import PROXY, REACT, STEP, AskedModel, EnvironmentModel
 from manyhands.nodes.environment.proxy import ProxyLaw
+from manyhands.nodes.factory import in_one_line
 
 Array = NDArray[np.float64]
 
@@ -125,13 +127,18 @@ def check_model(
     needed, worst, pressed = 0.0, "none", []
     repeated = True
     m, method = len(ports), REACT if stiffness is None else PROXY
+    if stiffness is not None and callable(getattr(make(), STEP, None)):
+        method = STEP
+        if problem := _positions_problem(make()):
+            yield Judgement(WRONG_ANSWER, Conformance.BROKEN, problem)
+            return
     held = touched = 0
     D = (0.0 if stiffness is None else COMPLIANCE) * np.eye(m)
     for probe, given in probes(len(ports), T, reach).items():
         forces = []
         for turn in range(2):
             asked, tools = _Noted(make(), method), _Tools(m, T, reach)
-            model = AskedModel(name, asked, ports)
+            model = AskedModel(name, cast(EnvironmentModel, asked), ports)
             law: ForceLaw = BlackBox(model)
             if stiffness is not None:
                 law = ProxyLaw(model, stiffness * np.eye(m), None, T, [(port,) for port in range(m)])
@@ -180,20 +187,32 @@ def check_model(
         yield Judgement(REPEATED, Conformance.BROKEN, f"{text}: its runs can be neither replayed nor audited")
 
 
+def _positions_problem(engine: Any) -> str:
+    """What is wrong with the positions of an engine's bodies; empty where nothing is."""
+    try:
+        found = np.array(engine.positions(), dtype=np.float64)
+    except Exception as error:  # noqa: BLE001 -- foreign code: reported, whatever it is
+        return f"found {in_one_line(error)} from positions(); expected x, y and z of each reported body"
+    if found.ndim != 1 or len(found) % 3 or not np.all(np.isfinite(found)):
+        return f"found positions() of the shape {found.shape}; expected three finite numbers for each reported body"
+    return ""
+
+
 class _Noted:
     """A model, and whether it has raised an exception."""
 
     def __init__(self, model: EnvironmentModel, method: str) -> None:
-        self._ask, self.raised = getattr(model, method), False
-
-    def react(self, x: Array, k: int) -> object:
-        """The model's answer."""
-        self.raised = True
-        answer: object = self._ask(x, k)
+        """Note what ``model`` does; it then has the one method by which it is asked."""
         self.raised = False
-        return answer
+        ask = getattr(model, method)
 
-    proxy = react
+        def asked(x: Array, of: object) -> object:
+            self.raised = True
+            answer: object = ask(x, of)
+            self.raised = False
+            return answer
+
+        setattr(self, method, asked)
 
 
 def _duration(durations: list[int], T: float) -> Judgement:

@@ -31,7 +31,7 @@ from manyhands.launch.plan.keys import Keys
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.reach import IPC, Listen, Reach, ReachError, reach
 from manyhands.launch.plan.topology import Topology
-from manyhands.launch.session import NetworkEnvironment, PythonEnvironment, Session, TraceData
+from manyhands.launch.session import AskedEnvironment, NetworkEnvironment, Session, TraceData
 from manyhands.launch.session.errors import one_of
 from manyhands.launch.session.limits import HAND_STORE
 from manyhands.launch.session.session import ENVIRONMENT
@@ -274,7 +274,7 @@ def _environment(prepared: Prepared) -> tuple[StateSpace | None, Matrix | None, 
     promises none.
     """
     given, environment = prepared.session.environment, prepared.loop.environment
-    if isinstance(given, PythonEnvironment) and isinstance(environment, DeclaredEnvironment):
+    if isinstance(given, AskedEnvironment) and isinstance(environment, DeclaredEnvironment):
         kept = environment.enforced or isinstance(environment, ProxyEnvironment)
         level = environment.level if kept else None
         return None, level, prepared.session.foreign_code["environment.model"]
@@ -409,8 +409,10 @@ def _phase(session: Session, node: str) -> float:
 
 
 def mass_names(session: Session) -> tuple[str, ...]:
-    """The masses of an environment that is a network, in the order of its state."""
+    """The masses of a network in the order of its state, or the coordinates of the bodies that an engine reports."""
     environment = session.environment
+    if isinstance(environment, AskedEnvironment):
+        return environment.reported
     return tuple(environment.masses) if isinstance(environment, NetworkEnvironment) else ()
 
 

@@ -47,7 +47,7 @@ from manyhands.design.problem import (
 )
 from manyhands.launch.plan.access import capability_violations
 from manyhands.launch.plan.plan import Plan
-from manyhands.launch.session import BlockMatrices, PythonEnvironment, Session
+from manyhands.launch.session import AskedEnvironment, BlockMatrices, Session
 from manyhands.launch.session.design import AUTO
 from manyhands.launch.session.environment import NetworkEnvironment
 from manyhands.launch.session.environment import StateSpaceEnvironment as GivenMatrices
@@ -107,7 +107,7 @@ def stated_delay(session: Session) -> float:
 def session_environment(session: Session) -> Environment:
     """The environment as one of the types of ``design``."""
     given, ports = session.environment, session.ports
-    if isinstance(given, PythonEnvironment):
+    if isinstance(given, AskedEnvironment):
         level, stiffness = given.level_matrix(len(ports)), given.stiffness_matrix(len(ports))
         if stiffness is not None:
             return ProxyEnvironment(ports, level, stiffness)

@@ -23,6 +23,9 @@ MAX_READS: Final = 4096
 """Channels that one observer reads."""
 MAX_MASSES: Final = 4096
 MAX_LINKS: Final = 16_384
+MAX_BODIES: Final = 32
+MAX_MODEL_BYTES: Final = 1 << 20
+"""An engine's model file: it is part of every bundle and recording."""
 MAX_ORDER: Final = 256
 """States of one coupling block."""
 MAX_PORT_ORDER: Final = 16

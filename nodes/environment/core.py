@@ -358,7 +358,7 @@ def environment_core(bundle: EnvironmentBundle, D_V: Vector, blocks: Blocks | No
             law = BlackBox(asked)
         else:
             parties = ports_of_blocks(blocks, len(common.ports))
-            law = ProxyLaw(asked, K, bundle.Phi_E, common.period, parties)
+            law = ProxyLaw(asked, K, bundle.Phi_E, common.period, parties, len(bundle.masses) // 3)
     elif E is None:
         raise ValueError("found an environment without matrices and without a model; expected one of the two")
     elif bundle.enforce:

@@ -33,6 +33,7 @@ MOST_POSITION = 1e3
 """The greatest coordinate of a proxy, m, from where the tools begin. Beyond it a position is a mistake."""
 
 PROXY = "proxy"
+STEP = "step"
 REACT = "react"
 
 
@@ -54,6 +55,28 @@ class ProxyModel(Protocol):
         ...
 
 
+class Engine(Protocol):
+    """The interface of a physics engine, whose tools are avatars: bodies of its own, joined to the tools by springs.
+
+    It is made by a factory of (ports, period, parameters), as every model. Where ``type: engine`` names it, the
+    parameters are ``model`` (the text of the model's file), ``tools`` (a name in the model for each port), ``bodies``
+    (those whose positions are reported) and ``stiffness`` (the largest K at each port, N/m).
+    """
+
+    def step(self, x: Vector, f: Vector) -> Any:
+        """Advance by one period, and return where the avatars are then, q(k), m, one number for each port.
+
+        Args:
+            x: where the tools of this tick would be without any force of the engine, r(k), m.
+            f: the forces that the springs exerted on the tools in the tick before, N; the avatars feel -f.
+        """
+        ...
+
+    def positions(self) -> Any:
+        """x, y and z of each reported body, m."""
+        ...
+
+
 class ForceModel(Protocol):
     """The interface of a model that is asked for forces, ahead of the tick's motion."""
 
@@ -72,7 +95,7 @@ class ForceModel(Protocol):
         ...
 
 
-EnvironmentModel: TypeAlias = ProxyModel | ForceModel
+EnvironmentModel: TypeAlias = ProxyModel | Engine | ForceModel
 
 
 class ModelFailure(Exception):
@@ -92,16 +115,17 @@ def make_model(name: FactoryName, ports: tuple[str, ...], T: float, method: str 
         FactoryError: the factory cannot be imported or fails, or its result has no such method.
     """
     model: EnvironmentModel = made_by(name, "model", ports, T)
-    has = [one for one in (PROXY, REACT) if callable(getattr(model, one, None))]
-    if not has or (method is not None and method not in has):
+    has = [one for one in (PROXY, STEP, REACT) if callable(getattr(model, one, None))]
+    wanted = {PROXY: {PROXY, STEP}, REACT: {REACT}, None: {PROXY, STEP, REACT}}[method]
+    if not wanted & {*has}:
         found = " ".join([type(model).__name__, *(f"with {one} alone" for one in has)])
         raise FactoryError(f"the model {name.factory} cannot be asked: found {found}; expected {_EXPECTED[method]}")
     return model
 
 
 _EXPECTED: Final[Mapping[str | None, str]] = {
-    None: "an object with proxy(x, k) or react(x_e, k)",
-    PROXY: "an object with proxy(x, k), for the session states the stiffness of its proxies",
+    None: "an object with proxy(x, k), step(x, f) or react(x_e, k)",
+    PROXY: "an object with proxy(x, k) or step(x, f), for the session states the stiffness of its proxies",
     REACT: "an object with react(x_e, k); for a model with proxy(x, k), state stiffness in the session's environment",
 }
 
@@ -125,10 +149,36 @@ class AskedModel:
         found = self._answer(model.react, x_e, k, ("force", "N", MOST_FORCE))
         return self._none if found is None else found
 
-    def proxies(self, x: Vector, k: int) -> Vector | None:
-        """The model's proxies for the tools at x, m; None once it has failed. The model may keep the array ``x``, m."""
+    def proxies(self, x: Vector, f: Vector, k: int) -> Vector | None:
+        """The model's proxies for the tools at x, m, or an engine's avatars; None once it has failed.
+
+        Args:
+            x: r(k), m; the model may keep the array.
+            f: the forces of the tick before, N, for an engine, which may keep the array.
+            k: the tick.
+        """
         model: Any = self._model
-        return self._answer(model.proxy, x, k, ("position", "m", MOST_POSITION))
+        kind = ("position", "m", MOST_POSITION)
+        if callable(getattr(model, STEP, None)):
+            return self._answer(lambda at, tick: model.step(at, f), x, k, kind)
+        return self._answer(model.proxy, x, k, kind)
+
+    def positions(self, bodies: int) -> list[float]:
+        """Three coordinates of each of an engine's reported bodies, m; 0 where it has failed or gives others."""
+        model: Any = self._model
+        try:
+            found = np.array(model.positions(), dtype=np.float64) if self.failure is None else np.zeros(0)
+        except (Exception, SystemExit) as error:  # noqa: BLE001 -- foreign code, as above
+            self.failure = f"the engine {self._name} failed: found {in_one_line(error)}; expected positions in m"
+            found = np.zeros(0)
+        if found.shape == (3 * bodies,) and np.all(np.abs(found) <= MOST_POSITION):
+            return [*map(float, found)]
+        if self.failure is None:
+            self.failure = (
+                f"the engine {self._name} failed: found positions of the shape {found.shape}, or beyond "
+                f"{MOST_POSITION:g} m; expected {3 * bodies} finite numbers, three for each body"
+            )
+        return [0.0] * (3 * bodies)
 
     def _answer(
         self, ask: Callable[[Vector, int], Any], x: Vector, k: int, kind: tuple[str, str, float]

@@ -46,7 +46,13 @@ class ProxyLaw:
     """
 
     def __init__(
-        self, model: AskedModel, K: Vector, Phi: Vector | None, T: float, parties: Sequence[Sequence[int]]
+        self,
+        model: AskedModel,
+        K: Vector,
+        Phi: Vector | None,
+        T: float,
+        parties: Sequence[Sequence[int]],
+        bodies: int = 0,
     ) -> None:
         """Start at rest, with every tool and every proxy at 0.
 
@@ -56,6 +62,7 @@ class ProxyLaw:
             Phi: the level, m x m, symmetric positive semidefinite, N*s/m; None for 0.
             T: period, s.
             parties: the ports of each coupling.
+            bodies: the number of bodies whose positions the model, an engine, reports.
 
         Raises:
             ValueError: K is not symmetric positive definite, or Phi not symmetric positive semidefinite.
@@ -67,7 +74,8 @@ class ProxyLaw:
             raise ValueError("found a stiffness that is not symmetric positive definite; expected one that is")
         if not _definite(self._Phi, strict=False):
             raise ValueError("found a level with a negative eigenvalue; expected one of at least 0 for proxies")
-        self._model, self._k, self._T = model, 0, T
+        self._model, self._k, self._T, self._bodies = model, 0, T, bodies
+        self._f = np.zeros(m)
         self._parties = [np.array(ports, dtype=np.intp) for ports in parties]
         owner = np.empty(m, dtype=np.intp)
         for party, ports in enumerate(self._parties):
@@ -90,8 +98,8 @@ class ProxyLaw:
 
     @property
     def masses(self) -> Floats:
-        """Empty: a model's masses are not known."""
-        return []
+        """x, y and z of each reported body, m; empty without an engine."""
+        return self._model.positions(self._bodies) if self._bodies else []
 
     def propose(self, r: Vector, compliance: Vector, x_e: Vector) -> Vector:
         """The springs' forces, N; the model is asked at the ``r`` of the tick's first call, its later calls reuse q."""
@@ -99,7 +107,7 @@ class ProxyLaw:
             self._compliance, self._DK = compliance, compliance @ self._K
             self._M = np.asarray(np.linalg.inv(np.eye(len(r)) + self._DK), dtype=np.float64)
         if self._proposed is None:
-            found = self._model.proxies(r.copy(), self._k)
+            found = self._model.proxies(r.copy(), self._f.copy(), self._k)
             self._proposed = self._q if found is None else found
         q = self._proposed
         e = self._M @ (r - q)
@@ -122,7 +130,7 @@ class ProxyLaw:
         self._budget = self._total - 0.5 * float(e @ self._K @ e)
         for party in self._shortened:
             self.held[party] += 1
-        self._x, self._q, self._e = x_e, self._next, e
+        self._x, self._q, self._e, self._f = x_e, self._next, e, f
         self._proposed, self._shortened = None, []
         self._k += 1
 
