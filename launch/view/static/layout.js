@@ -37,9 +37,9 @@ export function layout(about) {
   }
   const masses = Object.keys(about.masses);
   masses.forEach((mass, index) => {
-    const { axis, far } = reached.get(mass) ?? { axis: 0, far: 1 };
+    const { axis, far } = reached.get(mass) ?? { axis: axisOf(mass), far: 1 };
     const siblings = masses.filter((m) => stem(m) === stem(mass));
-    const axes = new Set(siblings.map((m) => (reached.get(m) ?? { axis: 0 }).axis));
+    const axes = new Set(siblings.map((m) => (reached.get(m) ?? { axis: axisOf(m) }).axis));
     const together = siblings.length > 1 && axes.size === siblings.length;
     const id = `mass ${together ? stem(mass) : mass}`;
     const body = bodies.get(id) ?? { kind: "mass", name: id.slice(5), axes: [], column: far, row: 0 };
@@ -64,6 +64,11 @@ export function layout(about) {
   devices.forEach(([device], i) => (bodies.get(`tool ${device}`).row = ((i + 0.5) * rows) / devices.length - 0.5));
   settleRows(bodies, [...pairs.values()], rows);
   return { bodies, pairs: [...pairs.values()], columns, rows };
+}
+
+/** The axis of a coordinate of an engine's body, which no spring joins to a port: that of its name. */
+function axisOf(mass) {
+  return Math.max(0, ["x", "y", "z"].indexOf(mass.split(".").pop()));
 }
 
 /** Each mass stands at the mean height of its neighbours to the left; no two masses overlap. */
