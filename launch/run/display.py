@@ -133,7 +133,7 @@ def chatter_line(figures: Mapping[str, float]) -> str:
         return ""
     most = ", ".join(f"{name} up to {n:.0f} times a second" for name, n in sorted(found.items()))
     proxies = any(key.startswith(names.HELD) for key in figures)
-    remedy = "its proxies jump" if proxies else "use a proxy, or a softer model (docs/models.md)"
+    remedy = "its proxies jump, or ticks are late" if proxies else "use a proxy, or a softer model (docs/models.md)"
     return f"the model's force chatters: {most}; {remedy}"
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 LEAST: Final = 0.01
 """The least step of a force that counts, N: below it a device's friction hides a buzz."""
 
-MOST: Final = 20
+MOST: Final = 40
 """The reversals in a second from which a force is reported as chatter; a hand makes fewer than ten."""
 
 

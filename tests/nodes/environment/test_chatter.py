@@ -57,7 +57,7 @@ def test_what_is_reported_and_what_to_do() -> None:
         "the model's force chatters: right up to 199 times a second; use a proxy, or a softer model (docs/models.md)"
     )
     with_proxies = contact_figures([0, 7], counted(f), ("left", "right"))
-    assert chatter_line(with_proxies).endswith("its proxies jump")
+    assert chatter_line(with_proxies).endswith("its proxies jump, or ticks are late")
     assert held_line(with_proxies) == "proxies held: right in 7 ticks"
     assert len(world_lines(with_proxies)) == 2
     assert world_lines({"chatter_left": MOST - 1.0, "held_left": 0.0}) == []
