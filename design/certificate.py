@@ -46,8 +46,7 @@ from manyhands.design.models.environment import (
     TransferEnvironment,
 )
 from manyhands.design.models.network import METHODS, Network, NetworkLink
-from manyhands.design.models.operators import Rational
-from manyhands.design.models.statespace import LinearSystem, Matrix, StateSpace, matrix
+from manyhands.design.models.statespace import LinearSystem, Matrix, Rational, StateSpace, matrix
 from manyhands.design.models.weights import Filter, Transparency
 from manyhands.design.problem import (
     CouplingRequest,

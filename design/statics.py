@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from decimal import Decimal
+from typing import Final
 
 from flint import fmpq, fmpq_mat
 
@@ -34,6 +35,12 @@ def check_environment(environment: Environment) -> None:
             return
     _require_symmetric(gain, environment.ports, "the environment's static stiffness E(1)", "N/m", "E_hat")
     _require_semidefinite(gain, environment.ports)
+
+
+_DISPLACEMENT: Final = (
+    "multiply it by s, or by (z - 1)/(T z), if it leads from velocity to force: an environment leads from displacement"
+)
+"""What a spring shows that was given as force over velocity: it has a pole at s = 0."""
 
 
 def check_block(name: str, block: StateSpace, ports: Sequence[str]) -> None:
@@ -63,7 +70,10 @@ def _of_system(system: StateSpace, continuous: bool, what: str) -> fmpq_mat:
     except ZeroDivisionError:
         raise Infeasible(
             f"{what} has a pole at {'s = 0' if continuous else 'z = 1'}, and so no static gain",
-            ("give every mode a spring that holds it",),
+            (
+                *((_DISPLACEMENT,) if what == "the environment" else ()),
+                "give every mode a spring that holds it",
+            ),
         ) from None
 
 
@@ -76,7 +86,10 @@ def _of_entries(environment: TransferEnvironment) -> fmpq_mat:
                 a, b = environment.ports[i], environment.ports[j]
                 raise Infeasible(
                     f"the environment's entry ({a}, {b}) has a pole at s = 0, and so no static stiffness",
-                    ("cancel a common factor s of num and den, or give den a constant term",),
+                    (
+                        _DISPLACEMENT,
+                        "cancel a common factor s of num and den, or give den a constant term",
+                    ),
                 )
             out[i, j] = _decimal(num[-1]) / _decimal(den[-1])
     return out

@@ -149,7 +149,7 @@ def run_demo(
     )
     if profile is not None and outlived(profile, decentralised.session.period, outcome.report):
         drop_profile(profile)  # the next run measures anew
-    print_report(out, outcome.report)
+    print_report(out, outcome.report, outcome.faults)
     if outcome.code:
         return outcome.code
     rows = {}

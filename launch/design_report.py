@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import signal
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -33,6 +33,7 @@ from manyhands.launch.run.display import figure_table, printable, promise_lines,
 from manyhands.launch.run.outcome import lateness_sentence, rows_of, wave_link_sentences
 from manyhands.launch.session import Session
 from manyhands.nodes import telemetry as names
+from manyhands.nodes.observer.health import verdict
 
 if TYPE_CHECKING:
     from manyhands.design.proof import Finding
@@ -183,8 +184,16 @@ _REPORTED: Final = (
 _REPORT_RANKS: Final = {_PERIOD: 2, _LEDGER: 1}
 
 
-def print_report(console: Console, report: Mapping[str, Any]) -> None:
-    """Print ticks, lateness, percentiles, ledgers and speeds of every node, and what was refused or clipped."""
+def print_report(console: Console, report: Mapping[str, Any], faults: Sequence[str] = ()) -> None:
+    """Print ticks, lateness, percentiles, ledgers and speeds of every node, and what was refused or clipped.
+
+    The last line says what was worst, or that all promises were kept.
+
+    Args:
+        console: where it goes.
+        report: the whole report of a run.
+        faults: what made the run fail, which is worse than any promise.
+    """
     title = f"{report['session']}: {report['duration']:g} s, {report['clock']} clock"
     rows = []
     for name, node in report["nodes"].items():
@@ -219,6 +228,10 @@ def print_report(console: Console, report: Mapping[str, Any]) -> None:
         if counts:
             listed = ", ".join(f"{kind} {count}" for kind, count in counts.items())
             say(console, f"{name}: not admitted, or not as it came: {listed}")
+    if faults:
+        say(console, f"failed: {faults[0].splitlines()[0]}")
+    elif promises:
+        say(console, verdict(promises))
 
 
 def _account(node: Mapping[str, Any], report: Mapping[str, Any]) -> str:

@@ -28,9 +28,9 @@ from typing import Final
 
 import numpy as np
 
-from manyhands.nodes.bundle import BundleError, Common, CouplingBundle, elsewhere, foreign_code
+from manyhands.nodes.bundle import BundleError, Common, CouplingBundle, DeviceBundle, elsewhere, foreign_code
 from manyhands.nodes.device.colocated import CarriedBlock, ColocatedNode
-from manyhands.nodes.device.drivers import driver_of
+from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.factory import FactoryError, require_allowed
 from manyhands.nodes.invitation import Invitation, InvitationError, read_invitation
 from manyhands.nodes.lifetime import Life, Sight, Stopped
@@ -38,11 +38,11 @@ from manyhands.nodes.process import EXIT_BAD_INPUT, EXIT_OK, EXIT_REFUSED, Node,
 from manyhands.nodes.seat_part import SeatPart, decoded_part
 from manyhands.nodes.supervisor_line import PATIENCE, REPEAT_WAITS, ControlLine, Refused, require_hub
 from manyhands.nodes.wave_link.felt import stiffness_and_mass
-from manyhands.protocol.clock import Duration, RealtimeClock, from_seconds, seconds
+from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds, seconds
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.keys import KeyFileError, KeyRing
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
-from manyhands.protocol.messages import Fetch, Piece, presentable
+from manyhands.protocol.messages import Fetch, Piece, Start, presentable
 from manyhands.protocol.transport import Link, TransportError
 from manyhands.protocol.transport.zeromq import ZmqTransport
 
@@ -149,6 +149,18 @@ class SeatLife(Life):
 class SeatNode(ColocatedNode):
     """A device with its coupling, which lets go by a ramp before it leaves."""
 
+    def __init__(
+        self, bundle: DeviceBundle, driver: Driver, carried: Sequence[CarriedBlock], joined: Callable[[], None]
+    ) -> None:
+        """As :class:`ColocatedNode`; ``joined`` is called once the handshakes are done, before the first tick."""
+        super().__init__(bundle, driver, carried)
+        self._joined = joined
+
+    def loop(self, start: Start, life: Life, control: ControlLine) -> None:
+        """Report that the guest is in, and run its ticks."""
+        self._joined()
+        super().loop(start, life, control)
+
     def _attend(self, control: ControlLine, tick: int) -> None:
         super()._attend(control, tick)
         life, guard = self._life, self.device.guard
@@ -252,12 +264,19 @@ class _Visit:
     def __init__(self, invitation: Invitation, host: str, yes: bool, allowed: str | None) -> None:
         self._invitation, self._host, self._sure, self._allowed = invitation, host, yes, allowed
         self._lines: Sequence[ControlLine] = ()
+        self._distance: FeltDistance | None = None
+        self._since: Instant | None = None  # when the guest was in; None before
 
     def stay(self, life: SeatLife) -> int:
         while True:
             life.begin()
-            self._lines = ()
-            code = self._attempt(life)
+            self._lines, self._since = (), None
+            try:
+                code = self._attempt(life)
+            finally:
+                if self._since is not None:
+                    stayed = seconds(Duration(RealtimeClock().now() - self._since))
+                    _say(f"{self._invitation.seat}: out, after {stayed:.1f} s")
             if life.signal is not None:
                 # a user who ends it while the session is lost has ended it, as at any other instant
                 return EXIT_OK if life.orphaned and life.failure is None else code
@@ -274,7 +293,7 @@ class _Visit:
         coupling = dataclasses.replace(part.coupling, common=self._placed(part.coupling.common))
         carried = CarriedBlock(coupling)
         try:
-            node = SeatNode(device, driver_of(device), [carried])
+            node = SeatNode(device, driver_of(device), [carried], partial(self._joined, coupling.common.period))
         except (ValueError, OverflowError) as error:
             _say(f"error: {error}")
             return EXIT_BAD_INPUT
@@ -312,7 +331,8 @@ class _Visit:
         period = coupling.common.period
         trips = lines[0].round_trips(RealtimeClock(), life, math.ceil(MEASURING / period), from_seconds(period))
         _say(f"{self._invitation.seat}: ports {', '.join(coupling.common.ports)}, a tick every {1e3 * period:.3g} ms")
-        _say(felt(coupling, trips).sentence())
+        self._distance = felt(coupling, trips)
+        _say(self._distance.sentence())
         if not self._sure and not answered_yes(f"take the seat {self._invitation.seat}? [y/N] ", life.check):
             _say("not joined")
             life.stopping = True
@@ -320,6 +340,12 @@ class _Visit:
         self._sure = True
         self._lines = lines
         _say(f"{self._invitation.session}: joining; Ctrl-C leaves")
+
+    def _joined(self, period: float) -> None:
+        """Report that the guest is in: its rate, the delay and how to leave."""
+        self._since = RealtimeClock().now()
+        delay = "" if self._distance is None else f", round trip R = {1e3 * self._distance.round_trip:.3g} ms"
+        _say(f"{self._invitation.seat}: in, at {1.0 / period:.4g} ticks a second{delay}; Ctrl-C leaves")
 
 
 def answered_yes(question: str, look: Callable[[], None]) -> bool:

@@ -242,6 +242,7 @@ def transformed_device(G: StateSpace, K: Matrix, T: float) -> StateSpace:
         >>> passivity.transformed_device(G, passivity.loop_gain([[1.37]], 0.001), T=0.001)
         StateSpace(A=[2 x 2], B=[2 x 1], C=[1 x 2], D=0.364964)
     """
+    G = _in_z(G)
     return _difference(StateSpace(G.A, G.B, G.C, G.D + K), T)
 
 
@@ -256,6 +257,7 @@ def transformed_coupling(V: StateSpace, K: Matrix, T: float) -> StateSpace:
         >>> passivity.analyse(passivity.transformed_coupling(V, K, T=0.001)).holds
         True
     """
+    V = _in_z(V)
     return _difference(StateSpace(V.A, V.B, V.C, V.D - K), T)
 
 
@@ -271,6 +273,7 @@ def transformed_environment(E: StateSpace, T: float) -> StateSpace:
         >>> passivity.analyse(passivity.transformed_environment(wall, T=0.001)).holds
         True
     """
+    E = _in_z(E)
     n, m = E.order, E.inputs
     return StateSpace(
         np.block([[E.A, E.B], [np.zeros((m, n)), np.eye(m)]]),
@@ -278,6 +281,19 @@ def transformed_environment(E: StateSpace, T: float) -> StateSpace:
         np.hstack([E.C, E.D]),
         T * E.D,
     )
+
+
+def _in_z(system: StateSpace) -> StateSpace:
+    """A system of this or of another library, in discrete time.
+
+    Raises:
+        ValueError: it is in continuous time, or no linear system.
+    """
+    if isinstance(system, StateSpace):
+        return system
+    if getattr(system, "dt", None) == 0:
+        raise ValueError("found a system in continuous time, dt = 0; expected one in z, with the session's period")
+    return StateSpace.of(system)
 
 
 def _difference(S: StateSpace, T: float) -> StateSpace:

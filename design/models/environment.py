@@ -26,8 +26,7 @@ from manyhands.design.errors import Infeasible
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.integrators import Split, delayed_split, delayed_system, split_system
 from manyhands.design.models.network import Method, Network, NetworkLink, discretise, realise, substitute
-from manyhands.design.models.operators import Rational
-from manyhands.design.models.statespace import Matrix, StateSpace, matrix
+from manyhands.design.models.statespace import Matrix, Rational, StateSpace, matrix
 
 
 class Environment(Protocol):

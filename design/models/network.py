@@ -37,8 +37,7 @@ from manyhands.design.errors import Infeasible
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.device import zero_order_hold
 from manyhands.design.models.integrators import Split
-from manyhands.design.models.operators import Rational, companion_forms
-from manyhands.design.models.statespace import Matrix, StateSpace, matrix, symmetric_part
+from manyhands.design.models.statespace import Matrix, Rational, StateSpace, companion_forms, matrix, symmetric_part
 
 GROUND = "ground"
 

@@ -16,10 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from manyhands.design.models.statespace import Matrix, StateSpace, block_diagonal
-
-Rational = tuple[tuple[float, ...], tuple[float, ...]]
-"""Numerator and denominator, descending powers of s."""
+from manyhands.design.models.statespace import Matrix, Rational, StateSpace, companion_forms, proper
 
 _POINTS_PER_DECADE = 400
 _DECADES_BEYOND = 3
@@ -61,19 +58,14 @@ class RationalMatrix:
         size = len(self.entries)
         if size == 0 or any(len(row) != size for row in self.entries):
             raise ValueError("expected a square matrix of entries")
-        trimmed = []
-        for i, row in enumerate(self.entries):
-            for j, (num, den) in enumerate(row):
-                place = f"entry ({i + 1}, {j + 1})"
-                if not _trim(den):
-                    raise ValueError(f"{place}: the denominator is zero")
-                if len(_trim(num)) > len(_trim(den)):
-                    raise ValueError(
-                        f"{place}: improper, the numerator's degree {len(_trim(num)) - 1} exceeds the "
-                        f"denominator's {len(_trim(den)) - 1}; put inertia into the mass instead"
-                    )
-            trimmed.append(tuple((_trim(num), _trim(den)) for num, den in row))
-        object.__setattr__(self, "entries", tuple(trimmed))
+        trimmed = tuple(
+            tuple(
+                proper(entry, f"entry ({i}, {j})", "put inertia into the mass instead")
+                for j, entry in enumerate(row, 1)
+            )
+            for i, row in enumerate(self.entries, 1)
+        )
+        object.__setattr__(self, "entries", trimmed)
 
     @property
     def size(self) -> int:
@@ -201,55 +193,3 @@ def _around(pole: complex) -> Matrix:
     steps = np.logspace(-2.0, np.log10(widest), int(20 * (np.log10(widest) + 2.0)) + 2)
     around = centre + rate * np.concatenate([-steps, np.zeros(1), steps])
     return np.asarray(around[around >= 0.0])
-
-
-def _trim(coefficients: tuple[float, ...]) -> tuple[float, ...]:
-    """The coefficients without leading zeros."""
-    for i, c in enumerate(coefficients):
-        if c != 0.0:
-            return tuple(float(x) for x in coefficients[i:])
-    return ()
-
-
-def companion_forms(entries: tuple[tuple[Rational, ...], ...], *, idle: bool) -> StateSpace:
-    """A state space of a matrix of proper rational functions of s or of z: one companion form per entry, row by row.
-
-    Entry (i, j) with den of degree n has n states, xi' = A xi + b u_j, in the controllable form: ones above the
-    diagonal of A, -den (made monic) reversed, constant term first, in its last row, b the last unit vector. The state
-    space is not minimal in general.
-
-    Args:
-        entries: m rows of p (numerator, denominator), descending powers, proper, no leading zero in the denominator.
-        idle: whether an entry whose output is a plain gain keeps its idle states.
-    """
-    m, p = len(entries), len(entries[0])
-    A_parts: list[Matrix] = []
-    B, C, D = np.zeros((0, p)), np.zeros((m, 0)), np.zeros((m, p))
-    for i, row in enumerate(entries):
-        for j, (num, den) in enumerate(row):
-            A_entry, C_entry, D[i, j] = _companion(num, den)
-            order = A_entry.shape[0]
-            if order == 0 or not (idle or np.any(C_entry)):
-                continue
-            A_parts.append(A_entry)
-            B_entry, C_wide = np.zeros((order, p)), np.zeros((m, order))
-            B_entry[-1, j] = 1.0
-            C_wide[i] = C_entry
-            B, C = np.vstack([B, B_entry]), np.hstack([C, C_wide])
-    return StateSpace(block_diagonal(A_parts), B, C, D)
-
-
-def _companion(num: tuple[float, ...], den: tuple[float, ...]) -> tuple[Matrix, Matrix, float]:
-    """Controllable companion form of num/den: A (n x n), C (n,), D; B is the last unit vector."""
-    order = len(den) - 1
-    monic = np.array(den) / den[0]
-    padded = np.zeros(order + 1)
-    if num:
-        padded[order + 1 - len(num) :] = np.array(num) / den[0]
-    D = float(padded[0])
-    C = (padded[1:] - D * monic[1:])[::-1]
-    A = np.zeros((order, order))
-    if order:
-        A[:-1, 1:] = np.eye(order - 1)
-        A[-1] = -monic[1:][::-1]
-    return A, C, D

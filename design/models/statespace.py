@@ -30,7 +30,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,6 +38,9 @@ from numpy.typing import ArrayLike, NDArray
 from manyhands.design.models.brief import brief_repr
 
 Matrix = NDArray[np.float64]
+
+Rational = tuple[tuple[float, ...], tuple[float, ...]]
+"""Numerator and denominator, descending powers of s."""
 
 _POINTS_AT_ONCE = 4096  # frequencies evaluated together, so that memory stays bounded
 
@@ -135,12 +138,33 @@ class StateSpace:
         return cls(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((m, 0)), gain)
 
     @classmethod
-    def of(cls, system: HasMatrices) -> StateSpace:
-        """The matrices of any object with A, B, C and D: of ``control.ss``, ``scipy.signal.StateSpace`` and the like.
+    def of(cls, system: HasMatrices | HasPolynomials) -> StateSpace:
+        """A system of any library: of ``control.ss``, ``control.tf``, ``scipy.signal`` and the like.
 
-        Its sample time is not kept: functions that depend on it have the argument ``time``.
+        An object with A, B, C and D keeps its matrices. One with ``num`` and ``den``, descending powers of s or z, gets
+        a companion form for each entry, which is not minimal in general. The sample time is not kept: functions that
+        depend on it have the argument ``time``.
+
+        Raises:
+            ValueError: the object has neither, or an entry is improper.
+
+        Example:
+            >>> import scipy.signal
+            >>> from manyhands import passivity
+            >>> device = scipy.signal.TransferFunction([1.0], [0.2, 1.37])      # N to m/s
+            >>> passivity.StateSpace.of(device)
+            StateSpace(A=-6.85, B=1, C=5, D=0)
         """
-        return cls(system.A, system.B, system.C, system.D)
+        if isinstance(system, HasMatrices):
+            return cls(system.A, system.B, system.C, system.D)
+        if not isinstance(system, HasPolynomials):
+            raise ValueError(
+                f"found {type(system).__name__}; expected a linear system, with A, B, C and D or with num and den"
+            )
+        num, den = system.num, system.den
+        if isinstance(num[0], int | float | np.number):  # SciPy's, with one input and one output
+            num, den = [[num]], [[den]]
+        return companion_forms(proper_entries(num, den), idle=False)
 
     @property
     def order(self) -> int:
@@ -172,6 +196,7 @@ class StateSpace:
         return outputs
 
 
+@runtime_checkable
 class HasMatrices(Protocol):
     """A linear system of any library, by its matrices."""
 
@@ -190,6 +215,32 @@ class HasMatrices(Protocol):
     @property
     def D(self) -> Any:
         """M x p."""
+
+
+@runtime_checkable
+class HasPolynomials(Protocol):
+    """A transfer matrix of any library, by its polynomials; SciPy's has one input and one output, and no rows."""
+
+    @property
+    def num(self) -> Any:
+        """M rows of p numerators, descending powers."""
+
+    @property
+    def den(self) -> Any:
+        """M rows of p denominators."""
+
+
+def require_state_space(system: object) -> None:
+    """Refuse a system of another library, whose matrices and sample time the lemmas would misread.
+
+    Raises:
+        ValueError: ``system`` is no :class:`StateSpace`.
+    """
+    if not isinstance(system, StateSpace):
+        raise ValueError(
+            f"found {type(system).__name__}; expected a StateSpace: mh.passivity.StateSpace.of(system) converts what "
+            'has A, B, C and D or num and den, and time="continuous" says that it is one in s'
+        )
 
 
 class LinearSystem(NamedTuple):
@@ -358,3 +409,97 @@ def frequency_of(angle: float, time: Time, rate: float) -> float:
     if time == "discrete":
         return angle
     return float("inf") if angle >= np.pi else rate * float(np.tan(angle / 2.0))
+
+
+def trimmed_polynomial(coefficients: tuple[float, ...]) -> tuple[float, ...]:
+    """The coefficients without leading zeros."""
+    for i, c in enumerate(coefficients):
+        if c != 0.0:
+            return tuple(float(x) for x in coefficients[i:])
+    return ()
+
+
+def proper_entries(num: Sequence[Any], den: Sequence[Any]) -> tuple[tuple[Rational, ...], ...]:
+    """The entries of a transfer matrix, without leading zeros.
+
+    Args:
+        num: m rows of p numerators, descending powers.
+        den: m rows of p denominators.
+
+    Raises:
+        ValueError: no rows, rows of different lengths, a zero denominator, or an improper entry.
+    """
+    rows = [[(_plain(a), _plain(b)) for a, b in zip(*row, strict=True)] for row in zip(num, den, strict=True)]
+    if not rows or any(len(row) != len(rows[0]) for row in rows):
+        raise ValueError(
+            f"found rows of {[len(row) for row in rows]} entries; expected as many in each row, one at least"
+        )
+    return tuple(
+        tuple(proper(entry, f"entry ({i}, {j})", "give it a faster pole") for j, entry in enumerate(row, 1))
+        for i, row in enumerate(rows, 1)
+    )
+
+
+def _plain(polynomial: Any) -> tuple[float, ...]:
+    return tuple(float(one) for one in polynomial)
+
+
+def proper(entry: Rational, place: str, instead: str) -> Rational:
+    """An entry without leading zeros.
+
+    Raises:
+        ValueError: a zero denominator, or an improper entry, with what to do instead.
+    """
+    num, den = trimmed_polynomial(entry[0]), trimmed_polynomial(entry[1])
+    if not den:
+        raise ValueError(f"{place}: the denominator is zero")
+    if len(num) > len(den):
+        raise ValueError(
+            f"{place}: improper, the numerator's degree {len(num) - 1} exceeds the denominator's {len(den) - 1}; "
+            f"{instead}"
+        )
+    return num, den
+
+
+def companion_forms(entries: tuple[tuple[Rational, ...], ...], *, idle: bool) -> StateSpace:
+    """A state space of a matrix of proper rational functions of s or of z: one companion form per entry, row by row.
+
+    Entry (i, j) with den of degree n has n states, xi' = A xi + b u_j, in the controllable form: ones above the
+    diagonal of A, -den (made monic) reversed, constant term first, in its last row, b the last unit vector. The state
+    space is not minimal in general.
+
+    Args:
+        entries: m rows of p (numerator, denominator), descending powers, proper, no leading zero in the denominator.
+        idle: whether an entry whose output is a plain gain keeps its idle states.
+    """
+    m, p = len(entries), len(entries[0])
+    A_parts: list[Matrix] = []
+    B, C, D = np.zeros((0, p)), np.zeros((m, 0)), np.zeros((m, p))
+    for i, row in enumerate(entries):
+        for j, (num, den) in enumerate(row):
+            A_entry, C_entry, D[i, j] = _companion(num, den)
+            order = A_entry.shape[0]
+            if order == 0 or not (idle or np.any(C_entry)):
+                continue
+            A_parts.append(A_entry)
+            B_entry, C_wide = np.zeros((order, p)), np.zeros((m, order))
+            B_entry[-1, j] = 1.0
+            C_wide[i] = C_entry
+            B, C = np.vstack([B, B_entry]), np.hstack([C, C_wide])
+    return StateSpace(block_diagonal(A_parts), B, C, D)
+
+
+def _companion(num: tuple[float, ...], den: tuple[float, ...]) -> tuple[Matrix, Matrix, float]:
+    """Controllable companion form of num/den: A (n x n), C (n,), D; B is the last unit vector."""
+    order = len(den) - 1
+    monic = np.array(den) / den[0]
+    padded = np.zeros(order + 1)
+    if num:
+        padded[order + 1 - len(num) :] = np.array(num) / den[0]
+    D = float(padded[0])
+    C = (padded[1:] - D * monic[1:])[::-1]
+    A = np.zeros((order, order))
+    if order:
+        A[:-1, 1:] = np.eye(order - 1)
+        A[-1] = -monic[1:][::-1]
+    return A, C, D

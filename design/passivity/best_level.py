@@ -319,8 +319,8 @@ def greatest_input_level(
 
 
 def _greatest(system: StateSpace, shape: Shape, role: Role, other: Matrix | None, time: Time) -> ProvedLevel:
-    m = system.inputs
     Delta, Phi = checked_levels(system, *((None, other) if role == "output" else (other, None)))
+    m = system.inputs
     if isinstance(shape, Partition) and shape.size != m:
         raise ValueError(f"expected a partition of {m} ports, found one of {shape.size}")
     discrete, _ = in_discrete_time(system, time)

@@ -35,6 +35,7 @@ from manyhands.design.models.statespace import (
     block_diagonal,
     matrix,
     parallel_blocks,
+    require_state_space,
     symmetric_part,
 )
 from manyhands.design.passivity.best_level import ProvedLevel, Shape, greatest_output_level
@@ -175,6 +176,7 @@ def passive_operator(system: StateSpace) -> Dissipative:
         >>> passivity.passive_operator(hand).Delta.tolist()
         [[0.0]]
     """
+    require_state_space(system)
     return _proved(system, np.zeros((system.inputs, system.inputs)), "the hand is not a passive operator")
 
 

@@ -60,6 +60,7 @@ from manyhands.design.models.statespace import (
     frequency_of,
     in_discrete_time,
     matrix,
+    require_state_space,
     symmetric_part,
 )
 from manyhands.design.passivity.frequency import generic_points, least_ratio, pairs_at, special_points, supply_form
@@ -430,6 +431,7 @@ def checked_levels(system: StateSpace, Delta: Matrix | None, Phi: Matrix | None)
     Raises:
         ValueError: the system is not square, or a level is not symmetric m x m.
     """
+    require_state_space(system)
     m = system.inputs
     if system.outputs != m or m == 0:
         raise ValueError(f"expected as many outputs as inputs, at least one, found {system.outputs} and {m}")

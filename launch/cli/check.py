@@ -38,7 +38,12 @@ def check_driver(
         float, typer.Option("--travel", metavar="M", help="A push ends once the device has moved so far, in m.")
     ] = 0.01,
     push: Annotated[
-        bool, typer.Option("--push/--no-push", help="Exert forces; without, the device is only read.")
+        bool,
+        typer.Option(
+            "--push/--no-push",
+            help="Exert forces. With --no-push the device is only read, nothing is asked, and all about forces is "
+            "not judged. The keys for the session file are what the driver states, with a push and without.",
+        ),
     ] = True,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask before a push of hardware.")] = False,
     as_json: Json = False,
@@ -46,7 +51,8 @@ def check_driver(
     """Try a driver: read the device, push it a little on each axis, fall silent, and name what is wrong.
 
     This imports the driver and runs its code. Hardware is pushed only after a question. Let the device stand free:
-    nobody holds it. Exit code 0: nothing is broken. 1: something is.
+    nobody holds it. Where the driver states moved_by_force=False, nothing is pushed. Exit code 0: nothing is broken. 1:
+    something is.
     """
     with errors():
         from manyhands.launch.conformance.driver import Bench, Push, checked_apart, clock_for
@@ -66,7 +72,13 @@ def check_driver(
         if len(stated.force) != dof:
             made.close()
             raise FactoryError(f"the driver {name.factory}: found {len(stated.force)} axes; expected --dof {dof}")
-        if push and stated.hardware and not yes and not _agreed(min(force, *stated.force), travel):
+        if (
+            push
+            and stated.moved_by_force
+            and stated.hardware
+            and not yes
+            and not _agreed(min(force, *stated.force), travel)
+        ):
             say(err, "no force is exerted")
             push = False
         own = AxisMap(tuple(range(dof)), (1.0,) * dof)

@@ -121,7 +121,13 @@ def budget(
     overrides: Overrides = [],  # noqa: B006
     as_json: Json = False,
 ) -> None:
-    """Show the stiffness that can be certified for each device, over the delay inside the tick and the period."""
+    """Show the stiffness that can be certified for each device, over the delay inside the tick and the period.
+
+    At another rate: --set period=0.0005 (s; 2 kHz). With another delay inside the tick: --set design.tau=0.0002.
+
+    For a user who is 80 ms away, one way, R is 160 ms there and back, beyond any tick: --set
+    'couplings.cx.wave_link={mass: 0.5, round_trip: 0.16}' shows what is felt over a wave link.
+    """
     with errors("design"):
         from manyhands.launch.budget import require_picture
         from manyhands.launch.design_report import run_budget

@@ -351,7 +351,7 @@ def host(
             say(err, f"{directory / KEYS}: has keys that the session no longer has: {', '.join(made.stale)}")
         warn_of_code(err, loaded, seats)
         outcome = run_session(prepared, err, clock=REALTIME, reach=ways, ticks=ticks, record=record, report=report)
-        print_report(out, outcome.report)
+        print_report(out, outcome.report, outcome.faults)
         end(outcome.code)
 
 

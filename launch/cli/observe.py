@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from pathlib import Path
 from typing import Annotated
@@ -177,7 +178,8 @@ def view(
             metavar="PORT",
             min=0,
             max=65535,
-            help="The port to listen at, 0 for any free one; by default that, with --foxglove 8765.",
+            help="The port to listen at, 0 for any free one; by default that, with --foxglove 8765. With --ros: listen "
+            "there for nodes of ROS 2, without a router.",
         ),
     ] = None,
     token_file: Annotated[
@@ -194,7 +196,12 @@ def view(
     ] = False,
     every: Annotated[
         int | None,
-        typer.Option("--every", min=1, metavar="N", help="With --foxglove, send ticks that are multiples of N [10]."),
+        typer.Option(
+            "--every",
+            min=1,
+            metavar="N",
+            help="With --foxglove or --ros, send ticks that are multiples of N [10].",
+        ),
     ] = None,
     layout: Annotated[
         Path | None,
@@ -204,26 +211,58 @@ def view(
             help="With --foxglove, write the session's layout here (.json; .xml: PlotJuggler).",
         ),
     ] = None,
+    ros: Annotated[bool, typer.Option("--ros", help="Publish the devices in ROS 2 instead of the page.")] = False,
+    router: Annotated[
+        str | None,
+        typer.Option(
+            "--router",
+            metavar="HOST:PORT",
+            help="With --ros, the router of Zenoh that ROS 2 uses [localhost:7447].",
+        ),
+    ] = None,
+    servo: Annotated[
+        bool,
+        typer.Option("--servo", help="With --ros, let nodes of ROS 2 hold the devices that a page could drag."),
+    ] = False,
 ) -> None:
     """Serve a page of a running session until Ctrl-C: motions, certificate and alarms; devices can be dragged.
 
-    With --foxglove it serves the channels of a recording to Foxglove, live.
+    With --foxglove it serves the channels of a recording to Foxglove, live. With --ros it publishes motions and forces
+    of the devices in ROS 2, by the protocol of rmw_zenoh.
     """
+    if ros and foxglove:
+        refuse("found --foxglove and --ros; expected one of them")
+    for option, given, fits, needed in (
+        ("--every", every is not None, foxglove or ros, "--foxglove or --ros"),
+        ("--layout", layout is not None, foxglove, "--foxglove"),
+        ("--router", router is not None, ros, "--ros"),
+        ("--servo", servo, ros, "--ros"),
+    ):
+        if given and not fits:
+            refuse(f"{option}: found it without {needed}; expected both, or neither")
+    if ros:
+        for option, given in (("--open", open_), ("--token-file", token_file is not None)):
+            if given:
+                refuse(f"{option}: found it with --ros; expected one of them")
+        _view_in_ros(session, host, port, router, every, servo)
+        return
     with errors("view", *(["foxglove"] if foxglove else [])):
         from manyhands.launch.observe.sessions import find_session
-        from manyhands.launch.recordings.attached import recorded_of
-        from manyhands.launch.view.foxglove import EVERY, PORT, application_address, serve_foxglove
-        from manyhands.launch.view.layouts import live_topics, save_layout
         from manyhands.launch.view.security import is_loopback, new_token, read_token
-        from manyhands.launch.view.server import serve
 
-        for option, value in (("--every", every), ("--layout", layout)):
-            if value is not None and not foxglove:
-                refuse(f"{option}: found it without --foxglove; expected both, or neither")
         if foxglove and open_ and (token_file is not None or not is_loopback(host)):
             refuse("--open: found it with --foxglove and a token, which would go to foxglove.dev; expected one of them")
         token = None if token_file is None else read_token(token_file)
         running = find_session(session)
+        name = running.about.session
+        say(err, f"{name}: starting {'the live connection' if foxglove else 'its page'}")  # the libraries take a while
+
+        from manyhands.launch.view.feed import EVERY
+        from manyhands.launch.view.foxglove import PORT, application_address, serve_foxglove
+        from manyhands.launch.view.layouts import live_topics, save_layout
+        from manyhands.launch.view.server import serve
+        from manyhands.nodes.recorder.format import recorded_of
+
         if not is_loopback(host):
             token = token or new_token()
             say(
@@ -240,6 +279,7 @@ def view(
             say(err, f"foxglove: {address}{'' if token is None or token_file else f'?token={token.reveal()}'}")
             if token_file is not None:
                 say(err, f"connect to it with ?token= and the token in {token_file} at its end")
+            say(err, f"{name}: waiting for Foxglove to connect to this address; Ctrl-C ends")
             if open_:
                 import webbrowser
 
@@ -251,6 +291,7 @@ def view(
             else:  # the token's owner has it already
                 say(err, f"page: {address.partition('#')[0]}")
                 say(err, f"open it with #token= and the token in {token_file} at its end")
+            say(err, f"{name}: waiting for a browser to open this address; Ctrl-C ends")
             if open_:
                 import webbrowser
 
@@ -265,5 +306,60 @@ def view(
             else:
                 serve(running, host, port or 0, token, ready, refused)
         finally:  # Ctrl-C ends the server
-            if refused:
-                say(err, "refused: " + ", ".join(f"{kind} {count}" for kind, count in sorted(refused.items())))
+            _say_refused(refused)
+
+
+def _view_in_ros(
+    session: str | None, host: str, port: int | None, router: str | None, every: int | None, servo: bool
+) -> None:
+    with errors("ros"):
+        from manyhands.launch.observe.sessions import find_session
+        from manyhands.launch.view.feed import EVERY
+        from manyhands.launch.view.ros import ROUTER, ZenohAccess, domain_of, holdable, serve_ros
+        from manyhands.launch.view.security import is_loopback
+
+        if port is not None and router is not None:
+            refuse("--port: found it with --router; expected one of them: with --port, nodes connect to this program")
+        if not is_loopback(host):
+            refuse(f"--host: found {host} with --ros; expected a loopback address, for nobody needs a token there")
+        shown = f"[{host}]" if ":" in host else host
+        access = ZenohAccess(router or ROUTER) if port is None else ZenohAccess(f"{shown}:{port}", listens=True)
+        if servo and not access.is_local:
+            refuse(
+                f"--servo: found the router {access.address}; expected one of this machine, for nobody needs a token "
+                "there: reach it with ssh -L 7447:127.0.0.1:7447"
+            )
+        domain, running = domain_of(os.environ), find_session(session)
+        if not access.is_local:
+            say(
+                err,
+                "warning: the session is sent without encryption: anybody on the network path can read it; over "
+                "networks that are not yours, use ssh -L 7447:127.0.0.1:7447",
+            )
+        held = holdable(running.about)
+        if servo and not held:
+            refuse(
+                "--servo: found no device that a person can hold; expected one with driver: browser, of at most three "
+                "axes, in a session in real time"
+            )
+        if servo:
+            say(
+                err,
+                f"warning: every node of ROS 2 that reaches {access.address} can hold {', '.join(held)}; a router that "
+                "listens to other machines lets theirs in, too",
+            )
+
+        def ready(topics: int) -> None:
+            where = f"listening at {access.address}" if access.listens else f"by the router {access.address}"
+            say(err, f"ros: {topics} topics of {running.about.session} in domain {domain}, {where}")
+
+        refused: Counter[str] = Counter()
+        try:
+            serve_ros(running, access, domain, every or EVERY, servo, ready, refused)
+        finally:  # Ctrl-C ends it
+            _say_refused(refused)
+
+
+def _say_refused(refused: Counter[str]) -> None:
+    if refused:
+        say(err, "refused: " + ", ".join(f"{kind} {count}" for kind, count in sorted(refused.items())))

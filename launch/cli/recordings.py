@@ -213,7 +213,7 @@ def export(
     with errors("record"):
         from manyhands.launch.recordings.rosbag import ROSBAG, save_bag
         from manyhands.launch.recordings.run import read_run
-        from manyhands.launch.recordings.tables import FORMATS
+        from manyhands.launch.recordings.tables import FORMATS, chosen, missing_sentence
         from manyhands.launch.recordings.tables import export as write
         from manyhands.launch.view.layouts import save_layout
 
@@ -239,6 +239,11 @@ def export(
                 write(run, target, format_, patterns, lambda part: progress((1 + part) / 2))
         if run.cut is not None:
             say(err, f"warning: {file}: {run.cut}")
+        of_devices = {key: kept for key, kept in chosen(run, patterns).items() if key[0] in run.recorded.devices}
+        missing = missing_sentence(run, of_devices if format_ == ROSBAG else chosen(run, patterns))
+        if missing is not None:
+            there = "the bag has no message" if format_ == ROSBAG else "the table has NaN"
+            say(err, f"warning: {file}: {missing}; {there} there")
         what = f"{messages} messages" if format_ == ROSBAG else f"{run.ticks} ticks"
         say(err, f"{what} written to {target}")
 

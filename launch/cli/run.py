@@ -263,7 +263,7 @@ def launch(
         )
         if profile is not None and outlived(profile, loaded.device_period, outcome.report, loaded.latencies):
             drop_profile(profile)  # the next launch measures anew
-        print_report(out, outcome.report)
+        print_report(out, outcome.report, outcome.faults)
         end(outcome.code)
 
 

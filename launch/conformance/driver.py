@@ -5,7 +5,8 @@
 A push is small, short, and ends early once the device has moved by :attr:`Push.travel`. A device that does not obey on
 one axis is not pushed any more. Pushes both ways make the
 judgement independent of gravity and of a motion that the device has already. A real mechanism is pushed only where its
-user has agreed; without a push everything about forces stays open.
+user has agreed; without a push everything about forces stays open. So it does where the driver states that no force
+moves its device.
 
 **What is judged, and from what.** With x(t) the displacement and F the force on axis i:
 
@@ -230,10 +231,13 @@ def check_driver(bench: Bench, stated: DeviceSpecification, push: Push | None) -
     Args:
         bench: the driver in its loop.
         stated: what the driver states, at the bench's ports.
-        push: how the device may be pushed; None not to push it.
+        push: how the device may be pushed; None not to push it. A device that no force moves is not pushed.
     """
     judged: list[Judgement] = []
     m = len(stated.force)
+    unpushed = "nothing was pushed"
+    if not stated.moved_by_force:
+        push, unpushed = None, "skipped: the driver states that no force moves its device (moved_by_force=False)"
     try:
         bench.rest(REST_TICKS)
         for axis in range(m if push is not None else 0):
@@ -263,7 +267,7 @@ def check_driver(bench: Bench, stated: DeviceSpecification, push: Push | None) -
     yield _reach(bench, stated)
     if push is None:
         for check in (STALE, SWAPPED, SIGN, RELEASE, SILENCE):
-            yield Judgement(check, Conformance.OPEN, "nothing was pushed")
+            yield Judgement(check, Conformance.OPEN, unpushed)
     yield from judged
     yield closing
 

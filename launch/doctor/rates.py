@@ -49,7 +49,7 @@ class FormFigures:
     no_delay: float | None
 
 
-NOT_MEASURED = "not measured: manyhands doctor"
+NOT_MEASURED = "not measured yet; manyhands doctor SESSION measures the delay, and what it leaves is then shown here"
 
 
 def kept_forms(session: Session, now: float) -> dict[Form, Profile | str]:
@@ -108,7 +108,7 @@ def rates_object(figures: list[FormFigures]) -> list[dict[str, Any]]:
 
 
 def print_rates(console: Console, session: str, figures: list[FormFigures]) -> None:
-    """Print a table of the forms, and a line about what its columns are."""
+    """Print a table of the forms that were measured, and a line about the others: why, and what measures them."""
     table = Table(title=f"{session} on this machine", title_justify="left")
     table.add_column("rate")
     table.add_column("processes")
@@ -119,22 +119,21 @@ def print_rates(console: Console, session: str, figures: list[FormFigures]) -> N
     for one in figures:
         form, profile = one.form, one.profile
         name = f"{1e-3 / form.period:g} kHz", "co-located" if form.colocated else "separate"
-        no_delay = _newtons(one.no_delay)
         if profile is None:
-            table.add_row(*name, *[""] * 8, no_delay)
             continue
         chosen = allowance(profile, form.period)
         table.add_row(
             *name, f"{profile.tau.p50:.0f}", f"{profile.tau.p995:.0f}", f"{profile.tau.max:.0f}", f"{profile.late:.1%}",
             f"{chosen.tau * 1e3:.4g}" if chosen.covered else "longer than a tick",
             f"{(1.0 + chosen.period_tolerance) * form.period * 1e3:.4g}", _newtons(one.certified),
-            _newtons(one.at_worst), no_delay,
+            _newtons(one.at_worst), _newtons(one.no_delay),
         )  # fmt: skip
-    console.print(table)
+    if table.row_count:
+        console.print(table)
     for text in dict.fromkeys(one.missing for one in figures if one.missing):
         rows = [one.form for one in figures if one.missing == text]
         where = ", ".join(f"{1e-3 / form.period:g} kHz{' co-located' if form.colocated else ''}" for form in rows)
-        console.print(f"{where}: {text}", markup=False, soft_wrap=True)
+        console.print(f"{session} on this machine: {where}: {text}", markup=False, soft_wrap=True)
 
 
 def _newtons(stiffness: float | None) -> str:

@@ -20,10 +20,10 @@ from manyhands.design.files import open_regular
 from manyhands.launch.observe.sessions import NoSession, Running
 from manyhands.launch.run.processes import Interrupt
 from manyhands.launch.run.states import SessionPhase
-from manyhands.nodes.observer.scene import ABOUT, About
+from manyhands.nodes.observer.scene import ABOUT
 from manyhands.nodes.own_ticks import session_tick
 from manyhands.nodes.recorder.core import RecorderCore
-from manyhands.nodes.recorder.format import Recorded, media_type
+from manyhands.nodes.recorder.format import Recorded, media_type, recorded_of
 from manyhands.nodes.recorder.mcap import RecordingFile
 from manyhands.nodes.recorder.node import FLUSH_EVERY
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
@@ -45,21 +45,6 @@ class Ending(StrEnum):
     GONE = "the session's supervisor is gone"
     DURATION = "it has the length that was asked for"
     INTERRUPTED = "it was asked to end"
-
-
-def recorded_of(about: About) -> Recorded:
-    """The session of a recording, from the session's description."""
-    return Recorded(
-        session=about.session,
-        certificate=about.id,
-        period=about.period,
-        clock=about.clock,
-        roles={name: node.role for name, node in about.nodes.items()},
-        ports={name: node.ports for name, node in about.nodes.items()},
-        masses=tuple(about.masses),
-        periods={name: node.period for name, node in about.nodes.items() if node.period is not None},
-        linked=about.linked,
-    )
 
 
 class AttachedCore:

@@ -1,14 +1,16 @@
 """What an audit says of the promises of a run: the rows of its health, from the checks and the recorded telemetry.
 
-The telemetry gives the rows that the session itself has shown (:mod:`manyhands.nodes.observer.health`). A check that
-was computed again knows more: the exact tick, or that a number was changed. So each check adds to the row of its
-promise, or makes it graver. What the recording does not hold is *not checked*, which is no reason to call it kept.
+The telemetry gives the rows that the session itself has shown (:mod:`manyhands.nodes.observer.health`), except for
+what only its supervisor's clock shows: the pace, and who was away. These are in the session's last condition, as the
+page, `top` and the report had them. A check that was computed again knows more: the exact tick, or that a number was
+changed. So each check adds to the row of its promise, or makes it graver. What the recording does not hold is *not
+checked*, which is no reason to call it kept.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -18,7 +20,7 @@ from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.findings import Check, CheckVerdict
 from manyhands.launch.recordings.run import RecordedRun
 from manyhands.launch.run.broadcast import describe
-from manyhands.nodes.observer.health import GRAVITY, Promise, PromiseState, most_grave
+from manyhands.nodes.observer.health import GRAVITY, SESSION, Promise, PromiseState, most_grave, readable
 from manyhands.nodes.observer.health_model import HealthModel
 from manyhands.protocol.messages import PromiseStatus
 
@@ -58,8 +60,11 @@ def promises_of(prepared: Prepared, run: RecordedRun, checks: Sequence[Check]) -
     for _, node, tick, figures in sorted(telemetry, key=lambda one: one[2] / one[0]):
         model.take(node, tick, figures)
     rows = {(row.promise, row.who): row for row in model.rows()}
-    there = {node for (node, _), trace in run.traces.items() if np.isfinite(trace.values).any()} | {"session"}
-    made = {*terms.promises}
+    for row in _of_the_clock(run, made := {*terms.promises}):
+        shown = rows.get((row.promise, row.who))
+        if shown is None or GRAVITY[PromiseState(row.state)] >= GRAVITY[PromiseState(shown.state)]:
+            rows[row.promise, row.who] = row
+    there = {node for (node, _), trace in run.traces.items() if np.isfinite(trace.values).any()} | {SESSION}
     for promise in (Promise.CERTIFICATE, Promise.RECORD):
         rows[promise.value, ()] = PromiseStatus(promise.value, PromiseState.KEPT.value, since=0.0)
     for (promise, party), state in _verdicts(checks).items():
@@ -73,6 +78,21 @@ def promises_of(prepared: Prepared, run: RecordedRun, checks: Sequence[Check]) -
         key = promise.value, row.who
         rows[key] = _graver(rows.get(key), row)
     return most_grave(rows.values())
+
+
+def _of_the_clock(run: RecordedRun, made: Collection[Promise]) -> Iterator[PromiseStatus]:
+    """The rows that only the supervisor's clock shows, by the last condition that has rows; of parties of the session.
+
+    Where the recording has no such condition, the pace was not checked.
+    """
+    conditions = [condition for _, condition in run.conditions if condition.promises]
+    parties = {*run.recorded.roles, SESSION}
+    for row in readable(conditions[-1].promises) if conditions else ():
+        if row.promise in (Promise.PACE, Promise.PRESENCE) and row.promise in made and parties.issuperset(row.who):
+            yield row
+    if not conditions and Promise.PACE in made:
+        remark = "the recording has no condition of the session, which its supervisor shows"
+        yield PromiseStatus(Promise.PACE.value, PromiseState.UNCHECKED.value, (SESSION,), remark=remark)
 
 
 def _about(check: Check) -> tuple[Promise, str]:

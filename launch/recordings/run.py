@@ -266,15 +266,19 @@ class RecordedRun:
         return np.hstack([self._newest(device, self.velocity_of(device)) for device in self.recorded.devices])
 
     def velocity_of(self, device: str) -> Array:
-        """(x(k) - x(k-1))/T at each of a device's ticks, its ticks x m_i, m/s.
+        """(x(k) - x(k-1))/T at each of a device's ticks, its ticks x m_i, m/s; NaN where one of the two is missing.
 
         A device in wall time has the instants of its samples recorded, and their differences stand in place of T.
+        Before tick 0 x is zero.
         """
         instants = next(
             (kept for (of, _), kept in self.traces.items() if (of, kept.topic.trace) == (device, INSTANTS)), None
         )
         sampled = None if instants is None else rows_of(self, device, INSTANTS)[:, :1]
-        return backward_difference(rows_of(self, device, DISPLACEMENT), self.recorded.period_of(device), sampled)
+        found = backward_difference(rows_of(self, device, DISPLACEMENT), self.recorded.period_of(device), sampled)
+        if self.first_of(device) > 0:
+            found[:1] = np.nan  # the sample before the recording's first is not in it
+        return found
 
     def _of_devices(self, trace: str) -> Array:
         return np.hstack([self._newest(device, rows_of(self, device, trace)) for device in self.recorded.devices])

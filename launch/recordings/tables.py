@@ -177,6 +177,7 @@ def _signal_columns(sample: Gatherer, force: Gatherer, span: range) -> tuple[Arr
 
 
 Progress = Callable[[float], None]
+Traces = Mapping[tuple[str, str], RecordedTrace]
 
 TICK: Final = "tick"
 TIME: Final = "time_s"
@@ -205,6 +206,22 @@ def chosen(run: RecordedRun, patterns: Sequence[str]) -> dict[tuple[str, str], R
             raise RecordingError(f"--topics: found {pattern!r}, which matches no topic here; expected one of {there}")
         meant |= fitting
     return {key: trace for key, trace in run.traces.items() if not patterns or key in meant}
+
+
+def missing_sentence(run: RecordedRun, traces: Traces) -> str | None:
+    """Which ticks of each node have no row in these traces: how many, and where first; None where none is missing.
+
+    A node's ticks are its own, and the recording's go to the latest tick of any node.
+    """
+    parts = []
+    for node in dict.fromkeys(node for node, _ in traces):
+        rows = [trace.values for (of, _), trace in traces.items() if of == node]
+        holes = np.flatnonzero(~np.any([np.isfinite(values).any(axis=1) for values in rows], axis=0))
+        if len(holes):
+            first = run.first_of(node) + int(holes[0])
+            at = first * run.recorded.period_of(node)
+            parts.append(f"{len(holes)} of {len(rows[0])} of {node}, the first at tick {first} ({at:.4g} s)")
+    return f"ticks are missing in the recording: {'; '.join(parts)}" if parts else None
 
 
 def column_names(node: str, trace: RecordedTrace) -> list[str]:
@@ -245,9 +262,6 @@ def export(
             write(run, traces, file, progress or (lambda _part: None))
     except OSError as error:
         raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
-
-
-Traces = Mapping[tuple[str, str], RecordedTrace]
 
 
 def _save_csv(run: RecordedRun, traces: Traces, file: BinaryIO, progress: Progress) -> None:

@@ -443,6 +443,8 @@ class BreachPolicy:
         late = self._late[breach]
         whole = all(self._covered[name].tau >= self._covered[name].period for name in named)
         next_ = _AT_MOST if whole else _NEXT
+        if not any(self._covered[name].in_tick for name in named):
+            next_ = _BEHIND_LINKS
         if breach is Breach.PERIOD:
             who = {name: f"{name} in {_part(late[name])} of its ticks" for name in named}
             periods = {name: _ms(self._covered[name].longest_period) for name in named}
@@ -460,8 +462,9 @@ class BreachPolicy:
         """What was done about the delays so far, as a part of the notice; ``whole`` where a whole period is covered."""
         if self._policy is not Policy.SOFTEN:
             return ""
-        if self._ladder is None:  # above a whole period there is nothing to design
-            return "" if whole else "; no softer coupling was designed beforehand (design.ladder)"
+        if self._ladder is None:  # above a whole period there is nothing to design, nor are there rungs for wave links
+            linked = not all(covered.in_tick for covered in self._covered.values())
+            return "" if whole or linked else "; no softer coupling was designed beforehand (design.ladder)"
         if not self._softened:
             return ""
         most = self._ladder.taus[-1]
@@ -473,6 +476,10 @@ class BreachPolicy:
 
 _NEXT: Final = (
     "close other programs, design for what this machine needs (design.tau=auto), or compare rates (manyhands doctor)"
+)
+_BEHIND_LINKS: Final = (
+    "the delay is that of the user's own machine, and not of the network: close other programs there, or state a "
+    "longer wave_link.tau or wave_link.period of its coupling"
 )
 _AT_MOST: Final = "close other programs, or use a longer period or colocate=true (manyhands doctor compares them)"
 

@@ -278,8 +278,7 @@ class LiveTable:
             self._line_at = progress.elapsed
             rates = {} if self._session is None else self._session.own_rates
             done = max((session_tick(t.tick, rates.get(n, 1.0)) for n, t in progress.telemetry.items()), default=0)
-            late = sum(t.figures.get(names.LATE, 0.0) for t in progress.telemetry.values())
-            say(self._console, f"{progress.phase}: tick {done}{self._of()}, {late:.0f} late")
+            say(self._console, f"{progress.phase}: tick {done}{self._of()}, {late_line(progress.telemetry)}")
 
     def _of(self) -> str:
         return f" of {self._ticks}" if self._ticks else ""
@@ -316,6 +315,21 @@ class LiveTable:
         return f"{shown:.0f}" if shown else ""
 
 
+def late_line(telemetry: Mapping[str, Telemetry]) -> str:
+    """The part of its ticks in which each device was late, the most first; a few of them, and how many more.
+
+    Args:
+        telemetry: the latest of each node.
+    """
+    parts = {
+        n: t.figures[names.LATE] / t.tick for n, t in telemetry.items() if t.figures.get(names.LATE) and t.tick > 0
+    }
+    worst = sorted(parts, key=lambda name: -parts[name])
+    shown = ", ".join(f"{name} {parts[name]:.1%}" for name in worst[:_LATE_SHOWN])
+    more = f" and {len(worst) - _LATE_SHOWN} more" if len(worst) > _LATE_SHOWN else ""
+    return f"late ticks: {shown}{more}" if shown else "none late"
+
+
 def not_admitted(refused: Mapping[str, int]) -> list[str]:
     """One line with what the supervisor did not admit, by kind; none if there was nothing."""
     counts = ", ".join(f"{kind} {count}" for kind, count in refused.items())
@@ -328,3 +342,4 @@ _AWAY = {state.value for state in NodeState} - {
     NodeState.ENDED.value,
 }
 _INCIDENTS_SHOWN = 5
+_LATE_SHOWN = 4

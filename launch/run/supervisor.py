@@ -136,7 +136,8 @@ READING_TIME = from_seconds(0.05)  # the longest time between two checks of proc
 CLOSING_TIME = from_seconds(10.0)  # for the nodes that are not done, after the last report
 REMOTE_SILENCE = from_seconds(3.0)  # an honest remote node sends a frame every second
 JOINING_SILENCE = Duration(HANDSHAKE_TIME + REMOTE_SILENCE)  # it sends nothing while it shakes hands
-TELEMETRY_SILENCE = from_seconds(1.0)  # ten telemetry messages; the display then shows the node as silent
+TELEMETRY_SILENCE = from_seconds(1.0)  # ten telemetry messages in real time
+LEFT_BEHIND = 0.5  # s of the session's time, five telemetry messages; a silent node then breaks its presence
 HEARD_BEFORE = 1.0  # s; telemetry in the turn that begins the session can be of ticks before we noted the beginning
 CLOCKS_DIFFER = 0.01  # relative; a hundred times the error of a quartz
 FASTEST_TICK = 1e-5  # s; under the simulated clock, where every tick still passes between processes
@@ -466,7 +467,8 @@ class Supervisor:
         silent = frozenset(self._reported.quiet(running, self._clock.now(), TELEMETRY_SILENCE))
         states = {name: conductor.shown_state(name) for name in conductor.states}
         if conductor.phase is SessionPhase.RUNNING and not conductor.reports:
-            self._health.look(states, silent, elapsed)
+            sent = {name: latest.tick * self._session.period_of(name) for name, latest in self._telemetry.items()}
+            self._health.look(states, left_behind(silent, sent), elapsed)
         promises = self._promises()
         return Progress(
             conductor.phase,
@@ -559,6 +561,20 @@ def most_ticks(elapsed: Duration, period: float, clock: str, ticks: int) -> int:
     else:
         most = ((1.0 + CLOCKS_DIFFER) * seconds(elapsed) + HEARD_BEFORE) / period
     return min(math.ceil(most), ticks) if ticks else math.ceil(most)
+
+
+def left_behind(silent: Iterable[str], sent: Mapping[str, float]) -> frozenset[str]:
+    """Those of ``silent`` who break their presence: the others have gone on without them.
+
+    Silence is measured by the wall clock. A session that is simulated slowly, or a whole machine that stands still,
+    makes every node silent, and none of them is away. Nor is a node that has sent all its ticks, and ends slowly.
+
+    Args:
+        silent: the nodes that run, and have sent no telemetry for a while.
+        sent: the session's time up to which each node has sent telemetry, s; nodes that have sent none are absent.
+    """
+    newest = max(sent.values(), default=0.0)
+    return frozenset(name for name in silent if newest - sent.get(name, 0.0) > LEFT_BEHIND)
 
 
 def _with_logs(conductor: Conductor, processes: Processes) -> list[str]:

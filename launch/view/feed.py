@@ -5,7 +5,7 @@ A page receives what never changes once, in its first message, and then pictures
 does not read for a while therefore misses only what has left the rings, and no messages wait for it in memory.
 
 :class:`BroadcastFollower` follows the session's broadcast in an event loop, and notices the end of its supervisor;
-:class:`Watch` does so for pages.
+:class:`Watch` does so for pages. :class:`SessionTime` has the times of ticks, for viewers beside the page.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from manyhands.nodes.observer.alarms import Alarms
 from manyhands.nodes.observer.health import PROMISES, Promise, cells, condensed, is_present, summary
 from manyhands.nodes.observer.scene import About, Scene
 from manyhands.nodes.observer.tracks import BUCKETS, WINDOW, Decimated, Tracks
+from manyhands.nodes.recorder.format import MAX_TIME_NS, Recorded
 from manyhands.protocol.clock import Clock, Duration, Instant
 from manyhands.protocol.messages import Observation, PromiseStatus, Role
 from manyhands.protocol.transport.broadcast import Visit
@@ -180,6 +181,54 @@ LOOK_EVERY: Final = 0.25
 """How often alarms and holds are checked, s."""
 
 _MOST_AT_ONCE: Final = 64  # frames that are taken in before other tasks get their turn
+
+
+EVERY: Final = 10
+"""Ticks of which one is sent by default to viewers beside the page: 100 messages a second of a trace at 1 kHz."""
+
+
+class SessionTime:
+    """The times of a session's ticks, those of a recording that began now.
+
+    Tick k was at the start plus kT, with the node's T. The start is computed back from the arrival of the environment's
+    first telemetry. The environment runs where the session does, so no user elsewhere can shift the time.
+
+    Attributes:
+        start: the time of tick 0, ns since 1970; None before it is known.
+        latest: the environment's time, ns since 1970, which never goes back; None before any.
+    """
+
+    def __init__(self, recorded: Recorded) -> None:
+        """No time is known of the session ``recorded``."""
+        self._recorded = recorded
+        self.start: int | None = None
+        self.latest: int | None = None
+
+    def take(self, observation: Observation, wall: int) -> int | None:
+        """The time of telemetry, ns since 1970; None before the start is known, and beyond all times.
+
+        Args:
+            observation: the telemetry.
+            wall: when it came, ns since 1970.
+        """
+        node, tick = observation.node, observation.tick
+        is_environment = self._recorded.roles[node] is Role.ENVIRONMENT
+        if self.start is None and is_environment:
+            self.start = max(0, wall - self._since_start(node, tick))
+        at = self.of(node, tick)
+        if at is not None and is_environment:
+            self.latest = at if self.latest is None else max(self.latest, at)  # viewers begin anew where time goes back
+        return at
+
+    def of(self, node: str, tick: int) -> int | None:
+        """The time of a node's tick, ns since 1970; None before the start is known, and beyond all times."""
+        if self.start is None:
+            return None
+        at = self.start + self._since_start(node, tick)
+        return at if at <= MAX_TIME_NS else None
+
+    def _since_start(self, node: str, tick: int) -> int:
+        return round(tick * self._recorded.tick_ns(node))
 
 
 class Taker(Protocol):

@@ -26,8 +26,7 @@ from urllib.parse import urlencode
 
 from manyhands.extras import require
 from manyhands.launch.observe.sessions import Running
-from manyhands.launch.recordings.attached import recorded_of
-from manyhands.launch.view.feed import BroadcastFollower
+from manyhands.launch.view.feed import EVERY, BroadcastFollower, SessionTime
 from manyhands.launch.view.layouts import live_topics
 from manyhands.launch.view.relay import MAX_HEAD_BYTES, Relay
 from manyhands.launch.view.security import Doorstep, Token, ViewError
@@ -36,7 +35,6 @@ from manyhands.nodes.json_number import json_number
 from manyhands.nodes.observer.scene import About, Scene
 from manyhands.nodes.recorder.core import Ticks, trace_messages
 from manyhands.nodes.recorder.format import (
-    MAX_TIME_NS,
     MESSAGE_ENCODING,
     SCHEMA_ENCODING,
     SUPERVISOR,
@@ -45,10 +43,11 @@ from manyhands.nodes.recorder.format import (
     encode_condition,
     encode_figures,
     object_schema,
+    recorded_of,
 )
 from manyhands.protocol.channels import CONDITION, TELEMETRY, topic_name
 from manyhands.protocol.clock import Instant, RealtimeClock
-from manyhands.protocol.messages import Condition, Observation, Role
+from manyhands.protocol.messages import Condition, Observation
 
 HEALTH: Final = "health"
 """The name of the channel that a recording does not have; its node is the supervisor."""
@@ -88,9 +87,6 @@ HEALTH_SCHEMA: Final = object_schema(
 PORT: Final = 8765
 """The port at which Foxglove looks for a live connection by default."""
 
-EVERY: Final = 10
-"""Ticks of which one is sent, by default: 100 messages a second of a trace at 1 kHz."""
-
 LEAST_QUEUE: Final = 1024
 MOST_QUEUE: Final = 65536
 """Bounds of the number of messages that wait for one client."""
@@ -110,15 +106,13 @@ class LiveMessage:
 class LiveMessages:
     """Makes the messages of a session from the frames of its broadcast.
 
-    Times are those of a recording that began now: tick k was at the start plus kT, with the node's T. The start is
-    computed back from the arrival of the environment's first telemetry; nothing is sent before. The environment runs
-    where the session does, so no user elsewhere can shift the time.
+    Nothing is sent before the session's time is known.
 
     Attributes:
         scene: the state of the session as far as it is known.
+        time: the session's time.
         channels: every channel by its full name.
         unfit: number of traces that did not have this session's shape, and of ticks beyond all times.
-        now: the session's time, ns since 1970: that of the environment, which never goes back; None before any.
     """
 
     def __init__(self, about: About, every: int = EVERY) -> None:
@@ -134,9 +128,7 @@ class LiveMessages:
         if every < 1:
             raise ValueError(f"found one of every {every} ticks; expected at least 1")
         self.scene, self._recorded, self._every = Scene(about), recorded_of(about), every
-        self.unfit = 0
-        self.now: int | None = None
-        self._start: int | None = None
+        self.time, self.unfit = SessionTime(self._recorded), 0
         there = live_topics(about)
         self._topics = {node: [one for one in about.topics(node) if (node, one.name) in there] for node in about.nodes}
         channels = [self._recorded.channel(node, topic) for node in about.nodes for topic in self._topics[node]]
@@ -172,17 +164,11 @@ class LiveMessages:
 
     def _observed(self, observation: Observation, wall: int, wanted: Callable[[str], bool]) -> Iterator[LiveMessage]:
         node, tick, session = observation.node, observation.tick, self._recorded.session
-        since, is_environment = self._since_start(node, tick), self._recorded.roles[node] is Role.ENVIRONMENT
-        if self._start is None and is_environment:
-            self._start = max(0, wall - since)
-        if self._start is None:
+        at = self.time.take(observation, wall)
+        if at is None or self.time.start is None:
+            if self.time.start is not None:  # a tick beyond all times
+                self.unfit += 1
             return
-        at = self._start + since
-        if at > MAX_TIME_NS:
-            self.unfit += 1
-            return
-        if is_environment:
-            self.now = at if self.now is None else max(self.now, at)  # a viewer begins anew where time goes back
         rows = max((len(trace) for trace in observation.traces.values()), default=0)
         whole: Ticks | None = None
         for topic in self._topics[node]:
@@ -194,7 +180,7 @@ class LiveMessages:
                 self.unfit += 1
                 continue
             if whole is None:
-                whole = Ticks.of(tick - rows, rows, self._start, self._recorded.tick_ns(node))
+                whole = Ticks.of(tick - rows, rows, self.time.start, self._recorded.tick_ns(node))
             kept = slice((rows - tick) % self._every, None, self._every)
             ticks = Ticks(whole.times[kept], whole.sequences[kept], whole.beginnings[kept], whole.lengths[kept])
             if len(ticks.times):
@@ -205,13 +191,11 @@ class LiveMessages:
         if observation.figures and wanted(name):
             yield LiveMessage(name, at, encode_figures(tick, observation.figures))
 
-    def _since_start(self, node: str, tick: int) -> int:
-        return round(tick * self._recorded.tick_ns(node))
-
     def _conditioned(self, condition: Condition, wall: int, wanted: Callable[[str], bool]) -> Iterator[LiveMessage]:
         """A recording has a condition only where it has changed; here each is sent, for clients that come later."""
         tick = self.scene.tick
-        at = wall if self._start is None else self._start + self._since_start(SUPERVISOR, tick)
+        at = self.time.of(SUPERVISOR, tick)
+        at = wall if at is None else at
         name = topic_name(self._recorded.session, SUPERVISOR, CONDITION)
         if wanted(name):
             yield LiveMessage(name, at, encode_condition(tick, condition))
@@ -289,11 +273,12 @@ class FoxgloveServer:
 
     def take(self, frame: bytes, now: Instant) -> None:
         """Send the messages of a frame of the broadcast that came at ``now``, to the clients that receive them."""
-        before = self.live.now
+        before = self.live.time.latest
         for message in self.live.take(frame, now, time.time_ns(), self._wanted):
             self._channels[message.topic].log(message.data, log_time=message.time)
-        if self.live.now is not None and (before is None or self.live.now > before):
-            self._server.broadcast_time(self.live.now)
+        latest = self.live.time.latest
+        if latest is not None and (before is None or latest > before):
+            self._server.broadcast_time(latest)
 
     def look(self, now: Instant) -> None:
         """Nothing is due without a frame."""

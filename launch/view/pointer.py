@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, TypeAlias
@@ -61,7 +62,7 @@ def demand_of(text: str, about: About) -> Demand:
         case {"grasp": str(device), "position": list(position), **rest} if not rest:
             if device not in about.grips:
                 return _no_grip(device, about)
-            return _hold(device, position, about)
+            return hold_of(device, position, about)
         case {"release": str(device), **rest} if not rest:
             return LetGo(device) if device in about.grips else _no_grip(device, about)
         case _:
@@ -90,7 +91,8 @@ def _no_grip(device: str, about: About) -> Wrong:
     return Wrong(f"found {device[:96]!r}; expected a device that can be held: {', '.join(about.grips) or 'none'}")
 
 
-def _hold(device: str, position: list[object], about: About) -> Hold | Wrong:
+def hold_of(device: str, position: Sequence[object], about: About) -> Hold | Wrong:
+    """The request to hold a device that can be held at a position, which ends at the device's reach."""
     ports = about.nodes[device].ports
     numbers = [number for entry in position if (number := _number(entry)) is not None]
     if len(numbers) != len(position) or len(numbers) != len(ports):
@@ -130,7 +132,7 @@ GRIP_LASTS: Final = from_seconds(3.0)
 
 
 class Holding:
-    """The devices that can be held, and the pages (by number) that hold them."""
+    """The devices that can be held, and the pages that hold them, by number; a node of ROS 2 counts as a page."""
 
     def __init__(self, directory: Path, about: About) -> None:
         """No device is held.

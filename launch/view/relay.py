@@ -34,6 +34,10 @@ _APPLICATIONS: Final = ("https://app.foxglove.dev",)
 _OF_WEB_SOCKETS: Final = (b"sec-websocket-key", b"sec-websocket-version", b"sec-websocket-protocol")
 
 
+SUB_PROTOCOL: Final = "foxglove.sdk.v1"
+"""The sub-protocol that foxglove-sdk speaks; its predecessor was ``foxglove.websocket.v1`` ([Foxglove2023]_)."""
+
+
 class RefusedRequest(Exception):
     """A request is not let through.
 
@@ -96,13 +100,20 @@ def require_admission(target: str, headers: Headers, doorstep: Doorstep, token: 
     """Make the checks of a request.
 
     Raises:
-        RefusedRequest: it is for a foreign host, from a foreign page, or without the token.
+        RefusedRequest: it is for a foreign host, from a foreign page, in another sub-protocol, or without the token.
     """
     if not doorstep.host_is_ours(headers):
         why = "found another host's name; open the address as it was printed"
         raise RefusedRequest(HTTPStatus.MISDIRECTED_REQUEST, "foreign_host", why)
     if not origin_may_connect(headers):
         raise RefusedRequest(HTTPStatus.FORBIDDEN, "foreign_page", "found a page of another origin; expected Foxglove")
+    offered = [one.strip() for one in (header(headers, b"sec-websocket-protocol") or "").split(",")]
+    if SUB_PROTOCOL not in offered:
+        why = (
+            f"found the sub-protocol {', '.join(offered)[:100] or 'none'!r}; expected {SUB_PROTOCOL}, which a current "
+            "Foxglove and Lichtblick after 1.21 speak: update the application"
+        )
+        raise RefusedRequest(HTTPStatus.BAD_REQUEST, "other_protocol", why)
     if token is not None and not token.fits(_token_in(target)):
         why = "a token is needed: open the address with ?token=... at its end"
         raise RefusedRequest(HTTPStatus.UNAUTHORIZED, "wrong_token", why)

@@ -73,6 +73,8 @@ class DeviceSpecification:
         axes: names of its axes in their order, which a session's ``axis_map`` refers to; numbers from 0 unless given.
         mass: the moving mass that a push meets on each axis, kg (or kg·m²); None where it is not known. The suite of
             ``check-driver`` alone uses it.
+        moved_by_force: whether its forces move it. A source of motion, such as a tracker or a driven stage, states
+            False: ``check-driver`` then skips what a push would show.
         hardware: whether forces act on a real mechanism, in real time. A simulated counterpart states False: it moves
             by the instants of the calls, and also takes part under the simulated clock.
 
@@ -87,6 +89,7 @@ class DeviceSpecification:
     axes: tuple[str, ...] = ()
     mass: tuple[float, ...] | None = None
     hardware: bool = True
+    moved_by_force: bool = True
 
     def __post_init__(self) -> None:
         m = len(self.force)

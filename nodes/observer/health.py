@@ -283,6 +283,12 @@ def cost_text(cost: Mapping[str, float]) -> str:
     return ", ".join(_priced(unit, value) for unit, value in cost.items() if math.isfinite(value) and value > 0.0)
 
 
+def _cost_of(row: PromiseStatus) -> str:
+    """The cost of a row, which says so where it is the sum of several parties."""
+    text = cost_text(row.cost)
+    return f"{text} in all" if text and len(row.who) > 1 else text
+
+
 def _priced(unit: str, value: float) -> str:
     if unit in ("ticks", "times"):
         return f"{value:.0f} {unit.removesuffix('s') if value == 1.0 else unit}"
@@ -295,17 +301,43 @@ def _priced(unit: str, value: float) -> str:
 
 def cells(row: PromiseStatus) -> tuple[str, str, str, str, str]:
     """Promise, state, parties, time and cost of a row, as texts of a table."""
-    return row.promise, row.state, parties(row.who), when(row), cost_text(row.cost)
+    return row.promise, row.state, parties(row.who), when(row), _cost_of(row)
 
 
 def sentence(row: PromiseStatus) -> str:
     """A row that is not kept, as a sentence."""
     by = "by" if row.state == PromiseState.BROKEN else "at"
-    cost = cost_text(row.cost)
+    cost = _cost_of(row)
     text = f"{row.promise}: {row.state} {by} {parties(row.who)}"
     time = when(row)
     since = f" since {time}" if row.until is None else f" from {time}"
     return text + (since if time else "") + (f" ({cost})" if cost else "")
+
+
+def verdict(rows: Iterable[PromiseStatus]) -> str:
+    """How a run went, in one line: the worst that was broken, by whom, how much and what to do; or that nothing was.
+
+    Of what was broken, the worst is what the certificate needs, then what stands first in :data:`PROMISES`, then who
+    broke it most.
+    """
+    rows = missed(rows)
+    broken = [row for row in rows if row.state == PromiseState.BROKEN]
+    if not broken:
+        enforced = [
+            f"{row.promise} ({parties(row.who)})" for row in grouped(rows) if row.state == PromiseState.ENFORCED
+        ]
+        return f"all promises kept, or enforced: {', '.join(enforced)}" if enforced else "all promises kept"
+
+    def place(row: PromiseStatus) -> tuple[bool, int, float]:
+        return not PROMISES[Promise(row.promise)].needed, ORDER[row.promise], -max(row.cost.values(), default=0.0)
+
+    first = min(broken, key=place)
+    also = [party for row in broken if row.promise == first.promise for party in row.who if party not in first.who]
+    others = sorted({row.promise for row in broken} - {first.promise}, key=ORDER.__getitem__)
+    text = f"worst: {sentence(first)}" + (f", and by {parties(tuple(also))}" if also else "")
+    return f"{text}. {PROMISES[Promise(first.promise)].advice}" + (
+        f" Also broken: {', '.join(others)}." if others else ""
+    )
 
 
 def summary(rows: Iterable[PromiseStatus]) -> str:

@@ -200,7 +200,7 @@ class HealthModel:
 
         Args:
             states: of each node, as the supervisor names them.
-            silent: the nodes that run, and have sent no telemetry for a while.
+            silent: the nodes that run, and have sent no telemetry for a while, in which the others went on.
             elapsed: the time since the first tick by the supervisor's clock, s.
         """
         self._free = frozenset(name for name, state in states.items() if state == FREE_STATE)

@@ -18,6 +18,7 @@ from manyhands import __version__
 from manyhands.nodes.bundle import REALTIME
 from manyhands.nodes.json_number import json_number
 from manyhands.nodes.observer.health import as_plain
+from manyhands.nodes.observer.scene import About
 from manyhands.protocol.channels import CONDITION, TELEMETRY, Columns, Topic, links_at, topic_name, topics_of
 from manyhands.protocol.messages import Condition, PromiseStatus, Role
 
@@ -357,3 +358,18 @@ class Recorded:
             if len(text) > _LONGEST_TEXT or not text.isprintable():
                 raise ValueError("found a long text, or one that is not printable, in the metadata; expected neither")
         return out
+
+
+def recorded_of(about: About) -> Recorded:
+    """The session of a recording, from the session's description."""
+    return Recorded(
+        session=about.session,
+        certificate=about.id,
+        period=about.period,
+        clock=about.clock,
+        roles={name: node.role for name, node in about.nodes.items()},
+        ports={name: node.ports for name, node in about.nodes.items()},
+        masses=tuple(about.masses),
+        periods={name: node.period for name, node in about.nodes.items() if node.period is not None},
+        linked=about.linked,
+    )

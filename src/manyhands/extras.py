@@ -20,7 +20,7 @@ EXTRAS: Final[Mapping[str, tuple[str, ...]]] = {
     "parquet": ("pyarrow",),
     "pandas": ("pandas",),
     "foxglove": ("foxglove",),
-    "ros": ("rosbags",),
+    "ros": ("rosbags", "zenoh"),
     "mujoco": ("mujoco",),
 }
 """The modules that are imported from each extra of pyproject.toml; no module belongs to two of them."""

@@ -209,8 +209,11 @@ def test_a_pole_at_rest_has_no_static_gain() -> None:
     with pytest.raises(ValueError, match="found a pole at z = 1"):
         StateSpace.with_static_gain([[1.0]], [[1.0]], [[1.0]], [[1.0]])
     rotor = TransferEnvironment(("p",), ((((1.0,), (1.0, 0.0)),),))
-    with pytest.raises(Infeasible, match=r"entry \(p, p\) has a pole at s = 0"):
+    with pytest.raises(Infeasible, match=r"entry \(p, p\) has a pole at s = 0.*multiply it by s.*velocity to force"):
         design(loop(rotor, 1e-3), SpringDamperWanted(Wish()))
+    held = StateSpaceEnvironment(("p",), StateSpace([[1.0]], [[1.0]], [[1.0]], [[1.0]]))
+    with pytest.raises(Infeasible, match=r"has a pole at z = 1.*by \(z - 1\)/\(T z\), if it leads from velocity"):
+        design(loop(held, 1e-3), SpringDamperWanted(Wish()))
 
 
 def test_numbers_are_the_decimals_that_are_written() -> None:

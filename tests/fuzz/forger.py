@@ -14,7 +14,6 @@ from types import UnionType
 from typing import Any, Final, get_args, get_origin, get_type_hints
 
 import msgpack
-import numpy as np
 from draws import Draws
 
 from manyhands.protocol.codec import LAYOUTS, encode
@@ -116,7 +115,7 @@ class Forger:
             return [self._typed(arguments[0]) for _ in range(self.draws.integer(0, MOST_ENTRIES))]
         if origin is UnionType:
             return self._typed(self.draws.choice(arguments))
-        if origin is np.ndarray:
+        if hint == Values:
             return self._doubles(self.draws.integer(0, MOST_ENTRIES))
         if hint is type(None):
             return None

@@ -8,7 +8,7 @@ from typing import Final
 WIDE: Final = os.environ.get("MANYHANDS_WIDE") == "1"
 """Whether the wide searches run: `make test-long` and `make campaign` set it."""
 
-EXAMPLES: Final = 50
+EXAMPLES: Final = 30
 WIDE_EXAMPLES: Final = 100
 """Random cases of each property that states no number of its own."""
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from manyhands.nodes.device.plugin import DeviceDriver
@@ -130,6 +132,16 @@ class NoRelease(Counterpart):
 class KeptOnSilence(Counterpart):
     def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Sequence[float] | None:
         return super().apply(f, at)
+
+
+class MovesByItself(Counterpart):
+    """A driven stage: it goes to and fro whatever the force, so a push seems to move it anyhow."""
+
+    def specification(self) -> DeviceSpecification:
+        return replace(super().specification(), moved_by_force=False)
+
+    def sample(self, tick: int, at: Instant) -> Sequence[float]:
+        return [0.02 * math.sin(-6.0 * at * 1e-9)] * self.n
 
 
 class WrongSign(Counterpart):

@@ -44,8 +44,7 @@ from manyhands.design.models.environment import (
     TransferEnvironment,
 )
 from manyhands.design.models.network import GROUND, Network, NetworkLink
-from manyhands.design.models.operators import Rational
-from manyhands.design.models.statespace import Matrix, StateSpace, matrix, symmetric_part
+from manyhands.design.models.statespace import Matrix, Rational, StateSpace, matrix, symmetric_part
 from manyhands.design.problem import DeviceLevel, HapticLoop
 from manyhands.design.proof import contract, exact
 from manyhands.design.proof.claim import Claim

@@ -249,16 +249,19 @@ def test_options_that_do_not_fit_are_refused() -> None:
     assert "which would go to foxglove.dev" in done.stderr
 
 
-PAGE = (Path(__file__).parents[2] / "docs" / "foxglove.md").read_text(encoding="utf-8")
+PAGE, ROS_PAGE = (
+    (Path(__file__).parents[2] / "docs" / name).read_text(encoding="utf-8") for name in ("foxglove.md", "ros.md")
+)
 
 
-def test_the_pages_commands_and_python_run_as_they_stand(tmp_path: Path) -> None:
+def test_the_commands_and_the_python_of_both_pages_run_as_they_stand(tmp_path: Path) -> None:
     lines = re.findall(r"^\$ manyhands (.*?)(?:  +#.*)?$", PAGE, flags=re.MULTILINE)
+    lines += re.findall(r"^\$ manyhands (.*)$", ROS_PAGE, flags=re.MULTILINE)  # of any recording
     assert len(lines) == 4
     for line in lines:
         run(*shlex.split(line), cwd=tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {"run.mcap", "run.json", "run.xml", "run.rosbag"}
-    (block,) = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+    (block,) = re.findall(r"```python\n(.*?)```", ROS_PAGE, flags=re.DOTALL)
     done = subprocess.run(
         [sys.executable, "-P", "-c", block], cwd=tmp_path, capture_output=True, text=True, check=False
     )

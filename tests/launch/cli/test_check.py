@@ -51,6 +51,12 @@ def test_hardware_is_not_pushed_without_an_answer() -> None:
     assert "exception" not in done.stdout
 
 
+def test_nothing_is_asked_about_hardware_that_no_force_moves() -> None:
+    done = manyhands_command("check-driver", f"{MADE}MovesByItself", "--parameters", "{hardware: true}", "--dof", 1)
+    assert (done.exit_code, "this pushes real hardware" in done.stderr) == (0, False), done.output
+    assert "not judged  wrong sign: skipped: the driver states that no force moves its device" in done.stdout
+
+
 @pytest.mark.parametrize(
     ("arguments", "found"),
     [

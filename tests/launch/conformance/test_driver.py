@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -104,6 +105,16 @@ def test_without_a_push_nothing_about_forces_is_judged() -> None:
     assert {finding.check for finding in found if finding.verdict is Conformance.OPEN} == {
         STALE, SWAPPED, SIGN, RELEASE, SILENCE,
     }  # fmt: skip
+
+
+def test_a_device_that_moves_by_itself_is_not_judged_by_pushes() -> None:
+    found = findings(drivers.MovesByItself)
+    skipped = {finding.check: finding.text for finding in found if finding.verdict is Conformance.OPEN}
+    assert skipped.keys() == {STALE, SWAPPED, SIGN, RELEASE, SILENCE}
+    assert {*skipped.values()} == {"skipped: the driver states that no force moves its device (moved_by_force=False)"}
+    assert broken(found) == []
+    bench, stated = bench_of(drivers.MovesByItself)
+    assert broken(list(check_driver(bench, replace(stated, moved_by_force=True), Push()))) != []  # as if it were pushed
 
 
 @pytest.mark.parametrize(("age", "delay"), [(0.004, 0.0), (0.0, 0.003), (0.002, 0.003)])

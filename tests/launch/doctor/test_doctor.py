@@ -455,7 +455,11 @@ def test_the_table_names_what_is_missing_and_what_is_too_slow(worth: Worth) -> N
     assert re.search(
         r"2 kHz │ co-located │ +400 │ +900 │ +1100 │ 28.1% │ longer than a tick │ +0.55 │ +none │ +none │ +5480", text
     )
-    assert text.splitlines()[-1] == "1 kHz, 4 kHz co-located: not measured: manyhands doctor"
+    assert text.splitlines()[-1] == f"example-1 on this machine: 1 kHz, 4 kHz co-located: {NOT_MEASURED}"
+    assert len([line for line in text.splitlines() if "kHz │" in line]) == 1, "a form without figures has no row"
+    print_rates(nothing_yet := Console(file=StringIO(), width=160), "example-1", [found[0]])
+    shown = nothing_yet.file.getvalue()  # type: ignore[attr-defined]
+    assert shown == f"example-1 on this machine: 1 kHz: {NOT_MEASURED}\n", "no empty table"
     first, second, _ = rates_object(found)
     nothing = {"certified": None, "at_worst": None}
     assert first == {"period": 1e-3, "colocate": False, "no_delay": pytest.approx(2740.0), **nothing}

@@ -23,7 +23,6 @@ from manyhands.launch.recordings.attached import (
     Ending,
     SupervisorWatch,
     attachments_in,
-    recorded_of,
     write_down,
 )
 from manyhands.launch.recordings.integrity import findings
@@ -33,6 +32,7 @@ from manyhands.launch.run.directory import SessionDirectory, kept_files, run_dir
 from manyhands.launch.run.states import SessionPhase
 from manyhands.launch.session import load_session
 from manyhands.nodes.recorder.core import RecorderCore
+from manyhands.nodes.recorder.format import recorded_of
 from manyhands.nodes.recorder.node import FLUSH_EVERY
 from manyhands.protocol.clock import Duration, Instant, SimulatedClock
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from manyhands.launch.recordings.run import RecordedRun, read_run
 from manyhands.launch.simulation import Silence
 from manyhands.nodes.observer.health import holds, missed
 from manyhands.protocol.channels import TAU
-from manyhands.protocol.messages import PromiseStatus
+from manyhands.protocol.messages import Condition, PromiseStatus
 
 from ...support.simulated_recordings import attachments_of, forged, prepared_as, recorded_of, simulated, written
 
@@ -153,3 +154,26 @@ def test_what_the_session_has_shown_and_what_is_found_are_one_row(prepared: Prep
     assert row == PromiseStatus(
         "passivity", "broken", ("dx",), 0.25, None, {"J": 0.5}, "dx: its ledger fell 0.5 J below its bound"
     )
+
+
+def test_what_the_supervisors_clock_showed_is_what_an_audit_says(prepared: Prepared, run: RecordedRun) -> None:
+    """The pace and who was away, by the last condition, as the page and the report had them."""
+    paced = type(run)(replace(run.recorded, clock="realtime"), run.traces, run.figures)
+    slow = PromiseStatus("pace", "broken", ("session",), 0.1, None, {"x": 0.6, "s": 2.0}, "it runs slower")
+    away = PromiseStatus("presence", "broken", ("cx",), 0.15, 0.2, {"s": 0.05}, "cx: lost")
+    of_nobody = PromiseStatus("presence", "broken", ("stranger",), 0.15)
+    kept = PromiseStatus("pace", "kept", since=0.0)
+
+    def told(*conditions: tuple[PromiseStatus, ...]) -> list[PromiseStatus]:
+        shown = [(TICKS, Condition("over", 1.0, {}, (), (), (), (), rows)) for rows in conditions]
+        return missed(promises_of(prepared, replace(paced, conditions=shown), []))
+
+    assert told((kept,), (kept, slow, away, of_nobody)) == [slow, away]
+    assert told((slow,), (kept,)) == []
+    [unknown] = told()
+    assert (unknown.promise, unknown.state, unknown.who) == ("pace", "not checked", ("session",))
+    frozen = {**run.figures, "environment": [(TICKS, {"frozen:cx@150": 1.0})]}
+    [graver] = missed(promises_of(prepared, replace(run, figures=frozen, conditions=[
+        (TICKS, Condition("over", 1.0, {}, (), (), (), (), (away,)))
+    ]), []))  # fmt: skip
+    assert graver == away

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 from manyhands.extras import MissingExtra
 from manyhands.launch.recordings import rosbag
 from manyhands.launch.recordings.recording import RecordingError
-from manyhands.launch.recordings.rosbag import JOINTS, POSE, WRENCH, ros_name, save_bag
+from manyhands.launch.recordings.rosbag import JOINTS, POSE, TWIST, WRENCH, ros_name, save_bag
 from manyhands.launch.recordings.run import RecordedRun, RecordedTrace, read_run
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import Recorded
@@ -45,6 +46,11 @@ def numbers(node: str, trace: str) -> np.ndarray:
     """Other numbers for each node and trace, of all magnitudes."""
     draw = np.random.default_rng([*node.encode(), *trace.encode()])
     return draw.normal(size=(TICKS, len(PORTS[node]))) * 10.0 ** draw.integers(-9, 9, size=(TICKS, len(PORTS[node])))
+
+
+def speeds(device: str) -> np.ndarray:
+    """(x(k) - x(k-1))/T, x(-1) being zero, m/s."""
+    return np.diff(numbers(device, "x"), axis=0, prepend=0.0) / RECORDED.period
 
 
 @pytest.fixture
@@ -94,6 +100,7 @@ def test_a_bag_holds_the_numbers_of_the_recording(file: Path, tmp_path: Path) ->
         f"{space}/flat/measured_cf": WRENCH,
         f"{space}/flat/servo_cf": WRENCH,
         f"{space}/hand_1/measured_cp": POSE,
+        f"{space}/hand_1/measured_cv": TWIST,
         f"{space}/hand_1/measured_cf": WRENCH,
         f"{space}/hand_1/servo_cf": WRENCH,
         f"{space}/arm/measured_js": JOINTS,
@@ -115,10 +122,17 @@ def test_a_bag_holds_the_numbers_of_the_recording(file: Path, tmp_path: Path) ->
         if device == "hand-1":
             assert np.array_equal(x, [_three(m.pose.position) for _, m in own["measured_cp"]])
             assert {_four(m.pose.orientation) for _, m in own["measured_cp"]} == {(0.0, 0.0, 0.0, 1.0)}
+            assert np.array_equal(speeds(device), [_three(m.twist.linear) for _, m in own["measured_cv"]])
+            assert not any(any(_three(m.twist.angular)) for _, m in own["measured_cv"])
         else:
             assert np.array_equal(x, [m.position for _, m in own["measured_js"]])
             assert np.array_equal(f, [m.effort for _, m in own["measured_js"]])
-            assert all(m.name == list(axes) and not len(m.velocity) for _, m in own["measured_js"])
+            assert {tuple(m.name) for _, m in own["measured_js"]} == {axes}
+            for tick, (_, m) in zip(kept, own["measured_js"], strict=True):
+                if device == "dx" and tick == LOST.stop:  # the sample before it is missing
+                    assert not len(m.velocity)
+                else:
+                    assert np.array_equal(m.velocity, speeds(device)[tick])
         if device == "arm":
             assert np.array_equal(commanded, [m.effort for _, m in own["servo_jf"]])
             continue
@@ -148,6 +162,17 @@ def test_the_times_of_a_recording_that_begins_late(tmp_path: Path) -> None:
     save_bag(run, tmp_path / "late.rosbag")
     ((_, messages),) = read(tmp_path / "late.rosbag").values()
     assert [time for time, _ in messages] == [STARTED + tick * 1_000_000 for tick in range(20, TICKS)]
+    assert all(np.array_equal(m.velocity, speeds("dx")[tick]) for tick, (_, m) in enumerate(messages[1:], 21))
+
+
+def test_a_velocity_needs_the_sample_before(tmp_path: Path) -> None:
+    """A recording of a session's later hours has none in its first row, and never one from zero."""
+    later = replace(run_of("d"), first=500)
+    assert np.isnan(later.velocity_of("d")[0]).all()
+    assert np.array_equal(later.velocity_of("d")[1:], np.zeros((2, 1)))
+    save_bag(later, tmp_path / "later.rosbag")
+    ((_, messages),) = read(tmp_path / "later.rosbag").values()
+    assert [len(m.velocity) for _, m in messages] == [0, 1, 1]
 
 
 def test_topics_choose_what_is_written(file: Path, tmp_path: Path) -> None:

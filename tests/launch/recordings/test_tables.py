@@ -150,7 +150,17 @@ def test_without_pyarrow_the_error_names_how_to_get_it(
 def test_the_command_writes_beside_the_recording(file: Path) -> None:
     result = CliRunner().invoke(app, ["export", str(file), "--format", "csv", "--topics", "dx/*,masses"])
     assert (result.exit_code, result.stdout) == (0, "")
+    assert result.stderr.splitlines()[-2:] == [
+        f"warning: {file}: ticks are missing in the recording: 10 of 20 of dx, the first at tick 5 (0.005 s); the "
+        "table has NaN there",
+        f"20 ticks written to {file.with_suffix('.csv')}",
+    ]
     assert [*from_csv(file.with_suffix(".csv"))] == ["tick", "time_s", *NAMES[:4], NAMES[8]]
+
+
+def test_nothing_is_said_of_a_node_that_is_whole(file: Path) -> None:
+    result = CliRunner().invoke(app, ["export", str(file), "--format", "csv", "--topics", "c/tool"])
+    assert (result.exit_code, "missing" in result.stderr) == (0, False)
 
 
 def test_the_command_reports_a_cut_recording(tmp_path: Path) -> None:

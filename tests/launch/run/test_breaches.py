@@ -467,6 +467,17 @@ class Test_devices_with_certificates_of_their_own:
             "to 0.09 ms (covered 0.05 ms), dz in 70.0% of its ticks, up to 0.3 ms (covered 0.1 ms) so far; " + NEXT
         }
 
+    def test_a_guest_is_told_what_a_guest_can_do(self) -> None:
+        """A wave link has no ladder, and its delay is that of one machine."""
+        m = self.measured(Policy.SOFTEN)
+        m.tell("dx", 60, 90.0)
+        text = m.notices[Cause.DELAY]
+        assert "design.ladder" not in text
+        assert text.endswith(
+            "; the delay is that of the user's own machine, and not of the network: close other programs there, or "
+            "state a longer wave_link.tau or wave_link.period of its coupling"
+        )
+
     def test_so_does_one_of_periods(self) -> None:
         m = self.measured()
         m.tell("dx", 0, late_periods=60)

@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from manyhands.launch.run.display import COLUMNS, RANKS, figure_table, heading, say
+from manyhands.launch.run.display import COLUMNS, RANKS, figure_table, heading, late_line, say
+from manyhands.protocol.messages import Telemetry
 
 TITLES = ("node", "role", "tick", "rate\n[Hz]", *(heading(column.title) for column in COLUMNS))
 cells = st.text(st.characters(categories=["L", "N"], max_codepoint=255), max_size=12)
@@ -50,3 +51,16 @@ def test_a_terminal_breaks_a_sentence_between_words(terminal: bool, lines: int) 
     found = out.getvalue().splitlines()
     assert len(found) == lines
     assert " ".join(line.strip() for line in found) == sentence
+
+
+@pytest.mark.parametrize(
+    ("late", "said"),
+    [
+        ({"dx": 0, "dy": 0}, "none late"),
+        ({"dx": 30, "dy": 1200}, "late ticks: dy 60.0%, dx 1.5%"),
+        ({f"d{i}": i for i in range(1, 8)}, "late ticks: d7 0.4%, d6 0.3%, d5 0.2%, d4 0.2% and 3 more"),
+    ],
+)
+def test_late_ticks_are_each_devices_own(late: dict[str, int], said: str) -> None:
+    telemetry = {name: Telemetry(2000, {"late": float(ticks)}, {}) for name, ticks in late.items()}
+    assert late_line(telemetry | {"cx": Telemetry(2000, {"speed": 1.0}, {})}) == said

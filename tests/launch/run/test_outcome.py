@@ -209,6 +209,22 @@ def test_a_sentence_about_lateness(
     assert (sentence or "no sentence") in shown.getvalue() + "no sentence"
 
 
+def test_the_last_line_says_what_was_worst() -> None:
+    def last(report: dict[str, Any], *faults: str) -> str:
+        shown = StringIO()
+        print_report(Console(file=shown, width=200), report, faults)
+        return shown.getvalue().splitlines()[-1]
+
+    rows = [{"promise": "pace", "state": "kept", "who": [], "since": 0.0, "until": None, "cost": {}, "remark": ""}]
+    whole_run = whole({"dx": HONEST}) | {"promises": rows}
+    assert last(whole_run) == "all promises kept"
+    assert last(whole_run, "dx was killed\nat once", "and more") == "failed: dx was killed"
+    away = rows[0] | {"promise": "presence", "state": "broken", "who": ["dx"], "since": 0.5, "cost": {"s": 0.25}}
+    assert last(whole_run | {"promises": [*rows, away]}).startswith(
+        "worst: presence: broken by dx since 0.5 s (0.25 s). The others go on, still certified."
+    )
+
+
 def test_the_table_has_each_least_account_beside_its_bound() -> None:
     shown = StringIO()
     print_report(Console(file=shown, width=123), whole({"dx": late(-0.0025), "dy": HONEST}, lateness=PROMISE))

@@ -20,6 +20,7 @@ from manyhands.launch.design_report import print_report
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.reach import IPC, Reach
 from manyhands.launch.plan.topology import topology
+from manyhands.launch.run import supervisor as supervisor_module
 from manyhands.launch.run.display import LiveTable
 from manyhands.launch.run.outcome import Progress
 from manyhands.launch.run.states import SessionPhase
@@ -27,7 +28,8 @@ from manyhands.launch.run.supervisor import Supervisor, most_ticks
 from manyhands.launch.session import load_session
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import REALTIME, SIMULATED
-from manyhands.protocol.clock import from_seconds
+from manyhands.nodes.observer.health import missed
+from manyhands.protocol.clock import Duration, from_seconds
 from manyhands.protocol.codec import encode
 from manyhands.protocol.limits import MAX_COUNT
 from manyhands.protocol.messages import (
@@ -215,4 +217,24 @@ def test_a_guest_without_telemetry_loses_its_rows_alone_as_reported(prepared: Pr
     assert outcome.recording is not None
     np.testing.assert_array_equal(outcome.recording.x, [[1.0, np.nan, 1.0]] * 10)
     assert outcome.lost == outcome.recording.missing == {"dy": 10}
+    heard.transport.close()
+
+
+def test_nobody_is_away_where_all_stand_still_or_are_done(prepared: Prepared, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Silence by the wall clock: a slow simulation, or a node that ends slowly, is as silent as one who is away."""
+    monkeypatch.setattr(supervisor_module, "TELEMETRY_SILENCE", Duration(-1))  # every node is silent at once
+    heard = Heard(prepared, run=True)
+    nodes = {*heard.graph.nodes}
+    assert heard.progress().silent == nodes
+    for node in nodes - {"dx", "cx"}:
+        heard.say(node, Telemetry(400, {}, {}))
+    assert heard.progress().silent == nodes
+    assert [row for row in missed(heard.progress().promises) if row.promise == "presence"] == []
+    for node in nodes - {"dx"}:
+        heard.say(node, Telemetry(600, {}, {}))
+    [away] = [row for row in missed(heard.progress().promises) if row.promise == "presence"]
+    assert (away.who, away.state, away.until) == (("dx",), "broken", None)
+    heard.say("dx", Telemetry(600, {}, {}))
+    [back] = [row for row in missed(heard.progress().promises) if row.promise == "presence"]
+    assert back.until == 0.6
     heard.transport.close()

@@ -98,6 +98,7 @@ def test_the_sample_time_of_a_system_decides_its_time(dt: float | None, time: st
     assert (found["type"], found["time"], found["A"], found["D"]) == ("state-space", time, [[-0.5]], [[1000.0]])
 
 
+@pytest.mark.filterwarnings("ignore:Setting the shape:DeprecationWarning")  # python-control 0.10 beside NumPy 2.5
 def test_a_gain_without_states_is_an_environment() -> None:
     found = environment(control.ss([], [], [], [[1000.0]]))
     assert (found["A"], found["D"]) == ([], [[1000.0]])

@@ -18,7 +18,6 @@ from mcap.reader import make_reader
 
 from manyhands.extras import MissingExtra
 from manyhands.launch.observe.sessions import Running
-from manyhands.launch.recordings.attached import recorded_of
 from manyhands.launch.view.foxglove import (
     LEAST_QUEUE,
     MOST_QUEUE,
@@ -29,6 +28,7 @@ from manyhands.launch.view.foxglove import (
 )
 from manyhands.nodes.observer.scene import About
 from manyhands.nodes.recorder.core import RecorderCore
+from manyhands.nodes.recorder.format import recorded_of
 from manyhands.protocol.clock import Instant
 
 from ...support.observed_session import ABOUT, UNCERTIFIED, conditioned, judged, moving, observed
@@ -106,7 +106,7 @@ def test_the_time_never_goes_back() -> None:
     times = []
     for frame in (moving(100), BEGIN, observed("environment", 50, {"q": np.zeros((1, 1))}), moving(2**40)):
         [*live.take(frame, Instant(0), WALL, lambda topic: True)]
-        times.append(live.now)
+        times.append(live.time.latest)
     assert times == [None, WALL, WALL, WALL]  # a user's ticks, which may come from elsewhere, do not shift it
 
 

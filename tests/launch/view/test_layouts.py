@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 
 from manyhands.launch.files import TargetError
-from manyhands.launch.recordings.attached import recorded_of
 from manyhands.launch.view.layouts import (
     Series,
     foxglove_layout,
@@ -22,6 +21,7 @@ from manyhands.launch.view.layouts import (
     plotjuggler_name,
     save_layout,
 )
+from manyhands.nodes.recorder.format import recorded_of
 
 from ...support.observed_session import ABOUT, UNCERTIFIED
 

@@ -389,6 +389,10 @@ def told(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Token | None]]:
 def test_on_loopback_the_address_is_enough(told: list[tuple[str, Token | None]]) -> None:
     done = CliRunner().invoke(app, ["view"])
     assert (done.exit_code, told) == (0, [("127.0.0.1", None)])
+    first, page, waiting, *_ = done.output.splitlines()
+    assert first.endswith(": starting its page"), "said before the libraries of the server are imported"
+    assert page == "page: http://127.0.0.1:80/"
+    assert waiting.endswith(": waiting for a browser to open this address; Ctrl-C ends")
     assert done.output.endswith("refused: too_many 3, too_slow 1\n")
 
 

@@ -67,6 +67,9 @@ def test_origins(origins: list[str], may: bool) -> None:
         (head(host="evil.example:8765"), LOOPBACK, None, 421),
         (head(host="127.0.0.1:80"), LOOPBACK, None, 421),
         (head(host="192.0.2.7:8765"), LOOPBACK, None, 421),
+        (head().replace(b"foxglove.sdk.v1", b"foxglove.websocket.v1, foxglove.sdk.v1"), LOOPBACK, None, None),
+        (head().replace(b"foxglove.sdk.v1", b"foxglove.websocket.v1"), LOOPBACK, None, 400),
+        (head().replace(b"Sec-WebSocket-Protocol: foxglove.sdk.v1\r\n", b""), LOOPBACK, None, 400),
         (head(more="Origin: https://evil.example\r\n"), LOOPBACK, None, 403),
         (head(), EVERYWHERE, TOKEN, 401),
         (head("/?token=wrong"), EVERYWHERE, TOKEN, 401),
@@ -186,6 +189,11 @@ def test_refusals_are_answered_with_a_sentence_and_counted(monkeypatch: pytest.M
                 (head("/?token=wrong", host), HTTPStatus.UNAUTHORIZED, b"a token is needed"),
                 (head(host="evil.example"), HTTPStatus.MISDIRECTED_REQUEST, b"another host"),
                 (head(host=host, more="Origin: null\r\n"), HTTPStatus.FORBIDDEN, b"another origin"),
+                (
+                    head(host=host).replace(b"foxglove.sdk.v1", b"foxglove.websocket.v1"),
+                    HTTPStatus.BAD_REQUEST,
+                    b"found the sub-protocol 'foxglove.websocket.v1'; expected foxglove.sdk.v1, which a current ",
+                ),
                 (b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", HTTPStatus.UPGRADE_REQUIRED, b"in Foxglove"),
                 (b"x" * (MAX_HEAD_BYTES + 10), HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE, b"headers"),
             ):
@@ -193,7 +201,14 @@ def test_refusals_are_answered_with_a_sentence_and_counted(monkeypatch: pytest.M
                 assert answer.startswith(f"HTTP/1.1 {status.value} ".encode()), answer
                 assert words in answer
             assert not echo.heads
-        kinds = {"wrong_token": 2, "foreign_host": 1, "foreign_page": 1, "no_socket": 1, "no_request": 1}
+        kinds = {
+            "wrong_token": 2,
+            "foreign_host": 1,
+            "foreign_page": 1,
+            "other_protocol": 1,
+            "no_socket": 1,
+            "no_request": 1,
+        }
         assert refused == kinds
 
     asyncio.run(conversation())

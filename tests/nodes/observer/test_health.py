@@ -15,6 +15,7 @@ from manyhands.nodes.observer.health import (
     most_grave,
     readable,
     sentence,
+    verdict,
 )
 from manyhands.protocol.limits import MAX_SENTENCES
 from manyhands.protocol.messages import PromiseStatus
@@ -29,7 +30,10 @@ def test_people_read_one_row_where_many_parties_are_alike() -> None:
         (("d0", "d1", "d2", "d3", "d4"), {"times": 5.0})
     ]
     assert [row.who for row in found if row.promise == "force limits"] == [("dx",)]  # and no row for all others
-    assert sentence(missed(found)[-1]) == "motion limits: enforced at d0, d1, d2, d3 and 1 more since 0.1 s (5 times)"
+    assert (
+        sentence(missed(found)[-1])
+        == "motion limits: enforced at d0, d1, d2, d3 and 1 more since 0.1 s (5 times in all)"
+    )
 
 
 @pytest.mark.parametrize(
@@ -57,3 +61,27 @@ def test_of_too_many_rows_the_gravest_are_kept_and_every_promise() -> None:
 def test_rows_of_another_version_are_left_out() -> None:
     known = PromiseStatus("delay", "kept")
     assert readable((known, PromiseStatus("courage", "kept"), PromiseStatus("delay", "doubtful"))) == (known,)
+
+
+def row(promise: str, state: str, who: str, **cost: float) -> PromiseStatus:
+    return PromiseStatus(promise, state, (who,), 0.2, None, cost)
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ([PromiseStatus("pace", "kept")], "all promises kept"),
+        ([row("presence", "enforced", "cx"), row("motion limits", "enforced", "dx")],
+         "all promises kept, or enforced: presence (cx), motion limits (dx)"),
+        ([row("pace", "broken", "session", x=0.6, s=2.0)],
+         "worst: pace: broken by session since 0.2 s (0.60 of real time, 2 s). Close other programs, use a longer "
+         "period or colocate: true, and see manyhands doctor."),
+        ([row("pace", "broken", "session", x=0.6), row("period", "broken", "dy", ticks=900.0),
+          row("delay", "broken", "dx", ticks=5.0), row("delay", "broken", "dz", ticks=7.0),
+          row("lateness energy", "enforced", "dx", ticks=9.0)],
+         "worst: delay: broken by dz since 0.2 s (7 ticks), and by dx. Close other programs, design for what this "
+         "machine needs (design.tau: auto), or compare rates: manyhands doctor. Also broken: period, pace."),
+    ],
+)  # fmt: skip
+def test_a_run_ends_with_the_worst_by_whom_how_much_and_what_to_do(rows: list[PromiseStatus], said: str) -> None:
+    assert verdict([PromiseStatus("passivity", "kept"), *rows]) == said

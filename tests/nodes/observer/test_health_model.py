@@ -310,7 +310,7 @@ def test_remarks_belong_to_what_is_not_kept() -> None:
     }  # fmt: skip
     [both] = grouped(missed(rows))
     assert (both.who, both.cost, both.remark) == (("dx", "dy"), {"ticks": 2.0}, "forces came late")
-    assert sentence(both) == "delay: enforced at dx, dy since 0.1 s (2 ticks)"
+    assert sentence(both) == "delay: enforced at dx, dy since 0.1 s (2 ticks in all)"
 
 
 NODES = st.sampled_from([*ROLES, "stranger"])
