@@ -42,6 +42,7 @@ from manyhands.design.models.environment import (
     DelayedNetwork,
     Environment,
     NetworkBox,
+    ProxyEnvironment,
     StateSpaceEnvironment,
     TransferEnvironment,
 )
@@ -118,6 +119,9 @@ def describe_environment(environment: Environment) -> dict[str, Any]:
             return environment.terms()
         case DeclaredScene():
             return environment.scene.terms()
+        case ProxyEnvironment():
+            level, K = environment.level.tolist(), environment.stiffness.tolist()
+            return {"type": "proxy", "level": level, "stiffness": K}
         case DeclaredEnvironment():
             return {"type": "declared", "level": environment.promised().tolist()}
     raise TypeError(f"expected an environment of a known kind, found {type(environment).__name__}")
@@ -155,6 +159,8 @@ def environment_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> Environme
         return DeclaredEnvironment(ports, matrix(data["level"], m, m))
     if kind == "scene":
         return DeclaredScene(scene_of(data, ports))
+    if kind == "proxy":
+        return ProxyEnvironment(ports, matrix(data["level"], m, m), matrix(data["stiffness"], m, m))
     if kind == "wave-link":
         return face_of(data, ports)
     if kind == "world":

@@ -20,7 +20,7 @@ from manyhands.launch.files import load_named
 from manyhands.launch.plan.delay import settle_delay
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import Prepared, certify, prepare
-from manyhands.launch.session import ENVIRONMENT, PythonEnvironment, Session
+from manyhands.launch.session import ENVIRONMENT, AskedEnvironment, Session
 from manyhands.launch.session.session import whole_ticks
 from manyhands.nodes.bundle import CLOCKS, REALTIME
 
@@ -315,8 +315,9 @@ def launch(
     require_runnable(plan.graph, len(loaded.observers))
     ways = reach(plan, transport)
     prepared = _prepared(loaded, certificate, uncertified, realtime=clock == REALTIME, transport=transport)
-    if isinstance(loaded.environment, PythonEnvironment):
-        warnings.warn(f"{loaded.name} runs the code of the model {loaded.environment.model}", stacklevel=2)
+    if isinstance(loaded.environment, AskedEnvironment):
+        factory, _ = loaded.environment.code(loaded.ports)
+        warnings.warn(f"{loaded.name} runs the code of the model {factory}", stacklevel=2)
     kept = None if directory is None else SessionDirectory(Path(directory))
     return BackgroundRun(prepared, clock=clock, reach=ways, ticks=ticks, record=file, directory=kept)
 

@@ -22,14 +22,14 @@ from rich.table import Table
 from manyhands.design.certificate import Certificate, asked_text, load, save, unrecorded
 from manyhands.design.errors import CertificateError, DesignError, Infeasible
 from manyhands.design.models.coupling import SpringDamper
-from manyhands.design.models.environment import DeclaredScene
+from manyhands.design.models.environment import DeclaredEnvironment, DeclaredScene, ProxyEnvironment
 from manyhands.design.models.statespace import Matrix
 from manyhands.design.models.weights import Filter
 from manyhands.design.problem import HapticLoop
 from manyhands.design.wave_link import FELT_STIFFNESS, WaveLinkFace, WorldPromise, felt_mass
 from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK
 from manyhands.launch.plan.prepare import certify, haptic_loop
-from manyhands.launch.run.display import energy_line, figure_table, printable, promise_lines, say, status
+from manyhands.launch.run.display import figure_table, printable, promise_lines, say, status, world_lines
 from manyhands.launch.run.outcome import lateness_sentence, rows_of, wave_link_sentences
 from manyhands.launch.session import Session
 from manyhands.nodes import telemetry as names
@@ -137,6 +137,8 @@ def print_certificate(console: Console, certificate: Certificate) -> None:
         table.add_row(
             "environment", "a scene, level 0: by its contacts' energy, and enforced at run time by a controller"
         )
+    elif isinstance(loop.environment, ProxyEnvironment):
+        table.add_row("environment", "springs to proxies: their level is kept by the proxy test at every tick")
     elif loop.enforced:
         table.add_row("environment", "enforced: not proved, its declared level is kept at run time by a controller")
     else:
@@ -217,11 +219,13 @@ def print_report(console: Console, report: Mapping[str, Any], faults: Sequence[s
     if sentence := lateness_sentence(report):
         say(console, sentence)
     for node in report["nodes"].values():
-        if "energy" in node:
-            entry = node["energy"]
-            figures = {f"{names.MOVED}{pair}": joules for pair, joules in entry.get("moved", {}).items()}
-            figures |= {f"{names.SCALED}{party}": ticks for party, ticks in entry.get("scaled", {}).items()}
-            say(console, energy_line(figures))
+        entry = node.get("energy", {})
+        figures = {f"{names.MOVED}{pair}": joules for pair, joules in entry.get("moved", {}).items()}
+        figures |= {f"{names.SCALED}{party}": ticks for party, ticks in entry.get("scaled", {}).items()}
+        figures |= {f"{names.HELD}{party}": ticks for party, ticks in node.get("held", {}).items()}
+        figures |= {f"{names.CHATTER}{party}": most for party, most in node.get("chatter", {}).items()}
+        for line in world_lines(figures):
+            say(console, line)
     for name, node in report["nodes"].items():
         counts = {**node.get("refused", {}), **node.get("dropped", {})}
         counts |= {kind: node[kind] for kind in ("clipped", "saturated") if node.get(kind)}
@@ -320,8 +324,9 @@ def run_design(
         print_certificate(out, certificate)
         if output is not None:
             say(err, f"written to {output}; prove it again with: manyhands verify {output}")
-    if pictures is not None and certificate.loop.enforced:
-        say(err, "no pictures: they show the environment's response, and of a model only its level is known")
+    known_by_level = (DeclaredEnvironment, DeclaredScene, ProxyEnvironment)
+    if pictures is not None and type(certificate.loop.environment) in known_by_level:
+        say(err, "no pictures: they show the environment's response, and of this one only its level is known")
     elif pictures is not None:
         with progress_on(err, "drawing") as progress:
             paths = _draw(designed, pictures, progress)
@@ -397,7 +402,9 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
     if not as_json:
         enforced = ", ".join(certificate.loop.enforced)
         proved = f"proved, where the level of the {enforced} is enforced at run time" if enforced else "proved"
-        if isinstance(certificate.loop.environment, WaveLinkFace):
+        if isinstance(certificate.loop.environment, ProxyEnvironment):
+            proved = "proved, where the level of the environment is kept by the proxy test at every tick"
+        elif isinstance(certificate.loop.environment, WaveLinkFace):
             proved = f"{certificate.loop.partition.names[0]}: proved, whatever is behind its wave link"
         elif isinstance(certificate.loop.environment, WorldPromise):
             proved = "users in the tick: proved, where the certificate of the world proves the level assumed of it"

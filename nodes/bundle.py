@@ -592,8 +592,9 @@ class EnvironmentBundle:
         enforce: whether a controller keeps Phi_E.
         model: the model in place of E; None for E.
         scene: the scene in place of E; None for E.
-        masses: the masses whose positions are entries of E's state, from the m-th on, or a scene's bodies, one for each
-            coordinate; none for other kinds.
+        stiffness: K of the springs to the model's proxies, m x m, N/m; None for a model that is asked for forces.
+        masses: the masses whose positions are entries of E's state, from the m-th on, or the bodies of a scene or an
+            engine, one for each coordinate; none for other kinds.
         longest_tau: the longest delay that the session can cover, s: that of the ladder's last rung where a breach
             softens couplings, else the certificate's; 0 where no delay is covered.
         budgets: the energy that each coupling may put into the others, in the order of the peers.
@@ -602,7 +603,7 @@ class EnvironmentBundle:
 
     Raises:
         ValueError: there is not exactly one of E, a model and a scene, or budgets, storage or rungs do not fit. A model
-            or a scene with a level needs its controller, for the certificate rests on it.
+            with a level needs its controller or proxies, and a scene its controller, for the certificate rests on them.
     """
 
     common: Common
@@ -616,6 +617,7 @@ class EnvironmentBundle:
     enforce: bool = False
     model: FactoryName | None = None
     scene: ContactScene | None = None
+    stiffness: Matrix | None = None
     masses: tuple[str, ...] = ()
     longest_tau: float = 0.0
     budgets: tuple[EnergyBudget, ...] = ()
@@ -626,10 +628,13 @@ class EnvironmentBundle:
         kinds = sum(kind is not None for kind in (self.E, self.model, self.scene))
         if kinds != 1:
             raise ValueError(f"found {kinds} of an environment's matrices, model and scene; expected one of them")
-        if self.enforce != (self.Phi_E is not None) and (self.enforce or self.E is None):
+        if self.stiffness is not None and (self.model is None or self.stiffness.shape != (len(self.common.ports),) * 2):
+            raise ValueError(f"found a stiffness of shape {self.stiffness.shape}; expected m x m, and a model")
+        needs = self.E is None and self.stiffness is None
+        if self.enforce != (self.Phi_E is not None) and (self.enforce or needs):
             raise ValueError(
                 f"found enforce {self.enforce} {'with' if self.Phi_E is not None else 'without'} a level; expected a "
-                "model's level to be enforced, and a level wherever one is"
+                "model's level to be enforced or kept by proxies, and a level wherever one is"
             )
         if len(self.budgets) != len(self.feedthrough):
             raise ValueError(f"found {len(self.budgets)} budgets; expected {len(self.feedthrough)}, one a coupling")
@@ -828,6 +833,7 @@ _READ: dict[str, Any] = {
     "independent": _flag,
     "model": lambda data: None if data is None else _factory(data),
     "scene": lambda data: None if data is None else scene_of(data["terms"], tuple(data["ports"])),
+    "stiffness": _optional_array,
     "masses": lambda data: tuple(str(name) for name in data),
     "longest_tau": _tau,
     "budgets": lambda all_: tuple(EnergyBudget(float(b["power"]), float(b["energy"]), float(b["store"])) for b in all_),

@@ -9,7 +9,8 @@ parameters. Reading, designing, proving and drawing a session import nothing.
 import path is searched first, then the folder of the session file. So no file beside a session file can take the place
 of an installed module.
 
-A package may publish a factory under a short name, by an entry point of the group :data:`DRIVERS` or :data:`MODELS`.
+A package may publish a factory under a short name, by an entry point of the group :data:`DRIVERS`, :data:`MODELS` or
+:data:`ENGINES`.
 :func:`published` reads the names from the packages' metadata and imports none of them.
 """
 
@@ -34,6 +35,14 @@ DRIVERS: Final = "manyhands.drivers"
 
 MODELS: Final = "manyhands.models"
 """The group of the entry points that name models of the environment."""
+
+ENGINES: Final = "manyhands.engines"
+"""The group of the entry points that name physics engines."""
+
+SHIPPED: Final[Mapping[str, Mapping[str, str]]] = {
+    ENGINES: {"mujoco": "manyhands.nodes.environment.mujoco:MujocoEngine"}
+}
+"""The factories of this package under short names, by group: its own code, of which no run warns."""
 
 
 class FactoryError(ValueError):
@@ -125,10 +134,10 @@ def published(group: str) -> dict[str, str]:
     """The factories that installed packages publish under a short name, "package.module:function" by name.
 
     Args:
-        group: :data:`DRIVERS` or :data:`MODELS`.
+        group: :data:`DRIVERS`, :data:`MODELS` or :data:`ENGINES`.
     """
     found = importlib.metadata.entry_points(group=group)
-    return {entry.name: entry.value for entry in found if FACTORY.fullmatch(entry.value)}
+    return dict(SHIPPED.get(group, {})) | {entry.name: entry.value for entry in found if FACTORY.fullmatch(entry.value)}
 
 
 def in_one_line(error: BaseException) -> str:

@@ -137,7 +137,7 @@ class PassivityController:
             return 1.0
         a = -float(w @ hold)
         b = a - e
-        s = (1.0 - _INSIDE) * _greatest(a, b, c)
+        s = greatest_part(a, b, c)
         self._kept_back = self._T * ((a * s - b * s * s) - e)
         return s
 
@@ -149,11 +149,12 @@ class PassivityController:
             self._kept_back = None
 
 
-def _greatest(a: float, b: float, c: float) -> float:
-    """The greatest s in [0, 1] with c + a s - b s^2 >= 0, where c >= 0 and s = 1 is beyond it.
+def greatest_part(a: float, b: float, c: float) -> float:
+    """The greatest s in [0, 1] with c + a s - b s^2 >= 0, where c >= 0 and s = 1 is beyond it, and a little less.
 
-    Of the two forms of the root the function takes the one whose sum does not cancel.
+    Of the two forms of the root the function takes the one whose sum does not cancel. The result is inside the root by
+    a part 1e-9 of s.
     """
     root = math.sqrt(max(a * a + 4.0 * b * c, 0.0))
     s = (a + root) / (2.0 * b) if a > 0.0 else 2.0 * c / (root - a) if root - a > 0.0 else 0.0
-    return min(max(s, 0.0), 1.0)
+    return (1.0 - _INSIDE) * min(max(s, 0.0), 1.0)

@@ -18,6 +18,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from manyhands.nodes.environment.chatter import Chatter
 from manyhands.nodes.environment.energy import Energy
 from manyhands.nodes.passivity import Ledger, PassivityController
 from manyhands.nodes.peer_link import PeerLink, WaveRow
@@ -116,6 +117,9 @@ UNEXERTED = "unexerted"  # ticks in which a device exerted another force than it
 UNEXERTED_MOST = "unexerted_most"  # N, the greatest difference of an axis
 ENFORCED_TICKS = "enforced_ticks"  # ticks in which a passivity controller kept a force back
 ENFORCED_ENERGY = "enforced_energy"  # J that it kept back
+HELD = "held_"  # and the coupling: ticks in which the proxy test held its proxies
+REVERSALS = "reversals_"  # and the coupling: ticks in which the force on its tools reversed
+CHATTER = "chatter_"  # and the coupling: the most of them in a second
 
 
 def ledger_figures(ledger: Ledger | None) -> dict[str, float]:
@@ -180,6 +184,20 @@ def enforcement_figures(controller: PassivityController | None) -> dict[str, flo
     if controller is None:
         return {}
     return {ENFORCED_TICKS: float(controller.ticks), ENFORCED_ENERGY: controller.energy}
+
+
+def contact_figures(held: Sequence[int], chatter: Chatter | None, parties: tuple[str, ...]) -> dict[str, float]:
+    """How often proxies were held and forces reversed, by party; of reversals, figures of 0 are left out.
+
+    Args:
+        held: by party, the ticks in which the proxy test held its proxies; empty without proxies.
+        chatter: the reversals; None where none are counted.
+        parties: their names.
+    """
+    found = {f"{HELD}{name}": float(n) for name, n in zip(parties, held, strict=False)}
+    for kind, all_ in () if chatter is None else ((REVERSALS, chatter.reversals), (CHATTER, chatter.most)):
+        found |= {f"{kind}{name}": float(n) for name, n in zip(parties, all_, strict=True) if n}
+    return found
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,9 @@ A declared environment, such as a physics engine or a neural simulator, has no m
 its level is known, and a passivity controller at its ports enforces that level at run time. Condition (10) of
 [Bianchini2010]_ needs no more: with E_hat (-Phi_E)-ISP, by proof or by a controller, Theorem 3 holds. Its passivity
 argument needs neither linearity nor time invariance. The certificate of such a loop is conditional, and states so.
+
+Springs to proxies are declared environments too, whatever proposes the proxies. A test in every tick keeps their level
+(docs/decisions/0042-proxies.md), and no controller is needed for it.
 """
 
 from __future__ import annotations
@@ -364,5 +367,40 @@ class DeclaredScene(DeclaredEnvironment):
     def __eq__(self, other: object) -> bool:
         """Equal when the scenes are."""
         return isinstance(other, DeclaredScene) and self.scene == other.scene
+
+    __hash__ = None  # matrices have none
+
+
+@dataclass(frozen=True, eq=False)
+class ProxyEnvironment(DeclaredEnvironment):
+    """Springs from the tools to proxies, f = -K (x_e - q), whose level the proxy test keeps at every tick.
+
+    Attributes:
+        stiffness: K, m x m symmetric positive definite, N/m.
+
+    Raises:
+        ValueError: K is not symmetric positive definite, or the level has a negative eigenvalue.
+    """
+
+    enforced: bool = field(init=False, default=True)
+    stiffness: Matrix = field(default_factory=lambda: np.zeros((0, 0)))
+
+    __repr__ = brief_repr
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        m = len(self.ports)
+        object.__setattr__(self, "stiffness", matrix(self.stiffness, m, m))
+        if np.any(self.stiffness != self.stiffness.T) or not np.linalg.eigvalsh(self.stiffness)[0] > 0.0:
+            raise ValueError("environment.stiffness: expected a symmetric positive definite matrix")
+        values = np.linalg.eigvalsh(self.level)
+        if values[0] < -1e-12 * max(abs(values[-1]), 1.0):
+            raise ValueError("environment.level: expected no negative eigenvalue, for a held proxy costs no energy")
+
+    def __eq__(self, other: object) -> bool:
+        """Equal when every number is."""
+        if not isinstance(other, ProxyEnvironment):
+            return NotImplemented
+        return super().__eq__(other) and np.array_equal(self.stiffness, other.stiffness)
 
     __hash__ = None  # matrices have none

@@ -132,6 +132,17 @@ class DeclaredData:
 
 
 @dataclass(frozen=True, eq=False)
+class ProxyData(DeclaredData):
+    """Springs to proxies, under the proxy test.
+
+    Attributes:
+        stiffness: K, m x m, N/m.
+    """
+
+    stiffness: StatedMatrix
+
+
+@dataclass(frozen=True, eq=False)
 class WaveLinkData(DeclaredData):
     """The user's face of a wave link; its level is diag(theta).
 
@@ -216,9 +227,14 @@ def read_environment(item: Item, ports: tuple[str, ...]) -> EnvironmentData:
     found = item.entries(16)
     if "type" not in found:
         raise ProofInputError(f"{item.path}: the key type is missing")
-    match found["type"].text("network", "scene", "state-space", "transfer-function", "declared", "wave-link", "world"):
+    match found["type"].text(
+        "network", "scene", "state-space", "transfer-function", "declared", "proxy", "wave-link", "world"
+    ):
         case "declared":
             return DeclaredData(item.fields(("type", "level"))["level"].symmetric(len(ports)))
+        case "proxy":
+            parts = item.fields(("type", "level", "stiffness"))
+            return ProxyData(*(parts[name].symmetric(len(ports)) for name in ("level", "stiffness")))
         case "wave-link":
             return _wave_link(item, len(ports))
         case "world":

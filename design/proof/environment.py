@@ -3,6 +3,9 @@
 The level of a declared environment is not proved here. A controller enforces it at run time, and the proof only
 compares it with the level that the certificate relies on.
 
+**By the proxy test.** For springs to proxies the theorem of docs/decisions/0042-proxies.md needs K = K' > 0 and a level
+Phi_E >= 0, which are proved here. The rest is the test itself, which the environment keeps at every tick.
+
 **By energy.** Let a network of masses, springs and dampers have ports u and masses q. With the incidence of the links,
 K and B in R^((m+n) x (m+n)) are symmetric, and M is diagonal. Backward Euler makes the mechanical energy U (divided by
 T) a storage function of E_hat, for w = (u - u-)/T, v = (q - q-)/T:
@@ -41,6 +44,7 @@ from manyhands.design.proof.claim import (
     LinkData,
     NetworkData,
     PromiseData,
+    ProxyData,
     SceneData,
     Span,
     SystemData,
@@ -371,6 +375,8 @@ def split(data: DynamicsData, T: fmpq) -> EnclosedSplit:
 
 def findings(data: EnvironmentData, P: StatedMatrix | None, Phi_E: Sparse, m: int, T: fmpq) -> list[Finding]:
     """Whether E_hat is (-Phi_E)-ISP with the storage matrix P, or with its energy if P is None."""
+    if isinstance(data, ProxyData):
+        return _proxy_findings(data, Phi_E, m)
     if isinstance(data, DeclaredData):
         own = scene.findings(data, m) if isinstance(data, SceneData) else []
         return [*own, _declared(data, Phi_E, m)]
@@ -405,6 +411,9 @@ def _declared(data: DeclaredData, Phi_E: Sparse, m: int) -> Finding:
     if not verdict.holds:
         return _refused(f"the declared level is not proved to be at most Phi_E: {verdict.argument}")
     match data:
+        case ProxyData():
+            argument = "kept by the proxy test at every tick, whatever positions are proposed"
+            return Finding(_ISP, True, 0.0, 0.0, argument=argument, enforced=True)
         case WaveLinkData():
             argument = "by the rules of the wave link's face, whatever arrives; not proved here"
             return Finding(_ISP, True, 0.0, 0.0, argument=argument, assumed=True)
@@ -414,6 +423,19 @@ def _declared(data: DeclaredData, Phi_E: Sparse, m: int) -> Finding:
             argument = "assumed of the world, whose own certificate proves it"
             return Finding(_ISP, True, 0.0, 0.0, argument=argument, assumed=True)
     return Finding(_ISP, True, 0.0, 0.0, argument="not proved: enforced at run time by a controller", enforced=True)
+
+
+def _proxy_findings(data: ProxyData, Phi_E: Sparse, m: int) -> list[Finding]:
+    """K > 0 and a level >= 0, under which the proxy test can be kept whatever is proposed, and the level itself."""
+    stiffness: Sparse = {}
+    level: Sparse = {}
+    exact.add(stiffness, range(m), data.stiffness)
+    exact.add(level, range(m), data.level)
+    found = [
+        exact.definite_by_groups(stiffness, m).finding("the stiffness K of the proxies' springs is symmetric and > 0"),
+        exact.definite_by_groups(level, m, strict=False).finding("the declared level of the proxies is >= 0"),
+    ]
+    return [*found, _declared(data, Phi_E, m)] if all(one.holds for one in found) else found
 
 
 def _refused(argument: str) -> Finding:

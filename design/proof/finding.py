@@ -21,7 +21,8 @@ class Finding:
         bound: the number that ``value`` had to exceed.
         key: its name among the certificate's margins; empty if it is not a margin.
         argument: why it holds, or why it is not proved.
-        enforced: whether it holds because a controller enforces it at run time; then nothing is proved about it here.
+        enforced: whether it holds because a controller or the proxy test keeps it at run time; then it is not proved
+            here.
         assumed: whether another certificate proves it, or the rules of a wave link's face keep it.
     """
 

@@ -11,7 +11,7 @@ import typer
 from manyhands.launch.cli.common import Json, end, err, errors, out, refuse
 from manyhands.launch.files import EXIT_FAILED, EXIT_OK
 from manyhands.launch.run.display import say
-from manyhands.nodes.factory import DRIVERS, MODELS, FactoryError, FactoryName
+from manyhands.nodes.factory import DRIVERS, ENGINES, MODELS, FactoryError, FactoryName, published
 
 if TYPE_CHECKING:
     from manyhands.nodes.device.specification import DeviceSpecification
@@ -109,6 +109,12 @@ def check_model(
     level: Annotated[
         float | None, typer.Option("--level", metavar="N·s/m", help="The level that the session declares.")
     ] = None,
+    stiffness: Annotated[
+        float | None,
+        typer.Option(
+            "--stiffness", metavar="N/m", help="That of the springs to the proxies, for a model with proxy()."
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Try a model of the environment: move its tools along probe motions, and name what is wrong.
@@ -120,14 +126,28 @@ def check_model(
         from manyhands.launch.conformance.judgement import broken, print_judgements
         from manyhands.launch.conformance.model import check_model as tried
         from manyhands.launch.design_report import print_json
-        from manyhands.nodes.environment.model import make_model
+        from manyhands.launch.session.limits import MAX_STIFFNESS
+        from manyhands.nodes.environment.model import PROXY, REACT, make_model
 
         for option, value, most in (("--reach", reach, 10.0), ("--period", period, 0.1)):
             if not 0.0 < value <= most:
                 refuse(f"{option}: found {value:g}; expected a number greater than 0 and at most {most:g}")
         names = _ports("port", int(ports)) if ports.isdecimal() else tuple(ports.split(","))
-        name = _factory(model, MODELS, parameters)
-        found = list(tried(name.factory, lambda: make_model(name, names, period), names, period, reach, level))
+        name = _factory(model, ENGINES if model in published(ENGINES) else MODELS, parameters)
+        if stiffness is not None and not 0.0 < stiffness <= MAX_STIFFNESS:
+            refuse(f"--stiffness: found {stiffness:g}; expected a number greater than 0 and at most {MAX_STIFFNESS:g}")
+        method = REACT if stiffness is None else PROXY
+        found = list(
+            tried(
+                name.factory,
+                lambda: make_model(name, names, period, method),
+                names,
+                period,
+                reach,
+                level,
+                stiffness=stiffness,
+            )
+        )
         if as_json:
             print_json({"model": name.factory, "findings": [finding.as_plain() for finding in found]})
         else:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -251,10 +252,24 @@ McapPath = Annotated[Path, typer.Argument(metavar="FILE", help="A recording (.mc
 
 
 @commands.command(epilog="Example: manyhands replay run.mcap")
-def replay(file: McapPath, as_json: Json = False) -> None:
+def replay(
+    file: McapPath,
+    code_in: Annotated[
+        Path | None,
+        typer.Option(
+            "--code-in",
+            metavar="FOLDER",
+            exists=True,
+            file_okay=False,
+            help="Where the model's module is, such as the session file's folder; searched after Python's path.",
+        ),
+    ] = None,
+    as_json: Json = False,
+) -> None:
     """Run a session again that was recorded under the simulated clock, and compare every number bit for bit.
 
-    Exit code 0: identical. 1: some number differs or is missing, or the file is damaged.
+    A recording names a model of the environment and no folder: --code-in names it. Exit code 0: identical. 1: some
+    number differs or is missing, or the file is damaged.
     """
     with errors("record", "design"):
         from rich.progress import Progress
@@ -271,6 +286,8 @@ def replay(file: McapPath, as_json: Json = False) -> None:
             print_damage(out, str(file), damage)
         with progress_on(err, "preparing the session") as progress:
             prepared = prepared_of(file, run, progress)
+        if code_in is not None:
+            prepared = replace(prepared, session=prepared.session.with_code_in(code_in))
         warn_of_code(err, prepared.session, prepared.session.devices)  # what drivers did is in the file
         _warn_of_version(run)
         with Progress(console=err, transient=True) as bar:

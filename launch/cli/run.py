@@ -72,9 +72,10 @@ def simulate(
     with errors("design"), ExitStack() as claims:
         from rich.progress import Progress
 
-        from manyhands.launch.run.display import energy_line
+        from manyhands.launch.run.display import world_lines
+        from manyhands.launch.run.outcome import enforcement_sentence
         from manyhands.launch.simulation import Simulation, require_one_period
-        from manyhands.nodes.telemetry import energy_figures
+        from manyhands.nodes.telemetry import contact_figures, energy_figures, enforcement_figures
 
         loaded = load_named(session, overrides)
         try:
@@ -103,7 +104,12 @@ def simulate(
                 f"{name}: peak speed {device.peak_speed:.3g} m/s, speed at the end {device.speed:.3g} m/s, "
                 f"ledger {device.ledger.total:.3g} J (least {device.ledger.minimum:.3g} J)",
             )
-        if line := energy_line(energy_figures(simulation.environment.energy, tuple(simulation.couplings))):
+        world, parties = simulation.environment, tuple(simulation.couplings)
+        for line in world_lines(
+            energy_figures(world.energy, parties) | contact_figures(world.held, world.chatter, parties)
+        ):
+            say(out, line)
+        if line := enforcement_sentence(enforcement_figures(world.controller)):
             say(out, line)
         for name, guard in simulation.guards.items():
             if guard.let_go:

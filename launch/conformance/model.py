@@ -1,5 +1,9 @@
 """The suite for models of the environment: it moves the tools along probe motions and keeps account of the energy.
 
+A model that proposes proxies is tried with the law that a session puts around it
+(:mod:`manyhands.nodes.environment.proxy`). Its springs then end in couplings that yield by :data:`COMPLIANCE`, and x_e
+is where the tools are under the forces.
+
 **What is judged, and from what.** With w(k) = (x_e(k) - x_e(k-1))/T the velocity of the tools and f(k) the forces:
 
 - *exception*, *wrong answer*: every answer is one finite force for each port, of a bounded size.
@@ -10,6 +14,8 @@
       sum over ticks of  -f^T w + phi w^T w  >=  0    at every tick of a probe from rest on.
 
   It is what the probes have found, and no proof: other motions may need more. What a session declares is enforced.
+- *held*: in how many ticks with a force the proxy test shortened the step of a proxy. A model whose proxies move by
+  themselves, or against the tools' motion, is held. This costs realism and never stability.
 - *not repeatable*: a second model of the same factory answers the same motion by the same forces, to the last bit. Only
   then does ``simulate`` agree with ``launch``, and a recording can be replayed and audited.
 """
@@ -17,6 +23,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +31,22 @@ from numpy.typing import NDArray
 from manyhands.launch.conformance.driver import BLOCKING, EXCEPTION, SIGN, WRONG_ANSWER
 from manyhands.launch.conformance.judgement import Conformance, Judgement
 from manyhands.launch.conformance.timing import CallTimer
-from manyhands.nodes.environment.model import AskedModel, EnvironmentModel
+from manyhands.nodes.environment.enforced import BlackBox, ForceLaw
+from manyhands.nodes.environment.model import PROXY, REACT, STEP, AskedModel, EnvironmentModel
+from manyhands.nodes.environment.proxy import ProxyLaw
+from manyhands.nodes.factory import in_one_line
 
 Array = NDArray[np.float64]
 
 LEVEL = "level"
+HELD = "held"
 REPEATED = "not repeatable"
+
+MOST_HELD = 0.01
+"""Part of the steps with a force that may be shortened before it is reported."""
+
+COMPLIANCE = 1e-3
+"""m/N; D_V of each port, about that of a coupling for a device with 1 N·s/m of damping at 1 kHz."""
 
 PRESS_TIME = 0.5
 """s; how long a slow press takes."""
@@ -88,6 +105,7 @@ def check_model(
     reach: float,
     level: float | None = None,
     timer: CallTimer | None = None,
+    stiffness: float | None = None,
 ) -> Iterator[Judgement]:
     """Try a model.
 
@@ -99,6 +117,7 @@ def check_model(
         reach: the greatest displacement of a tool, m.
         level: the level that the session declares, N·s/m; None to report what the probes need.
         timer: what the answers are timed by.
+        stiffness: of the springs to the model's proxies, N/m; None to ask it for forces.
 
     Raises:
         FactoryError: it cannot be made.
@@ -107,17 +126,28 @@ def check_model(
     durations: list[int] = []
     needed, worst, pressed = 0.0, "none", []
     repeated = True
+    m, method = len(ports), REACT if stiffness is None else PROXY
+    if stiffness is not None and callable(getattr(make(), STEP, None)):
+        method = STEP
+        if problem := _positions_problem(make()):
+            yield Judgement(WRONG_ANSWER, Conformance.BROKEN, problem)
+            return
+    held = touched = 0
+    D = (0.0 if stiffness is None else COMPLIANCE) * np.eye(m)
     for probe, given in probes(len(ports), T, reach).items():
         forces = []
         for turn in range(2):
-            asked, tools = _Noted(make()), _Tools(len(ports), T, reach)
-            model = AskedModel(name, asked, ports)
+            asked, tools = _Noted(make(), method), _Tools(m, T, reach)
+            model = AskedModel(name, cast(EnvironmentModel, asked), ports)
+            law: ForceLaw = BlackBox(model)
+            if stiffness is not None:
+                law = ProxyLaw(model, stiffness * np.eye(m), None, T, [(port,) for port in range(m)])
             f, motion = np.zeros_like(given), given.copy()
             for k in range(len(given)):
                 if probe == YIELDING:
                     motion[k] = tools.moved(f[k - 1], k)
                 timer.begin()
-                f[k] = model.forces(motion[k].copy(), k)
+                f[k] = law.propose(motion[k].copy(), D, motion[k].copy())
                 took = timer.end()
                 if turn == 0:
                     durations.append(took)
@@ -125,7 +155,10 @@ def check_model(
                     check = EXCEPTION if asked.raised else WRONG_ANSWER
                     yield Judgement(check, Conformance.BROKEN, f"in the probe {probe!r}: {model.failure}")
                     return
+                motion[k] += D @ f[k]
+                law.advance(motion[k], f[k])
             forces.append(f)
+        held, touched = held + sum(law.held), touched + int(np.count_nonzero(f))
         repeated = repeated and forces[0].tobytes() == forces[1].tobytes()
         w = np.diff(motion, axis=0, prepend=motion[:1]) / T
         work, burnt = np.cumsum((w * forces[0]).sum(axis=1)), np.cumsum((w**2).sum(axis=1))
@@ -142,7 +175,11 @@ def check_model(
         yield Judgement(SIGN, Conformance.BROKEN, f"{text}; expected forces on the hand, such as -c * x_e of a spring")
     else:
         yield Judgement(SIGN, Conformance.KEPT, f"a slow press costs up to {max(0.0, -min(pressed)):.3g} J")
-    yield _level(needed, worst, level)
+    if stiffness is None:
+        yield _level(needed, worst, level)
+    else:
+        text = f"the proxy test shortened {held} of {touched} steps of proxies with a force"
+        yield Judgement(HELD, Conformance.OPEN if held > MOST_HELD * touched else Conformance.KEPT, text)
     if repeated:
         yield Judgement(REPEATED, Conformance.KEPT, "a second model gives the same forces")
     else:
@@ -150,23 +187,37 @@ def check_model(
         yield Judgement(REPEATED, Conformance.BROKEN, f"{text}: its runs can be neither replayed nor audited")
 
 
+def _positions_problem(engine: Any) -> str:
+    """What is wrong with the positions of an engine's bodies; empty where nothing is."""
+    try:
+        found = np.array(engine.positions(), dtype=np.float64)
+    except Exception as error:  # noqa: BLE001 -- foreign code: reported, whatever it is
+        return f"found {in_one_line(error)} from positions(); expected x, y and z of each reported body"
+    if found.ndim != 1 or len(found) % 3 or not np.all(np.isfinite(found)):
+        return f"found positions() of the shape {found.shape}; expected three finite numbers for each reported body"
+    return ""
+
+
 class _Noted:
     """A model, and whether it has raised an exception."""
 
-    def __init__(self, model: EnvironmentModel) -> None:
-        self._model, self.raised = model, False
-
-    def react(self, x_e: Array, k: int) -> object:
-        """The model's answer."""
-        self.raised = True
-        answer = self._model.react(x_e, k)
+    def __init__(self, model: EnvironmentModel, method: str) -> None:
+        """Note what ``model`` does; it then has the one method by which it is asked."""
         self.raised = False
-        return answer
+        ask = getattr(model, method)
+
+        def asked(x: Array, of: object) -> object:
+            self.raised = True
+            answer: object = ask(x, of)
+            self.raised = False
+            return answer
+
+        setattr(self, method, asked)
 
 
 def _duration(durations: list[int], T: float) -> Judgement:
     p50, p95 = (float(value) / 1e3 for value in np.percentile(durations, (50, 95)))
-    found = f"react p50 {p50:.3g} µs, p95 {p95:.3g} µs"
+    found = f"an answer takes p50 {p50:.3g} µs, p95 {p95:.3g} µs"
     if p50 > 0.5e6 * T or p95 > 1e6 * T:
         expected = f"a median of at most {0.5e6 * T:g} µs and a p95 of at most {1e6 * T:g} µs, the period"
         return Judgement(BLOCKING, Conformance.BROKEN, f"found {found}; expected {expected}")

@@ -24,7 +24,7 @@ from rich.table import Table
 from rich.text import Text
 
 from manyhands.launch.observe.sessions import Running, Seeing, Source
-from manyhands.launch.run.display import COLUMNS, RANKS, energy_line, figure_table, heading, promise_lines, say
+from manyhands.launch.run.display import COLUMNS, RANKS, figure_table, heading, promise_lines, say, world_lines
 from manyhands.launch.run.states import NodeState
 from manyhands.nodes.json_number import json_number
 from manyhands.nodes.observer.health import Health, as_plain, summary
@@ -238,8 +238,7 @@ def sentences(scene: Scene) -> Iterator[tuple[str, str]]:
         if health not in (Health.OK, Health.FREE):
             yield f"link {link.ends[0]} - {link.ends[1]}: {health}", STYLES[health]
     for node in scene.nodes.values():
-        if line := energy_line(node.figures):
-            yield line, ""
+        yield from ((line, "") for line in world_lines(node.figures))
     for name, felt in scene.felt_links.items():
         yield felt.sentence(name), "yellow" if felt.deaf else ""
     condition = scene.condition

@@ -22,7 +22,7 @@ import numpy as np
 
 from manyhands.design.files import replacing
 from manyhands.design.levels.contract import DeviceShare
-from manyhands.design.models.environment import DeclaredEnvironment, DeclaredScene, NetworkBox
+from manyhands.design.models.environment import DeclaredEnvironment, DeclaredScene, NetworkBox, ProxyEnvironment
 from manyhands.design.models.network import Network
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix
 from manyhands.design.peak_gain import output_bounds
@@ -31,7 +31,7 @@ from manyhands.launch.plan.keys import Keys
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.reach import IPC, Listen, Reach, ReachError, reach
 from manyhands.launch.plan.topology import Topology
-from manyhands.launch.session import NetworkEnvironment, PythonEnvironment, SceneEnvironment, Session, TraceData
+from manyhands.launch.session import AskedEnvironment, NetworkEnvironment, SceneEnvironment, Session, TraceData
 from manyhands.launch.session.errors import one_of
 from manyhands.launch.session.limits import HAND_STORE
 from manyhands.launch.session.session import ENVIRONMENT
@@ -201,6 +201,7 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         enforce=(isinstance(given, SceneEnvironment) or given.enforce) and Phi_E is not None,
         model=model,
         scene=scene,
+        stiffness=_stiffness(prepared),
         masses=mass_names(session),
         longest_tau=_longest_tau(prepared, rungs),
         budgets=budgets(session),
@@ -272,14 +273,15 @@ def _storage(prepared: Prepared) -> Matrix | None:
 def _environment(prepared: Prepared) -> tuple[StateSpace | None, Matrix | None, FactoryName | None]:
     """E, the level that the environment promises, and the Python model in place of E.
 
-    A model's level is its *declared* one, certified or not; a model without a passivity controller promises none. So
-    is the level 0 of a scene, which has neither E nor a model.
+    A model's level is its *declared* one, certified or not; a model without proxies and without a passivity controller
+    promises none. The level 0 of a scene is declared as well; a scene has neither E nor a model.
     """
     given, environment = prepared.session.environment, prepared.loop.environment
     if isinstance(environment, DeclaredScene):
         return None, environment.level, None
-    if isinstance(given, PythonEnvironment) and isinstance(environment, DeclaredEnvironment):
-        level = environment.level if environment.enforced else None
+    if isinstance(given, AskedEnvironment) and isinstance(environment, DeclaredEnvironment):
+        kept = environment.enforced or isinstance(environment, ProxyEnvironment)
+        level = environment.level if kept else None
         return None, level, prepared.session.foreign_code["environment.model"]
     E = environment.environment(prepared.session.period)
     if prepared.world is not None:
@@ -287,6 +289,12 @@ def _environment(prepared: Prepared) -> tuple[StateSpace | None, Matrix | None, 
     if prepared.certificate is None:
         return E, None, None
     return E, prepared.certificate.levels.Phi_E if prepared.ladder is None else prepared.ladder.Phi_E, None
+
+
+def _stiffness(prepared: Prepared) -> Matrix | None:
+    """K of the springs to a model's proxies, N/m; None where the environment has none."""
+    environment = prepared.loop.environment
+    return environment.stiffness if isinstance(environment, ProxyEnvironment) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -406,10 +414,12 @@ def _phase(session: Session, node: str) -> float:
 
 
 def mass_names(session: Session) -> tuple[str, ...]:
-    """The masses of a network, in the order of its state; or the coordinates of a scene's bodies."""
+    """The masses of a network in the order of its state, or the coordinates of a scene's or an engine's bodies."""
     environment = session.environment
     if isinstance(environment, SceneEnvironment):
         return tuple(f"{name}.{axis}" for name in environment.bodies for axis in "xyz")
+    if isinstance(environment, AskedEnvironment):
+        return environment.reported
     return tuple(environment.masses) if isinstance(environment, NetworkEnvironment) else ()
 
 

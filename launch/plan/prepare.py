@@ -26,6 +26,7 @@ from manyhands.design.models.environment import (
     DelayedNetwork,
     Environment,
     NetworkBox,
+    ProxyEnvironment,
     StateSpaceEnvironment,
     TransferEnvironment,
 )
@@ -47,7 +48,7 @@ from manyhands.design.problem import (
 )
 from manyhands.launch.plan.access import capability_violations
 from manyhands.launch.plan.plan import Plan
-from manyhands.launch.session import BlockMatrices, PythonEnvironment, Session
+from manyhands.launch.session import AskedEnvironment, BlockMatrices, Session
 from manyhands.launch.session.design import AUTO
 from manyhands.launch.session.environment import NetworkEnvironment
 from manyhands.launch.session.environment import StateSpaceEnvironment as GivenMatrices
@@ -108,10 +109,13 @@ def stated_delay(session: Session) -> float:
 def session_environment(session: Session) -> Environment:
     """The environment as one of the types of ``design``."""
     given, ports = session.environment, session.ports
-    if isinstance(given, PythonEnvironment):
-        return DeclaredEnvironment(ports, given.level_matrix(len(ports)), given.enforce)
     if isinstance(given, SceneEnvironment):
         return DeclaredScene(given.scene(ports))
+    if isinstance(given, AskedEnvironment):
+        level, stiffness = given.level_matrix(len(ports)), given.stiffness_matrix(len(ports))
+        if stiffness is not None:
+            return ProxyEnvironment(ports, level, stiffness)
+        return DeclaredEnvironment(ports, level, given.enforce)
     if isinstance(given, NetworkEnvironment):
         low = _network(given, ports, high=False)
         if given.uncertain:

@@ -25,7 +25,14 @@ from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.reach import Reach
 from manyhands.launch.plan.topology import Topology
 from manyhands.launch.run.outcome import Progress
-from manyhands.launch.session import SUPERVISOR, Interval, NetworkEnvironment, SceneEnvironment, Session
+from manyhands.launch.session import (
+    SUPERVISOR,
+    AskedEnvironment,
+    Interval,
+    NetworkEnvironment,
+    SceneEnvironment,
+    Session,
+)
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import SIMULATED
 from manyhands.nodes.observer.scene import About, CertificateAbout, LinkAbout, NodeAbout, SpringAbout
@@ -152,10 +159,15 @@ def _margins(prepared: Prepared) -> dict[str, float]:
 
 
 def _world(session: Session) -> tuple[dict[str, float], tuple[SpringAbout, ...]]:
-    """Masses (kg) and springs of a network, an interval by its middle, which is what runs; or the bodies of a scene."""
+    """Masses (kg) and springs of a network, an interval by its middle, which is what runs; or the bodies of a scene.
+
+    The coordinates of an engine's bodies stand for masses of 0: what they weigh is not known here.
+    """
     environment = session.environment
     if isinstance(environment, SceneEnvironment):
         return _bodies(environment.scene(session.ports))
+    if isinstance(environment, AskedEnvironment):
+        return dict.fromkeys(environment.reported, 0.0), ()
     if not isinstance(environment, NetworkEnvironment):
         return {}, ()
     springs = (

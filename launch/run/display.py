@@ -24,6 +24,7 @@ from manyhands.launch.run.outcome import Progress, felt_links
 from manyhands.launch.run.states import NodeState, SessionPhase
 from manyhands.launch.session import Session
 from manyhands.nodes import telemetry as names
+from manyhands.nodes.environment.chatter import MOST as MOST_REVERSALS
 from manyhands.nodes.observer.health import Promise, PromiseState, condensed, is_present, missed, sentence
 from manyhands.nodes.own_ticks import session_tick
 from manyhands.protocol.messages import PromiseStatus, Telemetry
@@ -122,6 +123,30 @@ def energy_line(figures: Mapping[str, float]) -> str:
     if len(moved) > MOST_SHOWN:
         parts[0] += f" and {len(moved) - MOST_SHOWN} more"
     return "; ".join([*parts, *([f"held to an energy budget: {', '.join(scaled)}"] if scaled else [])])
+
+
+def chatter_line(figures: Mapping[str, float]) -> str:
+    """One line with the couplings whose force reverses more often than a hand, and what to do; empty without any."""
+    found = {key.removeprefix(names.CHATTER): n for key, n in figures.items()
+             if key.startswith(names.CHATTER) and n >= MOST_REVERSALS}  # fmt: skip
+    if not found:
+        return ""
+    most = ", ".join(f"{name} up to {n:.0f} times a second" for name, n in sorted(found.items()))
+    proxies = any(key.startswith(names.HELD) for key in figures)
+    remedy = "its proxies jump, or ticks are late" if proxies else "use a proxy, or a softer model (docs/models.md)"
+    return f"the model's force chatters: {most}; {remedy}"
+
+
+def held_line(figures: Mapping[str, float]) -> str:
+    """One line with the couplings whose proxies the proxy test held; empty without any."""
+    held = [f"{key.removeprefix(names.HELD)} in {n:.0f} ticks" for key, n in figures.items()
+            if key.startswith(names.HELD) and n > 0.0]  # fmt: skip
+    return f"proxies held: {', '.join(held)}" if held else ""
+
+
+def world_lines(figures: Mapping[str, float]) -> list[str]:
+    """What the environment's figures say of energy between users, held proxies and chatter; a line for each."""
+    return [line for line in (energy_line(figures), held_line(figures), chatter_line(figures)) if line]
 
 
 def promise_lines(rows: Iterable[PromiseStatus], notices: Collection[str] = ()) -> Iterator[tuple[str, str]]:
@@ -273,7 +298,7 @@ class LiveTable:
             )
         table, _ = figure_table(f"{self._title}: {progress.phase}", titles, rows, RANKS, self._console.width)
         notices = [*progress.notices, *progress.incidents[-_INCIDENTS_SHOWN:], *not_admitted(progress.refused)]
-        energy = [Text(line) for latest in progress.telemetry.values() if (line := energy_line(latest.figures))]
+        energy = [Text(line) for latest in progress.telemetry.values() for line in world_lines(latest.figures)]
         figures = {name: latest.figures for name, latest in progress.telemetry.items()}
         felt = {} if self._session is None else felt_links(self._session, figures)
         energy += [Text(one.sentence(name)) for name, one in felt.items()]

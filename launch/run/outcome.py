@@ -136,11 +136,17 @@ def node_entry(role: Role, report: Report, restarts: int = 0) -> dict[str, Any]:
             "offset": figures.get(names.INTERFACE_OFFSET, 0.0),
         }
     if {names.ENFORCED_TICKS, names.ENFORCED_ENERGY} <= figures.keys():
-        ticks = min(max(figures[names.ENFORCED_TICKS], 0.0), MAX_COUNT)
-        entry["enforcement"] = {"ticks": int(ticks), "energy": figures[names.ENFORCED_ENERGY]}
+        entry["enforcement"] = {
+            "ticks": _count(figures[names.ENFORCED_TICKS]),
+            "energy": figures[names.ENFORCED_ENERGY],
+        }
     energy = _energy(figures)
     if energy:
         entry["energy"] = energy
+    for key, prefix in (("held", names.HELD), ("reversals", names.REVERSALS), ("chatter", names.CHATTER)):
+        found = {name.removeprefix(prefix): _count(n) for name, n in figures.items() if name.startswith(prefix)}
+        if found:
+            entry[key] = found
     late = names.lateness_by_coupling(counts, figures)
     if late:
         entry["late_couplings"] = {
@@ -166,6 +172,20 @@ def node_entry(role: Role, report: Report, restarts: int = 0) -> dict[str, Any]:
     if dropped:
         entry["dropped"] = {key.removeprefix("dropped_"): n for key, n in dropped.items()}
     return entry
+
+
+def _count(figure: float) -> int:
+    """A figure as a number of ticks; a node may send any number."""
+    return int(min(max(figure, 0.0), MAX_COUNT))
+
+
+def enforcement_sentence(figures: Mapping[str, float]) -> str:
+    """What a passivity controller kept back; empty where there is none, or where it never acted."""
+    ticks = figures.get(names.ENFORCED_TICKS, 0.0)
+    if not ticks:
+        return ""
+    kept = joules(figures[names.ENFORCED_ENERGY])
+    return f"the controller kept back {kept} of the environment's energy in {ticks:.0f} ticks"
 
 
 def _energy(figures: Mapping[str, float]) -> dict[str, Any]:

@@ -8,10 +8,13 @@ A session file only names a Python model. The environment's process alone import
 session run none of its code.
 """
 
+import re
 from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
+from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self, TypeAlias
 
+import numpy as np
 from pydantic import (
     BeforeValidator,
     ConfigDict,
@@ -22,6 +25,7 @@ from pydantic import (
     model_validator,
 )
 
+from manyhands.design.files import read_regular
 from manyhands.launch.session.design import OneOrMany, full_matrix, one_or_many
 from manyhands.launch.session.errors import listed, one_of, show
 from manyhands.launch.session.fields import (
@@ -48,11 +52,15 @@ from manyhands.launch.session.fields import (
 from manyhands.launch.session.foreign import PARAMETERS, Factory
 from manyhands.launch.session.forms import either, list_of, where, without
 from manyhands.launch.session.limits import (
+    MAX_BODIES,
     MAX_DELAY,
+    MAX_DOF,
     MAX_ENVIRONMENT_ORDER,
     MAX_LINKS,
     MAX_MASSES,
+    MAX_MODEL_BYTES,
     MAX_PORTS,
+    MAX_STIFFNESS,
 )
 from manyhands.launch.session.matrices import (
     D_OR_STATIC,
@@ -67,9 +75,13 @@ from manyhands.launch.session.matrices import (
     size_problems,
 )
 from manyhands.launch.session.scene import SceneEnvironment
-from manyhands.nodes.factory import MODELS
+from manyhands.nodes.factory import ENGINES, MODELS
 
 _LEVEL: Final = Quantity("a level", "N·s/m")
+_STIFFNESS: Final = Quantity("a stiffness", "N/m", magnitude=MAX_STIFFNESS)
+_STIFFNESS_MEANING: Final = (
+    "the stiffness of the springs to the model's proxies in N/m: a number, one for each port, or a matrix"
+)
 
 
 Enforce: TypeAlias = Flag
@@ -78,8 +90,58 @@ Enforce: TypeAlias = Flag
 ENFORCE_MEANING: Final = "whether a passivity controller keeps its level at run time"
 
 
-class PythonEnvironment(SessionModel):
-    """A model in Python that computes its forces tick by tick; the design uses nothing but its declared level."""
+class AskedEnvironment(SessionModel):
+    """An environment whose answer is asked for tick by tick; the design uses nothing but its declared level."""
+
+    type: str
+    model: str
+    stiffness: OneOrMany | None = None
+    level: Annotated[OneOrMany, one_or_many(_LEVEL)] = Field(
+        default=0.0,
+        description="the declared level Phi_E in N·s/m: a number, one for each port, or a matrix; 0 with a stiffness",
+    )
+    enforce: Enforce = Field(default=True, description=ENFORCE_MEANING)
+
+    def problems(self, ports: tuple[str, ...]) -> Iterator[Problem]:
+        """The problems of level and stiffness in a session with these ports."""
+        level_problems = [*_size_problems("level", self.level, ports)]
+        yield from level_problems
+        if self.stiffness is None:
+            return
+        stiffness_problems = [*_size_problems("stiffness", self.stiffness, ports)]
+        yield from stiffness_problems
+        m = len(ports)
+        if not stiffness_problems and not np.linalg.eigvalsh(full_matrix(self.stiffness, m))[0] > 0.0:
+            yield Problem(("stiffness",), show(self.stiffness), "a positive definite matrix, or numbers above 0")
+        if not level_problems and np.linalg.eigvalsh(self.level_matrix(m))[0] < 0.0:
+            yield Problem(("level",), show(self.level), "no negative eigenvalue where the model proposes proxies")
+
+    def code(self, ports: tuple[str, ...]) -> tuple[str, dict[str, Any]]:
+        """The factory that makes what is asked, and its parameters."""
+        raise NotImplementedError
+
+    @property
+    def reported(self) -> tuple[str, ...]:
+        """The names of the reported coordinates of bodies; none for a model without any."""
+        return ()
+
+    def level_matrix(self, ports: int) -> Array:
+        """Phi_E, ``ports`` x ``ports``, N·s/m."""
+        return full_matrix(self.level, ports)
+
+    def stiffness_matrix(self, ports: int) -> Array | None:
+        """K of the springs to the proxies, ``ports`` x ``ports``, N/m; None for a model that computes forces."""
+        return None if self.stiffness is None else full_matrix(self.stiffness, ports)
+
+
+class PythonEnvironment(AskedEnvironment):
+    """A model in Python that is asked tick by tick.
+
+    With a stiffness the model proposes proxies, and springs of that stiffness exert the forces. Without, the model
+    computes forces, and declares the level.
+    """
+
+    model_config = ConfigDict(json_schema_extra=either({"required": ["stiffness"]}, {"required": ["level"]}))
 
     type: Annotated[Literal["python"], BeforeValidator(Choice(("python",)))] = Field(
         description="the kind of environment: python"
@@ -87,29 +149,134 @@ class PythonEnvironment(SessionModel):
     model: Annotated[str, BeforeValidator(Factory(MODELS))] = Field(
         description="the model's factory, package.module:factory"
     )
-    level: Annotated[OneOrMany, one_or_many(_LEVEL)] = Field(
-        description="the declared level Phi_E in N·s/m: a number, one for each port, or a matrix"
-    )
-    enforce: Enforce = Field(default=True, description=ENFORCE_MEANING)
+    stiffness: Annotated[OneOrMany | None, one_or_many(_STIFFNESS)] = defaulted(None, _STIFFNESS_MEANING)
     parameters: Annotated[dict[str, Any], BeforeValidator(PARAMETERS)] = Field(
         default={}, description="plain data, handed to the factory"
     )
 
-    def problems(self, ports: tuple[str, ...]) -> Iterator[Problem]:
-        """The problems of the level in a session with these ports."""
-        m, level = len(ports), self.level
-        rows = level if isinstance(level, tuple) else (level,) * m
-        if len(rows) != m or any(isinstance(row, tuple) and len(row) != m for row in rows):
-            expected = f"a number, {m} numbers, or {m} rows of {m}, for the ports {listed(ports)}"
-            yield Problem(("level",), show(level), expected)
-        elif isinstance(rows[0], tuple):
-            matrix: Any = rows
-            if problem := unsymmetric(matrix):
-                yield problem._replace(at=("level", *problem.at))
+    @model_validator(mode="after")
+    def _level_or_stiffness(self) -> Self:
+        if self.stiffness is None and "level" not in self.model_fields_set:
+            expected = "level, the declared level in N·s/m, or stiffness, for a model that proposes proxies"
+            raise refuse("neither level nor stiffness", expected)
+        return self
 
-    def level_matrix(self, ports: int) -> Array:
-        """Phi_E, ``ports`` x ``ports``, N·s/m."""
-        return full_matrix(self.level, ports)
+    def code(self, ports: tuple[str, ...]) -> tuple[str, dict[str, Any]]:
+        """The model's factory and the session's parameters."""
+        return self.model, self.parameters
+
+
+def _model_text(value: object, info: ValidationInfo) -> str:
+    """The text of a model's file, from a path relative to the session file; or the text itself, with line ends."""
+    if not isinstance(value, str) or not value.strip():
+        raise refuse(show(value), "the path of the model's file, or its text")
+    if "\n" in value or "<" in value:
+        text = value
+    else:
+        path = (info.context or {}).get("folder", Path()) / value
+        try:
+            text = read_regular(path, MAX_MODEL_BYTES).decode()
+        except (OSError, ValueError) as error:
+            raise refuse(f"{value!r}, which cannot be read: {error}", "a text file beside the session file") from error
+    if len(text) > MAX_MODEL_BYTES:
+        raise refuse(f"a text of {len(text)} characters", f"at most {MAX_MODEL_BYTES}")
+    return text
+
+
+def _joints(value: object) -> tuple[str, ...]:
+    names = value if isinstance(value, list | tuple) else (value,)
+    if not 1 <= len(names) <= MAX_DOF or not all(
+        isinstance(name, str) and _MODEL_NAME.fullmatch(name) for name in names
+    ):
+        raise refuse(show(value), "a name in the model for each axis of the device")
+    return tuple(names)
+
+
+def _tools(value: object) -> dict[str, tuple[str, ...]]:
+    if not isinstance(value, Mapping) or not value or not all(isinstance(key, str) for key in value):
+        raise refuse(show(value), "a mapping from devices to names in the model")
+    return {key: _joints(names) for key, names in value.items()}
+
+
+def _bodies(value: object) -> tuple[str, ...]:
+    if not isinstance(value, list | tuple) or len(value) > MAX_BODIES or len({*map(str, value)}) < len(value):
+        raise refuse(show(value), f"a list of at most {MAX_BODIES} different bodies of the model")
+    return _joints(value) if value else ()
+
+
+_MODEL_NAME: Final = re.compile(r"[\w.-]{1,100}")
+_NAMES: Final = either({"type": "string"}, list_of({"type": "string"}, MAX_DOF))
+
+
+class EngineEnvironment(AskedEnvironment):
+    """A physics engine with a model file: the tools are joined by springs to avatars, bodies of the engine."""
+
+    type: Annotated[Literal["engine"], BeforeValidator(Choice(("engine",)))] = Field(
+        description="the kind of environment: engine"
+    )
+    model: Annotated[str, BeforeValidator(_model_text), WithJsonSchema({"type": "string"})] = Field(
+        description="the model's file, relative to the session file, or its text"
+    )
+    stiffness: Annotated[OneOrMany, one_or_many(_STIFFNESS)] = Field(description=_STIFFNESS_MEANING)
+    engine: Annotated[str, BeforeValidator(Factory(ENGINES))] = Field(
+        description="the engine: mujoco, a published short name, or package.module:factory"
+    )
+    tools: Annotated[
+        dict[str, tuple[str, ...]],
+        BeforeValidator(Described(_tools, {"type": "object", "additionalProperties": _NAMES})),
+    ] = Field(description="by device, the name of each of its axes in the model; for mujoco, of a slide joint")
+    bodies: Annotated[
+        tuple[str, ...], BeforeValidator(Described(_bodies, list_of({"type": "string"}, MAX_BODIES, 0)))
+    ] = Field(default=(), description="the bodies of the model whose positions are reported")
+
+    def problems(self, ports: tuple[str, ...]) -> Iterator[Problem]:
+        """The problems of level, stiffness and tools in a session with these ports."""
+        yield from super().problems(ports)
+        for device, names in self.tools.items():
+            own = _ports_of(device, ports)
+            if len(own) != len(names):
+                expected = f"{len(own)} names, one for each of its axes" if own else "the name of a device"
+                yield Problem(("tools", device), show(names) if own else show(device), expected)
+        missing = [port for port in ports if not any(port in _ports_of(device, ports) for device in self.tools)]
+        if missing:
+            yield Problem(("tools",), f"no name for {listed(missing)}", "one for each axis of every device")
+
+    def code(self, ports: tuple[str, ...]) -> tuple[str, dict[str, Any]]:
+        """The engine's factory, with the model's text, the names of the ports in it, the bodies and the stiffness."""
+        by_port = {
+            port: name
+            for device in self.tools
+            for port, name in zip(_ports_of(device, ports), self.tools[device], strict=True)
+        }
+        K = np.abs(full_matrix(self.stiffness, len(ports))).sum(axis=1)
+        return self.engine, {
+            "model": self.model,
+            "tools": [by_port[port] for port in ports],
+            "bodies": [*self.bodies],
+            "stiffness": K.tolist(),
+        }
+
+    @property
+    def reported(self) -> tuple[str, ...]:
+        """x, y and z of each body."""
+        return tuple(f"{body}.{axis}" for body in self.bodies for axis in "xyz")
+
+
+def _ports_of(device: str, ports: tuple[str, ...]) -> list[str]:
+    return [port for port in ports if port == device or port.rpartition(".")[0] == device]
+
+
+def _size_problems(key: str, value: OneOrMany, ports: tuple[str, ...]) -> Iterator[Problem]:
+    """A problem where a value is no number, list or symmetric matrix for these ports."""
+    m = len(ports)
+    rows = value if isinstance(value, tuple) else (value,) * m
+    if len(rows) != m or any(isinstance(row, tuple) and len(row) != m for row in rows):
+        expected = f"a number, {m} numbers, or {m} rows of {m}, for the ports {listed(ports)}"
+        yield Problem((key,), show(value), expected)
+    elif isinstance(rows[0], tuple):
+        matrix: Any = rows
+        if problem := unsymmetric(matrix):
+            yield problem._replace(at=(key, *problem.at))
 
 
 GROUND: Final = "ground"
@@ -318,7 +485,12 @@ class TransferFunctionEnvironment(SessionModel):
 
 
 Environment: TypeAlias = (
-    NetworkEnvironment | SceneEnvironment | StateSpaceEnvironment | TransferFunctionEnvironment | PythonEnvironment
+    NetworkEnvironment
+    | SceneEnvironment
+    | StateSpaceEnvironment
+    | TransferFunctionEnvironment
+    | PythonEnvironment
+    | EngineEnvironment
 )
 
 _KINDS: Final[Mapping[str, type[Environment]]] = {
@@ -327,6 +499,7 @@ _KINDS: Final[Mapping[str, type[Environment]]] = {
     "state-space": StateSpaceEnvironment,
     "transfer-function": TransferFunctionEnvironment,
     "python": PythonEnvironment,
+    "engine": EngineEnvironment,
 }
 
 

@@ -23,6 +23,9 @@ MAX_READS: Final = 4096
 """Channels that one observer reads."""
 MAX_MASSES: Final = 4096
 MAX_LINKS: Final = 16_384
+MAX_BODIES: Final = 32
+MAX_MODEL_BYTES: Final = 1 << 20
+"""An engine's model file: it is part of every bundle and recording."""
 MAX_ORDER: Final = 256
 """States of one coupling block."""
 MAX_PORT_ORDER: Final = 16
@@ -45,6 +48,9 @@ MAX_PROBLEMS: Final = 200
 MAX_MAGNITUDE: Final = 1e12
 MIN_POSITIVE: Final = 1e-12
 """Smallest value of a quantity that must be greater than 0: dividing by it stays well inside double precision."""
+MAX_STIFFNESS: Final = 1e8
+"""The greatest stiffness of a spring to a proxy, N/m: beyond it the deflections are near the rounding of positions."""
+
 MAX_DEGREE: Final = 16
 MAX_COEFFICIENT: Final = 1e24
 SHORTEST_PERIOD: Final = 1e-5

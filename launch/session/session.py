@@ -30,7 +30,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, model_
 from manyhands.design.models.brief import brief_names
 from manyhands.launch.session.design import TRANSPARENCY, Design, full_matrix
 from manyhands.launch.session.device import Device
-from manyhands.launch.session.environment import GROUND, Environment, PythonEnvironment, environment_of_its_type
+from manyhands.launch.session.environment import GROUND, AskedEnvironment, Environment, environment_of_its_type
 from manyhands.launch.session.errors import SessionError, listed, one_of, show
 from manyhands.launch.session.fields import (
     Choice,
@@ -456,9 +456,8 @@ class Session(SessionModel):
             for name, device in self.devices.items()
             if device.factory is not None
         }
-        if isinstance(self.environment, PythonEnvironment):
-            environment = self.environment
-            found["environment.model"] = FactoryName(environment.model, environment.parameters, self.folder)
+        if isinstance(self.environment, AskedEnvironment):
+            found["environment.model"] = FactoryName(*self.environment.code(self.ports), self.folder)
         return found
 
     @cached_property

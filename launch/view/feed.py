@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Protocol
 
 from manyhands.launch.observe.sessions import Running
-from manyhands.launch.run.display import energy_line
+from manyhands.launch.run.display import world_lines
 from manyhands.launch.view.pointer import Holding
 from manyhands.nodes.json_number import json_number
 from manyhands.nodes.observer.alarms import Alarms
@@ -104,7 +104,7 @@ class Feed:
             "promises": [_shown(row) for row in condensed(scene.promises)],
             "present": summary(scene.promises),
             "lobby": [{"text": seat.sentence(), "health": seat.health} for seat in scene.lobby],
-            "energy": "".join(energy_line(node.figures) for node in scene.nodes.values()),
+            "energy": "; ".join(line for node in scene.nodes.values() for line in world_lines(node.figures)),
             "wave_links": [felt.sentence(name) for name, felt in scene.felt_links.items()],
             "nodes": self._nodes(cursor),
             "links": [scene.link_health(link) for link in scene.about.links],

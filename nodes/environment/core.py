@@ -40,10 +40,12 @@ from numpy.typing import NDArray
 from manyhands.design.models.statespace import StateSpace
 from manyhands.nodes.arithmetic import FEW, Floats, LinearMap, Rows, dot, linear_map, minus, solve
 from manyhands.nodes.bundle import EnvironmentBundle
+from manyhands.nodes.environment.chatter import Chatter
 from manyhands.nodes.environment.clutch import RAMP, Blocks, Clutch, Clutches, ClutchEvent, ports_of, ports_of_blocks
 from manyhands.nodes.environment.energy import BOUND_TICKS, Energy, EnergyBudget
 from manyhands.nodes.environment.enforced import BlackBox, EnforcedCore, ForceLaw, LinearLaw
-from manyhands.nodes.environment.model import AskedModel, make_model
+from manyhands.nodes.environment.model import PROXY, REACT, AskedModel, make_model
+from manyhands.nodes.environment.proxy import ProxyLaw
 from manyhands.nodes.environment.scene import SceneLaw
 from manyhands.nodes.passivity import Ledger, PassivityController
 
@@ -58,6 +60,8 @@ class EnvironmentCore:
     Attributes:
         failure: always None, for matrices cannot fail; see :class:`manyhands.nodes.environment.enforced.EnforcedCore`.
         controller: always None, for the promise is proved and needs no controller.
+        held: always empty, for matrices have no proxies.
+        chatter: always None, for matrices are solved within the tick.
         ledger: its energy ledger; None when the session is not certified.
         energy: the energy that each coupling puts into the others, and their budgets.
         clutches: the clutches of the blocks.
@@ -66,6 +70,8 @@ class EnvironmentCore:
 
     failure: str | None = None
     controller: PassivityController | None = None
+    held: Sequence[int] = ()
+    chatter: Chatter | None = None
 
     def __init__(
         self,
@@ -346,8 +352,14 @@ def environment_core(bundle: EnvironmentBundle, D_V: Vector, blocks: Blocks | No
     common, E, stored = bundle.common, bundle.E, 0.0
     law: ForceLaw
     if bundle.model is not None:
-        model = make_model(bundle.model, common.ports, common.period)
-        law = BlackBox(AskedModel(bundle.model.factory, model, common.ports))
+        K = bundle.stiffness
+        model = make_model(bundle.model, common.ports, common.period, REACT if K is None else PROXY)
+        asked = AskedModel(bundle.model.factory, model, common.ports)
+        if K is None:
+            law = BlackBox(asked)
+        else:
+            parties = ports_of_blocks(blocks, len(common.ports))
+            law = ProxyLaw(asked, K, bundle.Phi_E, common.period, parties, len(bundle.masses) // 3)
     elif bundle.scene is not None:
         law, stored = SceneLaw(bundle.scene, common.period), bundle.scene.energy_at_start
     elif E is None:

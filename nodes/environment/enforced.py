@@ -7,8 +7,10 @@ controller (:mod:`manyhands.nodes.passivity`) decides which part of them is exer
 
 with the greatest part in [0, 1] that keeps the ledger from falling below zero. S and r are those of the blocks'
 clutches (:mod:`manyhands.nodes.environment.clutch`), r = p and S = I while all are settled. At a port with s = 0 the
-tool rests whatever the force is, and h does not matter. There are three kinds of models:
+tool rests whatever the force is, and h does not matter. There are four kinds of laws:
 
+- springs to the proxies of a model (:mod:`manyhands.nodes.environment.proxy`), which solve the algebraic loop. A test
+  of their own keeps the level, so the controller has nothing to do but against rounding;
 - a black box (:mod:`manyhands.nodes.environment.model`), which receives the tool positions predicted with its forces of
   the tick before. It is explicit, so the algebraic loop closes without any knowledge of the model;
 - matrices E, whose own implicit force solves the algebraic loop. Their promise is proved, so the controller never acts;
@@ -26,6 +28,7 @@ from numpy.typing import NDArray
 
 from manyhands.design.models.statespace import StateSpace
 from manyhands.nodes.arithmetic import Floats
+from manyhands.nodes.environment.chatter import Chatter
 from manyhands.nodes.environment.clutch import RAMP, Blocks, Clutch, Clutches, ports_of_blocks
 from manyhands.nodes.environment.energy import Energy, EnergyBudget
 from manyhands.nodes.environment.model import AskedModel
@@ -52,8 +55,8 @@ class ForceLaw(Protocol):
         """
         ...
 
-    def advance(self, x_e: Vector) -> None:
-        """Step to the next tick, with the tools at x_e(k), m."""
+    def advance(self, x_e: Vector, f: Vector) -> None:
+        """Step to the next tick, with the tools at x_e(k), m, under the forces f_e(k) that were exerted, N."""
         ...
 
     @property
@@ -61,9 +64,16 @@ class ForceLaw(Protocol):
         """The positions of the masses after :meth:`advance`, m; empty where none are known."""
         ...
 
+    @property
+    def held(self) -> Sequence[int]:
+        """By party, the ticks in which a test held its proxies; empty for a law without proxies."""
+        ...
+
 
 class BlackBox:
     """The law of a model that is asked at the predicted tool position."""
+
+    held: Sequence[int] = ()
 
     def __init__(self, model: AskedModel) -> None:
         """Ask ``model`` from its tick 0 on."""
@@ -81,7 +91,7 @@ class BlackBox:
             self._answer = self._model.forces(x_e, self._k)
         return self._answer
 
-    def advance(self, x_e: Vector) -> None:
+    def advance(self, x_e: Vector, f: Vector) -> None:
         """Step to the next tick; the model needs no positions for it."""
         self._k += 1
         self._answer = None
@@ -96,6 +106,7 @@ class LinearLaw:
     """The law f_e = -(I + D_E S D_V S)^{-1} (C_E eta + D_E r), eta(k+1) = A_E eta + B_E x_e: E as it is proved."""
 
     failure: str | None = None
+    held: Sequence[int] = ()
 
     def __init__(self, E: StateSpace, masses: int = 0) -> None:
         """Start at rest.
@@ -120,7 +131,7 @@ class LinearLaw:
         f: Vector = self._force @ np.concatenate([self._eta, r])
         return f
 
-    def advance(self, x_e: Vector) -> None:
+    def advance(self, x_e: Vector, f: Vector) -> None:
         """One step of E."""
         self._eta = self._state @ np.concatenate([self._eta, x_e])
 
@@ -139,6 +150,7 @@ class EnforcedCore:
         controller: keeps the ledger from falling below zero; None where no level is enforced.
         energy: the energy that each coupling puts into the others, and their budgets.
         clutches: the clutches of the blocks.
+        chatter: how often the forces on the tools reversed.
         ill_posed: ticks in which the loop had no unique solution: always 0, by construction or by the certificate.
     """
 
@@ -183,6 +195,7 @@ class EnforcedCore:
         self._x_e, self._f, self._w = np.zeros(m), np.zeros(m), np.zeros(m)  # those of the tick before, until react
         self._next = np.zeros(m)  # x_e of this tick
         self._S = np.ones(m)
+        self.chatter = Chatter(parts, T)
         self.ledger = None if Phi_E is None else Ledger(stored=stored)
         self.controller = PassivityController(T) if enforce else None
         self.ill_posed = 0
@@ -191,7 +204,7 @@ class EnforcedCore:
 
     @property
     def failure(self) -> str | None:
-        """Why the model is not asked any more, in one sentence, after which its forces are zero; None while it is."""
+        """Why the model is not asked any more, in one sentence; its forces are zero then, or its proxies rest."""
         return self._law.failure
 
     def react(self, p: Floats) -> Floats:
@@ -210,8 +223,9 @@ class EnforcedCore:
         if self.controller is not None:
             self.controller.settle()
         self.energy.enter(self._f.tolist(), self._next.tolist(), self._x_e.tolist())
+        self.chatter.enter(self._f)
         self._x_e = self._next
-        self._law.advance(self._x_e)
+        self._law.advance(self._x_e, self._f)
         if self.energy.restrained:
             self.clutches.restrain()
 
@@ -225,6 +239,11 @@ class EnforcedCore:
     def masses(self) -> Floats:
         """The positions of the masses in that tick, m; empty where none are known."""
         return self._law.masses
+
+    @property
+    def held(self) -> Sequence[int]:
+        """By party, the ticks in which the test held its proxies; empty without proxies."""
+        return self._law.held
 
     def exchange(self, block: int, D_V: Vector) -> None:
         """Change the feedthrough of a frozen block.

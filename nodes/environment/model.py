@@ -1,21 +1,22 @@
-"""A user's own model as the environment: how it is made, and how it is asked for forces.
+"""A user's own model as the environment: how it is made, and how it is asked for proxies or for forces.
 
 A session names the model's factory (:mod:`manyhands.nodes.factory`). The environment's process calls it once, and asks
-the model that it returns for forces once a tick.
+the model that it returns once a tick: for proxies (:class:`ProxyModel`) where the session states their stiffness, else
+for forces (:class:`ForceModel`).
 
 **The model is trusted code.** It runs in the environment's process with that process's rights, and nothing here
 confines it: to start a session that names a model is to run the model's code. It receives no key and no socket, and of
 the session only the factory's arguments.
 
-**The forces of the model are not trusted.** An exception ends the session with the model's name. So do forces of a
-wrong shape, not finite, or beyond :data:`MOST_FORCE`, and no such force reaches a port. A model that does not return
-holds up its ticks; devices then let go by themselves, as for every environment that is late.
+**The answers of the model are not trusted.** An exception ends the session with the model's name. So do answers of a
+wrong shape, not finite, or beyond :data:`MOST_FORCE` or :data:`MOST_POSITION`, and no such force reaches a port. A
+model that does not return holds up its ticks; devices then let go by themselves, as for every environment that is late.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, Protocol
+from collections.abc import Callable, Mapping
+from typing import Any, Final, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +29,56 @@ MOST_FORCE = 1e9
 """The greatest force of a model, N. Beyond it a force is a mistake; its square is still exact enough for a ledger."""
 
 
-class EnvironmentModel(Protocol):
-    """The interface of a model."""
+MOST_POSITION = 1e3
+"""The greatest coordinate of a proxy, m, from where the tools begin. Beyond it a position is a mistake."""
+
+PROXY = "proxy"
+STEP = "step"
+REACT = "react"
+
+
+class ProxyModel(Protocol):
+    """The interface of a model whose forces are springs to proxies (:mod:`manyhands.nodes.environment.proxy`)."""
+
+    def proxy(self, x: Vector, k: int) -> Any:
+        """The proxies q(k), m: where the tools would be if they could not enter what they touch.
+
+        Args:
+            x: where the tools of this tick would be without any force of the model, r(k), m, one entry for each port.
+                The model may keep the array.
+            k: the tick, counted from 0 since the model was made.
+
+        Returns:
+            One number for each port, in any form that numpy converts to m finite floats. A model that touches nothing
+            returns x.
+        """
+        ...
+
+
+class Engine(Protocol):
+    """The interface of a physics engine, whose tools are avatars: bodies of its own, joined to the tools by springs.
+
+    It is made by a factory of (ports, period, parameters), as every model. Where ``type: engine`` names it, the
+    parameters are ``model`` (the text of the model's file), ``tools`` (a name in the model for each port), ``bodies``
+    (those whose positions are reported) and ``stiffness`` (the largest K at each port, N/m).
+    """
+
+    def step(self, x: Vector, f: Vector) -> Any:
+        """Advance by one period, and return where the avatars are then, q(k), m, one number for each port.
+
+        Args:
+            x: where the tools of this tick would be without any force of the engine, r(k), m.
+            f: the forces that the springs exerted on the tools in the tick before, N; the avatars feel -f.
+        """
+        ...
+
+    def positions(self) -> Any:
+        """x, y and z of each reported body, m."""
+        ...
+
+
+class ForceModel(Protocol):
+    """The interface of a model that is asked for forces, ahead of the tick's motion."""
 
     def react(self, x_e: Vector, k: int) -> Any:
         """The forces f_v(k) that the model wants to exert on the hands, N.
@@ -46,24 +95,39 @@ class EnvironmentModel(Protocol):
         ...
 
 
+EnvironmentModel: TypeAlias = ProxyModel | Engine | ForceModel
+
+
 class ModelFailure(Exception):
     """A model gave no usable answer; the message names it, the tick, what was found and what was expected."""
 
 
-def make_model(name: FactoryName, ports: tuple[str, ...], T: float) -> EnvironmentModel:
+def make_model(name: FactoryName, ports: tuple[str, ...], T: float, method: str | None = None) -> EnvironmentModel:
     """Import a factory and call it for the model of these ports with the period T (s).
 
+    Args:
+        name: the factory.
+        ports: of the session, in order.
+        T: period, s.
+        method: what the model is asked by, :data:`PROXY` or :data:`REACT`; None for either.
+
     Raises:
-        FactoryError: the factory cannot be imported or fails, or its result has no method ``react``.
+        FactoryError: the factory cannot be imported or fails, or its result has no such method.
     """
-    model = made_by(name, "model", ports, T)
-    if not callable(getattr(model, "react", None)):
-        raise FactoryError(
-            f"the model {name.factory} cannot be asked: found {type(model).__name__}; expected an object with "
-            "react(x_e, k)"
-        )
-    made: EnvironmentModel = model
-    return made
+    model: EnvironmentModel = made_by(name, "model", ports, T)
+    has = [one for one in (PROXY, STEP, REACT) if callable(getattr(model, one, None))]
+    wanted = {PROXY: {PROXY, STEP}, REACT: {REACT}, None: {PROXY, STEP, REACT}}[method]
+    if not wanted & {*has}:
+        found = " ".join([type(model).__name__, *(f"with {one} alone" for one in has)])
+        raise FactoryError(f"the model {name.factory} cannot be asked: found {found}; expected {_EXPECTED[method]}")
+    return model
+
+
+_EXPECTED: Final[Mapping[str | None, str]] = {
+    None: "an object with proxy(x, k), step(x, f) or react(x_e, k)",
+    PROXY: "an object with proxy(x, k) or step(x, f), for the session states the stiffness of its proxies",
+    REACT: "an object with react(x_e, k); for a model with proxy(x, k), state stiffness in the session's environment",
+}
 
 
 class AskedModel:
@@ -74,31 +138,70 @@ class AskedModel:
     """
 
     def __init__(self, name: str, model: EnvironmentModel, ports: tuple[str, ...]) -> None:
-        """Ask ``model``, which messages call ``name``, for the forces at ``ports``."""
-        self._name, self._ports = name, ports
-        self._react: Callable[[Vector, int], Any] = model.react
+        """Ask ``model``, which messages call ``name``, for the forces or the proxies at ``ports``."""
+        self._name, self._ports, self._model = name, ports, model
         self._none = np.zeros(len(ports))
         self.failure: str | None = None
 
     def forces(self, x_e: Vector, k: int) -> Vector:
         """The model's forces at x_e, N; zero once it has failed. The model may keep the array ``x_e``, m."""
+        model: Any = self._model
+        found = self._answer(model.react, x_e, k, ("force", "N", MOST_FORCE))
+        return self._none if found is None else found
+
+    def proxies(self, x: Vector, f: Vector, k: int) -> Vector | None:
+        """The model's proxies for the tools at x, m, or an engine's avatars; None once it has failed.
+
+        Args:
+            x: r(k), m; the model may keep the array.
+            f: the forces of the tick before, N, for an engine, which may keep the array.
+            k: the tick.
+        """
+        model: Any = self._model
+        kind = ("position", "m", MOST_POSITION)
+        if callable(getattr(model, STEP, None)):
+            return self._answer(lambda at, tick: model.step(at, f), x, k, kind)
+        return self._answer(model.proxy, x, k, kind)
+
+    def positions(self, bodies: int) -> list[float]:
+        """Three coordinates of each of an engine's reported bodies, m; 0 where it has failed or gives others."""
+        model: Any = self._model
+        try:
+            found = np.array(model.positions(), dtype=np.float64) if self.failure is None else np.zeros(0)
+        except (Exception, SystemExit) as error:  # noqa: BLE001 -- foreign code, as above
+            self.failure = f"the engine {self._name} failed: found {in_one_line(error)}; expected positions in m"
+            found = np.zeros(0)
+        if found.shape == (3 * bodies,) and np.all(np.abs(found) <= MOST_POSITION):
+            return [*map(float, found)]
+        if self.failure is None:
+            self.failure = (
+                f"the engine {self._name} failed: found positions of the shape {found.shape}, or beyond "
+                f"{MOST_POSITION:g} m; expected {3 * bodies} finite numbers, three for each body"
+            )
+        return [0.0] * (3 * bodies)
+
+    def _answer(
+        self, ask: Callable[[Vector, int], Any], x: Vector, k: int, kind: tuple[str, str, float]
+    ) -> Vector | None:
+        """The checked answer; None once the model has failed, with :attr:`failure` as the reason."""
         if self.failure is not None:
-            return self._none
+            return None
+        what, unit, most = kind
+        m, expected = len(self._ports), f"{kind[0]}s in {kind[1]}"
         try:
             # a copy: the model may change the array that it has returned
-            f = np.array(self._react(x_e, k), dtype=np.float64)
+            answer = np.array(ask(x, k), dtype=np.float64)
         except (Exception, SystemExit) as error:  # noqa: BLE001 -- foreign code: no exception of its may end the loop unnamed
-            return self._failed(k, in_one_line(error), "forces in N")
-        m = len(self._ports)
-        if f.shape != (m,):
-            return self._failed(k, f"an answer of the shape {f.shape}", f"{m} forces, one a port")
-        # written with not: a comparison with NaN is false, so NaN is refused as well
-        if not np.abs(f).max() <= MOST_FORCE:
-            port = int(np.argmin(np.abs(f) <= MOST_FORCE))
-            found = f"a force of {f[port]:g} N at {self._ports[port]}"
-            return self._failed(k, found, f"a finite number of at most {MOST_FORCE:g} N in size")
-        return f
-
-    def _failed(self, k: int, found: str, expected: str) -> Vector:
+            found = in_one_line(error)
+        else:
+            # written with not: a comparison with NaN is false, so NaN is refused as well
+            if answer.shape != (m,):
+                found, expected = f"an answer of the shape {answer.shape}", f"{m} {what}s, one a port"
+            elif not np.abs(answer).max() <= most:
+                port = int(np.argmin(np.abs(answer) <= most))
+                found = f"a {what} of {answer[port]:g} {unit} at {self._ports[port]}"
+                expected = f"a finite number of at most {most:g} {unit} in size"
+            else:
+                return answer
         self.failure = f"the model {self._name} failed at tick {k}: found {found}; expected {expected}; mend the model"
-        return self._none
+        return None

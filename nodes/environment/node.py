@@ -516,6 +516,7 @@ class EnvironmentNode:
         for peer_link in self.peer_links:
             if figures := peer_link.figures():
                 found.update(zip(_named(tuple(figures), peer_link.peer.name), figures.values(), strict=True))
+        found |= names.contact_figures(core.held, core.chatter, self._parties)
         return found | names.energy_figures(core.energy, self._parties)
 
     def _publish(self, control: ControlLine, core: Core, members: Members) -> None:

@@ -49,6 +49,7 @@ class SceneLaw:
 
     Attributes:
         failure: that a tick had forces beyond :data:`.MOST_FORCE`, after which they are zero; None before.
+        held: always empty, for a scene has no proxies.
         steps: Newton steps so far.
         unfinished: ticks whose iteration did not end in :data:`MOST_STEPS` steps.
     """
@@ -98,6 +99,7 @@ class SceneLaw:
         self._next: Vector = self._z
         self._normal_next, self._bristles_next = self._normal, self._bristles
         self.failure: str | None = None
+        self.held: tuple[int, ...] = ()  # no proxies
         self.steps = self.unfinished = 0
         self._prepare()
 
@@ -133,8 +135,8 @@ class SceneLaw:
         self._next = self._z
         return np.zeros(len(f))
 
-    def advance(self, x_e: Vector) -> None:
-        """Step to the next tick, with the tools at ``x_e``, m."""
+    def advance(self, x_e: Vector, f: Vector) -> None:
+        """Step to the next tick, with the tools at ``x_e``, m; the forces ``f`` are in the positions already."""
         z = self._next.copy()
         z[self._ports] = self._home[self._ports] + x_e
         self._step = z - self._z

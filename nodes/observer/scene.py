@@ -133,7 +133,7 @@ class About:
         started: seconds since 1970.
         nodes: by name, devices first, then couplings, then the environment.
         links: in the session's order.
-        masses: of the virtual world, kg by name; empty if it is no network.
+        masses: of the virtual world, kg by name, or 0 for each coordinate of an engine's bodies; empty for other kinds.
         springs: of the virtual world; empty if it is no network.
         grips: devices that a person can hold in the browser.
         reach: the greatest displacement of each port's device, m.

@@ -21,6 +21,7 @@ EXTRAS: Final[Mapping[str, tuple[str, ...]]] = {
     "pandas": ("pandas",),
     "foxglove": ("foxglove",),
     "ros": ("rosbags", "zenoh"),
+    "mujoco": ("mujoco",),
 }
 """The modules that are imported from each extra of pyproject.toml; no module belongs to two of them."""
 

@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from manyhands.design.models.environment import DeclaredEnvironment
+from manyhands.design.certificate import content, identity
+from manyhands.design.models.environment import DeclaredEnvironment, ProxyEnvironment
+from manyhands.design.proof.prove import prove
 from manyhands.launch.cli import app
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import NotCertified, haptic_loop, prepare, read_certificate
@@ -34,6 +36,22 @@ class Active:
     def react(self, x_e, k):
         v, self.last = (x_e - self.last) / self.period, x_e
         return np.clip(self.damping * v - 500.0 * x_e, -1e4, 1e4)
+
+class Wall:
+    '''One-sided walls at 2 mm: asked for forces, or for proxies.'''
+    def __init__(self, ports, period, parameters):
+        self.stiffness = parameters.get("stiffness", 0.0)
+    def react(self, x_e, k):
+        return -self.stiffness * np.maximum(x_e - 0.002, 0.0)
+    def proxy(self, x, k):
+        return np.minimum(x, 0.002)
+
+class Ahead:
+    '''A proxy that runs ahead of its tool, and pulls it along.'''
+    def __init__(self, ports, period, parameters):
+        pass
+    def proxy(self, x, k):
+        return x + 0.01 * (-1.0) ** k
 
 class Fails:
     def __init__(self, ports, period, parameters):
@@ -57,6 +75,8 @@ environment:
   parameters: {{damping: 3.0, scene: [1, {{name: wall, hard: true}}]}}
 design: {{coupling: given, stiffness: 800, damping: 0.1, ladder: []}}
 """
+PROXIES = ["environment.stiffness=5000", f"environment.model={MODULE}:Wall", "environment.level=0"]
+"""The same session with springs to proxies."""
 SHIPPED = Path(__file__).parents[2] / "launch" / "sessions"
 
 
@@ -138,7 +158,6 @@ def test_nothing_is_imported_before_the_environment_runs(file: Path) -> None:
     assert prepared.certificate is not None
     assert prepared.certificate.loop.enforced == ("environment",)
     bundles = cut(prepared, RunPlan(SIMULATED, None, ""))
-    assert MODULE not in sys.modules
     for name, bundle in bundles.items():
         assert (MODULE in repr(bundle)) == (name == "environment")
     with pytest.raises(FactoryError, match=f"the model {MODULE}:Active cannot be made: found ModuleNotFoundError"):
@@ -283,3 +302,128 @@ def test_pictures_are_left_out_with_a_reason(file: Path, tmp_path: Path) -> None
     assert done.exit_code == 0
     assert "no pictures:" in done.stderr
     assert not list((tmp_path / "pictures").glob("*"))
+
+
+def test_springs_to_proxies_are_certified_without_a_controller(file: Path, tmp_path: Path) -> None:
+    """The certificate rests on the proxy test, with or without the controller beneath, and not on another stiffness."""
+    for net in ("true", "false"):
+        session = load_session(file, [*PROXIES, f"environment.enforce={net}"])
+        prepared = prepare(session)
+        assert prepared.certificate is not None
+        assert prepared.loop.environment == ProxyEnvironment(("dx", "dy"), np.zeros((2, 2)), 5000.0 * np.eye(2))
+        assert prepared.loop.enforced == ()
+        bundle = environment_bundle(session)
+        assert bundle.enforce == (net == "true")
+        np.testing.assert_array_equal(bundle.stiffness, 5000.0 * np.eye(2))
+        save(bundle, tmp_path / net)
+        np.testing.assert_array_equal(load(tmp_path / net, EnvironmentBundle).stiffness, bundle.stiffness)
+    runner, certificate = CliRunner(), tmp_path / "c.json"
+    overrides = [word for override in PROXIES for word in ("--set", override)]
+    designed = runner.invoke(app, ["design", str(file), "-o", str(certificate), *overrides])
+    assert "springs to proxies: their level is kept by the proxy test at every tick" in designed.stdout
+    shown = runner.invoke(app, ["verify", str(certificate)])
+    assert shown.exit_code == 0
+    assert "black-box: proved, where the level of the environment is kept by the proxy test" in shown.stdout
+    for other in ("environment.stiffness=5001", "environment.stiffness=[[5000, 1], [1, 5000]]"):
+        with pytest.raises(NotCertified, match="the environment differs"):
+            read_certificate(certificate, load_session(file, [*PROXIES, other]))
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "level", "at"),
+    [
+        ([[1.0, 2.0], [2.0, 1.0]], [[0.0, 0.0], [0.0, 0.0]], "the stiffness K of the proxies' springs"),
+        ([[1.0, 1.0], [1.0, 1.0]], [[0.0, 0.0], [0.0, 0.0]], "the stiffness K of the proxies' springs"),
+        ([[5.0, 0.0], [0.0, 5.0]], [[-0.1, 0.0], [0.0, 0.0]], "the declared level of the proxies"),
+    ],
+)
+def test_the_exact_proof_refuses_other_springs(file: Path, stiffness: Any, level: Any, at: str) -> None:
+    certificate = prepare(load_session(file, PROXIES)).certificate
+    assert certificate is not None
+    data = json.loads(json.dumps(content(certificate)))
+    assert data["environment"] == {"type": "proxy", "level": [[0.0] * 2] * 2, "stiffness": [[5e3, 0.0], [0.0, 5e3]]}
+    for given in (data["environment"], {"type": "proxy", "level": level, "stiffness": stiffness}):
+        data["environment"] = given
+        data["id"] = identity(data)
+        findings = prove(data)
+        refused = [finding for finding in findings if not finding.holds]
+        kept = [finding.argument for finding in findings if finding.enforced]
+        if given["stiffness"] == stiffness:
+            assert refused[0].condition.startswith(at)
+            assert not kept
+        else:
+            assert not refused
+            assert kept == ["kept by the proxy test at every tick, whatever positions are proposed"]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "error"),
+    [
+        (["environment.stiffness=0"], r"environment\.stiffness: found .*; expected a positive definite matrix"),
+        (["environment.stiffness=[5000, -1]"], r"environment\.stiffness: found .*; expected a positive definite"),
+        (["environment.stiffness=[[1, 2], [3, 4]]"], r"environment\.stiffness\.1\.0: found .*; expected a symmetric"),
+        (["environment.stiffness=1e9"], r"environment\.stiffness: found .*1e\+08"),
+        (["environment.stiffness=10", "environment.level=-0.1"], r"environment\.level: .*no negative eigenvalue"),
+    ],
+)
+def test_errors_of_springs_are_reported_at_their_place(file: Path, overrides: list[str], error: str) -> None:
+    with pytest.raises(SessionError, match=error):
+        load_session(file, overrides)
+
+
+def test_a_model_needs_a_level_or_a_stiffness(file: Path) -> None:
+    file.write_text(SESSION.replace("  level: 0.1\n", ""), encoding="utf-8")
+    with pytest.raises(SessionError, match="found neither level nor stiffness; expected level"):
+        load_session(file)
+    environment = load_session(file, ["environment.stiffness=10"]).environment
+    assert isinstance(environment, PythonEnvironment)
+    np.testing.assert_array_equal(environment.level_matrix(2), np.zeros((2, 2)))
+
+
+@pytest.mark.usefixtures("importable")
+def test_a_stiff_wall_does_not_chatter_through_a_proxy(file: Path) -> None:
+    """The same wall of 5000 N/m: asked explicitly its force turns back and forth, through a proxy it does not."""
+    turned, runner = {}, CliRunner()
+    for kind, overrides in (("proxy", PROXIES), ("react", ["environment.parameters={stiffness: 5000}"])):
+        words = [f"environment.model={MODULE}:Wall", *overrides, *PRESS]
+        simulation = Simulation(prepare(load_session(file, words)))
+        assert simulation.run(800).f_v[:, 0].min() < -1.0
+        core = simulation.environment
+        assert isinstance(core, EnforcedCore)
+        turned[kind] = core.chatter.reversals[0]
+        assert core.controller is not None
+        if kind == "proxy":
+            assert list(core.held) == [0, 0]
+            assert core.controller.ticks == 0
+        shown = runner.invoke(
+            app, ["simulate", str(file), "--duration", "0.8", *(w for word in words for w in ("--set", word))]
+        )
+        assert ("the model's force chatters: cx up to" in shown.stdout) == (kind == "react")
+        assert ("use a proxy" in shown.stdout) == ("the controller kept back" in shown.stdout) == (kind == "react")
+    assert turned["proxy"] <= 2
+    assert turned["react"] > 20
+
+
+PRESS = ["devices.dx.hand={force: '3*step(t - 0.1)'}"]
+
+
+@pytest.mark.usefixtures("importable")
+def test_hostile_proxies_are_held_and_replayed_to_the_last_bit(file: Path) -> None:
+    """The ledgers stay above zero while a user is away, and a second run has the same numbers."""
+    session = load_session(file, [*PROXIES, f"environment.model={MODULE}:Ahead", *PRESS])
+    prepared = prepare(session)
+    runs = []
+    for _ in range(2):
+        simulation = Simulation(prepared)
+        runs.append(simulation.run(600, faults=[Silence("cy", 200, 400)]).f_v)
+        assert simulation.environment.held[0] > 100
+        assert all(ledger.minimum >= -1e-12 for ledger in simulation.ledgers.values())
+    np.testing.assert_array_equal(*runs)
+
+
+@pytest.mark.usefixtures("importable")
+def test_a_model_without_the_method_is_named_with_the_remedy(file: Path) -> None:
+    with pytest.raises(FactoryError, match=r"found Active with react alone; expected an object with proxy\(x, k\)"):
+        Simulation(prepare(load_session(file, ["environment.stiffness=10"])))
+    with pytest.raises(FactoryError, match=r"found Ahead with proxy alone; .* state stiffness in the session"):
+        Simulation(prepare(load_session(file, [f"environment.model={MODULE}:Ahead"])))

@@ -15,7 +15,7 @@ import pytest
 from ..support.commands import MANYHANDS, manyhands_command, run
 
 ROOT = Path(__file__).parents[2]
-PAGES = {"drivers": ("my_joystick.py", "joystick.yaml"), "models": ("my_world.py", "ball.yaml")}
+PAGES = {"drivers": ("my_joystick.py", "joystick.yaml"), "models": ("my_world.py", "room.yaml")}
 
 
 def manyhands(*arguments: str, cwd: Path, path: str = "") -> subprocess.CompletedProcess[str]:
@@ -113,7 +113,7 @@ def test_an_installed_package_publishes_a_driver_and_a_model_by_short_names(tmp_
     metadata.mkdir()
     (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: joystick\nVersion: 1.0\n")
     (metadata / "entry_points.txt").write_text(
-        "[manyhands.drivers]\njoystick = my_joystick:Joystick\n[manyhands.models]\nball = my_world:Ball\n"
+        "[manyhands.drivers]\njoystick = my_joystick:Joystick\n[manyhands.models]\nroom = my_world:Room\n"
     )
     found = manyhands("check-driver", "joystick", "--dof", "1", cwd=work, path=str(site))
     assert found.returncode == 0, found.stdout + found.stderr
@@ -122,8 +122,8 @@ def test_an_installed_package_publishes_a_driver_and_a_model_by_short_names(tmp_
     assert done.returncode == 0, done.stderr
     assert "the driver my_joystick:Joystick, which is not confined (devices.stick.driver)" in done.stderr
     assert "it is from Python's import path" in done.stderr
-    model = ["--set", "environment.model=ball"]
-    done = manyhands("simulate", "ball.yaml", "--duration", "0.1", *model, cwd=work, path=str(site))
+    model = ["--set", "environment.model=room"]
+    done = manyhands("simulate", "room.yaml", "--duration", "0.1", *model, cwd=work, path=str(site))
     assert done.returncode == 0, done.stderr
     absent = manyhands("simulate", "joystick.yaml", *by_short_name, cwd=work)
     assert absent.returncode == 2
@@ -168,7 +168,7 @@ def test_a_bundle_from_elsewhere_runs_its_code_only_where_the_user_names_it(page
     template, session = PAGES[page]
     node, factory = {
         "drivers": ("stick", "my_joystick:Joystick"),
-        "models": ("environment", "my_world:Ball"),
+        "models": ("environment", "my_world:Room"),
     }[page]
     run("invite", session, node, "--insecure", "--uncertified", "-o", "n.bundle", cwd=tmp_path)
     assert str(tmp_path) not in (tmp_path / "n.bundle").read_text()
@@ -202,3 +202,10 @@ def test_a_recording_brings_no_code_along(tmp_path: Path, monkeypatch: pytest.Mo
         assert ("this code ran" in again.stderr) == (page == "models")
         assert again.returncode == (2 if page == "models" else 0), again.stderr
         assert sys.executable not in again.stderr
+        if page == "models":  # and from a folder that the user names
+            absent = manyhands("replay", "run.mcap", cwd=folder)
+            assert absent.returncode == 2
+            assert "cannot be made: found ModuleNotFoundError" in absent.stderr
+            named = manyhands("replay", "run.mcap", "--code-in", ".", cwd=folder)
+            assert named.returncode == 2
+            assert "this code ran" in named.stderr

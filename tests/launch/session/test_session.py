@@ -46,6 +46,7 @@ def test_the_shipped_sessions() -> None:
         "ball": "ball",
         "browser": "browser",
         "carry": "carry",
+        "mujoco": "mujoco",
         "example1": "example-1",
         "example1-centralised": "example-1-centralised",
         "example1-delayed": "example-1-delayed",

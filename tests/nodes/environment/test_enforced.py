@@ -235,7 +235,7 @@ def test_a_model_is_asked_once_a_tick() -> None:
         first, second = (law.propose(np.zeros(3), D_V, np.full(3, x)) for x in (0.0, 1.0))
         np.testing.assert_array_equal(first, second)
         assert asked[-1] == k
-        law.advance(np.zeros(3))
+        law.advance(np.zeros(3), np.zeros(3))
     assert asked == [0, 1]
 
 

@@ -1,0 +1,104 @@
+"""MuJoCo as an engine: a model in MuJoCo's XML, in which each axis of a tool is a slide joint of an avatar.
+
+The springs of the session stand between tools and avatars (:mod:`manyhands.nodes.environment.proxy`): they pull a tool
+towards its avatar, and the avatar is pushed with the opposite force. So an avatar is a free body with a mass of its
+own, and no motion is forced upon it. MuJoCo's own way, a motion-capture body with a weld, moves a body without regard
+to what the motion costs.
+
+The engine has no state but MuJoCo's, and gives the same numbers again for the same motion. It needs the extra
+``mujoco``. A model that MuJoCo warns about, as for numbers that grow without bound, ends the session.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manyhands.extras import explained
+
+Vector = NDArray[np.float64]
+
+LIGHTEST = 4.0
+"""An avatar weighs at least this times K T^2 (kg): lighter, its spring, whose force is held for T, throws it about.
+
+A mass on a spring with a force held for T is unstable from K T^2/m = 4 on; this leaves a factor of 16.
+"""
+
+
+class MujocoEngine:
+    """An :class:`manyhands.nodes.environment.model.Engine` that steps a MuJoCo model."""
+
+    def __init__(self, ports: tuple[str, ...], period: float, parameters: Mapping[str, Any]) -> None:
+        """Read the model, and stand at its start.
+
+        Args:
+            ports: of the session.
+            period: T, s; MuJoCo takes whole steps of at most the model's own timestep in it.
+            parameters: ``model``, the XML; ``tools``, the slide joint of each port; ``bodies``, the names of the bodies
+                whose positions are reported; ``stiffness``, the largest K at each port, N/m.
+
+        Raises:
+            ValueError: MuJoCo refuses the model, or a joint, a body or an avatar's mass is not as expected.
+            MissingExtra: MuJoCo is not installed.
+        """
+        with explained():
+            import mujoco
+        self._mujoco: Any = mujoco
+        self._warnings: list[str] = []
+        # without it MuJoCo writes a file into the current folder
+        mujoco.set_mju_user_warning(self._warnings.append)
+        self._model: Any = mujoco.MjModel.from_xml_string(parameters["model"])
+        model = self._model
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        self._steps = max(1, int(np.ceil(period / model.opt.timestep - 1e-9)))
+        model.opt.timestep = period / self._steps
+        joints = [self._id("JOINT", name) for name in parameters["tools"]]
+        for joint, name in zip(joints, parameters["tools"], strict=True):
+            if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_SLIDE:
+                raise ValueError(
+                    f"found a joint {name!r} of another type; expected a slide joint for an axis of a tool"
+                )
+        self._bodies = [self._id("BODY", name) for name in parameters["bodies"]]
+        self._places = np.array([model.jnt_qposadr[joint] for joint in joints])
+        self._dofs = np.array([model.jnt_dofadr[joint] for joint in joints])
+        self._data: Any = mujoco.MjData(model)
+        mujoco.mj_forward(model, self._data)
+        self._start = self._data.qpos[self._places].copy()
+        self._require_masses(parameters["tools"], parameters["stiffness"], period)
+
+    def _id(self, kind: str, name: str) -> int:
+        found: int = self._mujoco.mj_name2id(self._model, getattr(self._mujoco.mjtObj, f"mjOBJ_{kind}"), name)
+        if found < 0:
+            raise ValueError(f"found no {kind.lower()} {name!r} in the model; expected the names of the session")
+        return found
+
+    def _require_masses(self, names: Sequence[str], stiffness: Sequence[float], period: float) -> None:
+        # 1/m at each joint: the diagonal of the inverse of the mass matrix
+        inverse = np.zeros((1, self._model.nv))
+        for name, dof, K in zip(names, self._dofs, stiffness, strict=True):
+            unit = np.zeros((1, self._model.nv))
+            unit[0, dof] = 1.0
+            self._mujoco.mj_solveM(self._model, self._data, inverse, unit)
+            mass, least = 1.0 / inverse[0, dof], LIGHTEST * K * period**2
+            if not mass >= least:
+                raise ValueError(
+                    f"found an avatar of {mass:.3g} kg at the joint {name!r}; expected at least {least:.3g} kg for a "
+                    f"stiffness of {K:g} N/m"
+                )
+
+    def step(self, x: Vector, f: Vector) -> Vector:
+        """The avatars' positions after one period, m, from where each began; pushed by -f, N."""
+        data = self._data
+        data.qfrc_applied[self._dofs] = -f
+        self._mujoco.mj_step(self._model, data, self._steps)
+        if self._warnings:
+            raise RuntimeError(f"MuJoCo warns: {self._warnings[0]}")
+        return np.asarray(data.qpos[self._places] - self._start, dtype=np.float64)
+
+    def positions(self) -> list[float]:
+        """x, y and z of each reported body, m."""
+        found: list[float] = self._data.xpos[self._bodies].ravel().tolist()
+        return found

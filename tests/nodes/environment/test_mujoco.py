@@ -1,0 +1,161 @@
+"""MuJoCo as an engine, and other engines: what is refused, what is reported, and that the promise is kept."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from manyhands.launch.conformance.judgement import Conformance, broken
+from manyhands.launch.conformance.model import check_model
+from manyhands.launch.plan.prepare import haptic_loop, prepare
+from manyhands.launch.session import SessionError, load_session
+from manyhands.launch.simulation import Silence, Simulation
+from manyhands.nodes.environment.enforced import EnforcedCore
+from manyhands.nodes.environment.model import AskedModel
+from manyhands.nodes.environment.mujoco import MujocoEngine
+from manyhands.nodes.environment.proxy import ProxyLaw
+from manyhands.nodes.factory import ENGINES, FactoryError, published
+
+SHIPPED = Path(__file__).parents[3] / "launch" / "sessions" / "mujoco.yaml"
+MODEL = """<mujoco><option timestep="0.0005"/><worldbody>
+<body name="avatar"><joint name="x" type="slide" axis="1 0 0" damping="0.2"/><geom size="0.01" mass="0.05"/></body>
+<body name="wall" pos="0.03 0 0"><joint name="turn" type="hinge" axis="0 0 1"/><geom type="box" size="0.01 0.05 0.05"/>
+</body></worldbody><option gravity="0 0 0"/></mujoco>"""
+T = 1e-3
+
+
+def made(**other: Any) -> MujocoEngine:
+    given = {"model": MODEL, "tools": ["x"], "bodies": ["wall"], "stiffness": [2000.0]}
+    return MujocoEngine(("p",), T, given | other)
+
+
+@pytest.mark.parametrize(
+    ("other", "error"),
+    [
+        ({"model": "<mujoco><worldbody>"}, "XML"),
+        ({"tools": ["y"]}, "found no joint 'y' in the model"),
+        ({"tools": ["turn"]}, "found a joint 'turn' of another type; expected a slide joint"),
+        ({"bodies": ["hub"]}, "found no body 'hub' in the model"),
+        ({"stiffness": [2e4]}, r"found an avatar of 0\.05 kg at the joint 'x'; expected at least 0\.08 kg"),
+    ],
+)
+def test_what_does_not_fit_is_refused(other: dict[str, Any], error: str) -> None:
+    with pytest.raises(ValueError, match=error):
+        made(**other)
+
+
+def test_an_avatar_is_pushed_by_the_opposite_of_the_force_and_stopped_by_a_body() -> None:
+    engine = made()
+    for _ in range(400):
+        (q,) = engine.step(np.zeros(1), np.array([-0.5]))
+    assert 0.005 < q < 0.02  # at the wall, whose near face is 20 mm away, less the avatar's radius
+    assert len(engine.positions()) == 3
+
+
+def test_a_model_that_grows_without_bound_is_a_failure_and_leaves_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    asked = AskedModel("some:engine", made(), ("p",))
+    for k in range(50):
+        asked.proxies(np.zeros(1), np.array([-1e12 * k]), k)
+    assert asked.failure is not None
+    assert "the model some:engine failed at tick" in asked.failure
+    assert "RuntimeError: MuJoCo warns:" in asked.failure
+    assert not list(tmp_path.iterdir())
+
+
+class Bodies:
+    """An engine without any dynamics, which reports what it is given."""
+
+    def __init__(self, positions: Any) -> None:
+        self._positions = positions
+
+    def step(self, x: np.ndarray, f: np.ndarray) -> np.ndarray:
+        return np.minimum(x, 0.0)
+
+    def positions(self) -> Any:
+        return self._positions() if callable(self._positions) else self._positions
+
+
+@pytest.mark.parametrize("positions", [[1.0, 2.0], [0.0, 0.0, np.inf], [[0.0, 0.0, 0.0]], None, lambda: 1 / 0])
+def test_positions_that_make_no_sense_are_a_failure(positions: Any) -> None:
+    asked = AskedModel("some:engine", Bodies(positions), ("p",))
+    law = ProxyLaw(asked, np.eye(1), None, T, [[0]], bodies=1)
+    assert law.masses == [0.0, 0.0, 0.0]
+    assert law.failure is not None
+    assert "the engine some:engine failed" in law.failure
+
+
+def test_the_suite_tries_engines() -> None:
+    def findings(make: Any) -> list[Any]:
+        return list(check_model("some:engine", make, ("p",), T, 0.005, stiffness=2000.0))
+
+    assert broken(findings(lambda: Bodies([0.0] * 3))) == []
+    assert broken(findings(lambda: Bodies([0.0] * 4))) == ["wrong answer"]
+    found = findings(made)
+    assert broken(found) == []
+    assert Conformance.OPEN not in {finding.verdict for finding in found if finding.check != "held"}
+
+
+def test_mujoco_has_its_short_name() -> None:
+    assert published(ENGINES)["mujoco"] == f"{MujocoEngine.__module__}:{MujocoEngine.__name__}"
+
+
+def test_the_shipped_session_is_certified_held_by_nobody_and_the_same_again() -> None:
+    """Also while a user is away. The puck, gripped from both sides, is moved."""
+    session = load_session(SHIPPED)
+    assert haptic_loop(session).environment.level.max() == 0.0  # type: ignore[attr-defined]
+    prepared = prepare(session)
+    runs = []
+    for _ in range(2):
+        simulation = Simulation(prepared)
+        traces = simulation.traces(1200)
+        f = simulation.run(1200, faults=[Silence("cr", 800, 950)], traces=traces).f_v
+        (masses,) = (kept.values for kept in traces.by_node["environment"] if kept.topic.name == "masses")
+        core = simulation.environment
+        assert isinstance(core, EnforcedCore)
+        assert core.controller is not None
+        assert core.controller.ticks == 0
+        assert max(core.chatter.most) < 20
+        assert all(ledger.minimum >= -1e-12 for ledger in simulation.ledgers.values())
+        runs.append((f, masses))
+    for one, again in zip(*runs, strict=True):
+        np.testing.assert_array_equal(one, again)
+    assert abs(f[:, 0]).max() > 1.0
+    assert masses.shape == (1200, 3)
+    assert masses[700, 0] > 0.01
+
+
+def test_a_model_file_is_found_beside_the_session_and_kept_as_text(tmp_path: Path) -> None:
+    text = SHIPPED.read_text(encoding="utf-8")
+    start, end = text.index("  model: |"), text.index("design:")
+    (tmp_path / "s.yaml").write_text(text[:start] + "  model: table.xml\n" + text[end:], encoding="utf-8")
+    with pytest.raises(SessionError, match=r"environment\.model: found 'table\.xml', which cannot be read"):
+        load_session(tmp_path / "s.yaml")
+    (tmp_path / "table.xml").write_text(MODEL, encoding="utf-8")
+    session = load_session(tmp_path / "s.yaml")
+    assert session.environment.model == MODEL  # type: ignore[union-attr]
+    assert type(session).model_validate(session.as_plain()) == session
+    with pytest.raises(FactoryError, match="found no joint 'left_x' in the model"):
+        Simulation(prepare(session))
+
+
+@pytest.mark.parametrize(
+    ("override", "error"),
+    [
+        ("environment.tools={left: [a, b]}", r"environment\.tools: found no name for .*right"),
+        ("environment.tools.left=[a]", r"environment\.tools\.left: .*expected 2 names"),
+        ("environment.tools.middle=[a]", r"environment\.tools\.middle: .*the name of a device"),
+        ("environment.tools.left=['a b', c]", r"environment\.tools.*a name in the model"),
+        ("environment.bodies=[puck, puck]", r"environment\.bodies.*different bodies"),
+        ("environment.engine=unknown", r"environment\.engine: found 'unknown'; expected mujoco"),
+        ("environment.level=-1", r"environment\.level: .*no negative eigenvalue"),
+    ],
+)
+def test_errors_are_reported_at_their_place(override: str, error: str) -> None:
+    with pytest.raises(SessionError, match=error):
+        load_session(SHIPPED, [override])
