@@ -1,4 +1,4 @@
-"""Nodes of ROS 2 without ROS: zenoh-ros2-sdk ([Wie2025]_), an implementation of rmw_zenoh's protocol by others.
+"""Nodes of ROS 2 without ROS: zenoh-ros2-sdk ([Wie2026]_), an implementation of rmw_zenoh's protocol by others.
 
 Everything that could be wrong in the same way on both sides is theirs: keys, liveliness tokens, attachments, and the
 hashes of types, which they compute from the definitions below.
