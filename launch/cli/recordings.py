@@ -258,7 +258,7 @@ def replay(
         Path | None,
         typer.Option(
             "--code-in",
-            metavar="FOLDER",
+            metavar="DIR",
             exists=True,
             file_okay=False,
             help="Where the model's module is, such as the session file's folder; searched after Python's path.",

@@ -119,7 +119,7 @@ def test_at_tab_session_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     (tmp_path / ".hidden.yaml").touch()
     (tmp_path / "more").mkdir()
     (tmp_path / "more" / "other.yml").touch()
-    assert completed("design", "m") == ["mine.yaml", "more/"]
+    assert completed("design", "m") == ["mine.yaml", "more/", "mujoco.yaml"]
     assert completed("launch", "more/") == ["more/other.yml"]
     assert completed("graph", "example2-") == ["example2-closed-loop.yaml", "example2-linear.yaml"]
     assert completed("launch", "none/x") == []
