@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test test-long guests lint types imports pytest campaign fuzz datagrams wan far-user flood loop watched soak users linked-users chaos faults lateness hostile remote pictures page benchmark curve docs docs-pictures clean
+.PHONY: demo test test-long guests lint types imports pytest campaign fuzz datagrams wan far-user scenes flood loop watched soak users linked-users chaos faults lateness hostile remote pictures page benchmark curve docs docs-pictures clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -74,6 +74,10 @@ wan: $(VENV)/.installed
 # machine that does nothing else; four minutes
 far-user: $(VENV)/.installed
 	$(BIN)/python -m tests.support.far_user 60
+
+# 500 random scenes with contacts and friction in closed loop, every account checked: about three minutes
+scenes: $(VENV)/.installed
+	MANYHANDS_SCENES=500 $(BIN)/pytest -n $(WORKERS) tests/launch/test_simulation_scene.py
 
 # what honest nodes feel of a rogue that sends as fast as it can: about ten minutes
 flood: $(VENV)/.installed
