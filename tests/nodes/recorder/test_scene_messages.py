@@ -175,13 +175,10 @@ def test_messages_agree_with_their_schemas() -> None:
         jsonschema.validate(json.loads(message.data), stated)
 
 
-def published(key: str, value: Any) -> Any:
-    """A part of a message as foxglove-sdk's own class for it, which takes only the keys and types of its schema.
-
-    All keys of the published schemas are required.
-    """
+def kinds() -> dict[str, Any]:
+    """The classes that foxglove-sdk has for the parts of messages, by key. Published schemas require all keys."""
     messages = pytest.importorskip("foxglove.messages")
-    kinds = {
+    return {
         "timestamp": messages.Timestamp,
         "lifetime": messages.Duration,
         "entities": messages.SceneEntity,
@@ -196,12 +193,38 @@ def published(key: str, value: Any) -> Any:
         "foxglove.SceneUpdate": messages.SceneUpdate,
         "foxglove.FrameTransforms": messages.FrameTransforms,
     }
+
+
+def published(key: str, value: Any) -> Any:
+    """A part of a message as foxglove-sdk's own class for it, which takes only the keys and types of its schema."""
     if isinstance(value, list):
         return [published(key, one) for one in value]
     if isinstance(value, dict):
-        assert value.keys() == inspect.signature(kinds[key]).parameters.keys(), key
-        return kinds[key](**{name: published(name, one) for name, one in value.items()})
+        assert value.keys() == keys_of(key), key
+        return kinds()[key](**{name: published(name, one) for name, one in value.items()})
     return value
+
+
+def keys_of(key: str) -> set[str]:
+    return {*inspect.signature(kinds()[key]).parameters}
+
+
+def stated(key: str, schema: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """The objects in a schema, each with the key that holds it."""
+    for name, own in schema.get("properties", {}).items():
+        yield from stated(name, own)
+    if schema["type"] == "array":
+        yield from stated(key, schema["items"])
+    elif schema.get("properties"):
+        yield key, schema
+
+
+@pytest.mark.parametrize("topic", SCENE_SCHEMAS)
+def test_schemas_have_the_keys_that_foxglove_publishes(topic: str) -> None:
+    name, text = SCENE_SCHEMAS[topic]
+    for key, schema in stated(name, json.loads(text)):
+        expected = {"key", "value"} if key == "metadata" else keys_of(key)
+        assert set(schema["properties"]) == set(schema["required"]) == expected, key
 
 
 def test_messages_are_those_that_foxglove_sdk_defines() -> None:
