@@ -261,6 +261,26 @@ class ContactScene:
         """The centres of the tools and then of the bodies at the start, P x 3, m."""
         return np.array([thing.at for thing in self.things], dtype=np.float64).reshape(-1, 3)
 
+    @staticmethod
+    def coordinates_of(body: Body) -> tuple[str, ...]:
+        """The names of a body's coordinates x, y and z among the masses of a session."""
+        return tuple(f"{body.name}.{axis}" for axis in "xyz")
+
+    @property
+    def bounds(self) -> tuple[Matrix, Matrix]:
+        """The corners with the least and the greatest coordinates of all places that the scene names, m: centres at the
+        start, corners, ends, and a point of each wall; the origin in an empty scene.
+        """
+        places = [thing.at for thing in self.things]
+        places += [p for o in self.obstacles for p in (o.points[:1] if o.shape == "wall" else o.points)]
+        found = np.array(places or [(0.0, 0.0, 0.0)], dtype=np.float64)
+        return found.min(axis=0), found.max(axis=0)
+
+    @property
+    def geometry(self) -> ContactScene:
+        """The scene without springs, contacts and gravity: its tools, bodies and obstacles."""
+        return ContactScene(self.ports, self.tools, self.bodies, self.obstacles)
+
     def ends_of(self, link: SceneLink) -> tuple[int | None, int | None]:
         """The indices of the points that a link joins; None for the ground."""
         a, b = (next((i for i, thing in enumerate(self.things) if thing.name == end), None) for end in link.ends)
@@ -391,8 +411,14 @@ class ContactScene:
             "contacts": [{"between": list(ends), **surface._asdict()} for ends, surface in self.surfaces],
         }
 
+    def geometry_terms(self) -> dict[str, Any]:
+        """Tools, bodies and obstacles as JSON values, with the names of the ports."""
+        terms = self.terms()
+        return {"ports": list(self.ports), **{key: terms[key] for key in _GEOMETRY}}
+
 
 _XYZ: Final = {0, 1, 2}
+_GEOMETRY: Final = ("tools", "bodies", "obstacles")
 
 
 def _point(data: Sequence[Any]) -> Point:
@@ -439,3 +465,12 @@ def scene_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> ContactScene:
         surfaces=tuple(((str(a), str(b)), _surface(c)) for c in data["contacts"] for a, b in [c["between"]]),
         gravity=_point(data["gravity"]),
     )
+
+
+def geometry_of(data: Mapping[str, Any]) -> ContactScene:
+    """The geometry that :meth:`ContactScene.geometry_terms` wrote.
+
+    Raises:
+        KeyError, TypeError, ValueError, OverflowError, AttributeError: a key is missing, or its value makes no scene.
+    """
+    return scene_of({**ContactScene(()).terms(), **{key: data[key] for key in _GEOMETRY}}, tuple(data["ports"]))

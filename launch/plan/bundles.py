@@ -24,6 +24,7 @@ from manyhands.design.files import replacing
 from manyhands.design.levels.contract import DeviceShare
 from manyhands.design.models.environment import DeclaredEnvironment, DeclaredScene, NetworkBox, ProxyEnvironment
 from manyhands.design.models.network import Network
+from manyhands.design.models.scene import ContactScene
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix
 from manyhands.design.peak_gain import output_bounds
 from manyhands.launch.files import require_target
@@ -421,6 +422,12 @@ def mass_names(session: Session) -> tuple[str, ...]:
     if isinstance(environment, AskedEnvironment):
         return environment.reported
     return tuple(environment.masses) if isinstance(environment, NetworkEnvironment) else ()
+
+
+def scene_geometry(session: Session) -> ContactScene | None:
+    """Tools, bodies and obstacles of a scene; None for an environment of a different type."""
+    environment = session.environment
+    return environment.scene(session.ports).geometry if isinstance(environment, SceneEnvironment) else None
 
 
 def _columns(session: Session, graph: Topology, name: str, clock: str) -> int:

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.launch.plan.bundles import mass_names
+from manyhands.launch.plan.bundles import mass_names, scene_geometry
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.run import RecordedTrace
@@ -40,6 +40,7 @@ def recorded_of(prepared: Prepared, clock: str) -> Recorded:
         mass_names(session),
         periods=session.own_periods,
         linked=tuple(session.wave_links),
+        scene=scene_geometry(session),
     )
 
 

@@ -21,6 +21,7 @@ from manyhands.design.files import open_new
 from manyhands.design.models.contacts import GROUND
 from manyhands.design.models.scene import ContactScene
 from manyhands.launch.plan.access import observed
+from manyhands.launch.plan.bundles import scene_geometry
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.reach import Reach
 from manyhands.launch.plan.topology import Topology
@@ -123,6 +124,7 @@ def describe(
         environment=session.environment.type,
         observers={name: tuple(observer.reads) for name, observer in session.observers.items()},
         seats={name: session.carriers[name] for name in session.wave_links if name in seats},
+        scene=scene_geometry(session),
     )
 
 

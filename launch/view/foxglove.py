@@ -45,6 +45,7 @@ from manyhands.nodes.recorder.format import (
     object_schema,
     recorded_of,
 )
+from manyhands.nodes.recorder.scene_messages import SCENE_SCHEMAS, SceneMessages
 from manyhands.protocol.channels import CONDITION, TELEMETRY, topic_name
 from manyhands.protocol.clock import Instant, RealtimeClock
 from manyhands.protocol.messages import Condition, Observation
@@ -133,6 +134,9 @@ class LiveMessages:
         self._topics = {node: [one for one in about.topics(node) if (node, one.name) in there] for node in about.nodes}
         channels = [self._recorded.channel(node, topic) for node in about.nodes for topic in self._topics[node]]
         channels += [self._recorded.channel(node, TELEMETRY) for node in about.nodes]
+        self._scene = self._recorded.scene_messages()
+        if self._scene is not None:
+            channels += [self._recorded.channel(self._scene.node, topic) for topic in SCENE_SCHEMAS]
         channels.append(self._recorded.channel(SUPERVISOR, CONDITION))
         condition = channels[-1]
         self._health = topic_name(about.session, SUPERVISOR, HEALTH)
@@ -187,9 +191,29 @@ class LiveMessages:
                 _, pieces = trace_messages(topic, ticks, values[kept])
                 for then, *message in zip(ticks.times.tolist(), *pieces, strict=True):
                     yield LiveMessage(name, then, b"".join(message))
+        if self._scene is not None and node == self._scene.node:
+            yield from self._shown(observation, self._scene, self.time.start, wanted)
         name = topic_name(session, node, TELEMETRY)
         if observation.figures and wanted(name):
             yield LiveMessage(name, at, encode_figures(tick, observation.figures))
+
+    def _shown(
+        self, observation: Observation, scene: SceneMessages, start: int, wanted: Callable[[str], bool]
+    ) -> Iterator[LiveMessage]:
+        """What shows the scene, from traces that fit the session."""
+        node, tick, traces = observation.node, observation.tick, observation.traces
+        full = {topic: topic_name(self._recorded.session, node, topic) for topic in SCENE_SCHEMAS}
+        topics = [topic for topic, name in full.items() if wanted(name)]
+        widths = {topic.trace: len(self._recorded.columns(node, topic)) for topic in self._topics[node]}
+        if not topics:
+            return
+        if len({len(trace) for trace in traces.values()}) > 1 or any(
+            len(trace) > tick or trace.shape[1] != widths.get(name) for name, trace in traces.items()
+        ):
+            self.unfit += 1
+            return
+        for made in scene.of(tick, traces, start, topics):
+            yield LiveMessage(full[made.topic], made.time, made.data)
 
     def _conditioned(self, condition: Condition, wall: int, wanted: Callable[[str], bool]) -> Iterator[LiveMessage]:
         """A recording has a condition only where it has changed; here each is sent, for clients that come later."""

@@ -9,6 +9,7 @@ each program ([Foxglove2023]_, [PlotJuggler2024]_).
 from __future__ import annotations
 
 import json
+import math
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -17,10 +18,12 @@ from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 from manyhands.design.files import replacing
+from manyhands.design.models.scene import ContactScene
 from manyhands.launch.files import TargetError, require_target
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.observer.scene import About
 from manyhands.nodes.recorder.format import FIGURES, SUPERVISOR, Recorded
+from manyhands.nodes.recorder.scene_messages import SCENE
 from manyhands.protocol.channels import CONDITION, LEDGER, TELEMETRY, Columns, Topic, topic_name
 from manyhands.protocol.messages import Role
 
@@ -76,6 +79,8 @@ _PAGES: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
 
 _FIGURES: Final = (("rungs", Role.COUPLING, names.RUNG), ("frozen couplings", Role.ENVIRONMENT, names.FROZEN))
 """Plots of figures on the page of promises."""
+
+_LEAST_DISTANCE: Final = 0.1  # m, of the camera of the 3-D panel
 
 
 def live_topics(about: About) -> Topics:
@@ -137,6 +142,9 @@ def foxglove_layout(recorded: Recorded, there: Topics) -> bytes:
     """A layout for Foxglove's *Import from file* (JSON): a tab for each page, and states below."""
     panels: dict[str, Any] = {}
     tabs = []
+    if recorded.scene is not None:
+        panels["3D!scene"] = _foxglove_scene(recorded, recorded.scene)
+        tabs.append({"title": "scene", "layout": "3D!scene"})
     for number, page in enumerate(pages_of(recorded, there)):
         own = {f"Plot!page{number}plot{place}": _foxglove_plot(plot) for place, plot in enumerate(page.plots)}
         panels |= own
@@ -156,6 +164,33 @@ def foxglove_layout(recorded: Recorded, there: Topics) -> bytes:
         "layout": layout,
     }
     return json.dumps(whole, ensure_ascii=False, indent=2).encode() + b"\n"
+
+
+def _foxglove_scene(recorded: Recorded, scene: ContactScene) -> dict[str, Any]:
+    """The 3-D panel: it looks at the middle of the scene along -z, with y upwards, as the page does."""
+    low, high = scene.bounds
+    environments = [node for node, role in recorded.roles.items() if role is Role.ENVIRONMENT]
+    return {
+        "foxglovePanelTitle": "scene",
+        "followMode": "follow-pose",
+        "followTf": recorded.session,
+        "cameraState": {
+            "perspective": True,
+            "distance": _LEAST_DISTANCE + 1.5 * math.dist(low, high),
+            "phi": 0,
+            "thetaOffset": 0,
+            "targetOffset": [(a + b) / 2 for a, b in zip(low.tolist(), high.tolist(), strict=True)],
+            "target": [0, 0, 0],
+            "targetOrientation": [0, 0, 0, 1],
+            "fovy": 45,
+            "near": 0.01,
+            "far": 5000,
+        },
+        "topics": {topic_name(recorded.session, node, SCENE): {"visible": True} for node in environments},
+        "transforms": {},
+        "layers": {},
+        "scene": {},
+    }
 
 
 def _foxglove_plot(plot: Plot) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from manyhands.design.files import read_regular, replacing
+from manyhands.design.models.scene import ContactScene, geometry_of
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import REALTIME
 from manyhands.nodes.observer.health import (
@@ -142,6 +143,7 @@ class About:
         observers: what each observer may read, by name, as in the session file.
         seats: the device of each seat that users take and leave while the session runs, by the seat's name, which is
             that of its coupling.
+        scene: the geometry of the virtual world's tools, bodies and obstacles; None if it is no scene.
     """
 
     session: str
@@ -162,6 +164,7 @@ class About:
     environment: str
     observers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     seats: Mapping[str, str] = field(default_factory=dict)
+    scene: ContactScene | None = None
 
     @property
     def terms(self) -> Terms:
@@ -204,7 +207,8 @@ class About:
 
     def as_plain(self) -> dict[str, Any]:
         """As a JSON object."""
-        return dataclasses.asdict(self)
+        geometry = None if self.scene is None else self.scene.geometry_terms()
+        return {**dataclasses.asdict(replace(self, scene=None)), "scene": geometry}
 
     def save(self, directory: Path) -> None:
         """Write it into the run's directory, for its user alone (mode 0600), whole or not at all.
@@ -227,7 +231,7 @@ class About:
             return _about(json.loads(read_regular(path, MAX_ABOUT_BYTES)))
         except OSError as error:
             raise AboutError(f"{path}: cannot be read: {error.strerror}") from error
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError) as error:
             raise AboutError(
                 f"{path}: found no session's description ({type(error).__name__}); expected one of this version"
             ) from error
@@ -275,6 +279,7 @@ def _about(data: Any) -> About:
             "certificate": None if certificate is None else _certificate(certificate),
             "observers": {_text(name): _texts(reads) for name, reads in data["observers"].items()},
             "seats": {_known(name, nodes): _known(device, nodes) for name, device in data["seats"].items()},
+            "scene": None if data["scene"] is None else geometry_of(data["scene"]),
         }
     )
     for name, kind in _SCALARS.items():
@@ -288,6 +293,11 @@ def _about(data: Any) -> About:
     for link in about.links:
         for name in link.ends:
             _known(name, nodes)
+    if about.scene is not None:
+        bodies = {name for body in about.scene.bodies for name in about.scene.coordinates_of(body)}
+        ports = {port for node in nodes.values() if node.role is Role.ENVIRONMENT for port in node.ports}
+        if not (bodies <= about.masses.keys() and {*about.scene.ports} <= ports):
+            raise ValueError("found a scene of other ports or bodies than the environment's")
     return about
 
 

@@ -15,10 +15,12 @@ from itertools import chain
 from typing import Any, Final
 
 from manyhands import __version__
+from manyhands.design.models.scene import ContactScene, geometry_of
 from manyhands.nodes.bundle import REALTIME
 from manyhands.nodes.json_number import json_number
 from manyhands.nodes.observer.health import as_plain
 from manyhands.nodes.observer.scene import About
+from manyhands.nodes.recorder.scene_messages import SCENE_SCHEMAS, SceneMessages
 from manyhands.protocol.channels import CONDITION, TELEMETRY, Columns, Topic, links_at, topic_name, topics_of
 from manyhands.protocol.messages import Condition, PromiseStatus, Role
 
@@ -105,8 +107,11 @@ OTHER_SCHEMAS: Final[Mapping[str, tuple[str, str]]] = {
             "promises": {"type": "array", "items": _PROMISE},
         },
     ),
+    **SCENE_SCHEMAS,
 }
-"""Names and texts of the schemas of the messages that belong to no topic of the table: figures and condition."""
+"""Names and texts of the schemas of the messages that belong to no topic of the table: figures, condition, and what
+shows a scene.
+"""
 
 
 def encode_figures(tick: int, figures: Mapping[str, float]) -> bytes:
@@ -233,6 +238,7 @@ class Recorded:
         version: of the program that recorded it.
         periods: T of the nodes that have a period of their own, s: those at the site of a wave link with one.
         linked: the couplings that have a wave link, in the session's order.
+        scene: the geometry of its tools, bodies and obstacles; None if the environment is no scene.
     """
 
     session: str
@@ -245,6 +251,7 @@ class Recorded:
     version: str = __version__
     periods: Mapping[str, float] = field(default_factory=dict)
     linked: tuple[str, ...] = ()
+    scene: ContactScene | None = None
 
     @property
     def devices(self) -> dict[str, tuple[str, ...]]:
@@ -274,6 +281,17 @@ class Recorded:
         columns = json.dumps(self.columns(node, topic), ensure_ascii=False)
         metadata |= {"symbol": topic.symbol, "unit": topic.unit, "columns": columns}
         return ChannelAbout(topic_name(self.session, node, topic.name), *schema_of(topic), metadata)
+
+    def scene_messages(self) -> SceneMessages | None:
+        """What makes the messages that show the scene; None without one.
+
+        Raises:
+            ValueError: the scene's ports or bodies are not those of the environment.
+        """
+        if self.scene is None:
+            return None
+        (node,) = (name for name, role in self.roles.items() if role is Role.ENVIRONMENT)
+        return SceneMessages(self.scene, self.session, node, self.ports[node], self.masses, self.tick_ns(node))
 
     def behind_wave_link(self, node: str) -> bool:
         """Whether a wave link stands between a device or coupling and the environment."""
@@ -312,6 +330,7 @@ class Recorded:
             "masses": json.dumps(self.masses),
             **({"periods": json.dumps(dict(self.periods))} if self.periods else {}),
             **({"wave_links": json.dumps(self.linked)} if self.linked else {}),
+            **({} if self.scene is None else {"scene": json.dumps(self.scene.geometry_terms())}),
         }
 
     @classmethod
@@ -337,6 +356,7 @@ class Recorded:
                 texts["manyhands"],
                 {name: _number(own) for name, own in json.loads(texts.get("periods", "{}")).items()},
                 tuple(json.loads(texts.get("wave_links", "[]"))),
+                _scene_in(texts),
             )
         except (KeyError, TypeError, AttributeError, RecursionError) as error:
             raise ValueError(f"found metadata without {error}; expected that of a recording") from error
@@ -348,7 +368,9 @@ class Recorded:
             raise ValueError("found a wave link of another node than a coupling in the metadata; expected couplings")
         if any(type(name) is not str for names in (*out.ports.values(), out.masses) for name in names):
             raise ValueError("found a port or a mass that is no text in the metadata; expected names")
-        names = (out.session, *out.roles, *out.masses, *chain.from_iterable(out.ports.values()))
+        things = () if out.scene is None else (*out.scene.things, *out.scene.obstacles)
+        own = (thing.name for thing in things)
+        names = (out.session, *out.roles, *out.masses, *chain.from_iterable(out.ports.values()), *own)
         for name in names:
             if not _NAME.fullmatch(name):
                 raise ValueError(
@@ -357,7 +379,25 @@ class Recorded:
         for text in (out.certificate, out.clock, out.version):
             if len(text) > _LONGEST_TEXT or not text.isprintable():
                 raise ValueError("found a long text, or one that is not printable, in the metadata; expected neither")
+        try:
+            out.scene_messages()
+        except (ValueError, OverflowError) as error:
+            raise ValueError("found a scene of other ports or bodies in the metadata; expected its own") from error
         return out
+
+
+def _scene_in(texts: Mapping[str, str]) -> ContactScene | None:
+    """The scene of a file's metadata; None without one.
+
+    Raises:
+        ValueError: it makes no sense.
+    """
+    if "scene" not in texts:
+        return None
+    try:
+        return geometry_of(json.loads(texts["scene"]))
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError, OverflowError) as error:
+        raise ValueError(f"found a scene that is none in the metadata ({error}); expected tools and bodies") from error
 
 
 def recorded_of(about: About) -> Recorded:
@@ -372,4 +412,5 @@ def recorded_of(about: About) -> Recorded:
         masses=tuple(about.masses),
         periods={name: node.period for name, node in about.nodes.items() if node.period is not None},
         linked=about.linked,
+        scene=about.scene,
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from manyhands.design.models.coupling import SpringDamper
-from manyhands.launch.plan.bundles import mass_names
+from manyhands.launch.plan.bundles import mass_names, scene_geometry
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.topology import topology
 from manyhands.launch.recordings.run import RecordedRun
@@ -57,6 +57,7 @@ def recorded_of(prepared: Prepared, clock: str = "simulated") -> Recorded:
         mass_names(session),
         periods=session.own_periods,
         linked=tuple(session.wave_links),
+        scene=scene_geometry(session),
     )
 
 

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from manyhands.design.models.scene import Body, ContactScene, ToolSphere
 from manyhands.extras import MissingExtra
 from manyhands.launch.observe.sessions import Running
 from manyhands.launch.view.foxglove import (
@@ -48,9 +49,9 @@ def made(
     return [message for frame in frames for message in live.take(frame, Instant(0), WALL, wanted)]
 
 
-def recorded(*frames: bytes) -> dict[tuple[str, int], bytes]:
+def recorded(*frames: bytes, about: About = ABOUT) -> dict[tuple[str, int], bytes]:
     """The data of a recording's messages, by topic and time."""
-    core = RecorderCore(recorded_of(ABOUT))
+    core = RecorderCore(recorded_of(about))
     for frame in frames:
         core.take(frame, WALL)
     file = BytesIO(core.cut() + core.end())
@@ -66,6 +67,49 @@ def test_messages_are_those_of_a_recording() -> None:
     assert {message.topic for message in sent} == {topic for topic, _ in kept}
     for message in sent:
         assert kept[message.topic, message.time] == message.data
+
+
+IN_SPACE = replace(
+    ABOUT,
+    masses=dict.fromkeys(("ball.x", "ball.y", "ball.z"), 0.5),
+    scene=ContactScene(
+        ("left", "right.x", "right.y"),
+        (
+            ToolSphere("left", (0,), (0,), (-0.1, 0.0, 0.0), 0.01),
+            ToolSphere("right", (1, 2), (0, 1), (0.1, 0.0, 0.0), 0.01),
+        ),
+        (Body("ball", 0.5, (0.0, 0.0, 0.0), 0.03),),
+    ),
+)
+
+
+def in_space(begin: int, end: int, **others: Any) -> bytes:
+    rows = np.arange(begin, end, dtype=np.float64)[:, None] / 1e4 * np.ones(3)
+    return observed("environment", end, {"x_e": rows, "q": -rows, **others})
+
+
+def test_what_shows_a_scene_is_that_of_a_recording() -> None:
+    frames = in_space(0, 130), in_space(130, 1050)
+    kept = recorded(*frames, about=IN_SPACE)
+    shown = [m for m in made(*frames, about=IN_SPACE) if m.topic.endswith(("/scene", "/transforms"))]
+    assert [m.topic for m in shown].count("/pair/environment/transforms") == 21  # twenty a second, not every tenth tick
+    assert [m.topic for m in shown].count("/pair/environment/scene") == 2
+    for message in shown:
+        assert kept[message.topic, message.time] == message.data
+    assert {topic for topic, _ in kept} == {m.topic for m in made(*frames, about=IN_SPACE)}
+
+
+@pytest.mark.parametrize("topic", ["scene", "transforms", "tools"])
+def test_a_scene_is_made_for_those_who_receive_it_alone(topic: str) -> None:
+    sent = made(in_space(0, 100), about=IN_SPACE, wanted=lambda name: name.endswith(topic))
+    assert {message.topic for message in sent} == {f"/pair/environment/{topic}"}
+
+
+@pytest.mark.parametrize("others", [{"q": np.zeros((100, 1))}, {"q": np.zeros((90, 3))}, {"x_e": np.zeros((100, 4))}])
+def test_traces_of_another_shape_show_no_scene(others: Any) -> None:
+    live = LiveMessages(IN_SPACE)
+    sent = live.take(in_space(0, 100, **others), Instant(0), WALL, lambda topic: topic.endswith("transforms"))
+    assert ([*sent], live.unfit) == ([], 1)
 
 
 def test_channels_are_those_of_a_recording() -> None:

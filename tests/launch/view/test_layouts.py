@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from manyhands.design.models.scene import Body, ContactScene
 from manyhands.launch.files import TargetError
 from manyhands.launch.view.layouts import (
     Series,
@@ -58,6 +60,25 @@ def test_every_panel_of_foxglove_is_shown_and_has_its_settings() -> None:
     assert positions["foxglovePanelTitle"].endswith(", m")
     series = {path["value"]: path["label"] for path in positions["paths"]}
     assert series["/pair/right/sample.x[1]"] == "x of right.y at right"
+
+
+def test_a_scene_has_a_panel_of_its_own() -> None:
+    body = Body("ball", 0.5, (0.2, 0.4, 0.0), 0.03)
+    scene = ContactScene((), bodies=(body, replace(body, name="lid", at=(0.0, 0.0, 0.0))))
+    layout = json.loads(foxglove_layout(replace(RECORDED, scene=scene), THERE))
+    tabs = layout["configById"]["Tab!pages"]["tabs"]
+    assert [tab["title"] for tab in tabs] == ["scene", "motion", "promises"]
+    panel = layout["configById"][tabs[0]["layout"]]
+    assert panel["topics"] == {"/pair/environment/scene": {"visible": True}}
+    assert panel["followTf"] == "pair"
+    camera = panel["cameraState"]
+    assert camera["targetOffset"] == [0.1, 0.2, 0.0]
+    assert camera["distance"] * math.tan(math.radians(camera["fovy"] / 2)) > 0.2  # what is 0.4 m high is seen whole
+    assert "scene" not in [tab["title"] for tab in panels_without_scene()["Tab!pages"]["tabs"]]
+
+
+def panels_without_scene() -> Any:
+    return json.loads(foxglove_layout(RECORDED, THERE))["configById"]
 
 
 def test_splits_give_each_plot_the_same_height() -> None:

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from manyhands.design.models.scene import Body, ContactScene, Obstacle, ToolSphere
 from manyhands.nodes.observer import scene as about_file
 from manyhands.nodes.observer.scene import ABOUT, About, AboutError, CertificateAbout, LinkAbout, NodeAbout, SpringAbout
 from manyhands.protocol.messages import Role
@@ -27,9 +28,26 @@ WHOLE = About(
 )  # fmt: skip
 
 
+IN_SPACE = replace(
+    WHOLE,
+    masses=dict.fromkeys(("ball.x", "ball.y", "ball.z"), 0.1),
+    scene=ContactScene(
+        ("dx.x", "dx.y"),
+        (ToolSphere("dx", (0, 1), (0, 1), (0.0, 0.1, 0.2), 0.01),),
+        (Body("ball", 0.1, (0.0, 0.2, 0.0), 0.03),),
+        (Obstacle("floor", "wall", ((0.0, 0.0, 0.0), (0.0, 1.0, 0.0))),),
+    ),
+)
+
+
 @pytest.mark.parametrize(
     "about",
-    [WHOLE, replace(WHOLE, certificate=None, observers={}, masses={}, springs=()), replace(WHOLE, seats={"cx": "dx"})],
+    [
+        WHOLE,
+        replace(WHOLE, certificate=None, observers={}, masses={}, springs=()),
+        replace(WHOLE, seats={"cx": "dx"}),
+        IN_SPACE,
+    ],
 )
 def test_round_trip(about: About, tmp_path: Path) -> None:
     about.save(tmp_path)
@@ -72,6 +90,17 @@ DAMAGED = {
     "a process of nobody": changed(nodes={"dx": {"role": "device", "ports": [], "process": "dz"}}, links=[]),
     "a link to nobody": changed(links=[{"ends": ["cx", "cz"], "ports": []}]),
     "a link of one end": changed(links=[{"ends": ["cx"], "ports": []}]),
+    "a scene that is none": changed(scene={"tools": {}}),
+    "a scene of other bodies": json.dumps({**IN_SPACE.as_plain(), "masses": {"ball.x": 0.1}}),
+    "a scene of other ports": json.dumps(
+        {
+            **WHOLE.as_plain(),
+            "scene": ContactScene(("dx",), (ToolSphere("dx", (0,), (0,), (0.0, 0.0, 0.0)),)).geometry_terms(),
+        }
+    ),
+    "a scene beyond all doubles": changed(
+        scene={**ContactScene(()).geometry_terms(), "bodies": {"ball": {"mass": 10**400, "at": [0, 0, 0], "radius": 0}}}
+    ),
     "a name that is none": changed(session=3),
     "a process id in words": changed(pid="17"),
     "a process id that is a truth": changed(pid=True),

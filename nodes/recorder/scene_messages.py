@@ -1,0 +1,322 @@
+"""The messages that show a scene in three dimensions: Foxglove's ``SceneUpdate`` and ``FrameTransforms``, as JSON.
+
+A 3-D panel draws the entities of a ``SceneUpdate``. Each tool and each body is an entity in a frame of its own, and
+``FrameTransforms`` say where these frames are ([Foxglove2026]_). So the shapes are sent once a second, and the
+positions :data:`UPDATES_PER_SECOND` times a second. A position is that of the session file plus the displacement that
+the environment reports, in the frame with the session's name.
+
+The same messages are made for a recording and for a live connection, from the ticks alone.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Collection, Iterator, Mapping
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manyhands.design.models.scene import ContactScene, Obstacle, Point
+from manyhands.protocol.channels import MASS_POSITION, TOOL_POSITION
+from manyhands.protocol.messages import Values
+
+SCENE: Final = "scene"
+"""The topic of the shapes, at the environment: ``foxglove.SceneUpdate``."""
+
+TRANSFORMS: Final = "transforms"
+"""The topic of the positions, at the environment: ``foxglove.FrameTransforms``."""
+
+UPDATES_PER_SECOND: Final = 20
+"""The most positions of a thing in a second of the session's time."""
+
+_SCENE_EVERY: Final = 20  # positions: once a second, for viewers that connect later
+
+DRAWN_RADIUS: Final = 0.003
+"""The radius of the sphere that stands for a point, m."""
+
+_THICKNESS: Final = 0.002  # of a drawn wall, m
+_LEAST_SIDE: Final = 0.2  # of a drawn wall, m
+
+
+def _object(**properties: Any) -> dict[str, Any]:
+    return {"type": "object", "properties": properties, "required": [*properties]}
+
+
+def _list(items: Mapping[str, Any]) -> dict[str, Any]:
+    return {"type": "array", "items": items}
+
+
+_TEXT: Final = {"type": "string"}
+_NUMBER: Final = {"type": "number"}
+_SECONDS: Final = {"type": "integer"}
+_NANOSECONDS: Final = {"type": "integer", "minimum": 0, "maximum": 999_999_999}
+_TIME: Final = {"title": "time", **_object(sec={**_SECONDS, "minimum": 0}, nsec=_NANOSECONDS)}
+_DURATION: Final = {"title": "duration", **_object(sec=_SECONDS, nsec=_NANOSECONDS)}
+_VECTOR: Final = _object(x=_NUMBER, y=_NUMBER, z=_NUMBER)
+_QUATERNION: Final = _object(x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER)
+_POSE: Final = _object(position=_VECTOR, orientation=_QUATERNION)
+_COLOUR: Final = _object(r=_NUMBER, g=_NUMBER, b=_NUMBER, a=_NUMBER)
+_SOLID: Final = _object(pose=_POSE, size=_VECTOR, color=_COLOUR)
+_CYLINDER: Final = _object(pose=_POSE, size=_VECTOR, bottom_scale=_NUMBER, top_scale=_NUMBER, color=_COLOUR)
+_EMPTY: Final = _list({"type": "object", "properties": {}})  # of kinds that no scene has
+
+_ENTITY: Final = _object(
+    timestamp=_TIME,
+    frame_id=_TEXT,
+    id=_TEXT,
+    lifetime=_DURATION,
+    frame_locked={"type": "boolean"},
+    metadata=_list(_object(key=_TEXT, value=_TEXT)),
+    arrows=_EMPTY,
+    cubes=_list(_SOLID),
+    spheres=_list(_SOLID),
+    cylinders=_list(_CYLINDER),
+    lines=_EMPTY,
+    triangles=_EMPTY,
+    texts=_EMPTY,
+    models=_EMPTY,
+)
+_TRANSFORM: Final = _object(
+    timestamp=_TIME, parent_frame_id=_TEXT, child_frame_id=_TEXT, translation=_VECTOR, rotation=_QUATERNION
+)
+
+
+def _schema(name: str, **properties: Any) -> tuple[str, str]:
+    return name, json.dumps({"title": name, **_object(**properties)})
+
+
+SCENE_SCHEMAS: Final[Mapping[str, tuple[str, str]]] = {
+    SCENE: _schema("foxglove.SceneUpdate", deletions=_EMPTY, entities=_list(_ENTITY)),
+    TRANSFORMS: _schema("foxglove.FrameTransforms", transforms=_list(_TRANSFORM)),
+}
+"""Name and text of the JSON schema of each topic: Foxglove's names, keys and types, of what a scene has."""
+
+
+class SceneMessage(NamedTuple):
+    """One message.
+
+    Attributes:
+        topic: :data:`SCENE` or :data:`TRANSFORMS`.
+        tick: the environment's.
+        time: of the tick, ns since 1970.
+        data: its JSON.
+    """
+
+    topic: str
+    tick: int
+    time: int
+    data: bytes
+
+
+class SceneMessages:
+    """Makes the messages of one session's scene from the telemetry of its environment.
+
+    Attributes:
+        node: the environment's name.
+    """
+
+    def __init__(
+        self,
+        scene: ContactScene,
+        session: str,
+        node: str,
+        ports: tuple[str, ...],
+        masses: tuple[str, ...],
+        tick_ns: float,
+    ) -> None:
+        """Find the columns of the scene's coordinates.
+
+        Args:
+            scene: its geometry is enough.
+            session: the session's name, which is that of the scene's frame.
+            node: the environment's name.
+            ports: the columns of its tool positions.
+            masses: the columns of its masses' positions.
+            tick_ns: its period, ns.
+
+        Raises:
+            ValueError: a port or a body of the scene has no column, or a shape is too large for finite numbers.
+        """
+        self.node, self._scene, self._frame, self._tick_ns = node, scene, session, tick_ns
+        self._every = max(1, math.ceil(round(1e9 / UPDATES_PER_SECOND / tick_ns, 9)))
+        moved = [
+            (point, axis, scene.ports[port])
+            for point, tool in enumerate(scene.tools)
+            for port, axis in zip(tool.ports, tool.axes, strict=True)
+        ]
+        free = [
+            (point, axis, name)
+            for point, body in enumerate(scene.bodies, len(scene.tools))
+            for axis, name in enumerate(scene.coordinates_of(body))
+        ]
+        self._moved, self._free = _columns(moved, ports), _columns(free, masses)
+        self._shapes = [*self._moving(), *self._standing()]
+        self._update(0)  # fails where a shape has no finite size
+
+    def _moving(self) -> Iterator[dict[str, Any]]:
+        """The entities of tools and bodies, without their time."""
+        tools = len(self._scene.tools)
+        for point, thing in enumerate(self._scene.things):
+            colour = _TOOL_COLOUR if point < tools else _BODY_COLOUR
+            sphere = _solid((0.0, 0.0, 0.0), (2.0 * (thing.radius or DRAWN_RADIUS),) * 3, colour)
+            yield _entity(thing.name, f"{self._frame}/{thing.name}", spheres=[sphere])
+
+    def _standing(self) -> Iterator[dict[str, Any]]:
+        """The entities of obstacles, without their time."""
+        low, high = self._scene.bounds
+        for obstacle in self._scene.obstacles:
+            yield _entity(obstacle.name, self._frame, **_primitives(obstacle, low, high))
+
+    def positions(self, traces: Mapping[str, Values]) -> NDArray[np.float64] | None:
+        """Where tools and then bodies are, ticks x P x 3, m; None where the traces do not say it.
+
+        Args:
+            traces: of the environment's telemetry, x_e and, with bodies, q.
+        """
+        x_e, q = traces.get(TOOL_POSITION), traces.get(MASS_POSITION)
+        if x_e is None or (self._scene.bodies and q is None):
+            return None
+        points = np.repeat(self._scene.points[None], len(x_e), axis=0)
+        for (rows, axes, columns), values in ((self._moved, x_e), (self._free, q)):
+            if values is not None and len(columns):
+                points[:, rows, axes] += values[:, columns]
+        return points
+
+    def of(
+        self, tick: int, traces: Mapping[str, Values], start: int, topics: Collection[str] = (SCENE, TRANSFORMS)
+    ) -> Iterator[SceneMessage]:
+        """The messages of one piece of telemetry, in the order of their ticks.
+
+        Args:
+            tick: the one after the last row.
+            traces: of the environment, with as many columns as the session has.
+            start: the time of tick 0, ns since 1970.
+            topics: those whose messages are wanted.
+        """
+        rows = max((len(trace) for trace in traces.values()), default=0)
+        kept = range((rows - tick) % self._every, rows, self._every)
+        points = self.positions({name: trace[kept.start :: self._every] for name, trace in traces.items()})
+        if points is None:
+            return
+        for row, now in zip(kept, points, strict=True):
+            k = tick - rows + row
+            time = start + round(k * self._tick_ns)
+            if SCENE in topics and k % (self._every * _SCENE_EVERY) == 0:
+                yield SceneMessage(SCENE, k, time, self._update(time))
+            if TRANSFORMS in topics:
+                yield SceneMessage(TRANSFORMS, k, time, self._transforms(time, now))
+
+    def _update(self, time: int) -> bytes:
+        entities = [{"timestamp": _stamp(time), **shape} for shape in self._shapes]
+        return json.dumps({"deletions": [], "entities": entities}, allow_nan=False).encode()
+
+    def _transforms(self, time: int, points: NDArray[np.float64]) -> bytes:
+        """The frames of all things whose position is finite."""
+        stamp = _stamp(time)
+        transforms = [
+            {
+                "timestamp": stamp,
+                "parent_frame_id": self._frame,
+                "child_frame_id": f"{self._frame}/{thing.name}",
+                "translation": _vector(point),
+                "rotation": _UPRIGHT,
+            }
+            for thing, point in zip(self._scene.things, points.tolist(), strict=True)
+            if all(map(math.isfinite, point))
+        ]
+        return json.dumps({"transforms": transforms}, allow_nan=False).encode()
+
+
+_Columns = tuple[list[int], list[int], list[int]]
+
+
+def _columns(coordinates: list[tuple[int, int, str]], names: tuple[str, ...]) -> _Columns:
+    """Point, axis and column of each coordinate."""
+    return (
+        [point for point, _, _ in coordinates],
+        [axis for _, axis, _ in coordinates],
+        [names.index(name) for _, _, name in coordinates],
+    )
+
+
+_UPRIGHT: Final = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+_TOOL_COLOUR: Final = {"r": 0.12, "g": 0.47, "b": 0.71, "a": 1.0}
+_BODY_COLOUR: Final = {"r": 0.84, "g": 0.3, "b": 0.16, "a": 1.0}
+_OBSTACLE_COLOUR: Final = {"r": 0.6, "g": 0.6, "b": 0.6, "a": 0.8}
+_ENCLOSING_COLOUR: Final = {"r": 0.6, "g": 0.6, "b": 0.6, "a": 0.2}  # of walls and rooms, behind which things are
+
+
+def _stamp(time: int) -> dict[str, int]:
+    seconds, nanoseconds = divmod(time, 10**9)
+    return {"sec": seconds, "nsec": nanoseconds}
+
+
+def _vector(values: Collection[float]) -> dict[str, float]:
+    return dict(zip("xyz", map(float, values), strict=True))
+
+
+def _entity(name: str, frame: str, **primitives: Any) -> dict[str, Any]:
+    """An entity that stays until it is replaced and moves with its frame."""
+    kinds = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
+    return {
+        "frame_id": frame,
+        "id": name,
+        "lifetime": {"sec": 0, "nsec": 0},
+        "frame_locked": True,
+        "metadata": [],
+        **{kind: [] for kind in kinds},
+        **primitives,
+    }
+
+
+def _solid(
+    at: Collection[float],
+    size: Collection[float],
+    colour: Mapping[str, float],
+    orientation: Mapping[str, float] = _UPRIGHT,
+) -> dict[str, Any]:
+    return {
+        "pose": {"position": _vector(at), "orientation": orientation},
+        "size": _vector(size),
+        "color": colour,
+    }
+
+
+def _turned(direction: NDArray[np.float64]) -> dict[str, float]:
+    """The rotation that turns the z axis to a unit vector, as a quaternion."""
+    x, y, z = direction.tolist()
+    if 1.0 + z < 1e-12:
+        return {"x": 1.0, "y": 0.0, "z": 0.0, "w": 0.0}
+    length = math.sqrt(2.0 * (1.0 + z))
+    return {"x": -y / length, "y": x / length, "z": 0.0, "w": (1.0 + z) / length}
+
+
+def _primitives(obstacle: Obstacle, low: NDArray[np.float64], high: NDArray[np.float64]) -> dict[str, Any]:
+    """The primitives of an obstacle in a scene with the corners ``low`` and ``high``, m."""
+    points = np.array(obstacle.points, dtype=np.float64)
+    match obstacle.shape:
+        case "wall":
+            return {"cubes": [_wall(obstacle.points[0], points[1], low, high)]}
+        case "room" | "box":
+            colour = _ENCLOSING_COLOUR if obstacle.shape == "room" else _OBSTACLE_COLOUR
+            return {"cubes": [_solid(points.mean(axis=0), points[1] - points[0], colour)]}
+        case _:
+            ends = [_solid(point, (2.0 * obstacle.radius,) * 3, _OBSTACLE_COLOUR) for point in points]
+            axis = points[-1] - points[0]
+            length = float(np.linalg.norm(axis))
+            if length == 0.0:
+                return {"spheres": ends}
+            size = (2.0 * obstacle.radius, 2.0 * obstacle.radius, length)
+            cylinder = _solid(points.mean(axis=0), size, _OBSTACLE_COLOUR, _turned(axis / length))
+            return {"spheres": ends, "cylinders": [{**cylinder, "bottom_scale": 1.0, "top_scale": 1.0}]}
+
+
+def _wall(at: Point, normal: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]) -> Any:
+    """A thin square in place of the half-space behind a wall, beside the middle of the scene."""
+    n = normal / np.linalg.norm(normal)
+    middle = (low + high) / 2.0
+    foot = middle - float(n @ (middle - np.array(at))) * n
+    side = _LEAST_SIDE + 2.0 * float(np.linalg.norm(high - low))
+    return _solid(foot - 0.5 * _THICKNESS * n, (side, side, _THICKNESS), _ENCLOSING_COLOUR, _turned(n))
