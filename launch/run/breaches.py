@@ -442,7 +442,7 @@ class BreachPolicy:
             named.append(device)
         late = self._late[breach]
         whole = all(self._covered[name].tau >= self._covered[name].period for name in named)
-        next_ = _AT_MOST if whole else _NEXT
+        next_ = _AT_MOST if whole else _NEXT if all(one.in_tick for one in self._covered.values()) else _BESIDE_LINKS
         if not any(self._covered[name].in_tick for name in named):
             next_ = _BEHIND_LINKS
         if breach is Breach.PERIOD:
@@ -476,6 +476,9 @@ class BreachPolicy:
 
 _NEXT: Final = (
     "close other programs, design for what this machine needs (design.tau=auto), or compare rates (manyhands doctor)"
+)
+_BESIDE_LINKS: Final = (  # the machines of guests cannot be measured, so auto is not for every session with wave links
+    "close other programs, state a design.tau that covers this, or compare rates (manyhands doctor)"
 )
 _BEHIND_LINKS: Final = (
     "the delay is that of the user's own machine, and not of the network: close other programs there, or state a "
