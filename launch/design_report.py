@@ -206,6 +206,7 @@ def print_report(console: Console, report: Mapping[str, Any], faults: Sequence[s
         percentiles = ["/".join(f"{v:.0f}" for v in node.get(q, {}).values()) for q in ("tau_us", "period_us")]
         late = str(node.get("late", ""))
         rows.append([name, str(node["ticks"]), late, *percentiles, ledger, _account(node, report), speeds])
+    rows += [[name, "no report", *[""] * (len(_REPORTED) - 2)] for name in report.get("unreported", ())]
     table, left_out = figure_table(title, _REPORTED, rows, _REPORT_RANKS, console.width)
     console.print(table)
     if left_out:

@@ -37,7 +37,7 @@ from manyhands.nodes.lifetime import Life, Sight, Stopped
 from manyhands.nodes.process import EXIT_BAD_INPUT, EXIT_OK, EXIT_REFUSED, Node, run_together
 from manyhands.nodes.seat_part import SeatPart, decoded_part
 from manyhands.nodes.supervisor_line import PATIENCE, REPEAT_WAITS, ControlLine, Refused, require_hub
-from manyhands.nodes.wave_link.felt import stiffness_and_mass
+from manyhands.nodes.wave_link.felt import kilograms, stiffness_and_mass
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds, seconds
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.keys import KeyFileError, KeyRing
@@ -46,8 +46,20 @@ from manyhands.protocol.messages import Fetch, Piece, Start, presentable
 from manyhands.protocol.transport import Link, TransportError
 from manyhands.protocol.transport.zeromq import ZmqTransport
 
+WARMING: Final = 0.5
+"""How long the way to the session is used before it is measured, s: a new connection and a new process begin slowly."""
+
 MEASURING: Final = 1.0
-"""How long the way to the session is measured before the user is asked, s."""
+"""How long the way to the session is then measured before the user is asked, s."""
+
+MOST_MEASURED: Final = 3
+"""How often it is measured at most, until a measurement is calm."""
+
+CALM: Final = 2.0
+"""A measurement is calm if :data:`COVERED` of its round trips took no more than this many times the median."""
+
+COVERED: Final = 0.99
+"""The part of the waves that a play-out waits for (nodes/wave_link/play_out.py)."""
 
 TIME_TO_ANSWER: Final = 45.0
 """How long the question waits for its answer, s: the session keeps the seat for a minute."""
@@ -80,18 +92,18 @@ class FeltDistance:
     def sentence(self) -> str:
         """What will be felt, in two lines."""
         return (
-            f"round trip R = {1e3 * self.round_trip:.3g} ms: {1e3 * self.network:.3g} ms of network and "
+            f"round trip R of about {1e3 * self.round_trip:.3g} ms: {1e3 * self.network:.3g} ms of network and "
             f"{1e3 * self.play_out:.3g} ms of play-out\n"
-            f"a wall will feel no stiffer than K = {self.stiffness:.4g} N/m, and free space will weigh "
-            f"M = {1e3 * self.mass:.3g} g more"
+            f"a wall will feel no stiffer than about K = {self.stiffness:.4g} N/m, and free space will weigh about "
+            f"M = {kilograms(self.mass)} more"
         )
 
 
 def felt(coupling: CouplingBundle, trips: Sequence[Duration]) -> FeltDistance:
     """What will be felt with these round trips to the session, ns each, of which there must be one at least.
 
-    The play-out of both ends together waits for the latest wave, and a wave waits for half a period of each end. A
-    play-out covers 99 % of the waves and no more, so this is the most that will be felt on machines as busy as now.
+    The play-out of both ends together waits for :data:`COVERED` of the waves. A wave waits for half a period of each
+    end besides.
 
     Raises:
         ValueError: there is no round trip, or the coupling has no wave link.
@@ -99,10 +111,16 @@ def felt(coupling: CouplingBundle, trips: Sequence[Duration]) -> FeltDistance:
     if not trips or coupling.wave is None:
         raise ValueError(f"found {len(trips)} round trips; expected one at least, and a wave link")
     least = min(trips)
-    play_out = seconds(Duration(max(trips) - least)) + 0.5 * (coupling.common.period + coupling.wave.peer_period)
+    covered = Duration(int(np.quantile(trips, COVERED, method="higher")))
+    play_out = seconds(Duration(covered - least)) + 0.5 * (coupling.common.period + coupling.wave.peer_period)
     R = seconds(least) + play_out
     b = np.linalg.eigvalsh(coupling.wave.b)
     return FeltDistance(seconds(least), play_out, *stiffness_and_mass((float(b[0]), float(b[-1])), R))
+
+
+def is_calm(trips: Sequence[Duration]) -> bool:
+    """Whether these round trips, ns, show the network, and no burst of something that has just begun."""
+    return bool(trips and np.quantile(trips, COVERED, method="higher") <= CALM * np.median(trips))
 
 
 class SeatLife(Life):
@@ -328,8 +346,13 @@ class _Visit:
             Stopped: the user does not want it.
             ValueError: no frame came back.
         """
-        period = coupling.common.period
-        trips = lines[0].round_trips(RealtimeClock(), life, math.ceil(MEASURING / period), from_seconds(period))
+        period, clock = coupling.common.period, RealtimeClock()
+        lines[0].round_trips(clock, life, math.ceil(WARMING / period), from_seconds(period))
+        trips: Sequence[Duration] = ()
+        for _ in range(MOST_MEASURED):
+            trips = lines[0].round_trips(clock, life, math.ceil(MEASURING / period), from_seconds(period))
+            if is_calm(trips):
+                break
         _say(f"{self._invitation.seat}: ports {', '.join(coupling.common.ports)}, a tick every {1e3 * period:.3g} ms")
         self._distance = felt(coupling, trips)
         _say(self._distance.sentence())

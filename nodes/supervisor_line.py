@@ -204,13 +204,14 @@ class ControlLine:
             if life.stopping:
                 raise Stopped
             while (frame := self._link.recv(NOT_AT_ALL)) is not None:
-                self._take_echo(frame, clock.now(), found)
+                self._take_echo(frame, start, clock.now(), found)
         return found
 
-    def _take_echo(self, frame: bytes, now: Instant, found: list[Duration]) -> None:
+    def _take_echo(self, frame: bytes, start: Instant, now: Instant, found: list[Duration]) -> None:
         match decode(frame, MAX_CONTROL_BYTES):
             case Echo(sent) if sent <= now:
-                found.append(Duration(now - sent))
+                if sent >= start:  # an answer to an earlier measurement shows how long that took, and not this one
+                    found.append(Duration(now - sent))
             case Stop() as stop:
                 self.stop = stop
                 raise Stopped

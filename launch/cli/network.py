@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -277,14 +278,18 @@ def host(
     """Serve a session whose users behind wave links come and go, each with an invitation (manyhands join).
 
     Every coupling with a wave_link is a seat. The session runs from the start on, whoever is there, until --duration or
-    Ctrl-C. Designs, keys and invitations are made once and kept in DIR. Where the session has changed since, only what
-    the change concerns is made anew: the invitations of the other seats stay good.
+    Ctrl-C. The delay of users without a seat is measured on this machine, unless the session states it.
+
+    Designs, keys and invitations are made once and kept in DIR. Where the session has changed since, only what the
+    change concerns is made anew: the invitations of the other seats stay good.
     """
     with errors("design"), ExitStack() as claims:
         from manyhands.launch.design_report import progress_on
+        from manyhands.launch.doctor.profile import drop_profile, outlived
+        from manyhands.launch.doctor.rates import certified_lines
         from manyhands.launch.plan.keys import load_folder, make_keys
         from manyhands.launch.plan.plan import Plan
-        from manyhands.launch.plan.prepare import prepare_again
+        from manyhands.launch.plan.prepare import must_measure, prepare_again
         from manyhands.launch.plan.reach import Listen, reach
         from manyhands.launch.plan.seats import (
             KEYS,
@@ -293,6 +298,7 @@ def host(
             require_folder,
             seat_nodes,
         )
+        from manyhands.launch.plan.sites import with_kept_delay
         from manyhands.launch.plan.topology import require_runnable
         from manyhands.launch.run.session_run import run_session
 
@@ -319,21 +325,34 @@ def host(
         certificate = directory / CERTIFICATE_FILE
         kept = certificate.exists()
         unknown = [name for name, link in loaded.wave_links.items() if link.tau is None]
-        if loaded.design.tau == AUTO and not kept and unknown:
+        if loaded.design.tau == AUTO and unknown:
             refuse(
                 f"{loaded.name}: found design.tau: auto, which measures this machine alone, with the seat "
                 f"{unknown[0]!r}; expected couplings.{unknown[0]}.wave_link.tau, the delay that the guest keeps to"
             )
+        profile, local = None, len(loaded.wave_links) < len(loaded.couplings)
+        if local and not unknown and must_measure(loaded, realtime=True):
+            loaded, profile = settle_delay(loaded, realtime=True, transport="tcp")
+            loaded = with_kept_delay(certificate, loaded)
+        elif loaded.design.tau == AUTO:
+            loaded = loaded.with_delay(loaded.latency)  # every user has a seat, whose delay is stated
         if kept:
             with progress_on(err, "designing what has changed") as progress:
                 prepared, renewed = prepare_again(loaded, certificate, progress)
             if renewed:
                 say(err, f"{directory}: designed anew, for the session has changed: {', '.join(renewed)}")
         else:
-            loaded, _ = settle_delay(loaded, realtime=False)
             prepared, renewed = prepare_session(loaded, None, uncertified=False), (loaded.name,)
         if renewed:
             keep_certificates(prepared, directory)
+        for line in certified_lines(prepared, loaded, profile, time.time()) if local else ():
+            say(err, line)
+        if local and unknown and loaded.design.tau is None:
+            say(
+                err,
+                f"{loaded.name}: the delay of the users here is not measured, for {unknown[0]} states no "
+                f"wave_link.tau; state couplings.{unknown[0]}.wave_link.tau, or design.tau",
+            )
         made = make_keys(loaded, directory / KEYS)
         folder_keys = load_folder(loaded, directory / KEYS)
         ways = replace(reach(plan, "tcp", keys=folder_keys, listen=place, remote=seats), seats=seats)
@@ -351,6 +370,10 @@ def host(
             say(err, f"{directory / KEYS}: has keys that the session no longer has: {', '.join(made.stale)}")
         warn_of_code(err, loaded, seats)
         outcome = run_session(prepared, err, clock=REALTIME, reach=ways, ticks=ticks, record=record, report=report)
+        local_nodes = {name: node for name, node in outcome.report["nodes"].items() if name not in seats}
+        if profile is not None and outlived(profile, loaded.device_period, {"nodes": local_nodes}, loaded.latencies):
+            drop_profile(profile)
+            say(err, f"{loaded.name}: the delays were not those measured before; the next host measures them anew")
         print_report(out, outcome.report, outcome.faults)
         end(outcome.code)
 

@@ -262,7 +262,8 @@ def launch(
             together=together,
         )
         if profile is not None and outlived(profile, loaded.device_period, outcome.report, loaded.latencies):
-            drop_profile(profile)  # the next launch measures anew
+            drop_profile(profile)
+            say(err, f"{loaded.name}: the delays were not those measured before; the next launch measures them anew")
         print_report(out, outcome.report, outcome.faults)
         end(outcome.code)
 

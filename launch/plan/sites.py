@@ -211,6 +211,28 @@ def kept_parts(
     return proved, certified, tuple(renewed)
 
 
+def with_kept_delay(path: Path, session: Session) -> Session:
+    """The session for the delay that its users in the tick are certified for already, where that covers its own.
+
+    A measured delay differs from one day to the next. Certificates that cover more than the latest are not made anew.
+
+    Args:
+        path: the file of the world's certificate, which need not exist.
+        session: the session with the delay that was measured.
+
+    Raises:
+        CertificateError: the file of the users in the tick is no certificate.
+        NotCertified: that certificate does not hold.
+    """
+    file = part_file(path, IN_TICK)
+    if not file.exists():
+        return session
+    kept = read_certificate(file)
+    if not stated_delay(session) <= kept.tau <= session.period or session.period_tolerance > kept.period_tolerance:
+        return session
+    return session.with_delay(kept.tau, kept.period_tolerance)
+
+
 def _read_world(path: Path, session: Session) -> World | str:
     """The world in a file, proved; where it is another session's, a sentence that says what differs.
 

@@ -38,7 +38,7 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC
 
 from manyhands.design.files import open_regular
-from manyhands.launch.recordings.mcap import FRAME, MOST_RECORD_BYTES, Unpacking, message_indexes, record_of
+from manyhands.launch.recordings.mcap import FRAME, MOST_RECORD_BYTES, NO_MCAP, Unpacking, message_indexes, record_of
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.nodes.recorder.format import METADATA, Recorded
 
@@ -115,7 +115,7 @@ class Walk:
         self._file.seek(0)
         magic = self._file.read(len(MCAP0_MAGIC))
         if magic != MCAP0_MAGIC:
-            self._damaged(0, len(magic), "found a file that does not begin as MCAP does; expected a recording")
+            self._damaged(0, len(magic), NO_MCAP)
         out.whole_to = len(magic)
         at: int | None = out.whole_to
         while at is not None and at < limit and out.end is None:

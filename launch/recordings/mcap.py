@@ -46,6 +46,11 @@ from mcap.writer import MCAP0_MAGIC
 from manyhands.design.files import open_regular
 from manyhands.launch.recordings.recording import RecordingError
 
+NO_MCAP: Final = (
+    "found a file that does not begin as MCAP does; expected an .mcap recording, of launch --record or of record"
+)
+"""What is wrong with another file that was given for a recording, such as the .npz of a simulation."""
+
 MOST_RECORD_BYTES: Final = 64 * 2**20
 """The longest record that is read, and the most that a chunk may hold unpacked; a recorder writes one mebibyte or a
 few."""
@@ -109,7 +114,7 @@ def parts(path: Path, progress: Callable[[float], None] | None = None) -> Iterat
     try:
         with open_regular(path) as file:
             if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-                raise RecordingError(f"{path}: found a file that does not begin as MCAP does; expected a recording")
+                raise RecordingError(f"{path}: {NO_MCAP}")
             yield from _parts(file, progress)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error

@@ -84,7 +84,8 @@ def print_audit(out: Console, name: str, audit: Audit) -> None:
         out,
         f"{name}: {verdict_text(audit)}; {count[CheckVerdict.HOLDS]} checks hold, {count[CheckVerdict.BROKEN]} do not; "
         f"{count[CheckVerdict.ASSUMPTION]} assumptions of the certificate did not hold, and "
-        f"{count[CheckVerdict.ENFORCED]} were enforced; {count[CheckVerdict.UNCHECKED]} had nothing to compare",
+        f"{count[CheckVerdict.ENFORCED]} were enforced; {count[CheckVerdict.UNCHECKED]} had nothing to compare"
+        f"{_left_out(checks)}",
     )
 
 
@@ -113,6 +114,17 @@ def _unchecked(check: Check) -> list[str]:
         text = str(own[0]) if len(own) == 1 else f"{ticks} ticks, {own[0].begin} to {own[-1].end - 1}: {why}"
         out.append(f"{check.party}: {text}")
     return out
+
+
+def _left_out(checks: Sequence[Check]) -> str:
+    """The part of each party's ticks in which its ledger was not recomputed, for the last line; empty without any."""
+    out = []
+    for check in checks:
+        left = sum(gap.end - gap.begin for gap in check.gaps)
+        if check.name == "ledger" and left:
+            share = left / (left + check.numbers)  # a ledger is one number a tick
+            out.append(f"{'less than 1 %' if share < 0.01 else f'{share:.0%}'.replace('%', ' %')} of {check.party}'s")
+    return f"; ticks without a check of the ledger: {', '.join(out)}" if out else ""
 
 
 def sentence(check: Check) -> str:

@@ -72,7 +72,7 @@ def read_saved(path: Path, progress: Callable[[float], None] | None = None) -> R
     except MemoryError as error:
         raise RecordingError(f"{path}: found more than this machine has memory for; expected a smaller file") from error
     except (ValueError, TypeError) as error:
-        raise RecordingError(f"{path}: found no recording: {error}; expected what simulate -o writes") from error
+        raise RecordingError(f"{path}: found no recording: {error}; expected what simulate --record writes") from error
     if len(recording.x) < 1 or not recording.ports:
         raise RecordingError(f"{path}: found no ticks; expected at least one")
     return recording

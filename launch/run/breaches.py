@@ -20,9 +20,10 @@ A softened coupling climbs again, one rung at a time, when its devices have kept
 margin, for :data:`CALM`. A coupling that is softened again after it has climbed must be calm for twice as long each
 time. So the number of changes grows with the logarithm of time.
 
-:class:`EnergyIncidents` describes what a session survives of its users' energy. A device beyond its limits knows that
-it is, but not what moved it. The environment knows whose energy went where (:mod:`manyhands.nodes.environment.energy`).
-The two are combined here, so that the incident names the supplier and not the user that was moved.
+:class:`UserIncidents` describes what a session survives of its users: couplings that stay frozen, and energy. A device
+beyond its limits knows that it is, but not what moved it. The environment knows whose energy went where
+(:mod:`manyhands.nodes.environment.energy`). The two are combined here, so that the incident names the supplier and not
+the user that was moved.
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import REALTIME
 from manyhands.nodes.own_ticks import session_tick
+from manyhands.nodes.tick_events import Kind, events_in
 from manyhands.protocol.messages import Role, Telemetry
 
 SHARE: Final = 0.05
@@ -442,7 +444,7 @@ class BreachPolicy:
             named.append(device)
         late = self._late[breach]
         whole = all(self._covered[name].tau >= self._covered[name].period for name in named)
-        next_ = _AT_MOST if whole else _NEXT
+        next_ = _AT_MOST if whole else _NEXT if all(one.in_tick for one in self._covered.values()) else _BESIDE_LINKS
         if not any(self._covered[name].in_tick for name in named):
             next_ = _BEHIND_LINKS
         if breach is Breach.PERIOD:
@@ -476,6 +478,9 @@ class BreachPolicy:
 
 _NEXT: Final = (
     "close other programs, design for what this machine needs (design.tau=auto), or compare rates (manyhands doctor)"
+)
+_BESIDE_LINKS: Final = (  # the machines of guests cannot be measured, so auto is not for every session with wave links
+    "close other programs, state a design.tau that covers this, or compare rates (manyhands doctor)"
 )
 _BEHIND_LINKS: Final = (
     "the delay is that of the user's own machine, and not of the network: close other programs there, or state a "
@@ -616,8 +621,12 @@ QUIET: Final = 10.0
 once."""
 
 
-class EnergyIncidents:
-    """The energy incidents of one run: pure, telemetry goes in and sentences come out."""
+STAYS: Final = 1.0
+"""Seconds after which a frozen coupling is an incident. One that hurries back has its row among the promises alone."""
+
+
+class UserIncidents:
+    """The incidents of one run's users: pure, telemetry goes in and sentences come out."""
 
     def __init__(self, graph: Topology, period: float, periods: Mapping[str, float] = _NO_PERIODS) -> None:
         """Begin without any telemetry.
@@ -631,7 +640,9 @@ class EnergyIncidents:
         devices = [name for name, role in graph.nodes.items() if role is Role.DEVICE]
         self._couplings = {device: tuple(link.binder for link in graph.links_of(device)) for device in devices}
         self._worlds = {name for name, role in graph.nodes.items() if role is Role.ENVIRONMENT}
-        self._quiet = QUIET / period
+        self._period, self._quiet = period, QUIET / period
+        self._frozen: dict[str, int] = {}  # couplings, and the tick from which each is frozen while its nodes run
+        self._reported: set[str] = set()  # frozen couplings with a sentence
         self._moved: dict[tuple[str, str], float] = {}  # J, by supplier and receiver
         self._then: dict[str, dict[tuple[str, str], float]] = {}  # the same at a device's last sentence
         self._counts: dict[str, float] = {}
@@ -643,14 +654,21 @@ class EnergyIncidents:
         self._counts.pop(node, None)
         if node in self._worlds:
             self._moved, self._then = {}, {}
+            self._frozen, self._reported = {}, set()
             self._counts = {key: count for key, count in self._counts.items() if key in self._couplings}
 
-    def receive(self, node: str, telemetry: Telemetry) -> list[str]:
-        """The incidents that follow from a node's telemetry."""
+    def receive(self, node: str, telemetry: Telemetry, running: Collection[str] = ()) -> list[str]:
+        """The incidents that follow from a node's telemetry.
+
+        Args:
+            node: its name.
+            telemetry: its telemetry.
+            running: the nodes that run and should not be frozen for long; of others their loss is an incident already.
+        """
         figures = {name: value for name, value in telemetry.figures.items() if math.isfinite(value)}
         tick = session_tick(telemetry.tick, self._rates.get(node, 1.0))
         if node in self._worlds:
-            out = list(self._budgets(tick, figures))
+            out = [*self._stays_frozen(tick, figures, running), *self._budgets(tick, figures)]
             for device in [device for device, awaited in self._awaiting.items() if awaited <= tick]:
                 del self._awaiting[device]
                 out.append(self._let_go(device))
@@ -658,6 +676,23 @@ class EnergyIncidents:
         if node in self._couplings and self._grown(node, figures.get(names.LET_GO, 0.0), tick):
             self._awaiting[node] = tick
         return []
+
+    def _stays_frozen(self, tick: int, figures: Mapping[str, float], running: Collection[str]) -> Iterator[str]:
+        for event in events_in(figures):
+            if event.kind is Kind.FROZEN:
+                self._frozen.setdefault(event.peer, event.tick)
+            elif event.kind is Kind.RETURNED:
+                self._frozen.pop(event.peer, None)
+                self._reported.discard(event.peer)
+        for coupling, since in self._frozen.items():
+            if coupling not in running:
+                self._frozen[coupling] = tick  # it was lost: its time counts from its return on
+            elif coupling not in self._reported and (tick - since) * self._period > STAYS:
+                self._reported.add(coupling)
+                yield (
+                    f"{self._who(coupling)} is frozen since {since * self._period:.1f} s: it takes no part, and the "
+                    "others go on"
+                )
 
     def _budgets(self, tick: int, figures: Mapping[str, float]) -> Iterator[str]:
         for name, value in figures.items():

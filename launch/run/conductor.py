@@ -291,6 +291,9 @@ class Conductor:
             case SessionPhase.RUNNING if self.reports:
                 return self._leave_behind()
             case SessionPhase.ENDING:
+                hung = [node for node, state in self.states.items() if state is not NodeState.ENDED]
+                if local := [node for node in hung if node not in self.remote]:
+                    self.incidents.add(f"did not end when the session did, and was killed: {', '.join(local)}")
                 for node in self.remote:  # the supervisor cannot kill a process on another machine
                     self.states[node] = NodeState.ENDED
                 self._over_if_all_ended()

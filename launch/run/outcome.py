@@ -236,7 +236,9 @@ def lateness_sentence(report: Mapping[str, Any]) -> str | None:
         return None
     least = min(entries, key=lambda name: entries[name]["min"])
     account, promise = entries[least]["min"], report.get("lateness")
-    lowest = f"least account {joules(account)} ({least})" if account < 0.0 else "no account fell below 0"
+    missing = report.get("unreported", ())
+    of = f" of those reported, and no figures came from {', '.join(missing)}" if missing else ""
+    lowest = (f"least account {joules(account)} ({least})" if account < 0.0 else "no account fell below 0") + of
     for name, node in report["nodes"].items():
         if "suspended" in node:
             slept = node["suspended"]
@@ -302,6 +304,7 @@ def run_report(
     lateness: Mapping[str, Any] | None = None,
     wave_links: Mapping[str, FeltLink] = MappingProxyType({}),
     promises: Sequence[PromiseStatus] = (),
+    unreported: Sequence[str] = (),
 ) -> dict[str, Any]:
     """The whole report.
 
@@ -318,6 +321,7 @@ def run_report(
         lateness: what is promised about lateness, as :func:`lateness_entry`.
         wave_links: what is felt of each wave link at the end, by coupling.
         promises: how each promise stands at the end.
+        unreported: the nodes that have run and sent no final report.
     """
     restarts = incidents.restarts
     return {
@@ -328,6 +332,7 @@ def run_report(
         "nodes": {
             name: node_entry(role, reports[name], restarts[name]) for name, role in nodes.items() if name in reports
         },
+        **({"unreported": list(unreported)} if unreported else {}),
         **({"enforced": list(enforced)} if enforced else {}),
         **({} if lateness is None else {"lateness": dict(lateness)}),
         **({"wave_links": {name: felt.as_plain() for name, felt in wave_links.items()}} if wave_links else {}),

@@ -25,7 +25,7 @@ from manyhands.launch.plan.reach import HUB_NAME, Reach
 from manyhands.launch.plan.seats import seat_parts
 from manyhands.launch.plan.topology import usual_placement
 from manyhands.launch.recordings.recording import Collector, one_period
-from manyhands.launch.run.breaches import Assumptions, Cause, EndSession, EnergyIncidents, ShiftCoupling
+from manyhands.launch.run.breaches import Assumptions, Cause, EndSession, ShiftCoupling, UserIncidents
 from manyhands.launch.run.broadcast import ObserverBroadcast, Showing, condition_frame, describe, observation_frame
 from manyhands.launch.run.conductor import Conductor
 from manyhands.launch.run.directory import kept_files, run_directory
@@ -202,7 +202,7 @@ class Supervisor:
             seats=reach.seats,
         )
         self._assumptions = Assumptions(prepared, self._graph, clock, self.conductor.rungs)
-        self._energy = EnergyIncidents(self._graph, session.period, session.own_periods)
+        self._users = UserIncidents(self._graph, session.period, session.own_periods)
         self._clock = RealtimeClock()
         self._log = Log(None, session.name, SUPERVISOR, self._clock)
         self._observer_broadcast = ObserverBroadcast(session)
@@ -385,7 +385,11 @@ class Supervisor:
             return
         if isinstance(message, Report) and message.ticks <= self._most_ticks(sender):
             self._health.take(sender, message.ticks, {**message.figures, **message.counts})
+        before = self.conductor.states.get(sender)
         self.carry_out(self.conductor.receive(sender, message, self._clock.now()), hub, processes)
+        after = self.conductor.states.get(sender)
+        if sender in self._reach.remote and before is not after and after is NodeState.RUNNING:
+            self._forget(sender)  # it is another process than before, which was not started here
         if isinstance(message, Telemetry) and self.conductor.states.get(sender) is NodeState.RUNNING:
             self._telemetry[sender] = message
             self._health.take(sender, message.tick, message.figures)
@@ -396,7 +400,7 @@ class Supervisor:
                         self.carry_out(self.conductor.shift(coupling, rung), hub, processes)
                     case EndSession(reason):
                         self.carry_out(self.conductor.stop(reason), hub, processes)
-            for sentence in self._energy.receive(sender, message):
+            for sentence in self._users.receive(sender, message, self._in_tick()):
                 self.conductor.note(sentence, self._clock.now())
             message = names.shown(message)
             self._observer_broadcast.send(sender, message)
@@ -443,13 +447,36 @@ class Supervisor:
             role, paths = self._graph.nodes[together[0]], [self._bundle_path(node) for node in together]
             processes.start(together, role, paths, self._places.get(together[0]))
 
-    def _start_anew(self, name: str, hub: Hub, processes: Processes) -> None:
-        """Start the next process of a lost node; only its bundle and its log are kept from the former one."""
+    def _forget(self, name: str) -> None:
+        """Forget what the former process of a node has reported: the next one counts anew, and is not silent yet."""
         self._telemetry.pop(name, None)
         self._reported.forget(name)
         self._assumptions.forget(name)
-        self._energy.forget(name)
+        self._users.forget(name)
         self._health.forget(name)
+
+    def _in_tick(self) -> list[str]:
+        """The couplings without a wave link whose nodes all run, while the session runs."""
+        states = self.conductor.states
+        if self.conductor.phase is not SessionPhase.RUNNING:
+            return []
+        return [
+            name
+            for name in self._session.couplings
+            if name not in self._session.wave_links
+            and all(states[node] is NodeState.RUNNING for node in (name, *self._session.devices_of(name)))
+        ]
+
+    def _unreported(self) -> list[str]:
+        """The nodes that have run and sent no final report; nobody has sat at a seat without telemetry."""
+        reported, seats = {**self.conductor.left, **self.conductor.reports}, self._reach.seats
+        if self._began is None:
+            return []
+        return [n for n in self._graph.nodes if n not in reported and (n not in seats or n in self._telemetry)]
+
+    def _start_anew(self, name: str, hub: Hub, processes: Processes) -> None:
+        """Start the next process of a lost node; only its bundle and its log are kept from the former one."""
+        self._forget(name)
         try:
             self._start_process(name, processes)
             for node in self._graph.together(name):
@@ -537,6 +564,7 @@ class Supervisor:
                     {node: report.figures for node, report in {**conductor.left, **conductor.reports}.items()},
                 ),
                 promises,
+                self._unreported(),
             )
             | recorder.as_plain(),
             recording,

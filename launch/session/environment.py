@@ -361,7 +361,9 @@ class NetworkEnvironment(SessionModel):
                 if end not in known:
                     dangling = True
                     place = ("links", index, "between", position)
-                    yield Problem(place, f"the unknown end {show(end)}", one_of(valid, end))
+                    axes = [port for port in ports if port.startswith(f"{end}.")]
+                    each = f"{', '.join(axes)}: the device {end} has {len(axes)} axes, and a link for each"
+                    yield Problem(place, f"the unknown end {show(end)}", each if axes else one_of(valid, end))
         for port in ports:
             if port not in attached and not dangling:
                 yield Problem(("links",), f"no link to the port {port!r}", "at least one link to every port")

@@ -35,7 +35,7 @@ class FeltLink:
 
     def figures(self) -> str:
         """Round trip, felt stiffness and felt mass, with their units."""
-        return f"R = {1e3 * self.round_trip:.3g} ms, K = {self.stiffness:.4g} N/m, M = {1e3 * self.mass:.3g} g"
+        return f"R = {1e3 * self.round_trip:.3g} ms, K = {self.stiffness:.4g} N/m, M = {kilograms(self.mass)}"
 
     def sentence(self, coupling: str, over: bool = False) -> str:
         """The figures as a sentence about the link of ``coupling``.
@@ -45,7 +45,7 @@ class FeltLink:
         tanks = " and ".join(f"{1e3 * tank:.3g}" for tank in self.tanks)
         text = (
             f"wave link of {coupling}: a round trip of {1e3 * self.round_trip:.3g} ms is felt as {self.stiffness:.4g} "
-            f"N/m in series with the coupling, and as {1e3 * self.mass:.3g} g; {tanks} mJ in its tanks"
+            f"N/m in series with the coupling, and as {kilograms(self.mass)}; {tanks} mJ in its tanks"
         )
         if self.limited:
             text += f"; waves limited by a tank in {self.limited} {'tick' if self.limited == 1 else 'ticks'}"
@@ -70,6 +70,11 @@ class FeltLink:
             "silences": self.silences,
             "deaf": self.deaf,
         }
+
+
+def kilograms(mass: float) -> str:
+    """A mass, kg, for a sentence: in kg, or in g below 1 kg."""
+    return f"{mass:.3g} kg" if mass >= 1.0 else f"{1e3 * mass:.3g} g"
 
 
 def stiffness_and_mass(impedance: tuple[float, float], R: float) -> tuple[float, float]:

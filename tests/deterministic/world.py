@@ -14,7 +14,7 @@ from chaos_kinds import PROMISE
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.topology import topology
-from manyhands.launch.run.breaches import Assumptions, EnergyIncidents, ShiftCoupling
+from manyhands.launch.run.breaches import Assumptions, ShiftCoupling, UserIncidents
 from manyhands.launch.run.conductor import Conductor
 from manyhands.launch.run.recovery import RestartBudget
 from manyhands.launch.run.states import (
@@ -97,7 +97,7 @@ class SimulatedSession:
         self._bundles = cut(prepared, RunPlan(clock, None, "wire://hub"))
         budget = RestartBudget(10**9)
         self._guest, self._witness = guest, witness
-        self._energy = EnergyIncidents(self.graph, prepared.session.period)
+        self._energy = UserIncidents(self.graph, prepared.session.period)
         remote = frozenset() if guest is None else frozenset({guest.name})
         self.conductor = Conductor(self.graph, prepared.id, prepared.session.name, ticks, remote, budget=budget)
         self.assumptions = Assumptions(prepared, self.graph, clock, self.conductor.rungs)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from manyhands.launch.design_report import print_report
 from manyhands.launch.plan.bundles import budgets
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.topology import topology
-from manyhands.launch.run.breaches import QUIET, EnergyIncidents
+from manyhands.launch.run.breaches import QUIET, UserIncidents
 from manyhands.launch.run.display import MOST_SHOWN, energy_line
 from manyhands.launch.run.outcome import node_entry
 from manyhands.launch.session import load_session
@@ -131,8 +132,8 @@ class TestSentences:
     def told(self, tick: int, **figures: float) -> Telemetry:
         return Telemetry(tick, {name.replace("__", "/"): value for name, value in figures.items()}, {})
 
-    def incidents(self) -> EnergyIncidents:
-        return EnergyIncidents(topology(load_session(EXAMPLE)), T)
+    def incidents(self) -> UserIncidents:
+        return UserIncidents(topology(load_session(EXAMPLE)), T)
 
     def test_a_device_that_let_go_is_reported_with_its_mover(self) -> None:
         incidents = self.incidents()
@@ -159,6 +160,21 @@ class TestSentences:
         later = 100 + round(QUIET / T)
         assert len(incidents.receive("environment", self.told(later, stops_cx=3.0))) == 1
         assert incidents.receive("environment", self.told(2 * later, stops_cx=3.0)) == []
+
+    def test_a_user_that_stays_frozen_is_reported_once(self) -> None:
+        incidents, running = self.incidents(), ("cx", "cy", "cz")
+
+        def receive(tick: int, event: str = "ledger", nodes: Sequence[str] = running) -> list[str]:
+            return incidents.receive("environment", Telemetry(tick, {event: 1.0}, {}), nodes)
+
+        assert receive(600, "frozen:cx@500") == []
+        assert receive(700, "returned:cx@650") == receive(1800) == []  # it was frozen for a moment
+        assert receive(2000, "frozen:cx@1950") == receive(2900) == []
+        assert receive(3000) == ["cx (dx) is frozen since 1.9 s: it takes no part, and the others go on"]
+        assert receive(4000) == receive(5000, "returned:cx@4500") == []
+        assert receive(6100, "frozen:cx@6000") == receive(9000, nodes=("cy",)) == []  # its loss is an incident already
+        assert receive(9900) == []  # it is on its way back
+        assert len(receive(10100)) == 1
 
 
 class TestLine:

@@ -15,7 +15,7 @@ import pytest
 from manyhands.nodes import seat
 from manyhands.nodes.bundle import CouplingBundle
 from manyhands.nodes.lifetime import Sight, Stopped
-from manyhands.nodes.seat import SeatLife, answered_yes, felt
+from manyhands.nodes.seat import SeatLife, answered_yes, felt, is_calm
 from manyhands.protocol.clock import Duration
 
 MS = 1_000_000
@@ -34,9 +34,24 @@ def test_the_law_of_distance() -> None:
     assert found.stiffness == pytest.approx(2 * 10.0 / 0.050)  # the softest direction
     assert found.mass == pytest.approx(20.0 * 0.050 / 2)  # the heaviest
     assert found.sentence() == (
-        "round trip R = 50 ms: 40 ms of network and 10 ms of play-out\n"
-        "a wall will feel no stiffer than K = 400 N/m, and free space will weigh M = 500 g more"
+        "round trip R of about 50 ms: 40 ms of network and 10 ms of play-out\n"
+        "a wall will feel no stiffer than about K = 400 N/m, and free space will weigh about M = 500 g more"
     )
+
+
+def test_a_rare_late_frame_is_no_part_of_what_is_felt() -> None:
+    steady = [Duration(40 * MS)] * 198
+    found = felt(coupling([10.0]), [Duration(1700 * MS), *steady])
+    assert found.play_out == pytest.approx(0.001)
+    assert "K = 487.8 N/m, and free space will weigh about M = 205 g more" in found.sentence()
+    assert "M = 1.7 kg more" in felt(coupling([10.0]), [Duration(339 * MS)]).sentence()
+
+
+@pytest.mark.parametrize(
+    ("trips", "calm"), [([4] * 200, True), ([4] * 150 + [7] * 50, True), ([4] * 190 + [90] * 10, False), ([], False)]
+)
+def test_a_burst_is_measured_again(trips: list[int], calm: bool) -> None:
+    assert is_calm([Duration(trip * MS) for trip in trips]) is calm
 
 
 def test_where_nothing_came_back_nothing_is_known() -> None:

@@ -506,6 +506,12 @@ def test_a_guest_measures_the_way_as_its_loop_would_see_it(line: AnsweringLine) 
     assert all(0 <= trip <= clock.now() - before for trip in found)
 
 
+def test_an_answer_to_an_earlier_measurement_is_no_part_of_this_one(line: AnsweringLine) -> None:
+    line.answer = lambda said: [Echo(said.sent - 1_700_000_000, 0, 0), Echo(said.sent, 0, 0)]  # type: ignore[union-attr]
+    found = control(line).round_trips(RealtimeClock(), Life(), 20, from_seconds(1e-3))  # type: ignore[arg-type]
+    assert len(found) == 4
+
+
 @pytest.mark.parametrize("end", ["stop", "life"])
 def test_a_guest_that_measures_ends_when_it_is_asked_to(end: str, line: AnsweringLine) -> None:
     line.answer = lambda _: [Stop("the return failed; join again")] if end == "stop" else []

@@ -312,7 +312,7 @@ def test_across_a_wan_a_link_that_is_lost_for_a_while_comes_back(tmp_path: Path)
         certificates = kept(home)
         stack.enter_context(guest("left_seat", home, tmp_path / "near", within=net.within("near")))
         right = stack.enter_context(guest("right_seat", home, far, within=net.within("far")))
-        trip = float(right.until("round trip").split("R = ")[1].split()[0])
+        trip = float(right.until("round trip").split("about ")[1].split()[0])
         host.joined(*SEATS)
         host.go_on(2100)
         for outage in (1.0, 6.0, 14.0):

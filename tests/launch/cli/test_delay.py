@@ -289,3 +289,50 @@ def test_budget_shows_what_is_kept(machine: Machine) -> None:
     after = command("budget", "example1").stdout
     assert re.search(r"1 kHz │ separate +│ +340 │ +680 │ +2040 │ +0.0% │ +0.75 │ +1.1 │ +818 │ +none │ +2740", after)
     assert "1 kHz co-located, 2 kHz" in after
+
+
+HOST = (
+    "host",
+    "ball",
+    "--listen",
+    "127.0.0.1:7400",
+    "--duration",
+    "1",
+    "--set",
+    "couplings.left_seat={devices: [left]}",
+)
+
+
+def test_the_users_of_a_hosted_session_who_are_here_are_measured_once(machine: Machine, tmp_path: Path) -> None:
+    first = lines(command(*HOST, "-o", tmp_path))
+    assert first[0] == "ball: measuring the delay of a tick on this machine for 2 s"
+    assert "ball, in-tick: certified for delays up to 0.75 ms" in "\n".join(first)
+    certificates = {path: path.read_bytes() for path in tmp_path.glob("certificate*.json")}
+    lines(command(*HOST, "-o", tmp_path, "--set", "design.tau=auto"))
+    assert [way.transport for way in machine.measured] == ["tcp"]
+    delays = [prepared.parts["in-tick"].tau for prepared in machine.ran]
+    assert delays == [0.75e-3, 0.75e-3]
+    assert {prepared.parts["right_seat"].tau for prepared in machine.ran} == {0.3e-3}
+    assert {path: path.read_bytes() for path in certificates} == certificates
+
+
+@pytest.mark.parametrize(("p995", "expected"), [(780.0, 0.85e-3), (280.0, 0.75e-3)])
+def test_a_host_designs_anew_for_a_delay_that_is_longer_alone(
+    p995: float, expected: float, machine: Machine, tmp_path: Path
+) -> None:
+    machine.p99 = 900.0  # longer than the design covers, so the profile is not kept
+    said = lines(command(*HOST, "-o", tmp_path))
+    assert "ball: the delays were not those measured before; the next host measures them anew" in said
+    machine.p995 = p995
+    lines(command(*HOST, "-o", tmp_path))
+    assert (len(machine.measured), machine.ran[-1].parts["in-tick"].tau) == (2, expected)
+
+
+def test_a_host_says_why_it_has_measured_nothing(machine: Machine, tmp_path: Path) -> None:
+    seat = ("--set", "couplings.right_seat={devices: [right], wave_link: {b: 10}}")
+    said = "\n".join(lines(command(*HOST, *seat, "-o", tmp_path)))
+    assert "in-tick: certified for delays up to 0 ms (not measured here)" in said
+    assert "the delay of the users here is not measured, for right_seat states no wave_link.tau" in said
+    result = command(*HOST, *seat, "-o", tmp_path, "--set", "design.tau=auto")
+    assert (result.exit_code, machine.measured) == (2, [])
+    assert "expected couplings.right_seat.wave_link.tau" in result.stderr

@@ -5,10 +5,12 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Callable, Mapping
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner
 
 from manyhands.design.certificate import from_content, to_json
@@ -23,6 +25,7 @@ from manyhands.launch.recordings.checks import bounded, period_assumed
 from manyhands.launch.recordings.events import Course, course_of
 from manyhands.launch.recordings.findings import Check, CheckVerdict, UncheckedTicks, compare
 from manyhands.launch.recordings.integrity import findings
+from manyhands.launch.recordings.printing import print_audit
 from manyhands.launch.recordings.run import Figures, first_sign, read_run, there
 from manyhands.launch.session import load_session
 from manyhands.launch.simulation import Silence
@@ -193,6 +196,13 @@ def test_the_recorded_and_the_expected_value_are_reported(recording: Path, tmp_p
     assert (first.tick, first.column, first.recorded, first.recomputed) == (AT, "E", honest + 1e-3, honest)
 
 
+def last_line(done: Audit) -> str:
+    """The line that a person reads last."""
+    shown = StringIO()
+    print_audit(Console(file=shown, width=500), "r.mcap", done)
+    return shown.getvalue().splitlines()[-1]
+
+
 def test_a_frozen_couplings_gap_is_reported_and_the_rest_is_checked(prepared: Prepared, tmp_path: Path) -> None:
     rows = simulated(prepared, 600, [Silence("cx", 150, 220), Silence("cz", 260, 300)])
     path = written(tmp_path / "r.mcap", recorded_of(prepared), attachments_of(prepared), rows)
@@ -206,6 +216,11 @@ def test_a_frozen_couplings_gap_is_reported_and_the_rest_is_checked(prepared: Pr
         assert check.verdict is CheckVerdict.HOLDS
     work = found(done, "environment", "work")
     assert (work.numbers, work.gaps) == (600, ())
+    assert last_line(done).endswith("; ticks without a check of the ledger: 75 % of environment's")
+    few = dataclasses.replace(
+        done, checks=(done.checks[0], dataclasses.replace(ledger, gaps=(UncheckedTicks(0, 2, ""),)))
+    )
+    assert last_line(few).endswith("; ticks without a check of the ledger: less than 1 % of cx's")
 
     change = one("environment", LEDGER, 1e-9)  # behind the gap, where no core is followed any more
     assert broken(audited(forged(tmp_path / "f.mcap", read_run(path), change))) == {("environment", "work"): AT}
@@ -489,6 +504,7 @@ def test_the_command_agrees(recording: Path) -> None:
     code, out, _ = invoke("audit", recording)
     assert code == 0
     assert f"{recording}: holds: " in out.splitlines()[-1]
+    assert out.splitlines()[-1].endswith("had nothing to compare")
     assert "proved again, and this session's" in out
     code, out, _ = invoke("audit", recording, "--json")
     told = json.loads(out)

@@ -475,7 +475,7 @@ class TestCommand:
             (["run.mcap", "--from", "9"], "--from: found 9 s; expected at most 0.049 s"),
             (["absent.mcap"], "cannot be read"),
             (["absent.npz"], "cannot be read"),
-            (["bad.mcap"], "expected a recording"),
+            (["bad.mcap"], "expected an .mcap recording"),
             (["bad.npz"], "found no recording"),
             (["bad.csv"], "found no recording"),
             (["run.txt"], "found the suffix '.txt'"),

@@ -238,6 +238,6 @@ def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
     for command in ("replay", "audit"):
         code, out, err = invoke(command, tmp_path / "no.mcap")
         assert (code, out) == (2, "")
-        assert "expected a recording" in err
+        assert "expected an .mcap recording" in err
     with pytest.raises(RecordingError):
         read_run(tmp_path / "no.mcap")

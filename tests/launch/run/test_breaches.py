@@ -93,6 +93,7 @@ class Measured:
 
 
 NEXT = "close other programs, design for what this machine needs (design.tau=auto), or compare rates (manyhands doctor)"
+BESIDE_LINKS = "close other programs, state a design.tau that covers this, or compare rates (manyhands doctor)"
 
 
 def ends(decisions: list[Decision]) -> bool:
@@ -464,7 +465,8 @@ class Test_devices_with_certificates_of_their_own:
         m.tell("dz", 70, 300.0)
         assert m.notices == {
             Cause.DELAY: "forces came later than the certificate covers for each device: dx in 60.0% of its ticks, up "
-            "to 0.09 ms (covered 0.05 ms), dz in 70.0% of its ticks, up to 0.3 ms (covered 0.1 ms) so far; " + NEXT
+            "to 0.09 ms (covered 0.05 ms), dz in 70.0% of its ticks, up to 0.3 ms (covered 0.1 ms) so far; "
+            + BESIDE_LINKS
         }
 
     def test_a_guest_is_told_what_a_guest_can_do(self) -> None:
@@ -485,7 +487,7 @@ class Test_devices_with_certificates_of_their_own:
         assert m.notices == {
             Cause.PERIOD: "samples came later after the one before than the certificate covers (more after an early "
             "force): dx in 60.0% of its ticks (covered 0.25 ms), dz in 70.0% of its ticks (covered 1 ms) so far; "
-            + NEXT
+            + BESIDE_LINKS
         }
 
     def test_a_session_ends_for_what_the_device_itself_has_covered(self) -> None:

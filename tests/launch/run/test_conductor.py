@@ -180,6 +180,7 @@ def test_a_slow_start_names_missing_nodes_and_stubborn_processes_are_killed() ->
     assert "dx (connecting)" in c.faults[0]
     assert "environment (starting)" in c.faults[0]
     assert c.too_late() == [Kill()]
+    assert c.incidents.sentences == (f"did not end when the session did, and was killed: {', '.join(GRAPH.nodes)}",)
     assert running().too_late() == []
 
 

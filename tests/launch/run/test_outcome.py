@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -102,10 +103,12 @@ def whole(
     incidents: Incidents | None = None,
     enforced: tuple[str, ...] = (),
     lateness: dict[str, Any] | None = None,
+    unreported: tuple[str, ...] = (),
 ) -> dict[str, Any]:
     roles, withstood = dict.fromkeys((*nodes, "silent"), Role.DEVICE), incidents or Incidents()
     return run_report(
-        "example-1", "c0ffee", "simulated", 0.5, roles, nodes, refused or {}, withstood, enforced, lateness
+        *("example-1", "c0ffee", "simulated", 0.5, roles, nodes, refused or {}, withstood, enforced, lateness),
+        unreported=unreported,
     )
 
 
@@ -207,6 +210,15 @@ def test_a_sentence_about_lateness(
     shown = StringIO()
     print_report(Console(file=shown, width=123), made)
     assert (sentence or "no sentence") in shown.getvalue() + "no sentence"
+
+
+def test_a_node_without_a_report_has_a_row_and_nothing_is_claimed_of_it() -> None:
+    made = whole({"dx": late(0.0)}, lateness=PROMISE, unreported=("silent",))
+    assert (made["unreported"], made["nodes"].keys()) == (["silent"], {"dx"})
+    shown = StringIO()
+    print_report(Console(file=shown, width=200), made)
+    assert re.search("silent .* no report ", shown.getvalue())
+    assert "no account fell below 0 of those reported, and no figures came from silent, bound -5 mJ" in shown.getvalue()
 
 
 def test_the_last_line_says_what_was_worst() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import signal
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from rich.console import Console
 from manyhands.launch.design_report import print_report
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.reach import IPC, Reach
-from manyhands.launch.plan.topology import topology
+from manyhands.launch.plan.topology import Topology, topology
 from manyhands.launch.run import supervisor as supervisor_module
 from manyhands.launch.run.display import LiveTable
 from manyhands.launch.run.outcome import Progress
@@ -29,7 +30,7 @@ from manyhands.launch.session import load_session
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import REALTIME, SIMULATED
 from manyhands.nodes.observer.health import missed
-from manyhands.protocol.clock import Duration, from_seconds
+from manyhands.protocol.clock import Duration, Instant, from_seconds
 from manyhands.protocol.codec import encode
 from manyhands.protocol.limits import MAX_COUNT
 from manyhands.protocol.messages import (
@@ -37,6 +38,7 @@ from manyhands.protocol.messages import (
     Fault,
     Message,
     NodeHello,
+    Offer,
     Probe,
     Ready,
     Report,
@@ -85,11 +87,18 @@ class NoProcesses:
         self.sent.append(which)
 
 
+def hello(prepared: Prepared, graph: Topology, name: str) -> NodeHello:
+    """What a node of the session says first."""
+    binds = {link.connector: "ipc:///s" for link in graph.links_of(name) if link.binder == name}
+    return NodeHello(PROTOCOL_VERSION, prepared.id, "example-1", name, graph.nodes[name], 1, binds)
+
+
 class Heard:
     """A supervisor, its hub in memory, and its session brought to its first tick."""
 
-    def __init__(self, prepared: Prepared, run: bool) -> None:
-        self.supervisor = Supervisor(prepared, clock="realtime", reach=IPC, ticks=0, record=True)
+    def __init__(self, prepared: Prepared, run: bool, remote: frozenset[str] = frozenset()) -> None:
+        ways = replace(IPC, remote=remote)
+        self.supervisor = Supervisor(prepared, clock="realtime", reach=ways, ticks=0, record=True)
         self.graph = topology(prepared.session)
         self.transport = MemoryTransport()
         self.hub, _ = self.transport.bind_hub("control", [])
@@ -97,9 +106,8 @@ class Heard:
         self.supervisor.conductor.observers = observer_broadcast.serve(self.transport, Reach("ipc"), self.graph)
         self.processes = NoProcesses()
         if run:
-            for name, role in self.graph.nodes.items():
-                binds = {link.connector: "ipc:///s" for link in self.graph.links_of(name) if link.binder == name}
-                self.say(name, NodeHello(PROTOCOL_VERSION, prepared.id, "example-1", name, role, 1, binds))
+            for name in self.graph.nodes:
+                self.say(name, hello(prepared, self.graph, name))
             for name in self.graph.nodes:
                 self.say(name, Ready())
             assert self.supervisor.conductor.phase is SessionPhase.RUNNING
@@ -132,6 +140,25 @@ def test_no_message_is_an_error(prepared: Prepared, run: bool, conversation: lis
     print_report(console, outcome.report)
     assert set(outcome.report["nodes"]) <= set(heard.graph.nodes)
     assert set(heard.progress().telemetry) <= set(heard.graph.nodes)
+    heard.transport.close()
+
+
+def test_a_guest_that_joins_again_is_not_taken_for_silent(prepared: Prepared, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What its former process sent last is older than what the others have sent meanwhile."""
+    heard = Heard(prepared, run=True, remote=frozenset({"dx"}))
+    clock = heard.supervisor._clock
+    started = clock.now()
+    monkeypatch.setattr(clock, "now", lambda: Instant(started + from_seconds(60.0)))
+    heard.say("dx", Telemetry(100, {}, {}))
+    heard.say("dx", Report(100, {}, {}, {}))
+    monkeypatch.setattr(clock, "now", lambda: Instant(started + from_seconds(70.0)))
+    heard.say("environment", Telemetry(50_000, {}, {}))
+    heard.say("cx", Offer("dx", "ipc:///t"))
+    heard.say("dx", hello(prepared, heard.graph, "dx"))
+    heard.say("dx", Ready())
+    assert heard.progress().states["dx"] == "running"
+    assert "dx" not in heard.progress().silent
+    assert [row.who for row in heard.progress().promises if row.promise == "presence" and "dx" in row.who] == []
     heard.transport.close()
 
 

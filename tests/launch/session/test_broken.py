@@ -105,6 +105,7 @@ TABLE = {
     # environment
     "environment-type": (10, "environment.type", "'mesh'", "network"),
     "dangling-port": (14, "environment.links.1.between.0", "unknown end 'dw'", "one of dx, dy, hub, ground"),
+    "dangling-device": (14, "environment.links.1.between.0", "unknown end 'dy'", "dy.x, dy.z: the device dy has 2"),
     "unattached-port": (12, "environment.links", "no link to the port 'dy'", "every port"),
     "mass-without-link": (11, "environment.masses.spare", "without a link", "every mass"),
     "link-to-itself": (15, "environment.links.2.between", "from 'hub' to itself", "two different ends"),

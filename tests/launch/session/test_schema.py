@@ -56,7 +56,8 @@ NO_DATA = {
 
 FOR_THE_READER = {
     # a name that leads nowhere, or that two parts have
-    "coupling-named-as-device", "dangling-port", "mass-named-as-port", "mass-without-link", "matrices-missing-block",
+    "coupling-named-as-device", "dangling-device", "dangling-port", "mass-named-as-port", "mass-without-link",
+    "matrices-missing-block",
     "matrices-unknown-block", "observer-named-as-coupling", "observer-named-as-device", "observer-reads-control",
     "observer-reads-environment", "observer-reads-everything", "observer-reads-force", "observer-reads-tool",
     "observer-reads-twice", "observer-reserved-name", "observer-unknown-channel", "observer-unknown-node",
