@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -83,9 +85,14 @@ def viewed(*options: str | Path) -> Iterator[tuple[str, int]]:
 
 @contextmanager
 def browsing(executable: str) -> Iterator[Browser]:
-    """A browser that sends nothing by itself."""
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=executable, args=list(QUIET), timeout=60_000)
+    """A browser that sends nothing by itself.
+
+    Its temporary files are in a folder of their own: on a slow machine its processes end without removing them.
+    """
+    with sync_playwright() as playwright, tempfile.TemporaryDirectory(prefix="b") as own:
+        browser = playwright.chromium.launch(
+            executable_path=executable, args=list(QUIET), timeout=60_000, env={**os.environ, "TMPDIR": own}
+        )
         try:
             yield browser
         finally:
