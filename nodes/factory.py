@@ -40,7 +40,8 @@ ENGINES: Final = "manyhands.engines"
 """The group of the entry points that name physics engines."""
 
 SHIPPED: Final[Mapping[str, Mapping[str, str]]] = {
-    ENGINES: {"mujoco": "manyhands.nodes.environment.mujoco:MujocoEngine"}
+    MODELS: {"mesh": "manyhands.nodes.environment.mesh:MeshProxies"},
+    ENGINES: {"mujoco": "manyhands.nodes.environment.mujoco:MujocoEngine"},
 }
 """The factories of this package under short names, by group: its own code, of which no run warns."""
 
@@ -112,8 +113,15 @@ def place_of(name: FactoryName) -> str:
     return "Python's import path"
 
 
+def is_own_model(name: FactoryName) -> bool:
+    """Whether a factory is one of this package's models: they take data alone, and check them."""
+    return name.factory in SHIPPED[MODELS].values()
+
+
 def require_allowed(name: FactoryName | None, allowed: str | None) -> None:
     """Refuse to run code that a file from elsewhere names, unless the user of this machine has named it too.
+
+    A model of this package needs no permission.
 
     Args:
         name: the factory in the file; None for none.
@@ -122,7 +130,7 @@ def require_allowed(name: FactoryName | None, allowed: str | None) -> None:
     Raises:
         FactoryError: the user has allowed no code, or other code than the file names.
     """
-    if name is not None and name.factory != allowed:
+    if name is not None and name.factory != allowed and not is_own_model(name):
         raise FactoryError(
             f"found the factory {name.factory:.200}, whose code would run here with your rights, and "
             f"{'no permission for it' if allowed is None else f'a permission for {allowed:.200}'}; expected "
