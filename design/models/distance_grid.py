@@ -171,7 +171,9 @@ def grid_of_text(text: str) -> DistanceGrid:
     vertices = np.frombuffer(plain[ends[0] : ends[1]], dtype="<i4").reshape(-1, 3) / _MICROMETRE
     triangles = np.frombuffer(plain[ends[1] :], dtype="<u2").reshape(-1, 3).astype(np.int64)
     if np.abs(parts).max() > band * _STEPS_IN_CELL or triangles.max(initial=-1) >= len(vertices):
-        raise ValueError("found a distance beyond the band, or a triangle of no vertex, in a distance grid")
+        raise ValueError(
+            "found a distance beyond the band, or a triangle of no vertex; expected it as manyhands mesh writes it"
+        )
     return DistanceGrid(origin, cell, band, parts * (cell / _STEPS_IN_CELL), TriangleMesh(vertices, triangles))
 
 

@@ -255,8 +255,9 @@ class ContactScene:
 
     def _problems_of_mesh(self, mesh: Obstacle) -> Iterator[str]:
         corners = [corner for triangle in mesh.triangles for corner in triangle]
-        if not 0 < len(mesh.triangles) <= MOST_DRAWN or len(mesh.points) > 3 * MOST_DRAWN:
-            yield f"obstacle {mesh.name}: found {len(mesh.triangles)} triangles; expected 1 to {MOST_DRAWN}"
+        triangles = sum(len(obstacle.triangles) for obstacle in self.obstacles)
+        if not mesh.triangles or triangles > MOST_DRAWN or len(mesh.points) > 3 * MOST_DRAWN:
+            yield f"obstacle {mesh.name}: found {triangles} triangles in all; expected 1 to {MOST_DRAWN}"
         elif not 0 <= min(corners) <= max(corners) < len(mesh.points):
             yield f"obstacle {mesh.name}: found a triangle of no point; expected indices of {len(mesh.points)} points"
         if any(self.surface_of(thing.name, mesh.name).stiffness > 0.0 for thing in self.things):

@@ -124,10 +124,10 @@ class MeshTool:
                 x, y, z = x + part * vx, y + part * vy, z + part * vz
                 continue
             nx, ny, nz = nx / slope, ny / slope, nz / slope
-            height = max(clearance / slope, -cell)
+            height = max(clearance / slope, -cell) if abs(clearance) > near * slope else 0.0
             towards = vx * nx + vy * ny + vz * nz
             depth = -(height + towards)  # of the goal under the tangent plane
-            if depth <= 0.0 or (height > near and not touched):
+            if depth <= 0.0 or (height > 0.0 and not touched):
                 # the goal is on this side of the plane, or the proxy is in the air: straight on, down to the plane
                 part = 1.0 if depth <= 0.0 else height / -towards
                 part = min(part, max(clearance, cell) / way)
@@ -138,7 +138,7 @@ class MeshTool:
             along = math.sqrt(tx * tx + ty * ty + tz * tz)
             excess = along - mu * depth
             slides = excess > CONE_TOLERANCE * depth
-            if not slides and abs(height) <= near:
+            if not slides and height == 0.0:
                 self.place = x, y, z
                 return self.place
             part = excess / along if slides else 0.0
