@@ -31,7 +31,7 @@ def tool(made: DistanceGrid, at: Place, radius: float = 0.0, mu: float = 0.0, ax
 
 
 def pressed(mesh_tool: MeshTool, rng: np.random.Generator, ticks: int, force: float = 5.0) -> Any:
-    """A tool of 0.1 kg on a spring to its proxy, drawn to places in and around the solid; each tick's goal and answer."""
+    """A tool of 0.1 kg on a spring to its proxy, drawn to places about the solid; goal, answer and place of each tick."""
     x = np.array(mesh_tool.place)
     v = np.zeros(3)
     wanted = x
@@ -207,7 +207,7 @@ def hostile(core: EnforcedCore, rng: np.random.Generator, ticks: int, clutched: 
 def test_the_account_of_a_mesh_is_never_below_zero(
     name: str, mu: float, stiffness: float, joined: bool, seed: int
 ) -> None:
-    """With sharp edges, all clutch ratios, and couplings with and without symmetry; 10^5 ticks each in the wide search."""
+    """Sharp edges, all clutch ratios, couplings with and without symmetry; 10^5 ticks each in the wide search."""
     rng = np.random.default_rng(seed)
     D = np.eye(6) / 900.0
     if joined:
