@@ -111,7 +111,7 @@ class MeshTool:
             clearance = distance - self._radius
             vx, vy, vz = goal[0] - x, goal[1] - y, goal[2] - z
             way = math.sqrt(vx * vx + vy * vy + vz * vz)
-            if clearance >= way:
+            if clearance >= way - near:
                 self.place = goal
                 return goal
             nx, ny, nz = nx * fx, ny * fy, nz * fz

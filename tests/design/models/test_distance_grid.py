@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import zlib
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -136,11 +137,8 @@ def test_a_damaged_text_is_refused(text: str, said: str) -> None:
 def test_a_text_with_one_character_changed_is_a_grid_or_refused(at: int, letter: str) -> None:
     text = grid("box").text
     at %= len(text)
-    try:
+    with suppress(ValueError):
         made = grid_of_text(text[:at] + letter + text[at + 1 :])
-    except ValueError as error:
-        assert "expected" in str(error)
-    else:
         assert np.isfinite(made.distances).all()
         assert made.distances.size <= MOST_NODES
 

@@ -80,7 +80,7 @@ def test_triangles_of_their_own_corners_become_one_surface() -> None:
 
 @pytest.mark.parametrize("turned", [False, True])
 def test_parts_that_cross_are_refused(turned: bool) -> None:
-    other = CORNERS + (0.2, 0.1, 0.1) if not turned else CORNERS * 0.5 + (3.0, 0.0, 0.0)
+    other = CORNERS * 0.5 + np.array([3.0, 0.0, 0.0]) if turned else CORNERS + np.array([0.2, 0.1, 0.1])
     faces = FACES[:, ::-1] if turned else FACES
     mesh = solid([*CORNERS, *other], [*FACES, *(faces + 4)])
     low, high = mesh.bounds
@@ -91,7 +91,7 @@ def test_parts_that_cross_are_refused(turned: bool) -> None:
 
 def test_a_cavity_is_outside() -> None:
     """A part that faces inwards within one that faces outwards is a hollow."""
-    inner = CORNERS * 0.4 + (0.1, 0.1, 0.1)
+    inner = CORNERS * 0.4 + 0.1
     mesh = solid([*CORNERS, *inner], [*FACES, *(FACES[:, ::-1] + 4)])
     found = signed_distances(mesh, np.full(3, -0.2), 0.05, (29, 29, 29), 0.2)
     assert found[8, 8, 8] > 0.0  # (0.2, 0.2, 0.2)
