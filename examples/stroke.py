@@ -30,7 +30,7 @@ def main(target: Path) -> None:
         forces[name] = np.array([columns[f"{name}.force[{name}.{axis}]_N"] for axis in "xyz"])
     figure = Figure(figsize=(9.0, 3.6), layout="constrained", facecolor="white")
     space = figure.add_subplot(1, 2, 1, projection="3d")
-    surface = grid_of_text(session.environment.grid).surface
+    surface = grid_of_text(session.environment.model).surface
     x, y, z = 1e3 * surface.vertices.T
     space.plot_trisurf(x, -z, y, triangles=surface.triangles, color="0.85", edgecolor="0.7", lw=0.2)
     for name, (tool_x, tool_y, tool_z) in paths.items():
@@ -39,7 +39,7 @@ def main(target: Path) -> None:
     space.view_init(elev=35, azim=-75)
     space.legend(frameon=False, loc="upper left")
     side = figure.add_subplot(1, 2, 2)
-    grid = grid_of_text(session.environment.grid)
+    grid = grid_of_text(session.environment.model)
     middle = grid.distances[:, :, grid.distances.shape[2] // 2].T
     along = [1e3 * (grid.origin[j] + grid.cell * np.arange(grid.distances.shape[j])) for j in (0, 1)]
     side.contourf(*along, middle, levels=[-1.0, 0.0], colors=["0.85"])

@@ -15,19 +15,16 @@ from manyhands.extras import explained
 from manyhands.launch.session.limits import MAX_MESH_BYTES, MAX_MODEL_BYTES
 from manyhands.nodes.factory import in_one_line
 
-UNITS: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 0.0254}
-"""The units of a mesh's coordinates, m: the files name none."""
-
 _SUFFIXES: Final = (".stl", ".obj")
 _CELLS: Final = 64  # along the longest side, where no cell is stated
 
 
-def read_mesh(path: Path, unit: str = "mm") -> TriangleMesh:
+def read_mesh(path: Path, unit: float = 1e-3) -> TriangleMesh:
     """The solid in an STL or OBJ file.
 
     Args:
         path: the file; materials and textures that it names are not read.
-        unit: of its coordinates, one of :data:`UNITS`.
+        unit: of its coordinates, m: the file names none.
 
     Raises:
         MeshError: the file cannot be read, is too long or no such file, or its surface is no solid.
@@ -50,7 +47,7 @@ def read_mesh(path: Path, unit: str = "mm") -> TriangleMesh:
         vertices, triangles = np.asarray(found.vertices, dtype=np.float64), np.asarray(found.faces, dtype=np.int64)
     except Exception as error:
         raise MeshError(f"found no mesh ({in_one_line(error)}); expected an STL or OBJ file") from error
-    return solid(vertices * UNITS[unit], triangles)
+    return solid(vertices * unit, triangles)
 
 
 def made_grid(mesh: TriangleMesh, cell: float | None = None, band: int = BAND) -> DistanceGrid:

@@ -100,6 +100,7 @@ class AskedEnvironment(SessionModel):
     """An environment whose answer is asked for tick by tick; the design uses nothing but its declared level."""
 
     type: str
+    model: str
     stiffness: OneOrMany | None = None
     level: Annotated[OneOrMany, one_or_many(_LEVEL)] = Field(
         default=0.0,
@@ -295,7 +296,7 @@ class MeshEnvironment(AskedEnvironment):
     type: Annotated[Literal["mesh"], BeforeValidator(Choice(("mesh",)))] = Field(
         description="the kind of environment: mesh"
     )
-    grid: Annotated[str, BeforeValidator(_grid_text), WithJsonSchema({"type": "string"})] = Field(
+    model: Annotated[str, BeforeValidator(_grid_text), WithJsonSchema({"type": "string"})] = Field(
         description="the distance grid that manyhands mesh has made, relative to the session file, or its text"
     )
     stiffness: Annotated[float, BeforeValidator(_SPRING)] = Field(
@@ -313,7 +314,7 @@ class MeshEnvironment(AskedEnvironment):
         yield from super().problems(ports)
         of_names = [*tool_problems(self.tools, ports)]
         yield from of_names
-        grid = grid_of_text(self.grid)
+        grid = grid_of_text(self.model)
         distance = Lookup(grid)
         for name, tool in {} if of_names else self.tools.items():
             if tool.radius > grid.largest_radius:
@@ -335,17 +336,17 @@ class MeshEnvironment(AskedEnvironment):
             }
             for tool in tool_spheres(self.tools, ports)
         ]
-        return SHIPPED[MODELS]["mesh"], {"grid": self.grid, "friction": self.friction, "tools": tools}
+        return SHIPPED[MODELS]["mesh"], {"grid": self.model, "friction": self.friction, "tools": tools}
 
     def content(self, ports: tuple[str, ...]) -> str:
         """SHA-256 over the grid's digest, friction and tools, as JSON with sorted keys."""
         _, parameters = self.code(ports)
-        parameters["grid"] = grid_of_text(self.grid).digest
+        parameters["grid"] = grid_of_text(self.model).digest
         return hashlib.sha256(json.dumps(parameters, sort_keys=True).encode()).hexdigest()
 
     def geometry(self, ports: tuple[str, ...]) -> ContactScene:
         """The tools, and the mesh as an obstacle, for drawing."""
-        surface = grid_of_text(self.grid).surface
+        surface = grid_of_text(self.model).surface
         x, y, z = surface.vertices.T.tolist()
         i, j, k = surface.triangles.T.tolist()
         mesh = Obstacle("mesh", "mesh", tuple(zip(x, y, z, strict=True)), triangles=tuple(zip(i, j, k, strict=True)))

@@ -43,7 +43,7 @@ def test_every_kind_of_file_gives_the_same_grid(name: str, folder: Path) -> None
     assert (done.exit_code, done.stdout) == (0, "")
     assert done.stderr == (
         "out.grid: 12 triangles of 40 x 30 x 20 mm, in 29 x 24 x 19 nodes 2 mm apart; next: environment: {type: mesh, "
-        "grid: out.grid, ...}\n"
+        "model: out.grid, ...}\n"
     )
     made = grid_of_text((folder / "out.grid").read_text())
     middle = made.distances[14, 12, 9]
@@ -132,6 +132,6 @@ def test_the_shipped_grid_is_that_of_the_shipped_mesh(folder: Path) -> None:
     (folder / "relief.stl").write_bytes(data)
     assert manyhands_command("mesh", "relief.stl", "--cell", "0.002").exit_code == 0
     made = grid_of_text((folder / "relief.grid").read_text())
-    shipped = grid_of_text(load_session(ROOT / "launch" / "sessions" / "stroke.yaml").environment.grid)
+    shipped = grid_of_text(load_session(ROOT / "launch" / "sessions" / "stroke.yaml").environment.model)
     np.testing.assert_array_equal(made.distances, shipped.distances)
     assert made.digest == shipped.digest

@@ -27,7 +27,7 @@ devices:
 couplings: {ca: {devices: [anna]}, cb: {devices: [ben]}}
 environment:
   type: mesh
-  grid: box.grid
+  model: box.grid
   stiffness: 3000
   friction: 0.3
   tools:
@@ -67,13 +67,13 @@ def test_a_session_holds_its_grid_without_the_file(path: Path) -> None:
     session = load_session(path)
     again = Session.model_validate(session.as_plain())
     assert isinstance(again.environment, MeshEnvironment)
-    assert again.environment.grid == grid("box").text
+    assert again.environment.model == grid("box").text
     assert session_environment(again) == session_environment(session)
 
 
 @pytest.mark.parametrize(
     "change",
-    ["friction=0.31", "tools.anna.radius=0.002", "tools.ben.at=[0.03, 0, 0.001]", "grid=other.grid", "stiffness=2999"],
+    ["friction=0.31", "tools.anna.radius=0.002", "tools.ben.at=[0.03, 0, 0.001]", "model=other.grid", "stiffness=2999"],
 )
 def test_another_world_has_another_certificate(path: Path, change: str) -> None:
     (path.parent / "other.grid").write_text(grid("box", 0.0021).text, encoding="utf-8")
@@ -100,10 +100,10 @@ def test_what_is_drawn_has_tools_and_triangles(path: Path) -> None:
 @pytest.mark.parametrize(
     ("override", "at", "found"),
     [
-        ("grid=missing.grid", "grid", "missing.grid"),
-        ("grid=3", "grid", "3"),
-        ("grid=touch.yaml", "grid", "the first line ''; expected 'manyhands distance grid 1'"),
-        ('grid="solid box\\nfacet"', "grid", "the first line 'solid box'"),
+        ("model=missing.grid", "model", "missing.grid"),
+        ("model=3", "model", "3"),
+        ("model=touch.yaml", "model", "the first line ''; expected 'manyhands distance grid 1'"),
+        ('model="solid box\\nfacet"', "model", "the first line 'solid box'"),
         ("stiffness=0", "stiffness", "0"),
         ("stiffness=[1, 2, 3, 4, 5]", "stiffness", "[1, 2"),
         ("stiffness=1e9", "stiffness", "1"),
@@ -118,7 +118,7 @@ def test_what_is_drawn_has_tools_and_triangles(path: Path) -> None:
             "0.0045; expected at most 0.004, or a grid with a wider --band",
         ),
         ("level=-1", "level", "-1"),
-        ("model=x", "model", "model"),
+        ("grid=x", "grid", "grid"),
     ],
 )
 def test_an_error_names_its_place(path: Path, override: str, at: str, found: str) -> None:
