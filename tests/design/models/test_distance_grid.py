@@ -75,6 +75,7 @@ def test_the_digest_is_of_the_numbers_and_not_of_their_packing() -> None:
     changed = made.distances.copy()
     changed[3, 3, 3] -= CELL / 1000
     assert DistanceGrid(made.origin, made.cell, made.band, changed, made.surface).digest != made.digest
+    assert DistanceGrid((0.0, 0.0, 0.0), made.cell, made.band, made.distances, made.surface).digest != made.digest
 
 
 def test_a_cell_decides_how_large_a_tool_may_be() -> None:

@@ -61,7 +61,9 @@ def test_what_is_not_stated(folder: Path) -> None:
 
 def test_other_files_that_a_mesh_names_are_not_read(folder: Path) -> None:
     (folder / "a.obj").write_text(f"mtllib /proc/self/mem\nusemtl m\n{TETRAHEDRON}")
-    assert manyhands_command("mesh", "a.obj", "--unit", "cm").exit_code == 0
+    done = manyhands_command("mesh", "a.obj", "--unit", "cm")
+    assert done.exit_code == 0
+    assert "4 triangles of 10 x 10 x 10 mm" in done.stderr
 
 
 @pytest.mark.parametrize(

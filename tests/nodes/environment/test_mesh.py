@@ -129,15 +129,32 @@ def test_a_fast_tool_is_caught_up_with_in_a_few_ticks() -> None:
     ways = [one.follow((0.9, 0.0, 0.05)) for _ in range(3)]
     assert ways == [(0.9, 0.0, 0.05)] * 3
     assert one.place == (0.9, 0.0, 0.05)
-    slow = tool(grid("box"), (-0.015, 0.0, 0.012))
-    slow.follow((-0.015, 0.0, 0.009))
-    for _ in range(2):
-        x, _, z = slow.follow((0.015, 0.0, 0.009))  # 30 mm along the face: less than a cell in each of the parts
-        assert (x, z) == pytest.approx((0.015, 0.01), abs=1e-4)
-    assert STEPS * CELL > 0.03
+    slow = tool(grid("box"), (-0.0185, 0.0, 0.012))
+    slow.follow((-0.0185, 0.0, 0.0099))
+    at_once = slow.follow((0.0185, 0.0, 0.0099))  # 37 mm along the face: more than a cell for each of the parts
+    assert at_once == pytest.approx((0.0185, 0.0, 0.01), abs=5e-5)
+    assert -0.0185 + (STEPS - 2) * CELL < slow.place[0] < 0.0165
+    assert slow.follow((0.0185, 0.0, 0.0099)) == slow.place == pytest.approx((0.0185, 0.0, 0.01), abs=2e-4)
 
 
-@pytest.mark.parametrize(("axes", "at"), [((1,), (0.0, -0.03, 0.0)), ((0, 2), (0.03, 0.0, 0.005))])
+def test_a_way_through_the_air_ends_at_the_next_wall() -> None:
+    """Across the hole of a torus: the tangent plane at the start is no reason to go through the other side."""
+    one = tool(grid("torus"), (-0.0119, 0.0, 0.0))
+    x, y, z = one.follow((0.05, 0.0, 0.0))
+    assert (x, y, z) == pytest.approx((0.012, 0.0, 0.0), abs=3e-4)
+
+
+@pytest.mark.parametrize("depth", [1e-5, 1e-4, 1e-3])
+@pytest.mark.parametrize("name", SHAPES)
+def test_a_tool_that_comes_to_its_proxy_is_free(name: str, depth: float) -> None:
+    """Also where rounding has the proxy a little inside."""
+    one = tool(grid(name), (0.013, 0.004, 0.03))
+    for k in range(40):
+        place = one.follow((0.013 + 1e-4 * k, 0.004, 0.012 - depth))
+        assert one.follow(place) == place
+
+
+@pytest.mark.parametrize(("axes", "at"), [((1,), (0.008, -0.03, 0.0)), ((0, 2), (0.03, 0.008, 0.005))])
 def test_a_device_with_fewer_axes_moves_its_proxy_along_these(axes: tuple[int, ...], at: Place) -> None:
     ports = tuple("abc"[: len(axes)])
     one = {"ports": [*ports], "axes": [*axes], "at": [*at], "radius": 0.001}
