@@ -25,6 +25,15 @@ from manyhands.design.models.statespace import Matrix
 GROUND: Final = "ground"
 """The end of a link that stands still."""
 
+AXES: Final = "xyz"
+"""The axes of space, in the order of every position here."""
+
+
+def coordinates(body: str) -> tuple[str, ...]:
+    """The names of a body's coordinates x, y and z among the masses of a session."""
+    return tuple(f"{body}.{axis}" for axis in AXES)
+
+
 _UP = np.array([0.0, 0.0, 1.0])  # the gradient where a centre is on an axis or on the other centre: one of many
 
 

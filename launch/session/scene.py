@@ -23,6 +23,7 @@ from manyhands.design.models.scene import (
     SceneLink,
     ToolSphere,
 )
+from manyhands.launch.session.device import ports_by_device
 from manyhands.launch.session.errors import listed, one_of, show
 from manyhands.launch.session.fields import (
     DAMPING,
@@ -41,6 +42,7 @@ from manyhands.launch.session.fields import (
     optional,
     part_name,
     refuse,
+    require_spring_or_damper,
 )
 from manyhands.launch.session.forms import either, list_of, where
 from manyhands.launch.session.limits import MAX_LINKS
@@ -214,19 +216,8 @@ class SceneSpring(SessionModel):
 
     @model_validator(mode="after")
     def _has_spring_or_damper(self) -> Self:
-        if self.stiffness == 0.0 and self.damping == 0.0:
-            raise refuse(
-                "neither stiffness nor damping", "a stiffness in N/m, a damping in N·s/m, or both, greater than 0"
-            )
+        require_spring_or_damper(self.stiffness, self.damping)
         return self
-
-
-def _by_device(ports: tuple[str, ...]) -> dict[str, list[str]]:
-    """The ports of each device, by its name."""
-    found: dict[str, list[str]] = {}
-    for port in ports:
-        found.setdefault(port.partition(".")[0], []).append(port)
-    return found
 
 
 def _axes_of(ports: list[str]) -> tuple[int, ...]:
@@ -237,7 +228,7 @@ def _axes_of(ports: list[str]) -> tuple[int, ...]:
 
 def tool_problems(tools: Mapping[str, SceneTool], ports: tuple[str, ...]) -> Iterator[Problem]:
     """The problems of the tools' names in a session with these ports: each device has one, with one to three axes."""
-    devices = _by_device(ports)
+    devices = ports_by_device(ports)
     for name in devices:
         if name not in tools:
             yield Problem(("tools",), f"no tool for the device {name!r}", "one tool for each device, by its name")
@@ -251,7 +242,7 @@ def tool_problems(tools: Mapping[str, SceneTool], ports: tuple[str, ...]) -> Ite
 
 def tool_spheres(tools: Mapping[str, SceneTool], ports: tuple[str, ...]) -> tuple[ToolSphere, ...]:
     """The tools as design has them, in a session with these ports and without :func:`tool_problems`."""
-    devices = _by_device(ports)
+    devices = ports_by_device(ports)
     index = {port: i for i, port in enumerate(ports)}
     return tuple(
         ToolSphere(name, tuple(index[port] for port in devices[name]), _axes_of(devices[name]), tool.at, tool.radius)
