@@ -40,10 +40,12 @@ ENGINES: Final = "manyhands.engines"
 """The group of the entry points that name physics engines."""
 
 SHIPPED: Final[Mapping[str, Mapping[str, str]]] = {
-    MODELS: {"mesh": "manyhands.nodes.environment.mesh:MeshProxies"},
-    ENGINES: {"mujoco": "manyhands.nodes.environment.mujoco:MujocoEngine"},
+    ENGINES: {"mujoco": "manyhands.nodes.environment.mujoco:MujocoEngine"}
 }
 """The factories of this package under short names, by group: its own code, of which no run warns."""
+
+MESH: Final = "manyhands.nodes.environment.mesh:MeshProxies"
+"""This package's model of a mesh. It takes data alone, and checks them, so it needs no permission and no warning."""
 
 
 class FactoryError(ValueError):
@@ -113,15 +115,15 @@ def place_of(name: FactoryName) -> str:
     return "Python's import path"
 
 
-def is_own_model(name: FactoryName) -> bool:
-    """Whether a factory is one of this package's models: they take data alone, and check them."""
-    return name.factory in SHIPPED[MODELS].values()
+def is_shipped(factory: str) -> bool:
+    """Whether a factory is this package's own code."""
+    return factory == MESH or any(factory in own.values() for own in SHIPPED.values())
 
 
 def require_allowed(name: FactoryName | None, allowed: str | None) -> None:
     """Refuse to run code that a file from elsewhere names, unless the user of this machine has named it too.
 
-    A model of this package needs no permission.
+    This package's model of a mesh needs no permission.
 
     Args:
         name: the factory in the file; None for none.
@@ -130,7 +132,7 @@ def require_allowed(name: FactoryName | None, allowed: str | None) -> None:
     Raises:
         FactoryError: the user has allowed no code, or other code than the file names.
     """
-    if name is not None and name.factory != allowed and not is_own_model(name):
+    if name is not None and name.factory != allowed and name.factory != MESH:
         raise FactoryError(
             f"found the factory {name.factory:.200}, whose code would run here with your rights, and "
             f"{'no permission for it' if allowed is None else f'a permission for {allowed:.200}'}; expected "

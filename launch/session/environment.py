@@ -83,7 +83,7 @@ from manyhands.launch.session.matrices import (
 )
 from manyhands.launch.session.scene import FRICTION, TOUCH, SceneEnvironment, SceneTool, tool_problems, tool_spheres
 from manyhands.nodes.environment.mesh import Lookup
-from manyhands.nodes.factory import ENGINES, MODELS, SHIPPED
+from manyhands.nodes.factory import ENGINES, MESH, MODELS
 
 _LEVEL: Final = Quantity("a level", "N·s/m")
 _STIFFNESS: Final = Quantity("a stiffness", "N/m", magnitude=MAX_STIFFNESS)
@@ -340,7 +340,7 @@ class MeshEnvironment(AskedEnvironment):
             }
             for tool in tool_spheres(self.tools, ports)
         ]
-        return SHIPPED[MODELS]["mesh"], {"grid": self.model, "friction": self.friction, "tools": tools}
+        return MESH, {"grid": self.model, "friction": self.friction, "tools": tools}
 
     def content(self, ports: tuple[str, ...]) -> str:
         """SHA-256 over the grid's digest, friction and tools, as JSON with sorted keys."""
