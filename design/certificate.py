@@ -121,7 +121,8 @@ def describe_environment(environment: Environment) -> dict[str, Any]:
             return environment.scene.terms()
         case ProxyEnvironment():
             level, K = environment.level.tolist(), environment.stiffness.tolist()
-            return {"type": "proxy", "level": level, "stiffness": K}
+            content = {} if environment.content is None else {"content": environment.content}
+            return {"type": "proxy", "level": level, "stiffness": K, **content}
         case DeclaredEnvironment():
             return {"type": "declared", "level": environment.promised().tolist()}
     raise TypeError(f"expected an environment of a known kind, found {type(environment).__name__}")
@@ -160,7 +161,8 @@ def environment_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> Environme
     if kind == "scene":
         return DeclaredScene(scene_of(data, ports))
     if kind == "proxy":
-        return ProxyEnvironment(ports, matrix(data["level"], m, m), matrix(data["stiffness"], m, m))
+        content = str(data["content"]) if "content" in data else None
+        return ProxyEnvironment(ports, matrix(data["level"], m, m), matrix(data["stiffness"], m, m), content)
     if kind == "wave-link":
         return face_of(data, ports)
     if kind == "world":

@@ -23,6 +23,7 @@ from manyhands.launch.plan.prepare import Prepared, certify, prepare
 from manyhands.launch.session import ENVIRONMENT, AskedEnvironment, Session
 from manyhands.launch.session.session import whole_ticks
 from manyhands.nodes.bundle import CLOCKS, REALTIME
+from manyhands.nodes.factory import is_shipped
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -317,7 +318,8 @@ def launch(
     prepared = _prepared(loaded, certificate, uncertified, realtime=clock == REALTIME, transport=transport)
     if isinstance(loaded.environment, AskedEnvironment):
         factory, _ = loaded.environment.code(loaded.ports)
-        warnings.warn(f"{loaded.name} runs the code of the model {factory}", stacklevel=2)
+        if not is_shipped(factory):
+            warnings.warn(f"{loaded.name} runs the code of the model {factory}", stacklevel=2)
     kept = None if directory is None else SessionDirectory(Path(directory))
     return BackgroundRun(prepared, clock=clock, reach=ways, ticks=ticks, record=file, directory=kept)
 

@@ -44,6 +44,9 @@ SHIPPED: Final[Mapping[str, Mapping[str, str]]] = {
 }
 """The factories of this package under short names, by group: its own code, of which no run warns."""
 
+MESH: Final = "manyhands.nodes.environment.mesh:MeshProxies"
+"""This package's model of a mesh. It takes data alone, and checks them, so it needs no permission and no warning."""
+
 
 class FactoryError(ValueError):
     """A factory cannot be imported or fails; the message names it and the reason."""
@@ -112,8 +115,15 @@ def place_of(name: FactoryName) -> str:
     return "Python's import path"
 
 
+def is_shipped(factory: str) -> bool:
+    """Whether a factory is this package's own code."""
+    return factory == MESH or any(factory in own.values() for own in SHIPPED.values())
+
+
 def require_allowed(name: FactoryName | None, allowed: str | None) -> None:
     """Refuse to run code that a file from elsewhere names, unless the user of this machine has named it too.
+
+    This package's model of a mesh needs no permission.
 
     Args:
         name: the factory in the file; None for none.
@@ -122,7 +132,7 @@ def require_allowed(name: FactoryName | None, allowed: str | None) -> None:
     Raises:
         FactoryError: the user has allowed no code, or other code than the file names.
     """
-    if name is not None and name.factory != allowed:
+    if name is not None and name.factory != allowed and name.factory != MESH:
         raise FactoryError(
             f"found the factory {name.factory:.200}, whose code would run here with your rights, and "
             f"{'no permission for it' if allowed is None else f'a permission for {allowed:.200}'}; expected "

@@ -36,7 +36,7 @@ def distributions_of(module: str) -> set[str]:
 def test_the_table_has_the_extras_that_are_declared() -> None:
     assert EXTRAS.keys() == SETS.keys() - NO_MODULES
     (everything,) = map(Requirement, SETS["all"])
-    assert everything.extras == EXTRAS.keys() - {"parquet", "pandas", "foxglove", "ros", "mujoco"}
+    assert everything.extras == EXTRAS.keys() - {"parquet", "pandas", "foxglove", "ros", "mujoco", "mesh"}
 
 
 @pytest.mark.parametrize("extra", EXTRAS)

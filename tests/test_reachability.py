@@ -28,7 +28,7 @@ from typing import Any
 
 import manyhands
 from manyhands.launch.cli import GROUPS
-from manyhands.nodes.factory import SHIPPED
+from manyhands.nodes.factory import MESH, SHIPPED
 
 PRODUCT = Path(manyhands.__file__).parent
 REPOSITORY = Path(__file__).parents[1]
@@ -384,7 +384,7 @@ CALLED_FROM_OUTSIDE = {
 
 def test_the_product_is_reached() -> None:
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    named = [*project["scripts"].values(), *(factory for own in SHIPPED.values() for factory in own.values())]
+    named = [MESH, *project["scripts"].values(), *(factory for own in SHIPPED.values() for factory in own.values())]
     found = unreached(sources(PRODUCT, "manyhands"), named, [text for _, text in documents()])
     lines = "\n".join(sorted(set(map(str, found)) - CALLED_FROM_OUTSIDE))
     assert not lines, f"nothing but tests reaches\n{lines}\nexpected none; delete it, or move it to tests/support"

@@ -377,6 +377,8 @@ class ProxyEnvironment(DeclaredEnvironment):
 
     Attributes:
         stiffness: K, m x m symmetric positive definite, N/m.
+        content: the digest of what proposes the proxies, where it is data, as of a mesh; None for code. Nothing is
+            proved of it; it makes the certificate of another mesh another one.
 
     Raises:
         ValueError: K is not symmetric positive definite, or the level has a negative eigenvalue.
@@ -384,6 +386,7 @@ class ProxyEnvironment(DeclaredEnvironment):
 
     enforced: bool = field(init=False, default=True)
     stiffness: Matrix = field(default_factory=lambda: np.zeros((0, 0)))
+    content: str | None = None
 
     __repr__ = brief_repr
 
@@ -401,6 +404,7 @@ class ProxyEnvironment(DeclaredEnvironment):
         """Equal when every number is."""
         if not isinstance(other, ProxyEnvironment):
             return NotImplemented
-        return super().__eq__(other) and np.array_equal(self.stiffness, other.stiffness)
+        same = super().__eq__(other) and self.content == other.content
+        return same and np.array_equal(self.stiffness, other.stiffness)
 
     __hash__ = None  # matrices have none

@@ -22,6 +22,7 @@ import numpy as np
 
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.contacts import AXES, GROUND, ContactPair, Contacts, Surface
+from manyhands.design.models.distance_grid import MOST_DRAWN
 from manyhands.design.models.statespace import Matrix
 
 Point: TypeAlias = tuple[float, float, float]
@@ -103,16 +104,20 @@ class Obstacle:
 
     Attributes:
         name: of the obstacle.
-        shape: "wall" and "room" keep the spheres inside; "box", "sphere" and "capsule" keep them outside.
+        shape: "wall" and "room" keep the spheres inside; "box", "sphere" and "capsule" keep them outside. A "mesh" is
+            drawn, and nothing in a scene touches it.
         points: of a wall a point and the normal towards the inside; of a room or a box the corners with the least and
-            the greatest coordinates; of a capsule the ends of its axis; of a sphere its centre. m
+            the greatest coordinates; of a capsule the ends of its axis; of a sphere its centre; of a mesh its vertices.
+            m
         radius: of a sphere or a capsule, m; 0 for the others.
+        triangles: of a mesh: indices of points, which turn to the left seen from outside; empty for the others.
     """
 
     name: str
     shape: str
     points: tuple[Point, ...]
     radius: float = 0.0
+    triangles: tuple[tuple[int, int, int], ...] = ()
 
     @property
     def faces(self) -> tuple[tuple[Point, Point], ...]:
@@ -219,7 +224,9 @@ class ContactScene:
                 yield f"tool {tool.name}: found the axes {tool.axes} for {len(tool.ports)} ports; expected one each"
         for obstacle in self.obstacles:
             expected = {"wall": 2, "room": 2, "box": 2, "capsule": 2, "sphere": 1}.get(obstacle.shape)
-            if expected != len(obstacle.points):
+            if obstacle.shape == "mesh":
+                yield from self._problems_of_mesh(obstacle)
+            elif expected != len(obstacle.points):
                 yield f"obstacle {obstacle.name}: found the shape {obstacle.shape!r} with {len(obstacle.points)} points"
             elif obstacle.shape in ("room", "box") and not all(a < b for a, b in zip(*obstacle.points, strict=True)):
                 yield f"obstacle {obstacle.name}: expected the corner 'low' below 'high' along every axis"
@@ -245,6 +252,16 @@ class ContactScene:
             yield f"expected a contact's stiffness of at most {STIFFEST:g} N/m"
         if not all(math.isfinite(x) for x in self._coordinates()):
             yield "expected finite coordinates"
+
+    def _problems_of_mesh(self, mesh: Obstacle) -> Iterator[str]:
+        corners = [corner for triangle in mesh.triangles for corner in triangle]
+        triangles = sum(len(obstacle.triangles) for obstacle in self.obstacles)
+        if not mesh.triangles or triangles > MOST_DRAWN or len(mesh.points) > 3 * MOST_DRAWN:
+            yield f"obstacle {mesh.name}: found {triangles} triangles in all; expected 1 to {MOST_DRAWN}"
+        elif not 0 <= min(corners) <= max(corners) < len(mesh.points):
+            yield f"obstacle {mesh.name}: found a triangle of no point; expected indices of {len(mesh.points)} points"
+        if any(self.surface_of(thing.name, mesh.name).stiffness > 0.0 for thing in self.things):
+            yield f"obstacle {mesh.name}: found a contact with a mesh, which is not convex; expected a convex shape"
 
     def _coordinates(self) -> Iterator[float]:
         yield from self.gravity
@@ -390,7 +407,12 @@ class ContactScene:
             },
             "bodies": {b.name: {"mass": b.mass, "at": list(b.at), "radius": b.radius} for b in self.bodies},
             "obstacles": {
-                o.name: {"shape": o.shape, "points": [list(point) for point in o.points], "radius": o.radius}
+                o.name: {
+                    "shape": o.shape,
+                    "points": [list(point) for point in o.points],
+                    "radius": o.radius,
+                    **({"triangles": [list(corners) for corners in o.triangles]} if o.triangles else {}),
+                }
                 for o in self.obstacles
             },
             "links": [
@@ -421,6 +443,11 @@ def _point(data: Sequence[Any]) -> Point:
     return x, y, z
 
 
+def _corners(data: Sequence[Any]) -> tuple[int, int, int]:
+    i, j, k = (int(index) for index in data)
+    return i, j, k
+
+
 def _surface(data: Mapping[str, Any]) -> Surface:
     return Surface(float(data["stiffness"]), float(data["damping"]), float(data["friction"]))
 
@@ -448,7 +475,13 @@ def scene_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> ContactScene:
             for name, body in data["bodies"].items()
         ),
         obstacles=tuple(
-            Obstacle(str(name), str(thing["shape"]), tuple(map(_point, thing["points"])), float(thing["radius"]))
+            Obstacle(
+                str(name),
+                str(thing["shape"]),
+                tuple(map(_point, thing["points"])),
+                float(thing["radius"]),
+                tuple(map(_corners, thing.get("triangles", ()))),
+            )
             for name, thing in data["obstacles"].items()
         ),
         links=tuple(

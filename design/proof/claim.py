@@ -233,7 +233,9 @@ def read_environment(item: Item, ports: tuple[str, ...]) -> EnvironmentData:
         case "declared":
             return DeclaredData(item.fields(("type", "level"))["level"].symmetric(len(ports)))
         case "proxy":
-            parts = item.fields(("type", "level", "stiffness"))
+            parts = item.fields(("type", "level", "stiffness"), optional=("content",))
+            if "content" in parts:
+                parts["content"].text()  # which mesh it is: nothing of it is proved
             return ProxyData(*(parts[name].symmetric(len(ports)) for name in ("level", "stiffness")))
         case "wave-link":
             return _wave_link(item, len(ports))

@@ -40,6 +40,7 @@ GROUPS: Final[Mapping[str, Mapping[str, ListedCommand]]] = {
     "Design": {
         "new": ListedCommand("sessions", "Copy a session file that is shipped, to begin with."),
         "sessions": ListedCommand("sessions", "List the shipped session files, or print one."),
+        "mesh": ListedCommand("mesh", "Turn a mesh (STL, OBJ) into a grid to touch."),
         "design": ListedCommand("design", "Find a virtual coupling, prove it, write the certificate."),
         "verify": ListedCommand("design", "Prove a certificate again, in exact arithmetic."),
         "budget": ListedCommand("design", "Show the stiffness that delay and period leave."),

@@ -42,7 +42,7 @@ from manyhands.launch.view.security import ViewError
 from manyhands.nodes.bundle import CLOCKS
 from manyhands.nodes.device.plugin import DriverFailure
 from manyhands.nodes.environment.model import ModelFailure
-from manyhands.nodes.factory import SHIPPED, FactoryError, place_of
+from manyhands.nodes.factory import FactoryError, is_shipped, place_of
 from manyhands.protocol.keys import KeyFileError
 from manyhands.protocol.transport import TransportError
 
@@ -308,7 +308,7 @@ def warn_of_code(console: Console, session: Session, elsewhere: Collection[str] 
     for key, name in session.foreign_code.items():
         what = "driver" if key.startswith("devices.") else "model"
         node = key.split(".")[1] if what == "driver" else ENVIRONMENT
-        if node not in elsewhere and all(name.factory not in own.values() for own in SHIPPED.values()):
+        if node not in elsewhere and not is_shipped(name.factory):
             say(
                 console,
                 f"{session.name}: runs the code of the {what} {name.factory}, which is not confined ({key}); it is "

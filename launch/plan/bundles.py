@@ -33,7 +33,14 @@ from manyhands.launch.plan.keys import Keys
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.reach import IPC, Listen, Reach, ReachError, reach
 from manyhands.launch.plan.topology import Topology
-from manyhands.launch.session import AskedEnvironment, NetworkEnvironment, SceneEnvironment, Session, TraceData
+from manyhands.launch.session import (
+    AskedEnvironment,
+    MeshEnvironment,
+    NetworkEnvironment,
+    SceneEnvironment,
+    Session,
+    TraceData,
+)
 from manyhands.launch.session.errors import one_of
 from manyhands.launch.session.limits import HAND_STORE
 from manyhands.launch.session.session import ENVIRONMENT
@@ -426,8 +433,10 @@ def mass_names(session: Session) -> tuple[str, ...]:
 
 
 def scene_geometry(session: Session) -> ContactScene | None:
-    """Tools, bodies and obstacles of a scene; None for an environment of a different type."""
+    """Tools, bodies and obstacles of a scene or a mesh; None for an environment of a different type."""
     environment = session.environment
+    if isinstance(environment, MeshEnvironment):
+        return environment.geometry(session.ports)
     return environment.scene(session.ports).geometry if isinstance(environment, SceneEnvironment) else None
 
 

@@ -30,6 +30,7 @@ from manyhands.nodes.arithmetic import Saturation
 from manyhands.nodes.bundle import CouplingBundle, EnvironmentBundle
 from manyhands.nodes.environment.clutch import LET_GO
 from manyhands.nodes.environment.core import environment_core
+from manyhands.nodes.factory import MESH
 
 Array = NDArray[np.float64]
 Progress = Callable[[int], None]
@@ -153,7 +154,7 @@ def recompute_environment(
         np.full((ticks, 1), np.nan),
         [],
     )
-    if bundle.model is not None:
+    if bundle.model is not None and bundle.model.factory != MESH:
         why = f"the code of the model {bundle.model.factory} is not run by an audit: its forces are not checked"
         out.gaps.append(UncheckedTicks(0, ticks, why))
         return out

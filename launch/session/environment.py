@@ -1,4 +1,4 @@
-"""The virtual environment of a session: masses and springs; a scene; matrices; rational functions; or a Python model.
+"""The virtual environment of a session: masses and springs; a scene; a mesh; matrices; rational functions; or a model.
 
 Every kind maps the displacements (m) of the session's ports to forces (N), one for each port. The key ``type`` names
 the kind, and the kind determines the other keys. With ``enforce``, a passivity controller keeps the environment's level
@@ -8,6 +8,8 @@ A session file only names a Python model. The environment's process alone import
 session run none of its code.
 """
 
+import hashlib
+import json
 import re
 from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
@@ -27,6 +29,8 @@ from pydantic import (
 
 from manyhands.design.files import read_regular
 from manyhands.design.models.contacts import coordinates
+from manyhands.design.models.distance_grid import grid_of_text
+from manyhands.design.models.scene import MOST_POINTS, ContactScene, Obstacle
 from manyhands.launch.session.design import OneOrMany, full_matrix, one_or_many
 from manyhands.launch.session.device import ports_by_device
 from manyhands.launch.session.errors import listed, one_of, show
@@ -77,11 +81,13 @@ from manyhands.launch.session.matrices import (
     one_of_two,
     size_problems,
 )
-from manyhands.launch.session.scene import SceneEnvironment
-from manyhands.nodes.factory import ENGINES, MODELS
+from manyhands.launch.session.scene import FRICTION, TOUCH, SceneEnvironment, SceneTool, tool_problems, tool_spheres
+from manyhands.nodes.environment.mesh import Lookup
+from manyhands.nodes.factory import ENGINES, MESH, MODELS
 
 _LEVEL: Final = Quantity("a level", "N·s/m")
 _STIFFNESS: Final = Quantity("a stiffness", "N/m", magnitude=MAX_STIFFNESS)
+_SPRING: Final = Quantity("a stiffness", "N/m", above=0.0, most=MAX_STIFFNESS)
 _STIFFNESS_MEANING: Final = (
     "the stiffness of the springs to the model's proxies in N/m: a number, one for each port, or a matrix"
 )
@@ -122,6 +128,10 @@ class AskedEnvironment(SessionModel):
     def code(self, ports: tuple[str, ...]) -> tuple[str, dict[str, Any]]:
         """The factory that makes what is asked, and its parameters."""
         raise NotImplementedError
+
+    def content(self, ports: tuple[str, ...]) -> str | None:
+        """The digest of all that is asked, where that is data of the session alone; None for a model of one's own."""
+        return None
 
     @property
     def reported(self) -> tuple[str, ...]:
@@ -171,8 +181,23 @@ class PythonEnvironment(AskedEnvironment):
 
 def _model_text(value: object, info: ValidationInfo) -> str:
     """The text of a model's file, from a path relative to the session file; or the text itself, with line ends."""
+    return _text(value, info, "the path of the model's file, or its text")
+
+
+def _grid_text(value: object, info: ValidationInfo) -> str:
+    """The text of a distance grid, as :func:`_model_text`, and checked."""
+    text = _text(value, info, "the path of a distance grid, as manyhands mesh writes it, or its text")
+    try:
+        grid_of_text(text)
+    except ValueError as error:
+        found, _, expected = str(error).partition("; expected ")
+        raise refuse(found.removeprefix("found "), expected) from error
+    return text
+
+
+def _text(value: object, info: ValidationInfo, expected: str) -> str:
     if not isinstance(value, str) or not value.strip():
-        raise refuse(show(value), "the path of the model's file, or its text")
+        raise refuse(show(value), expected)
     if "\n" in value or "<" in value:
         text = value
     else:
@@ -264,6 +289,72 @@ class EngineEnvironment(AskedEnvironment):
     def reported(self) -> tuple[str, ...]:
         """x, y and z of each body."""
         return tuple(name for body in self.bodies for name in coordinates(body))
+
+
+class MeshEnvironment(AskedEnvironment):
+    """A solid that stands still, by its signed distances on a grid, touched by tools with Coulomb friction.
+
+    The tools are joined by springs to proxies on its surface.
+    """
+
+    type: Annotated[Literal["mesh"], BeforeValidator(Choice(("mesh",)))] = Field(
+        description="the kind of environment: mesh"
+    )
+    model: Annotated[str, BeforeValidator(_grid_text), WithJsonSchema({"type": "string"})] = Field(
+        description="the distance grid that manyhands mesh has made, relative to the session file, or its text"
+    )
+    stiffness: Annotated[float, BeforeValidator(_SPRING)] = Field(
+        description="the stiffness of the springs to the proxies in N/m"
+    )
+    friction: Annotated[float, BeforeValidator(FRICTION)] = Field(
+        default=0.0, description="the coefficient of Coulomb friction"
+    )
+    tools: Annotated[dict[str, SceneTool], BeforeValidator(NamedParts(part_name("a device's name"), MOST_POINTS))] = (
+        Field(description="the tool of each device, by the device's name")
+    )
+
+    def problems(self, ports: tuple[str, ...]) -> Iterator[Problem]:
+        """The problems of level and tools in a session with these ports."""
+        yield from super().problems(ports)
+        of_names = [*tool_problems(self.tools, ports)]
+        yield from of_names
+        grid = grid_of_text(self.model)
+        distance = Lookup(grid)
+        for name, tool in {} if of_names else self.tools.items():
+            if tool.radius > grid.largest_radius:
+                expected = f"at most {grid.largest_radius:g}, or a grid with a wider --band"
+                yield Problem(("tools", name, "radius"), f"{tool.radius:g}", expected)
+            elif (gap := distance(tool.at)[0] - tool.radius) < -TOUCH:
+                yield Problem(
+                    ("tools", name), f"a tool that begins {-1e3 * gap:.3g} mm inside the mesh", "a place outside"
+                )
+
+    def code(self, ports: tuple[str, ...]) -> tuple[str, dict[str, Any]]:
+        """The proxies of this package, with grid, friction and tools."""
+        tools = [
+            {
+                "ports": [ports[port] for port in tool.ports],
+                "axes": [*tool.axes],
+                "at": [*tool.at],
+                "radius": tool.radius,
+            }
+            for tool in tool_spheres(self.tools, ports)
+        ]
+        return MESH, {"grid": self.model, "friction": self.friction, "tools": tools}
+
+    def content(self, ports: tuple[str, ...]) -> str:
+        """SHA-256 over the grid's digest, friction and tools, as JSON with sorted keys."""
+        _, parameters = self.code(ports)
+        parameters["grid"] = grid_of_text(self.model).digest
+        return hashlib.sha256(json.dumps(parameters, sort_keys=True).encode()).hexdigest()
+
+    def geometry(self, ports: tuple[str, ...]) -> ContactScene:
+        """The tools, and the mesh as an obstacle, for drawing."""
+        surface = grid_of_text(self.model).surface
+        x, y, z = surface.vertices.T.tolist()
+        i, j, k = surface.triangles.T.tolist()
+        mesh = Obstacle("mesh", "mesh", tuple(zip(x, y, z, strict=True)), triangles=tuple(zip(i, j, k, strict=True)))
+        return ContactScene(ports, tools=tool_spheres(self.tools, ports), obstacles=(mesh,))
 
 
 def _size_problems(key: str, value: OneOrMany, ports: tuple[str, ...]) -> Iterator[Problem]:
@@ -490,6 +581,7 @@ Environment: TypeAlias = (
     | TransferFunctionEnvironment
     | PythonEnvironment
     | EngineEnvironment
+    | MeshEnvironment
 )
 
 _KINDS: Final[Mapping[str, type[Environment]]] = {
@@ -499,6 +591,7 @@ _KINDS: Final[Mapping[str, type[Environment]]] = {
     "transfer-function": TransferFunctionEnvironment,
     "python": PythonEnvironment,
     "engine": EngineEnvironment,
+    "mesh": MeshEnvironment,
 }
 
 

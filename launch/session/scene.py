@@ -4,7 +4,7 @@ A device with one to three axes is one tool, under the device's own name. Positi
 positions in the file are those at the start; everything starts at rest.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Final, Literal, Self, TypeAlias
 
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
@@ -48,7 +48,7 @@ from manyhands.launch.session.forms import either, list_of, where
 from manyhands.launch.session.limits import MAX_LINKS
 
 _XYZ: Final = ("x", "y", "z")
-_TOUCH: Final = 1e-9  # m; a tool may touch at the start
+TOUCH: Final = 1e-9  # m; a tool may touch at the start
 _FARTHEST: Final = 1e3  # m; positions beyond it would lose the micrometres in which contacts are felt
 
 
@@ -69,7 +69,7 @@ _ACCELERATION: Final = _vector(Quantity("an acceleration", "m/s²", least=-100.0
 _RADIUS: Final = Quantity("a radius", "m", least=0.0, most=_FARTHEST)
 _ROUND: Final = Quantity("a radius", "m", above=0.0, most=_FARTHEST)
 _CONTACT_STIFFNESS: Final = Quantity("a stiffness", "N/m", least=0.0, most=STIFFEST)
-_FRICTION: Final = Quantity("a coefficient of friction", least=0.0, most=10.0)
+FRICTION: Final = Quantity("a coefficient of friction", least=0.0, most=10.0)
 
 Place: TypeAlias = Annotated[tuple[float, float, float], BeforeValidator(_PLACE)]
 Radius: TypeAlias = Annotated[float, BeforeValidator(_RADIUS)]
@@ -171,7 +171,7 @@ class SceneContact(SessionModel):
     damping: Annotated[float, BeforeValidator(DAMPING)] = Field(
         default=0.0, description="the damping of a contact along its normal in N·s/m"
     )
-    friction: Annotated[float, BeforeValidator(_FRICTION)] = Field(
+    friction: Annotated[float, BeforeValidator(FRICTION)] = Field(
         default=0.0, description="the coefficient of Coulomb friction"
     )
 
@@ -226,6 +226,30 @@ def _axes_of(ports: list[str]) -> tuple[int, ...]:
     return tuple(_XYZ.index(name) for name in names) if set(names) <= {*_XYZ} else tuple(range(len(ports)))
 
 
+def tool_problems(tools: Mapping[str, SceneTool], ports: tuple[str, ...]) -> Iterator[Problem]:
+    """The problems of the tools' names in a session with these ports: each device has one, with one to three axes."""
+    devices = ports_by_device(ports)
+    for name in devices:
+        if name not in tools:
+            yield Problem(("tools",), f"no tool for the device {name!r}", "one tool for each device, by its name")
+    for name in tools:
+        if name not in devices:
+            yield Problem(("tools", name), f"the name {name!r}", one_of(tuple(devices), name))
+        elif len(devices[name]) > len(_XYZ):
+            found = f"a device with {len(devices[name])} axes"
+            yield Problem(("tools", name), found, "a device with one to three axes")
+
+
+def tool_spheres(tools: Mapping[str, SceneTool], ports: tuple[str, ...]) -> tuple[ToolSphere, ...]:
+    """The tools as design has them, in a session with these ports and without :func:`tool_problems`."""
+    devices = ports_by_device(ports)
+    index = {port: i for i, port in enumerate(ports)}
+    return tuple(
+        ToolSphere(name, tuple(index[port] for port in devices[name]), _axes_of(devices[name]), tool.at, tool.radius)
+        for name, tool in tools.items()
+    )
+
+
 class SceneEnvironment(SessionModel):
     """Tools, bodies and obstacles in space, with springs, gravity, contacts and friction."""
 
@@ -259,16 +283,7 @@ class SceneEnvironment(SessionModel):
 
     def _names(self, ports: tuple[str, ...]) -> Iterator[Problem]:
         """The problems of names and numbers."""
-        devices = ports_by_device(ports)
-        for name in devices:
-            if name not in self.tools:
-                yield Problem(("tools",), f"no tool for the device {name!r}", "one tool for each device, by its name")
-        for name in self.tools:
-            if name not in devices:
-                yield Problem(("tools", name), f"the name {name!r}", one_of(tuple(devices), name))
-            elif len(devices[name]) > len(_XYZ):
-                found = f"a device with {len(devices[name])} axes"
-                yield Problem(("tools", name), found, "a device with one to three axes")
+        yield from tool_problems(self.tools, ports)
         movable = (*self.tools, *self.bodies)
         if len(movable) > MOST_POINTS:
             yield Problem(("bodies",), f"{len(movable)} tools and bodies", f"at most {MOST_POINTS}")
@@ -297,7 +312,7 @@ class SceneEnvironment(SessionModel):
             return
         contacts = scene.contacts
         for pair, gap in zip(contacts.pairs, contacts.gaps(scene.points)[0].tolist(), strict=True):
-            for name in {*pair.names} & {*self.tools} if gap < -_TOUCH else ():
+            for name in {*pair.names} & {*self.tools} if gap < -TOUCH else ():
                 (other,) = {*pair.names} - {name}
                 found = f"a tool that begins {-1e3 * gap:.3g} mm inside {other!r}"
                 yield Problem(("tools", name), found, f"a place outside, or a contact of stiffness 0 with {other!r}")
@@ -309,20 +324,9 @@ class SceneEnvironment(SessionModel):
             Falling: a body under gravity has nothing that holds it.
             ValueError: the scene has one of the other problems that :meth:`problems` reports.
         """
-        devices = ports_by_device(ports)
-        index = {port: i for i, port in enumerate(ports)}
         return ContactScene(
             ports,
-            tools=tuple(
-                ToolSphere(
-                    name,
-                    tuple(index[port] for port in devices[name]),
-                    _axes_of(devices[name]),
-                    tool.at,
-                    tool.radius,
-                )
-                for name, tool in self.tools.items()
-            ),
+            tools=tool_spheres(self.tools, ports),
             bodies=tuple(Body(name, body.mass, body.at, body.radius) for name, body in self.bodies.items()),
             obstacles=tuple(thing.obstacle(name) for name, thing in self.obstacles.items()),
             links=tuple(SceneLink(link.between, link.stiffness, link.damping, link.rest) for link in self.links),

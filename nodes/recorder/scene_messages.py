@@ -61,6 +61,9 @@ _POSE: Final = _object(position=_VECTOR, orientation=_QUATERNION)
 _COLOUR: Final = _object(r=_NUMBER, g=_NUMBER, b=_NUMBER, a=_NUMBER)
 _SOLID: Final = _object(pose=_POSE, size=_VECTOR, color=_COLOUR)
 _CYLINDER: Final = _object(pose=_POSE, size=_VECTOR, bottom_scale=_NUMBER, top_scale=_NUMBER, color=_COLOUR)
+_TRIANGLES: Final = _object(
+    pose=_POSE, points=_list(_VECTOR), color=_COLOUR, colors=_list(_COLOUR), indices=_list({"type": "integer"})
+)
 _EMPTY: Final = _list({"type": "object", "properties": {}})  # of kinds that no scene has
 
 _ENTITY: Final = _object(
@@ -75,7 +78,7 @@ _ENTITY: Final = _object(
     spheres=_list(_SOLID),
     cylinders=_list(_CYLINDER),
     lines=_EMPTY,
-    triangles=_EMPTY,
+    triangles=_list(_TRIANGLES),
     texts=_EMPTY,
     models=_EMPTY,
 )
@@ -303,6 +306,15 @@ def _primitives(obstacle: Obstacle, low: NDArray[np.float64], high: NDArray[np.f
         case "room" | "box":
             colour = _ENCLOSING_COLOUR if obstacle.shape == "room" else _OBSTACLE_COLOUR
             return {"cubes": [_solid(points.mean(axis=0), points[1] - points[0], colour)]}
+        case "mesh":
+            surface = {
+                "pose": {"position": _vector((0.0, 0.0, 0.0)), "orientation": _UPRIGHT},
+                "points": [_vector(point) for point in obstacle.points],
+                "color": {**_OBSTACLE_COLOUR, "a": 1.0},
+                "colors": [],
+                "indices": [corner for triangle in obstacle.triangles for corner in triangle],
+            }
+            return {"triangles": [surface]}
         case _:
             ends = [_solid(point, (2.0 * obstacle.radius,) * 3, _OBSTACLE_COLOUR) for point in points]
             axis = points[-1] - points[0]

@@ -22,6 +22,7 @@ EXTRAS: Final[Mapping[str, tuple[str, ...]]] = {
     "foxglove": ("foxglove",),
     "ros": ("rosbags", "zenoh"),
     "mujoco": ("mujoco",),
+    "mesh": ("trimesh",),
 }
 """The modules that are imported from each extra of pyproject.toml; no module belongs to two of them."""
 

@@ -48,6 +48,12 @@ def test_the_carried_ball_is_drawn_and_lifted(tmp_path: Path) -> None:
     assert said == "carry.png: the ball is lifted by 56 mm\n"
 
 
+def test_the_stroked_relief_is_drawn_and_felt(tmp_path: Path) -> None:
+    said = run("stroke.py", tmp_path)
+    assert (tmp_path / "stroke.png").read_bytes().startswith(PNG)
+    assert said == "stroke.png: anna felt up to 2.8 N, ben felt up to 2.4 N\n"
+
+
 @pytest.mark.long
 def test_the_order_curve_begins_as_the_page_shows_it(tmp_path: Path) -> None:
     """The first two rows; `tests/system/test_design_docs.py` designs the third, and the others take minutes."""
@@ -85,7 +91,7 @@ def test_the_puck_is_held_to_its_promise(tmp_path: Path) -> None:
 
 
 def test_no_example_is_left_out() -> None:
-    others = {"carry.py", "order_curve.py", "puck.py", "tightness.py"}
+    others = {"carry.py", "order_curve.py", "puck.py", "relief.py", "stroke.py", "tightness.py"}
     assert {path.name for path in EXAMPLES.glob("*.py")} == {*FIGURES, *others}
 
 

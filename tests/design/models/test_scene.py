@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from manyhands.design.certificate import describe_environment, environment_of
 from manyhands.design.models.contacts import ContactPair, Contacts, Surface
 from manyhands.design.models.environment import DeclaredScene
-from manyhands.design.models.scene import Body, ContactScene, Falling, Obstacle, SceneLink, ToolSphere
+from manyhands.design.models.scene import UNTOUCHED, Body, ContactScene, Falling, Obstacle, SceneLink, ToolSphere
 
 from ...support.scenes import random_scene
 
@@ -156,6 +156,14 @@ def test_a_body_that_would_fall_for_good_is_refused(parts: dict[str, Any]) -> No
         scene_of(bodies=(BALL,), gravity=G, **parts)
 
 
+MESH = Obstacle(
+    "o",
+    "mesh",
+    ((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.1, 0.0), (0.0, 0.0, 0.1)),
+    triangles=((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)),
+)
+
+
 @pytest.mark.parametrize(
     ("parts", "error"),
     [
@@ -172,6 +180,21 @@ def test_a_body_that_would_fall_for_good_is_refused(parts: dict[str, Any]) -> No
         ({"obstacles": (Obstacle("o", "cone", ()),)}, "shape 'cone'"),
         ({"obstacles": (Obstacle("o", "box", (HIGH, LOW)),)}, "'low' below 'high'"),
         ({"obstacles": (Obstacle("o", "wall", (LOW, (0.0, 0.0, 0.0))),)}, "normal"),
+        ({"obstacles": (MESH,)}, "contact with a mesh, which is not convex"),
+        ({"surface": UNTOUCHED, "obstacles": (replace(MESH, triangles=()),)}, "0 triangles in all; expected 1 to 2000"),
+        (
+            {"surface": UNTOUCHED, "obstacles": (replace(MESH, triangles=MESH.triangles * 501),)},
+            "2004 triangles in all",
+        ),
+        (
+            {"surface": UNTOUCHED, "obstacles": (MESH, replace(MESH, name="n", triangles=MESH.triangles * 500))},
+            "2004 triangles in all",
+        ),
+        ({"surface": UNTOUCHED, "obstacles": (replace(MESH, points=MESH.points[:3]),)}, "a triangle of no point"),
+        (
+            {"surface": UNTOUCHED, "obstacles": (replace(MESH, points=((float("nan"),) * 3,) * 4),)},
+            "finite coordinates",
+        ),
         ({"links": (SceneLink(("p", "q"), 1.0, 0.0),)}, "link between"),
         ({"surfaces": ((("p", "p"), SURFACE),)}, "contact between"),
     ],

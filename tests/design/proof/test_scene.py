@@ -121,6 +121,8 @@ def test_a_level_below_that_of_the_scene_is_not_proved(data: dict[str, Any]) -> 
         (setter("tools", "a", "at", to=[0, 0]), "tools.a.at"),
         (setter("tools", "a", "axes", to=["x", "w"]), "tools.a.axes"),
         (setter("obstacles", "block", "shape", to="cone"), "obstacles.block.shape"),
+        (setter("obstacles", "block", "shape", to="mesh"), "obstacles.block.shape"),
+        (setter("obstacles", "block", "triangles", to=[[0, 1, 2]]), "obstacles.block"),
         (setter("obstacles", "block", "points", to=[[0, 0, 0]]), "obstacles.block.points"),
         (setter("links", 0, "between", to=["a", "floor"]), "links[0].between"),
         (setter("contacts", 0, "between", to=["a", "a"]), "contacts[0].between"),

@@ -30,7 +30,7 @@ NOT_RECORDED = (
     "and its id does not cover the order of devices and couplings"
 )
 UNCOUPLED = "example1-uncoupled"  # cannot be certified
-NEWER = {"ball", "carry", "mujoco", "peg", "rub", "tray"}  # 0.5.0 did not have them
+NEWER = {"ball", "carry", "mujoco", "peg", "rub", "stroke", "tray"}  # 0.5.0 did not have them
 NAMES = [*sorted({path.stem for path in SESSIONS.glob("*.yaml")} - {UNCOUPLED} - NEWER), "puck"]
 
 pytestmark = pytest.mark.usefixtures("own_interrupt")

@@ -103,7 +103,7 @@ TABLE = {
     "port-in-no-block": (6, "couplings", "no coupling for the port 'dy'", "exactly one"),
     "devices-and-ports": (8, "couplings.cy", "both", "one of the two"),
     # environment
-    "environment-type": (10, "environment.type", "'mesh'", "network"),
+    "environment-type": (10, "environment.type", "'cloud'", "network"),
     "dangling-port": (14, "environment.links.1.between.0", "unknown end 'dw'", "one of dx, dy, hub, ground"),
     "dangling-device": (14, "environment.links.1.between.0", "unknown end 'dy'", "dy.x, dy.z: the device dy has 2"),
     "unattached-port": (12, "environment.links", "no link to the port 'dy'", "every port"),

@@ -15,6 +15,7 @@ from manyhands.launch.session import (
     EngineEnvironment,
     Faults,
     Hand,
+    MeshEnvironment,
     Motion,
     NetworkEnvironment,
     Observer,
@@ -37,6 +38,8 @@ from manyhands.launch.session import (
 from manyhands.launch.session.fields import SessionModel, keys_of
 from manyhands.launch.session.scene import SceneBody, SceneContact, SceneObstacle, ScenePair, SceneSpring, SceneTool
 from manyhands.nodes.device import pointer
+
+from ...support.meshes import grid
 
 PAGE = (Path(__file__).parents[3] / "docs" / "session-file.md").read_text(encoding="utf-8")
 SECTIONS = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", PAGE, flags=re.MULTILINE | re.DOTALL))
@@ -61,6 +64,7 @@ MODELS: dict[str, tuple[type[SessionModel], ...]] = {
     "Transfer function": (TransferFunctionEnvironment,),
     "Model": (PythonEnvironment,),
     "Engine": (EngineEnvironment,),
+    "Mesh": (MeshEnvironment,),
     "Design": (Design, Pole),
     "Weights": (Weights, Weight),
     "Matrices": (BlockMatrices,),
@@ -125,6 +129,7 @@ OVERRIDES = {
     "Transfer function": "{key}={value}",
     "Model": "{key}={value}",
     "Engine": "{key}={value}",
+    "Mesh": "environment={{{key}: {value}}}",
     "Design": "{key}={value}",
     "Weights": "design={{coupling: spring-damper, objective: loop-shaping, {key}: {value}}}",
     "Matrices": "design={{coupling: given, matrices: {{{key}: {value}}}}}",
@@ -136,12 +141,18 @@ EXAMPLES = [
 ]
 
 
+def base(folder: Path) -> Path:
+    """A session into which the examples fit, beside the grid that one of them names."""
+    (folder / "base.yaml").write_text(BASE, encoding="utf-8")
+    (folder / "part.grid").write_text(grid("box").text, encoding="utf-8")
+    return folder / "base.yaml"
+
+
 @pytest.mark.parametrize(("section", "text"), EXAMPLES)
 def test_every_example_may_stand_in_a_session(section: str, text: str, tmp_path: Path) -> None:
-    (tmp_path / "base.yaml").write_text(BASE, encoding="utf-8")
     key, _, value = text.removeprefix("{").partition(": ")
     value = value.removesuffix("}") if text.startswith("{") else value
-    load_session(tmp_path / "base.yaml", [OVERRIDES[section].format(key=key, value=value)])
+    load_session(base(tmp_path), [OVERRIDES[section].format(key=key, value=value)])
 
 
 def test_the_hand_at_a_browser_is_the_one_in_force() -> None:

@@ -33,7 +33,7 @@ from ...support.commands import manyhands_command
 from .test_broken import BROKEN
 from .test_broken import TABLE as BROKEN_FILES
 from .test_properties import PLAINS, junk, paths, sessions, spoil
-from .test_reference import BASE, EXAMPLES, OVERRIDES
+from .test_reference import EXAMPLES, OVERRIDES, base
 
 ROOT = Path(__file__).parents[3]
 SCHEMA = session_schema()
@@ -123,10 +123,9 @@ def test_it_accepts_every_session_of_the_documents(place: str) -> None:
 
 @pytest.mark.parametrize(("section", "text"), EXAMPLES)
 def test_it_accepts_every_example_of_the_reference(section: str, text: str, tmp_path: Path) -> None:
-    (tmp_path / "base.yaml").write_text(BASE, encoding="utf-8")
     key, _, value = text.removeprefix("{").partition(": ")
     value = value.removesuffix("}") if text.startswith("{") else value
-    session = load_session(tmp_path / "base.yaml", [OVERRIDES[section].format(key=key, value=value)])
+    session = load_session(base(tmp_path), [OVERRIDES[section].format(key=key, value=value)])
     assert problem(session.to_dict()) is None
     assert problem(session.as_plain()) is None
 
@@ -223,7 +222,7 @@ def test_it_refuses_a_key_without_a_value() -> None:
 
 def test_every_key_has_its_description_and_every_default_is_accepted() -> None:
     parts = [form for form in forms(SCHEMA) if form.get("additionalProperties") is False and "description" in form]
-    assert len(parts) == 26
+    assert len(parts) == 27
     for part in parts:
         for key, form in part["properties"].items():
             assert form.get("description"), f"{part['description']}: {key}"

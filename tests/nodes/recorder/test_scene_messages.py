@@ -48,6 +48,12 @@ WHOLE = ContactScene(
     surface=Surface(1000.0),
     gravity=(0.0, -9.81, 0.0),
 )
+MESH = Obstacle(
+    "wedge",
+    "mesh",
+    ((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.1, 0.0), (0.0, 0.0, 0.1)),
+    triangles=((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)),
+)
 RECORDED = Recorded(
     "s",
     "id",
@@ -56,7 +62,7 @@ RECORDED = Recorded(
     {"a": Role.DEVICE, "b": Role.DEVICE, "c": Role.COUPLING, "environment": Role.ENVIRONMENT},
     {"a": ("a.x", "a.y"), "b": ("b",), "c": ("a.x", "a.y", "b"), "environment": ("a.x", "a.y", "b")},
     ("ball.x", "ball.y", "ball.z"),
-    scene=WHOLE.geometry,
+    scene=replace(WHOLE.geometry, obstacles=(*WHOLE.obstacles, MESH)),
 )
 START = 1_700_000_000_123_456_789
 TICKS = 1230
@@ -121,7 +127,7 @@ def test_positions_are_the_places_and_the_displacements() -> None:
 def test_shapes_come_once_a_second_each_in_its_frame() -> None:
     assert [time - START for time, _ in sent("scene")] == [0, 1_000_000_000]
     found = entities()
-    assert [*found] == ["a", "b", "ball", "slope", "room", "block", "knob", "bar", "pin", "dot"]
+    assert [*found] == ["a", "b", "ball", "slope", "room", "block", "knob", "bar", "pin", "dot", "wedge"]
     assert all(one["frame_id"] == (f"s/{name}" if name in ("a", "b", "ball") else "s") for name, one in found.items())
     assert all(one["frame_locked"] for one in found.values())
     radii = {name: one["spheres"][0]["size"]["x"] / 2 for name, one in found.items() if name in ("a", "b", "ball")}
@@ -164,6 +170,14 @@ def test_a_capsule_is_a_cylinder_between_two_spheres() -> None:
     assert (xyz(knob["pose"]["position"]), knob["size"]["z"]) == ([0.0, 0.3, 0.0], 0.04)
 
 
+def test_a_mesh_is_a_list_of_triangles() -> None:
+    (triangles,) = entities()["wedge"]["triangles"]
+    assert [xyz(point) for point in triangles["points"]] == [[*point] for point in MESH.points]
+    assert triangles["indices"] == [0, 2, 1, 0, 1, 3, 1, 2, 3, 0, 3, 2]
+    assert xyz(triangles["pose"]["position"]) == [0.0, 0.0, 0.0]
+    assert triangles["colors"] == []
+
+
 def test_messages_agree_with_their_schemas() -> None:
     found = recorded()
     assert {schema.name for schema, _, _ in found} == {"foxglove.SceneUpdate", "foxglove.FrameTransforms"}
@@ -186,9 +200,12 @@ def kinds() -> dict[str, Any]:
         "spheres": messages.SpherePrimitive,
         "cubes": messages.CubePrimitive,
         "cylinders": messages.CylinderPrimitive,
+        "triangles": messages.TriangleListPrimitive,
         "pose": messages.Pose,
         "color": messages.Color,
         **dict.fromkeys(("position", "size", "translation"), messages.Vector3),
+        "points": messages.Point3,
+        "colors": messages.Color,
         **dict.fromkeys(("orientation", "rotation"), messages.Quaternion),
         "foxglove.SceneUpdate": messages.SceneUpdate,
         "foxglove.FrameTransforms": messages.FrameTransforms,
