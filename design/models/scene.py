@@ -1,7 +1,8 @@
 """Scenes: tools and bodies in space that springs join, that touch each other and what stands still, with friction.
 
-A tool is a point or a sphere that one device moves along one to three axes. A body is a point or a sphere with a mass.
-Obstacles stand still: walls and rooms keep the spheres inside a convex set, the others keep them outside of one.
+A tool is a point or a sphere that one device moves along one to three axes. A body is a point, a sphere, a capsule or a
+box with a mass; it does not turn. Obstacles stand still: walls and rooms keep things inside a convex set, the others
+keep them outside of one.
 
 The promise of a scene is the level Phi_E = 0: from its start on it gives out no more energy than it stored there,
 whatever its stiffnesses, dampings and friction are (docs/decisions/0041-scenes.md). That holds for the exact solution
@@ -16,16 +17,21 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 import numpy as np
 
 from manyhands.design.models.brief import brief_repr
-from manyhands.design.models.contacts import GROUND, ContactPair, Contacts, Surface
+from manyhands.design.models.contacts import (
+    GROUND,
+    ContactPair,
+    Contacts,
+    Core,
+    Point,
+    Surface,
+    core_difference,
+)
 from manyhands.design.models.statespace import Matrix
-
-Point: TypeAlias = tuple[float, float, float]
-"""A position or a vector in the scene, along x, y and z."""
 
 STIFFEST: Final = 1e6
 """N/m; with stiffer contacts the iteration of a tick would not end in a bounded number of steps."""
@@ -44,6 +50,9 @@ SHAPES: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """The keys of each shape of an obstacle, besides ``shape``."""
 
+BODY_SHAPES: Final = ("sphere", "capsule", "box")
+"""The shapes of bodies, with the same keys as of obstacles, and a mass."""
+
 
 class Falling(ValueError):
     """Gravity would move a body down without end, so that the scene could give out energy without end.
@@ -59,6 +68,22 @@ class Falling(ValueError):
         """The error about this body."""
         super().__init__(f"environment: body {body}: found {self.FOUND}; expected {self.EXPECTED}")
         self.body = body
+
+
+class UnknownGap(ValueError):
+    """Two things may touch whose distance is not known here: a box, and a capsule that is along no axis.
+
+    Attributes:
+        names: of both.
+    """
+
+    EXPECTED: Final = "a capsule along x, y or z, or a contact of stiffness 0 between the two"
+
+    def __init__(self, names: tuple[str, str]) -> None:
+        """The error about these two."""
+        self.found = f"a capsule along no axis that may touch a box ({names[0]!r} and {names[1]!r})"
+        super().__init__(f"environment: found {self.found}; expected {self.EXPECTED}")
+        self.names = names
 
 
 @dataclass(frozen=True)
@@ -79,22 +104,40 @@ class ToolSphere:
     at: Point
     radius: float = 0.0
 
+    @property
+    def core(self) -> Core:
+        """The centre, at the origin."""
+        return _POINT
+
+
+_POINT: Final = Core("segment", ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+
 
 @dataclass(frozen=True)
 class Body:
-    """A point mass or a sphere that moves freely, without turning.
+    """A point mass, a sphere, a capsule or a box that moves freely, without turning.
 
     Attributes:
         name: of the body.
         mass: > 0, kg.
         at: where its centre is at the start, at rest, m.
-        radius: m.
+        radius: of a sphere or a capsule, m; 0 for a box.
+        shape: one of :data:`BODY_SHAPES`; the sides of a box are along the axes.
+        half: from the centre to an end of a capsule's axis, or to the corner of a box with the greatest coordinates, m.
     """
 
     name: str
     mass: float
     at: Point
     radius: float = 0.0
+    shape: str = "sphere"
+    half: Point = (0.0, 0.0, 0.0)
+
+    @property
+    def core(self) -> Core:
+        """What is within its radius, with the centre at the origin."""
+        x, y, z = self.half
+        return Core("box" if self.shape == "box" else "segment", ((-x, -y, -z), self.half))
 
 
 @dataclass(frozen=True)
@@ -113,6 +156,11 @@ class Obstacle:
     shape: str
     points: tuple[Point, ...]
     radius: float = 0.0
+
+    @property
+    def core(self) -> Core:
+        """What is within its radius, for a sphere, a capsule or a box."""
+        return Core("box" if self.shape == "box" else "segment", (self.points[0], self.points[-1]))
 
     @property
     def faces(self) -> tuple[tuple[Point, Point], ...]:
@@ -167,6 +215,7 @@ class ContactScene:
 
     Raises:
         Falling: gravity would move a body down without end.
+        UnknownGap: a capsule along no axis may touch a box.
         ValueError: a name is used twice or unknown, a number is out of its range, or there are too many things.
     """
 
@@ -187,6 +236,8 @@ class ContactScene:
         for body in self.bodies:
             if self.lowest_energy(body) == -math.inf:
                 raise Falling(body.name)
+        for _ in self.pairs():
+            pass  # each is known
 
     def __eq__(self, other: object) -> bool:
         """Equal when every number is."""
@@ -217,6 +268,11 @@ class ContactScene:
         for tool in self.tools:
             if len(set(tool.axes)) < len(tool.axes) or len(tool.axes) != len(tool.ports) or not set(tool.axes) <= _XYZ:
                 yield f"tool {tool.name}: found the axes {tool.axes} for {len(tool.ports)} ports; expected one each"
+        for body in self.bodies:
+            if body.shape not in BODY_SHAPES or {"sphere": any(body.half), "box": min(body.half) <= 0.0}.get(
+                body.shape
+            ):
+                yield f"body {body.name}: found the shape {body.shape!r} with the half extent {body.half}"
         for obstacle in self.obstacles:
             expected = {"wall": 2, "room": 2, "box": 2, "capsule": 2, "sphere": 1}.get(obstacle.shape)
             if expected != len(obstacle.points):
@@ -250,6 +306,8 @@ class ContactScene:
         yield from self.gravity
         for thing in self.things:
             yield from thing.at
+        for body in self.bodies:
+            yield from body.half
         for obstacle in self.obstacles:
             for point in obstacle.points:
                 yield from point
@@ -268,10 +326,10 @@ class ContactScene:
 
     @property
     def bounds(self) -> tuple[Matrix, Matrix]:
-        """The corners with the least and the greatest coordinates of all places that the scene names, m: centres at the
-        start, corners, ends, and a point of each wall; the origin in an empty scene.
+        """The corners with the least and the greatest coordinates of all places that the scene names, m: centres,
+        corners and ends at the start, and a point of each wall; the origin in an empty scene.
         """
-        places = [thing.at for thing in self.things]
+        places = [(a + x, b + y, c + z) for t in self.things for a, b, c in [t.at] for x, y, z in t.core.ends]
         places += [p for o in self.obstacles for p in (o.points[:1] if o.shape == "wall" else o.points)]
         found = np.array(places or [(0.0, 0.0, 0.0)], dtype=np.float64)
         return found.min(axis=0), found.max(axis=0)
@@ -303,26 +361,40 @@ class ContactScene:
         return Contacts(self.pairs(), len(self.points))
 
     def pairs(self) -> Iterator[ContactPair]:
-        """The pairs that may touch: two spheres, or a sphere and an obstacle; of a room one for each face."""
+        """The pairs that may touch: two things, or a thing and an obstacle; of a room one for each face.
+
+        Raises:
+            UnknownGap: a capsule along no axis may touch a box.
+        """
         things = self.things
         for (i, a), (j, b) in combinations(enumerate(things), 2):
-            surface = self.surface_of(a.name, b.name)
-            if surface.stiffness > 0.0 and a.radius + b.radius > 0.0:
-                yield ContactPair((a.name, b.name), i, j, surface, a.radius + b.radius, "spheres")
+            yield from self._pair((i, a), (j, b))
         for i, a in enumerate(things):
             for obstacle in self.obstacles:
-                names = (a.name, obstacle.name)
-                surface = self.surface_of(*names)
-                if surface.stiffness == 0.0:
+                if not obstacle.faces:
+                    yield from self._pair((i, a), (-1, obstacle))
                     continue
-                if obstacle.shape in ("wall", "room"):
-                    for face in obstacle.faces:
-                        yield ContactPair(names, i, -1, surface, a.radius, "plane", face)
-                elif obstacle.shape == "box":
-                    yield ContactPair(names, i, -1, surface, a.radius, "box", obstacle.points)
-                else:
-                    ends = (obstacle.points[0], obstacle.points[-1])
-                    yield ContactPair(names, i, -1, surface, a.radius + obstacle.radius, "capsule", ends)
+                surface = self.surface_of(a.name, obstacle.name)
+                for face in obstacle.faces if surface.stiffness > 0.0 else ():
+                    reach = a.radius + a.core.support(face[1])
+                    yield ContactPair((a.name, obstacle.name), i, -1, surface, reach, "plane", face)
+
+    def _pair(
+        self, first: tuple[int, ToolSphere | Body], second: tuple[int, ToolSphere | Body | Obstacle]
+    ) -> Iterator[ContactPair]:
+        """The pair of two things, unless they never touch."""
+        (i, a), (j, b) = first, second
+        surface, reach = self.surface_of(a.name, b.name), a.radius + b.radius
+        if surface.stiffness == 0.0:
+            return
+        if a.core.is_point and b.core.is_point and j >= 0:
+            if reach > 0.0:
+                yield ContactPair((a.name, b.name), i, j, surface, reach, "spheres")
+            return
+        known = core_difference(a.core, b.core)
+        if known is None:
+            raise UnknownGap((a.name, b.name))
+        yield ContactPair((a.name, b.name), i, j, surface, reach, *known)
 
     def surface_of(self, a: str, b: str) -> Surface:
         """How two things touch; with the stiffness 0 for things that a link joins."""
@@ -360,7 +432,9 @@ class ContactScene:
             for at, n in pressed:
                 unit = np.array(n) / math.hypot(*n)
                 force = -float(W @ unit)
-                total += force * (float(unit @ np.array(at)) + body.radius) - force * force / (2.0 * k)
+                total += force * (float(unit @ np.array(at)) + body.radius + body.core.support(n)) - force * force / (
+                    2.0 * k
+                )
             found.append(total)
         return max(found)
 
@@ -393,7 +467,15 @@ class ContactScene:
                 }
                 for tool in self.tools
             },
-            "bodies": {b.name: {"mass": b.mass, "at": list(b.at), "radius": b.radius} for b in self.bodies},
+            "bodies": {
+                b.name: {
+                    "mass": b.mass,
+                    "at": list(b.at),
+                    "radius": b.radius,
+                    **({} if b.shape == "sphere" else {"shape": b.shape, "half": list(b.half)}),
+                }
+                for b in self.bodies
+            },
             "obstacles": {
                 o.name: {"shape": o.shape, "points": [list(point) for point in o.points], "radius": o.radius}
                 for o in self.obstacles
@@ -449,7 +531,14 @@ def scene_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> ContactScene:
             for name, tool in data["tools"].items()
         ),
         bodies=tuple(
-            Body(str(name), float(body["mass"]), _point(body["at"]), float(body["radius"]))
+            Body(
+                str(name),
+                float(body["mass"]),
+                _point(body["at"]),
+                float(body["radius"]),
+                str(body.get("shape", "sphere")),
+                _point(body.get("half", (0.0, 0.0, 0.0))),
+            )
             for name, body in data["bodies"].items()
         ),
         obstacles=tuple(

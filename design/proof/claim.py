@@ -196,7 +196,7 @@ class SceneData(DeclaredData):
     Attributes:
         moved: for each port and axis of a tool: the port's index, the tool's, the axis.
         masses: of the bodies by name, kg.
-        amounts: all radii, stiffnesses, dampings and coefficients of friction.
+        amounts: all radii, sides of bodies, stiffnesses, dampings and coefficients of friction.
         obstacles: by name.
         links: by ends: the stiffness, N/m.
         touching: by ends: the stiffness of a contact that is not that of all others, N/m.
@@ -294,8 +294,11 @@ def _scene(item: Item, ports: tuple[str, ...]) -> SceneData:
         moved += [(port, number, axis) for port, axis in zip(its, axes, strict=True)]
     masses: dict[str, Number] = {}
     for name, body in bodies.items():
-        fields = body.fields(("mass", "at", "radius"))
+        fields = body.fields(("mass", "at", "radius"), ("shape", "half"))
         _vector(fields["at"])
+        half = _vector(fields["half"]) if "half" in fields else (0, 0, 0)
+        # a segment reaches to both sides, whatever its direction
+        amounts += half if "shape" in fields and fields["shape"].text("capsule", "box") == "box" else ()
         masses[name] = fields["mass"].number()
         amounts.append(fields["radius"].number())
     obstacles: dict[str, ObstacleData] = {}

@@ -4,13 +4,14 @@ A device with one to three axes is one tool, under the device's own name. Positi
 positions in the file are those at the start; everything starts at rest.
 """
 
-from collections.abc import Iterator
-from typing import Annotated, Any, Final, Literal, Self, TypeAlias
+from collections.abc import Collection, Iterator
+from typing import Annotated, Any, ClassVar, Final, Literal, Self, TypeAlias
 
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
-from manyhands.design.models.contacts import GROUND, Surface
+from manyhands.design.models.contacts import GROUND, Point, Surface
 from manyhands.design.models.scene import (
+    BODY_SHAPES,
     MOST_OBSTACLES,
     MOST_POINTS,
     SHAPES,
@@ -19,9 +20,9 @@ from manyhands.design.models.scene import (
     ContactScene,
     Falling,
     Obstacle,
-    Point,
     SceneLink,
     ToolSphere,
+    UnknownGap,
 )
 from manyhands.launch.session.errors import listed, one_of, show
 from manyhands.launch.session.fields import (
@@ -80,26 +81,24 @@ class SceneTool(SessionModel):
     radius: Radius = Field(default=0.0, description="its radius in m; 0 for a point")
 
 
-class SceneBody(SessionModel):
-    """A point mass or a sphere that moves freely, without turning."""
+def _keys_by_shape(shapes: Collection[str], default: str = "", optional_keys: Collection[str] = ()) -> dict[str, Any]:
+    """The part of the schema that gives each shape its keys; ``optional_keys`` are those of the default shape."""
+    named = {shape: SHAPES[shape] for shape in shapes}
+    return {
+        "allOf": [
+            {
+                "if": where("shape", shape)
+                if shape != default
+                else {"not": where("shape", *(named.keys() - {default}))},
+                "then": {
+                    "required": [key for key in keys if shape != default or key not in optional_keys],
+                    "properties": {key: False for others in named.values() for key in others if key not in keys},
+                },
+            }
+            for shape, keys in named.items()
+        ]
+    }
 
-    mass: Annotated[float, BeforeValidator(MASS)] = Field(description="its mass in kg")
-    at: Place = Field(description="where its centre is at the start, in m: [x, y, z]")
-    radius: Radius = Field(default=0.0, description="its radius in m; 0 for a point")
-
-
-_SHAPED: Final[dict[str, Any]] = {
-    "allOf": [
-        {
-            "if": where("shape", shape),
-            "then": {
-                "required": [*keys],
-                "properties": {key: False for of_others in SHAPES.values() for key in of_others if key not in keys},
-            },
-        }
-        for shape, keys in SHAPES.items()
-    ]
-}
 
 _ENDS: Final = Described(lambda value: None if value is None else _two_places(value), list_of(_PLACE.json_schema, 2, 2))
 
@@ -114,23 +113,21 @@ def _two_places(value: object) -> tuple[Point, Point]:
 _OptionalPlace: TypeAlias = Annotated[tuple[float, float, float] | None, BeforeValidator(optional(_PLACE))]
 
 
-class SceneObstacle(SessionModel):
-    """A thing that stands still: a wall or a room that spheres stay inside of, or a shape that they stay outside of."""
+_OptionalEnds: TypeAlias = Annotated[
+    tuple[tuple[float, float, float], tuple[float, float, float]] | None, BeforeValidator(_ENDS)
+]
 
-    model_config = ConfigDict(json_schema_extra=_SHAPED)
 
-    shape: Annotated[Literal["wall", "room", "box", "sphere", "capsule"], BeforeValidator(Choice(tuple(SHAPES)))] = (
-        Field(description="its shape: wall, room, box, sphere or capsule")
-    )
+class ShapedThing(SessionModel):
+    """What a body and an obstacle have in common: the keys of their shape, and no others."""
+
+    _optional_keys: ClassVar[tuple[str, ...]] = ()
+
+    shape: str
     at: _OptionalPlace = defaulted(None, "a point of a wall, or a sphere's centre, in m: [x, y, z]")
-    normal: Annotated[tuple[float, float, float] | None, BeforeValidator(optional(_DIRECTION))] = defaulted(
-        None, "the direction from a wall to the side where things are: [x, y, z]"
-    )
     low: _OptionalPlace = defaulted(None, "the corner of a room or a box with the least coordinates, in m: [x, y, z]")
     high: _OptionalPlace = defaulted(None, "the corner with the greatest coordinates, in m: [x, y, z]")
-    ends: Annotated[tuple[tuple[float, float, float], tuple[float, float, float]] | None, BeforeValidator(_ENDS)] = (
-        defaulted(None, "the two ends of a capsule's axis, in m: [[x, y, z], [x, y, z]]")
-    )
+    ends: _OptionalEnds = defaulted(None, "the two ends of a capsule's axis, in m: [[x, y, z], [x, y, z]]")
     radius: Annotated[float | None, BeforeValidator(optional(_ROUND))] = defaulted(
         None, "the radius of a sphere or a capsule in m"
     )
@@ -138,19 +135,68 @@ class SceneObstacle(SessionModel):
     @model_validator(mode="after")
     def _of_its_shape(self) -> Self:
         keys = SHAPES[self.shape]
-        stated = {key for of_one in SHAPES.values() for key in of_one if getattr(self, key) is not None}
-        if missing := [key for key in keys if key not in stated]:
-            raise refuse(f"a {self.shape} without {listed(missing)}", f"the keys {listed(keys)} for a {self.shape}")
+        stated = {key for of_one in SHAPES.values() for key in of_one if getattr(self, key, None) is not None}
+        needed = [key for key in keys if key not in self._optional_keys or self.shape != "sphere"]
+        if missing := [key for key in needed if key not in stated]:
+            raise refuse(f"a {self.shape} without {listed(missing)}", f"the keys {listed(needed)} for a {self.shape}")
         if other := sorted(stated.difference(keys)):
             raise refuse(
                 f"{other[0]} of a {self.shape}", f"only the keys {listed(keys)} for a {self.shape}", (other[0],)
             )
-        if self.normal is not None and not any(self.normal):
-            raise refuse("the normal [0, 0, 0]", "a direction", at=("normal",))
         if self.low is not None and self.high is not None:
             for axis, low, high in zip(_XYZ, self.low, self.high, strict=True):
                 if not low < high:
                     raise refuse(f"{low:g} m in low and {high:g} m in high along {axis}", "low below high", ("high",))
+        return self
+
+
+class SceneBody(ShapedThing):
+    """A point mass, a sphere, a capsule or a box that moves freely, without turning."""
+
+    model_config = ConfigDict(json_schema_extra=_keys_by_shape(BODY_SHAPES, "sphere", ("radius",)))
+    _optional_keys = ("radius",)
+
+    mass: Annotated[float, BeforeValidator(MASS)] = Field(description="its mass in kg")
+    shape: Annotated[Literal["sphere", "capsule", "box"], BeforeValidator(Choice(BODY_SHAPES))] = Field(
+        default="sphere", description="its shape: sphere, capsule or box"
+    )
+    at: _OptionalPlace = defaulted(None, "where a sphere's centre is at the start, in m: [x, y, z]")
+    radius: Annotated[float | None, BeforeValidator(optional(_RADIUS))] = defaulted(
+        None, "the radius of a sphere or a capsule in m; a sphere without it is a point"
+    )
+
+    @model_validator(mode="after")
+    def _is_round(self) -> Self:
+        if self.shape == "capsule" and self.radius == 0.0:
+            raise refuse("0", f"{_ROUND.what} in m greater than 0", ("radius",))
+        return self
+
+    def body(self, name: str) -> Body:
+        """The same as design has it."""
+        least, most = self.ends or (self.low or self.at, self.high or self.at)
+        if least is None or most is None:
+            raise ValueError(f"found the body {name} without a place; expected one")
+        (x, a), (y, b), (z, c) = zip(least, most, strict=True)
+        at, half = ((x + a) / 2.0, (y + b) / 2.0, (z + c) / 2.0), ((a - x) / 2.0, (b - y) / 2.0, (c - z) / 2.0)
+        return Body(name, self.mass, at, self.radius or 0.0, self.shape, half)
+
+
+class SceneObstacle(ShapedThing):
+    """A thing that stands still: a wall or a room that things stay inside of, or a shape that they stay outside of."""
+
+    model_config = ConfigDict(json_schema_extra=_keys_by_shape(SHAPES))
+
+    shape: Annotated[Literal["wall", "room", "box", "sphere", "capsule"], BeforeValidator(Choice(tuple(SHAPES)))] = (
+        Field(description="its shape: wall, room, box, sphere or capsule")
+    )
+    normal: Annotated[tuple[float, float, float] | None, BeforeValidator(optional(_DIRECTION))] = defaulted(
+        None, "the direction from a wall to the side where things are: [x, y, z]"
+    )
+
+    @model_validator(mode="after")
+    def _has_direction(self) -> Self:
+        if self.normal is not None and not any(self.normal):
+            raise refuse("the normal [0, 0, 0]", "a direction", at=("normal",))
         return self
 
     def obstacle(self, name: str) -> Obstacle:
@@ -304,6 +350,11 @@ class SceneEnvironment(SessionModel):
         except Falling as error:
             yield Problem(("bodies", error.body), error.FOUND, error.EXPECTED)
             return
+        except UnknownGap as error:
+            bodies = [name for name in error.names if name in self.bodies]
+            capsule = min(bodies, key=lambda name: self.bodies[name].shape == "box")
+            yield Problem(("bodies", capsule), error.found, error.EXPECTED)
+            return
         contacts = scene.contacts
         for pair, gap in zip(contacts.pairs, contacts.gaps(scene.points)[0].tolist(), strict=True):
             for name in {*pair.names} & {*self.tools} if gap < -_TOUCH else ():
@@ -316,6 +367,7 @@ class SceneEnvironment(SessionModel):
 
         Raises:
             Falling: a body under gravity has nothing that holds it.
+            UnknownGap: a capsule along no axis may touch a box.
             ValueError: the scene has one of the other problems that :meth:`problems` reports.
         """
         devices = _by_device(ports)
@@ -332,7 +384,7 @@ class SceneEnvironment(SessionModel):
                 )
                 for name, tool in self.tools.items()
             ),
-            bodies=tuple(Body(name, body.mass, body.at, body.radius) for name, body in self.bodies.items()),
+            bodies=tuple(body.body(name) for name, body in self.bodies.items()),
             obstacles=tuple(thing.obstacle(name) for name, thing in self.obstacles.items()),
             links=tuple(SceneLink(link.between, link.stiffness, link.damping, link.rest) for link in self.links),
             surface=self.contact.surface,

@@ -10,6 +10,7 @@ import pytest
 
 from manyhands.design.models.contacts import Surface
 from manyhands.design.models.environment import DeclaredScene
+from manyhands.design.models.scene import Body
 from manyhands.launch.plan.prepare import session_environment
 from manyhands.launch.session import SceneEnvironment, Session, SessionError, load_session
 
@@ -28,6 +29,8 @@ environment:
     ben: {at: [0.1, 0, 0.05]}
   bodies:
     ball: {mass: 0.5, at: [0, 0, 0.05], radius: 0.03}
+    crate: {shape: box, mass: 0.2, low: [0.5, 0.5, 0], high: [0.6, 0.7, 0.3]}
+    rod: {shape: capsule, mass: 0.1, ends: [[-0.5, 0.3, 0.2], [-0.5, 0.1, 0.2]], radius: 0.01}
   obstacles:
     floor: {shape: wall, at: [0, 0, 0], normal: [0, 0, 1]}
     room: {shape: room, low: [-1, -1, -1], high: [1, 1, 1]}
@@ -58,7 +61,11 @@ def test_a_file_becomes_a_scene(path: Path) -> None:
     anna, ben = scene.tools
     assert (anna.ports, anna.axes, anna.at, anna.radius) == ((0, 1, 2), (0, 1, 2), (-0.1, 0.0, 0.05), 0.01)
     assert (ben.ports, ben.axes) == ((3, 4), (2, 0))  # by the names of the device's axes
-    assert scene.bodies[0].mass == 0.5
+    assert scene.bodies[0] == Body("ball", 0.5, (0.0, 0.0, 0.05), 0.03)
+    crate, rod = scene.bodies[1:]
+    assert (crate.shape, crate.radius, rod.shape, rod.radius) == ("box", 0.0, "capsule", 0.01)
+    assert [*crate.at, *crate.half] == pytest.approx([0.55, 0.6, 0.15, 0.05, 0.1, 0.15])
+    assert [*rod.at, *rod.half] == pytest.approx([-0.5, 0.2, 0.2, 0.0, -0.1, 0.0])
     assert [(o.shape, len(o.points), o.radius) for o in scene.obstacles] == [
         ("wall", 2, 0.0),
         ("room", 2, 0.0),
@@ -90,6 +97,13 @@ def test_a_session_is_the_same_after_it_is_written(path: Path) -> None:
         ("tools.anna.at=[-0.1, 0, 0.005]", "tools.anna", "5 mm inside 'floor'"),
         ("bodies.ball.mass=0", "bodies.ball.mass", "0"),
         ("bodies.ball.at=here", "bodies.ball.at", "here"),
+        ("bodies.ball.ends=[[0, 0, 0], [0, 0, 1]]", "bodies.ball.ends", "ends of a sphere"),
+        ("bodies.ball={mass: 1}", "bodies.ball", "a sphere without at"),
+        ("bodies.crate.shape=room", "bodies.crate.shape", "room"),
+        ("bodies.crate.radius=0.1", "bodies.crate.radius", "radius of a box"),
+        ("bodies.crate.high=[0.6, 0.4, 0.3]", "bodies.crate.high", "along y"),
+        ("bodies.rod.radius=0", "bodies.rod.radius", "0"),
+        ("bodies.rod.ends=[[-0.5, 0.3, 0.2], [-0.5, 0.1, 0.3]]", "bodies.rod", "may touch a box ('crate' and 'rod')"),
         ("bodies.ben={mass: 1, at: [0, 0, 1]}", "bodies.ben", "'ben'"),
         ("obstacles.ground={shape: sphere, at: [0, 0, 9], radius: 1}", "obstacles.ground", "of the ground"),
         ("obstacles.floor.shape=cone", "obstacles.floor.shape", "cone"),

@@ -186,6 +186,34 @@ def test_free_bodies_keep_their_momentum_and_lose_energy() -> None:
     assert max(energies[1:]) > 0.1 * energies[0]  # they did move
 
 
+def test_crates_and_rods_stand_on_each_other() -> None:
+    """Each lies as deep in the next as its load presses it, and a hand lifts nothing that it does not hold."""
+    masses = (0.5, 0.3, 0.2)
+    scene = ContactScene(
+        PORTS,
+        tools=(HAND,),
+        bodies=(
+            Body("crate", masses[0], (0.3, 0.0, 0.1), 0.0, "box", (0.05, 0.1, 0.1)),
+            Body("plank", masses[1], (0.27, 0.02, 0.22), 0.0, "box", (0.2, 0.05, 0.02)),
+            Body("rod", masses[2], (0.3, 0.0, 0.25), 0.01, "capsule", (0.0, -0.1, 0.0)),
+            Body("slanted", 0.1, (-0.3, 0.0, 0.06), 0.01, "capsule", (0.05, 0.1, -0.05)),
+        ),
+        obstacles=(FLOOR,),
+        surface=Surface(5e3, 20.0, 0.5),
+        surfaces=tuple(((name, "slanted"), Surface(0.0)) for name in ("crate", "plank")),
+        gravity=(0.0, 0.0, -9.81),
+    )
+    core = core_of(scene)
+    for _ in range(1500):
+        react(core, np.zeros(3))
+        core.settle()
+    sunk = np.cumsum([9.81 * sum(masses[i:]) / 5e3 for i in range(3)])
+    found = np.reshape(core.masses, (4, 3))
+    assert found[:3, 2] == pytest.approx(-sunk, abs=1e-6)
+    assert found[3, 2] == pytest.approx(-9.81 * 0.1 / 5e3, abs=1e-6)
+    assert np.abs(found[:, :2]).max() < 1e-6
+
+
 def pressed(mu: float, push: np.ndarray, stiffness: float = 5e4, ticks: int = 400) -> tuple[np.ndarray, np.ndarray]:
     """The forces on a tool that is pressed down, and then pushed along the floor."""
     scene = ContactScene(
