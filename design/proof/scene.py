@@ -3,7 +3,7 @@
 The theorem (docs/decisions/0041-scenes.md) needs masses > 0, and stiffnesses, dampings, sizes and coefficients of
 friction >= 0. It needs one coordinate of a tool for each port, and convex obstacles and bodies, which these shapes are.
 And it needs an energy that is bounded below. Without gravity all energies are >= 0. With gravity g, each body of mass M
-must be held in one of three ways, for M g = -sum of lambda n with lambda >= 0 over faces of normals n (into the inside):
+must be held in one of three ways, for M g = -sum of lambda n, lambda >= 0, over faces of normals n (into the inside):
 
     -M g^T q + sum of k/2 max(0, -n^T q + c)^2 >= sum of (lambda c - lambda^2/(2 k)),
 
