@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 from typing import Any, Final
@@ -40,6 +40,12 @@ MOST_POINTS: Final = 32
 """Tools and bodies together: their number determines the time of a tick."""
 
 MOST_OBSTACLES: Final = 32
+
+MOST_SAMPLES: Final = 10_000
+"""Samples of a driven body's recorded motion along one axis: the certificate and the environment's bundle have them."""
+
+MOST_DRIVE: Final = 1000.0
+"""J, of the tank of the driven bodies."""
 
 SHAPES: Final[Mapping[str, tuple[str, ...]]] = {
     "wall": ("at", "normal"),
@@ -115,15 +121,17 @@ _POINT: Final = Core("segment", ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
 
 @dataclass(frozen=True)
 class Body:
-    """A point mass, a sphere, a capsule or a box that moves freely, without turning.
+    """A point, a sphere, a capsule or a box that moves freely or as it is driven, without turning.
 
     Attributes:
         name: of the body.
-        mass: > 0, kg.
+        mass: > 0, kg; 0 of a driven body, where it has no effect.
         at: where its centre is at the start, at rest, m.
         radius: of a sphere or a capsule, m; 0 for a box.
         shape: one of :data:`BODY_SHAPES`; the sides of a box are along the axes.
         half: from the centre to an end of a capsule's axis, or to the corner of a box with the greatest coordinates, m.
+        motion: of a driven body, its displacement along x, y and z, m, that is 0 at the start: each a number, a formula
+            in t (s), or times and values. Empty for a body that moves freely.
     """
 
     name: str
@@ -132,6 +140,7 @@ class Body:
     radius: float = 0.0
     shape: str = "sphere"
     half: Point = (0.0, 0.0, 0.0)
+    motion: tuple[Any, ...] = ()
 
     @property
     def core(self) -> Core:
@@ -212,6 +221,7 @@ class ContactScene:
         surface: how any two things touch, unless ``surfaces`` states otherwise. Linked things do not touch.
         surfaces: how two named things touch.
         gravity: the acceleration of free bodies, m/s^2.
+        tank: the energy that all driven bodies together may give out, J.
 
     Raises:
         Falling: gravity would move a body down without end.
@@ -227,6 +237,7 @@ class ContactScene:
     surface: Surface = UNTOUCHED
     surfaces: tuple[tuple[tuple[str, str], Surface], ...] = ()
     gravity: Point = (0.0, 0.0, 0.0)
+    tank: float = 0.0
 
     __repr__ = brief_repr
 
@@ -288,7 +299,15 @@ class ContactScene:
         for ends, _ in self.surfaces:
             if not set(ends) <= set(names[:-1]) or ends[0] == ends[1] or not set(ends) & set(movable):
                 yield f"contact between {ends}: expected two different things, one of them a tool or a body"
-        masses = [body.mass for body in self.bodies]
+        for body in self.bodies:
+            if body.motion and (body.mass, len(body.motion)) != (0.0, 3):
+                yield f"body {body.name}: found a mass or {len(body.motion)} motions; expected no mass, and 3 motions"
+            samples = [len(motion["times"]) for motion in body.motion if isinstance(motion, Mapping)]
+            if any(count > MOST_SAMPLES for count in samples):
+                yield f"body {body.name}: found a motion of {max(samples)} samples; expected at most {MOST_SAMPLES}"
+        if not 0.0 <= self.tank <= MOST_DRIVE:
+            yield f"found a tank of {self.tank} J; expected 0 to {MOST_DRIVE:g} J"
+        masses = [body.mass for body in self.bodies if not body.motion]
         if not all(0.0 < mass < math.inf for mass in masses):
             yield f"found the masses {masses}; expected finite ones > 0"
         amounts = [thing.radius for thing in self.things] + [obstacle.radius for obstacle in self.obstacles]
@@ -336,8 +355,9 @@ class ContactScene:
 
     @property
     def geometry(self) -> ContactScene:
-        """The scene without springs, contacts and gravity: its tools, bodies and obstacles."""
-        return ContactScene(self.ports, self.tools, self.bodies, self.obstacles)
+        """The scene without springs, contacts, gravity and motions: its tools, bodies and obstacles."""
+        bodies = tuple(replace(body, motion=(0.0, 0.0, 0.0)) if body.motion else body for body in self.bodies)
+        return ContactScene(self.ports, self.tools, bodies, self.obstacles)
 
     def ends_of(self, link: SceneLink) -> tuple[int | None, int | None]:
         """The indices of the points that a link joins; None for the ground."""
@@ -363,14 +383,19 @@ class ContactScene:
     def pairs(self) -> Iterator[ContactPair]:
         """The pairs that may touch: two things, or a thing and an obstacle; of a room one for each face.
 
+        A driven body passes through obstacles and driven bodies, since nothing could give way.
+
         Raises:
             UnknownGap: a capsule along no axis may touch a box.
         """
         things = self.things
+        driven = {body.name for body in self.bodies if body.motion}
         for (i, a), (j, b) in combinations(enumerate(things), 2):
+            if {a.name, b.name} <= driven:
+                continue
             yield from self._pair((i, a), (j, b))
         for i, a in enumerate(things):
-            for obstacle in self.obstacles:
+            for obstacle in () if a.name in driven else self.obstacles:
                 if not obstacle.faces:
                     yield from self._pair((i, a), (-1, obstacle))
                     continue
@@ -442,7 +467,8 @@ class ContactScene:
     def energy_at_start(self) -> float:
         """A bound on the energy that the scene can give out from its start at rest, J, at least 0.
 
-        It is that of height, of springs and of overlapping contacts, less the bound of :meth:`lowest_energy`.
+        It is that of height, of springs and of overlapping contacts, less the bound of :meth:`lowest_energy`, and the
+        tank of its driven bodies.
         """
         springs = 0.0
         for link in self.links:
@@ -451,13 +477,14 @@ class ContactScene:
         height = sum(
             -body.mass * float(np.dot(self.gravity, body.at)) - self.lowest_energy(body) for body in self.bodies
         )
-        return max(0.0, height + springs + self.contacts.energy(self.points))
+        return max(0.0, height + springs + self.contacts.energy(self.points)) + self.tank
 
     def terms(self) -> dict[str, Any]:
         """The scene as JSON values, by the keys of a certificate's ``environment``."""
         return {
             "type": "scene",
             "gravity": list(self.gravity),
+            **({"tank": self.tank} if self.tank else {}),
             "tools": {
                 tool.name: {
                     "ports": [self.ports[port] for port in tool.ports],
@@ -473,6 +500,7 @@ class ContactScene:
                     "at": list(b.at),
                     "radius": b.radius,
                     **({} if b.shape == "sphere" else {"shape": b.shape, "half": list(b.half)}),
+                    **({"motion": list(b.motion)} if b.motion else {}),
                 }
                 for b in self.bodies
             },
@@ -508,6 +536,15 @@ def _point(data: Sequence[Any]) -> Point:
     return x, y, z
 
 
+def _motion(data: Any) -> Any:
+    """A motion along one axis, in the types that :attr:`Body.motion` has."""
+    if isinstance(data, str):
+        return data
+    if isinstance(data, Mapping):
+        return {key: [float(value) for value in data[key]] for key in ("times", "values")}
+    return float(data)
+
+
 def _surface(data: Mapping[str, Any]) -> Surface:
     return Surface(float(data["stiffness"]), float(data["damping"]), float(data["friction"]))
 
@@ -538,6 +575,7 @@ def scene_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> ContactScene:
                 float(body["radius"]),
                 str(body.get("shape", "sphere")),
                 _point(body.get("half", (0.0, 0.0, 0.0))),
+                tuple(map(_motion, body.get("motion", ()))),
             )
             for name, body in data["bodies"].items()
         ),
@@ -553,6 +591,7 @@ def scene_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> ContactScene:
         surface=_surface(data["contact"]),
         surfaces=tuple(((str(a), str(b)), _surface(c)) for c in data["contacts"] for a, b in [c["between"]]),
         gravity=_point(data["gravity"]),
+        tank=float(data.get("tank", 0.0)),
     )
 
 

@@ -34,7 +34,9 @@ def findings(data: SceneData, m: int) -> list[Finding]:
     held = [name for name, mass in data.masses.items() if not _held(data, name, exact_decimal(mass))]
     solid = [name for name, thing in data.obstacles.items() if not _solid(thing.shape, thing.points)]
     return [
-        _finding("masses are positive, no stiffness, damping, size or friction is negative", positive, float(least)),
+        _finding(
+            "masses are positive, no stiffness, damping, size, friction or tank is negative", positive, float(least)
+        ),
         _finding("every port moves a tool along an axis of its own", moved),
         _finding("every obstacle is convex, with an inside", not solid, because=", ".join(solid)),
         _finding("the energy is bounded below: no body falls without end", not held, because=", ".join(held)),
@@ -49,6 +51,8 @@ def argument(data: SceneData) -> str:
     parts.append(
         f"{', '.join([*curved, 'tools and bodies'])} by tangent planes; friction by the bound of the tick before"
     )
+    if data.tank > 0:
+        parts.append(f"driven bodies give out at most the {float(data.tank):g} J of their tank, which counts as stored")
     kept = "kept at run time by a controller, which is not proved here"
     return f"for solved ticks by a theorem, {'; '.join(parts)}; {kept}"
 

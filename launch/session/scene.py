@@ -5,15 +5,19 @@ positions in the file are those at the start; everything starts at rest.
 """
 
 from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal, Self, TypeAlias
 
-from pydantic import BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
 
 from manyhands.design.models.contacts import GROUND, Point, Surface
 from manyhands.design.models.scene import (
     BODY_SHAPES,
+    MOST_DRIVE,
     MOST_OBSTACLES,
     MOST_POINTS,
+    MOST_SAMPLES,
     SHAPES,
     STIFFEST,
     Body,
@@ -24,6 +28,7 @@ from manyhands.design.models.scene import (
     ToolSphere,
     UnknownGap,
 )
+from manyhands.launch.session.device import Intents
 from manyhands.launch.session.errors import listed, one_of, show
 from manyhands.launch.session.fields import (
     DAMPING,
@@ -43,8 +48,10 @@ from manyhands.launch.session.fields import (
     part_name,
     refuse,
 )
-from manyhands.launch.session.forms import either, list_of, where
+from manyhands.launch.session.forms import JsonSchema, either, list_of, where
 from manyhands.launch.session.limits import MAX_LINKS
+from manyhands.launch.session.motion import TraceData, plain_intent
+from manyhands.nodes.device.intent import intent_from
 
 _XYZ: Final = ("x", "y", "z")
 _TOUCH: Final = 1e-9  # m; a tool may touch at the start
@@ -68,6 +75,7 @@ _ACCELERATION: Final = _vector(Quantity("an acceleration", "m/s²", least=-100.0
 _RADIUS: Final = Quantity("a radius", "m", least=0.0, most=_FARTHEST)
 _ROUND: Final = Quantity("a radius", "m", above=0.0, most=_FARTHEST)
 _CONTACT_STIFFNESS: Final = Quantity("a stiffness", "N/m", least=0.0, most=STIFFEST)
+_TANK: Final = Quantity("a tank", "J", least=0.0, most=MOST_DRIVE)
 _FRICTION: Final = Quantity("a coefficient of friction", least=0.0, most=10.0)
 
 Place: TypeAlias = Annotated[tuple[float, float, float], BeforeValidator(_PLACE)]
@@ -150,13 +158,48 @@ class ShapedThing(SessionModel):
         return self
 
 
-class SceneBody(ShapedThing):
-    """A point mass, a sphere, a capsule or a box that moves freely, without turning."""
+@dataclass(frozen=True, slots=True)
+class _Motion:
+    """The check of a driven body's motion: x, y and z, each a number, a formula in t or a trace."""
 
-    model_config = ConfigDict(json_schema_extra=_keys_by_shape(BODY_SHAPES, "sphere", ("radius",)))
+    _axis: ClassVar[Intents] = Intents(Quantity("a motion", "m"))
+
+    @property
+    def json_schema(self) -> JsonSchema:
+        """A list of three."""
+        return list_of(self._axis.of_axis(Path()).json_schema, 3, 3)
+
+    def __call__(self, value: object, info: ValidationInfo) -> object:
+        """The three motions; the files of traces are in the folder of the session file."""
+        if value is None:
+            return None
+        if not isinstance(value, list | tuple) or len(value) != len(_XYZ):
+            raise refuse(show(value), "a motion [x, y, z], each a number in m, a formula in t, or a trace")
+        motions = each(self._axis.of_axis((info.context or {}).get("folder", Path())), value)
+        for axis, motion in zip(_XYZ, motions, strict=True):
+            start = intent_from(plain_intent(motion))(0.0)  # type: ignore[arg-type]  # what plain_intent returns
+            if abs(start) > _TOUCH:
+                raise refuse(f"{start:g} m at t = 0 along {axis}", "0 m there: the body begins where it is put")
+            if isinstance(motion, TraceData) and len(motion.times) > MOST_SAMPLES:
+                raise refuse(f"a trace of {len(motion.times)} samples", f"at most {MOST_SAMPLES}")
+        return motions
+
+
+class SceneBody(ShapedThing):
+    """A point, a sphere, a capsule or a box that moves freely or as it is driven, without turning."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            **_keys_by_shape(BODY_SHAPES, "sphere", ("radius",)),
+            **either({"required": ["mass"]}, {"required": ["motion"]}),
+        }
+    )
     _optional_keys = ("radius",)
 
-    mass: Annotated[float, BeforeValidator(MASS)] = Field(description="its mass in kg")
+    mass: Annotated[float | None, BeforeValidator(optional(MASS))] = defaulted(None, "its mass in kg")
+    motion: Annotated[tuple[float | str | TraceData, ...] | None, BeforeValidator(_Motion())] = defaulted(
+        None, "its displacement in m, in place of a mass, where it is driven: [x, y, z]"
+    )
     shape: Annotated[Literal["sphere", "capsule", "box"], BeforeValidator(Choice(BODY_SHAPES))] = Field(
         default="sphere", description="its shape: sphere, capsule or box"
     )
@@ -166,9 +209,14 @@ class SceneBody(ShapedThing):
     )
 
     @model_validator(mode="after")
-    def _is_round(self) -> Self:
+    def _is_whole(self) -> Self:
         if self.shape == "capsule" and self.radius == 0.0:
             raise refuse("0", f"{_ROUND.what} in m greater than 0", ("radius",))
+        if (self.mass is None) == (self.motion is None):
+            raise refuse(
+                "neither a mass nor a motion" if self.mass is None else "a mass and a motion",
+                "a mass in kg, or the motion of a driven body",
+            )
         return self
 
     def body(self, name: str) -> Body:
@@ -178,7 +226,8 @@ class SceneBody(ShapedThing):
             raise ValueError(f"found the body {name} without a place; expected one")
         (x, a), (y, b), (z, c) = zip(least, most, strict=True)
         at, half = ((x + a) / 2.0, (y + b) / 2.0, (z + c) / 2.0), ((a - x) / 2.0, (b - y) / 2.0, (c - z) / 2.0)
-        return Body(name, self.mass, at, self.radius or 0.0, self.shape, half)
+        motion = tuple(plain_intent(axis) for axis in self.motion or ())
+        return Body(name, self.mass or 0.0, at, self.radius or 0.0, self.shape, half, motion)
 
 
 class SceneObstacle(ShapedThing):
@@ -292,7 +341,7 @@ class SceneEnvironment(SessionModel):
     )
     bodies: Annotated[
         dict[str, SceneBody], BeforeValidator(NamedParts(part_name("a body's name"), MOST_POINTS, least=0))
-    ] = Field(default={}, description="the bodies that move freely, by name")
+    ] = Field(default={}, description="the bodies that move freely or are driven, by name")
     obstacles: Annotated[
         dict[str, SceneObstacle], BeforeValidator(NamedParts(part_name("an obstacle's name"), MOST_OBSTACLES, least=0))
     ] = Field(default={}, description="the things that stand still, by name")
@@ -305,6 +354,9 @@ class SceneEnvironment(SessionModel):
     )
     gravity: Annotated[tuple[float, float, float], BeforeValidator(_ACCELERATION)] = Field(
         default=(0.0, 0.0, 0.0), description="the acceleration of free bodies in m/s²: [x, y, z]"
+    )
+    tank: Annotated[float, BeforeValidator(_TANK)] = Field(
+        default=0.0, description="the energy in J that the driven bodies together may give out"
     )
 
     def problems(self, ports: tuple[str, ...]) -> Iterator[Problem]:
@@ -339,6 +391,8 @@ class SceneEnvironment(SessionModel):
                         yield Problem(
                             (key, index, "between", position), f"the unknown end {show(end)}", one_of(ends, end)
                         )
+        if self.tank and not any(body.motion for body in self.bodies.values()):
+            yield Problem(("tank",), "a tank, and no body with a motion", "a driven body, or no tank")
         for index, contact in enumerate(self.contacts):
             if all(end in self.obstacles for end in contact.between):
                 yield Problem(("contacts", index, "between"), "two obstacles", "a tool or a body at one of the ends")
@@ -390,4 +444,5 @@ class SceneEnvironment(SessionModel):
             surface=self.contact.surface,
             surfaces=tuple((pair.between, pair.surface) for pair in self.contacts),
             gravity=self.gravity,
+            tank=self.tank,
         )

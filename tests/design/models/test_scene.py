@@ -141,6 +141,9 @@ def test_a_centre_has_a_gradient(shape: str, at: tuple[float, ...]) -> None:
 def test_a_scene_is_read_as_it_was_written(seed: int) -> None:
     rng = np.random.default_rng(seed)
     scene = random_scene(rng, int(rng.integers(1, 4)), int(rng.integers(0, 4)), int(rng.integers(1, 4)))
+    motion = ("0.1*t", 0.0, {"times": [0.0, 1.0], "values": [0.0, 0.2]})
+    driven = Body("driven", 0.0, (0.0, 0.0, 0.0), 0.01, motion=motion)
+    scene = replace(scene, bodies=(*scene.bodies, driven), tank=2.0)
     again = environment_of(describe_environment(DeclaredScene(scene)), scene.ports)
     assert again == DeclaredScene(scene)
     assert isinstance(again, DeclaredScene)
@@ -159,6 +162,20 @@ SPRING = SceneLink(("ball", "ground"), 200.0, 0.0)
 def scene_of(**parts: Any) -> ContactScene:
     given_parts: dict[str, Any] = {"tools": (ToolSphere("p", (0,), (0,), (0.0, 0.0, 0.0)),), "surface": SURFACE}
     return ContactScene(("p",), **{**given_parts, **parts})
+
+
+def test_driven_bodies_touch_what_can_give_way() -> None:
+    driven = replace(BALL, mass=0.0, motion=("0.1*t", 0.0, 0.0))
+    scene = scene_of(
+        bodies=(BALL, replace(driven, name="one"), replace(driven, name="two")), obstacles=(ROOM,), tank=3.0
+    )
+    assert {pair.names for pair in scene.pairs()} == {
+        *(("p", name) for name in ("ball", "one", "two", "room")),
+        *(("ball", name) for name in ("one", "two", "room")),
+    }
+    overlapping = 2 * 500.0 * 0.1**2  # the ball and each driven one are in one place
+    assert scene.energy_at_start == pytest.approx(3.0 + overlapping)
+    assert scene.geometry.terms()["bodies"]["one"]["motion"] == [0.0, 0.0, 0.0]
 
 
 def test_the_energy_at_the_start() -> None:
@@ -232,6 +249,13 @@ def test_a_body_that_would_fall_for_good_is_refused(parts: dict[str, Any]) -> No
         ({"bodies": (replace(BALL, shape="box"),)}, "body ball: found the shape 'box'"),
         ({"bodies": (replace(BALL, half=(0.1, 0.0, 0.0)),)}, "body ball: found the shape 'sphere'"),
         ({"bodies": (CRATE, replace(BALL, shape="capsule", half=(0.1, 0.1, 0.0)))}, "capsule along no axis"),
+        ({"bodies": (replace(BALL, motion=(0.0, 0.0, 0.0)),)}, "a mass or 3 motions"),
+        ({"bodies": (replace(BALL, mass=0.0, motion=(0.0, 0.0)),)}, "a mass or 2 motions"),
+        (
+            {"bodies": (replace(BALL, mass=0.0, motion=({"times": [0.0] * 10001, "values": []}, 0.0, 0.0)),)},
+            "a motion of 10001 samples",
+        ),
+        ({"tank": -1.0}, "a tank of -1.0 J"),
         ({"bodies": (replace(BALL, at=(0.0, float("nan"), 0.0)),)}, "finite coordinates"),
         ({"bodies": tuple(replace(BALL, name=f"b{i}") for i in range(32))}, "at most 32"),
         ({"surface": Surface(2e6)}, "at most 1e"),

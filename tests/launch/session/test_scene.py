@@ -31,6 +31,8 @@ environment:
     ball: {mass: 0.5, at: [0, 0, 0.05], radius: 0.03}
     crate: {shape: box, mass: 0.2, low: [0.5, 0.5, 0], high: [0.6, 0.7, 0.3]}
     rod: {shape: capsule, mass: 0.1, ends: [[-0.5, 0.3, 0.2], [-0.5, 0.1, 0.2]], radius: 0.01}
+    piston: {motion: ["0.1*sin(t)", 0, {times: [0, 2], values: [0, 0.1]}], at: [0.7, 0.2, 0.4], radius: 0.02}
+  tank: 4
   obstacles:
     floor: {shape: wall, at: [0, 0, 0], normal: [0, 0, 1]}
     room: {shape: room, low: [-1, -1, -1], high: [1, 1, 1]}
@@ -62,7 +64,10 @@ def test_a_file_becomes_a_scene(path: Path) -> None:
     assert (anna.ports, anna.axes, anna.at, anna.radius) == ((0, 1, 2), (0, 1, 2), (-0.1, 0.0, 0.05), 0.01)
     assert (ben.ports, ben.axes) == ((3, 4), (2, 0))  # by the names of the device's axes
     assert scene.bodies[0] == Body("ball", 0.5, (0.0, 0.0, 0.05), 0.03)
-    crate, rod = scene.bodies[1:]
+    crate, rod, piston = scene.bodies[1:]
+    motion = ("0.1*sin(t)", 0.0, {"times": [0.0, 2.0], "values": [0.0, 0.1]})
+    assert piston == Body("piston", 0.0, (0.7, 0.2, 0.4), 0.02, motion=motion)
+    assert scene.tank == 4.0
     assert (crate.shape, crate.radius, rod.shape, rod.radius) == ("box", 0.0, "capsule", 0.01)
     assert [*crate.at, *crate.half] == pytest.approx([0.55, 0.6, 0.15, 0.05, 0.1, 0.15])
     assert [*rod.at, *rod.half] == pytest.approx([-0.5, 0.2, 0.2, 0.0, -0.1, 0.0])
@@ -104,6 +109,14 @@ def test_a_session_is_the_same_after_it_is_written(path: Path) -> None:
         ("bodies.crate.high=[0.6, 0.4, 0.3]", "bodies.crate.high", "along y"),
         ("bodies.rod.radius=0", "bodies.rod.radius", "0"),
         ("bodies.rod.ends=[[-0.5, 0.3, 0.2], [-0.5, 0.1, 0.3]]", "bodies.rod", "may touch a box ('crate' and 'rod')"),
+        ("bodies.ball.motion=[0, 0, 0]", "bodies.ball", "a mass and a motion"),
+        ("bodies.ball={at: [0, 0, 0.05]}", "bodies.ball", "neither a mass nor a motion"),
+        ("bodies.piston.motion=[0, 0]", "bodies.piston.motion", "a list of 2"),
+        ("bodies.piston.motion=[0, cos(t), 0]", "bodies.piston.motion", "1 m at t = 0 along y"),
+        ("bodies.piston.motion=[0, open(t), 0]", "bodies.piston.motion.1", "open"),
+        ("tank=-1", "tank", "-1"),
+        ("tank=1e4", "tank", "10000"),
+        ("bodies={}", "tank", "a tank, and no body with a motion"),
         ("bodies.ben={mass: 1, at: [0, 0, 1]}", "bodies.ben", "'ben'"),
         ("obstacles.ground={shape: sphere, at: [0, 0, 9], radius: 1}", "obstacles.ground", "of the ground"),
         ("obstacles.floor.shape=cone", "obstacles.floor.shape", "cone"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -73,13 +75,21 @@ def hostile(f: np.ndarray, rng: np.random.Generator, p: np.ndarray) -> np.ndarra
     bodies=st.integers(0, 4),
     axes=st.integers(1, 3),
     clutched=st.booleans(),
+    tank=st.sampled_from([None, 0.0, 1e-3, 1.0]),
 )
 def test_a_scene_gives_out_no_more_than_it_stores(
-    seed: int, tools: int, bodies: int, axes: int, clutched: bool
+    seed: int, tools: int, bodies: int, axes: int, clutched: bool, tank: float | None
 ) -> None:
-    """Without a controller, at any stiffness, for any D_V, while the block freezes, ramps and comes back."""
+    """Without a controller, at any stiffness, for any D_V, while the block freezes, ramps and comes back.
+
+    With a tank a driven body moves through the room; what is left in the tank is stored, and never negative.
+    """
     rng = np.random.default_rng(seed)
     scene = random_scene(rng, tools, bodies, axes)
+    if tank is not None:
+        motion = ("0.05*sin(12*t)", {"times": [0.0, 0.03, 0.06], "values": [0.0, 0.06, -0.04]}, "0.02*t")
+        paddle = Body("paddle", 0.0, (0.0, 0.0, 0.08), 0.03, motion=motion)
+        scene = replace(scene, bodies=(*scene.bodies, paddle), tank=tank)
     m = len(scene.ports)
     law, stored, work = SceneLaw(scene, T), Stored(scene), 0.0
     core, p, f = core_of(scene, random_compliance(rng, m), law=law), np.zeros(m), np.zeros(m)
@@ -95,7 +105,8 @@ def test_a_scene_gives_out_no_more_than_it_stores(
         work += abs(core.ledger.total - before) + float(np.abs(f) @ np.abs(np.array(core.tools) - x_e))
         if law.unfinished:
             return  # the controller is for these; a different test counts them
-        assert core.ledger.total >= stored.at(core) - ROUNDING * (work + scene.energy_at_start) - 1e-12
+        assert law.tank >= 0.0
+        assert core.ledger.total >= stored.at(core) + law.tank - ROUNDING * (work + scene.energy_at_start) - 1e-12
         assert core.ledger.total >= -ROUNDING * work
 
 
@@ -163,6 +174,27 @@ def test_without_contacts_a_scene_is_the_network() -> None:
     assert ours.masses[2] == 0.0
 
 
+def test_two_devices_hold_one_body_by_springs() -> None:
+    """What one hand does to the body the other feels; in rest their forces and the body's weight balance."""
+    scene = ContactScene(
+        ("a.x", "a.y", "b.x", "b.y"),
+        tools=(ToolSphere("a", (0, 1), (0, 1), (-0.1, 0.0, 0.0)), ToolSphere("b", (2, 3), (0, 1), (0.1, 0.0, 0.0))),
+        bodies=(Body("bar", 0.4, (0.0, 0.0, 0.0), 0.01, "capsule", (0.1, 0.0, 0.0)),),
+        obstacles=(Obstacle("floor", "wall", ((0.0, -0.1, 0.0), (0.0, 1.0, 0.0))),),
+        links=tuple(SceneLink((name, "bar"), 500.0, 10.0) for name in "ab"),
+        surface=Surface(2000.0),
+        gravity=(0.0, -9.81, 0.0),
+    )
+    core = core_of(scene, np.eye(4) / 900.0)
+    pushed, f = np.array([0.01, 0.0, 0.0, 0.0]), np.zeros(4)
+    for _ in range(3000):
+        f = react(core, pushed)
+        core.settle()
+    assert f[:2] + f[2:] == pytest.approx([0.0, -0.4 * 9.81], abs=1e-6)
+    # two couplings and two links in series between the hands
+    assert f[2] == pytest.approx(0.01 / (2.0 / 900.0 + 2.0 / 500.0), rel=1e-6)
+
+
 def test_free_bodies_keep_their_momentum_and_lose_energy() -> None:
     scene = ContactScene(
         PORTS,
@@ -212,6 +244,58 @@ def test_crates_and_rods_stand_on_each_other() -> None:
     assert found[:3, 2] == pytest.approx(-sunk, abs=1e-6)
     assert found[3, 2] == pytest.approx(-9.81 * 0.1 / 5e3, abs=1e-6)
     assert np.abs(found[:, :2]).max() < 1e-6
+
+
+def driven(tank: float, motion: str, ticks: int) -> tuple[SceneLaw, np.ndarray, float]:
+    """A piston that moves along x against a hand, the places of the piston, and what the hand has received."""
+    piston = Body("piston", 0.0, (-0.05, 0.0, 0.05), 0.0, "box", (0.03, 0.02, 0.02), (motion, 0.0, 0.0))
+    light = Body("light", 1e-3, (-0.05, 0.0, 0.3), 0.0)  # the spring makes much more of its motion than of a driven one
+    scene = ContactScene(
+        PORTS,
+        tools=(HAND,),
+        bodies=(piston, light),
+        links=(SceneLink(("light", "piston"), 1e5, 0.0),) if tank else (),
+        surface=Surface(2e4, 1.0, 0.3),
+        tank=tank,
+    )
+    law = SceneLaw(scene, T)
+    core, places, received = core_of(scene, law=law), [], 0.0
+    for _ in range(ticks):
+        f, before = react(core, np.zeros(3)), np.array(core.tools)
+        core.settle()
+        received += float(f @ (np.array(core.tools) - before))
+        places.append(core.masses[0])
+        assert core.ledger is not None
+        assert core.ledger.total >= 0.0
+    return law, np.array(places), received
+
+
+def test_a_driven_body_moves_as_stated_and_pays_for_its_work() -> None:
+    law, places, received = driven(1.0, "0.03*sin(5*t)", 300)
+    assert places == pytest.approx(0.03 * np.sin(5 * T * np.arange(300)), abs=1e-15)
+    assert law.paused == 0
+    stored = law._contacts.energy(law._z.reshape(-1, 3))
+    assert received > 0.01
+    assert 1.0 - law.tank >= received + stored - 1e-12
+
+
+def test_a_driven_body_pauses_where_its_tank_is_empty_and_goes_on_without_a_load() -> None:
+    law, places, received = driven(0.02, "0.04*sin(5*t)", 600)
+    free, _, _ = driven(0.0, "-0.04*sin(5*t)", 600)
+    assert law.paused > 100
+    assert received <= 0.02
+    assert 0.0 <= law.tank < 1e-3
+    assert 0.01 < places[-1] < 0.04
+    assert np.abs(np.diff(places)).max() <= 0.04 * 5 * T
+    assert free.paused == 0
+    assert free.tank == 0.0
+
+
+def test_a_motion_without_a_value_ends_the_session() -> None:
+    law, places, _ = driven(1.0, "0.001*sqrt(1-(100*t)**2)-0.001", 20)
+    assert law.failure is not None
+    assert law.failure.startswith("a driven body failed: ")
+    assert np.isfinite(places).all()
 
 
 def pressed(mu: float, push: np.ndarray, stiffness: float = 5e4, ticks: int = 400) -> tuple[np.ndarray, np.ndarray]:
