@@ -41,6 +41,9 @@ MOST_POINTS: Final = 32
 
 MOST_OBSTACLES: Final = 32
 
+MOST_PAIRS: Final = 1024
+"""Pairs that may touch: a tick computes the gap of each."""
+
 MOST_SAMPLES: Final = 10_000
 """Samples of a driven body's recorded motion along one axis: the certificate and the environment's bundle have them."""
 
@@ -60,36 +63,37 @@ BODY_SHAPES: Final = ("sphere", "capsule", "box")
 """The shapes of bodies, with the same keys as of obstacles, and a mass."""
 
 
-class Falling(ValueError):
-    """Gravity would move a body down without end, so that the scene could give out energy without end.
+class SceneError(ValueError):
+    """What is stated makes no scene that could run.
 
     Attributes:
-        body: its name.
+        body: the body that it is about; empty where it is about all together.
+        found: what was found.
+        expected: what would be right.
     """
 
-    FOUND: Final = "gravity, and nothing that holds the body for good"
-    EXPECTED: Final = "a room, a wall whose normal points against gravity, or a spring to the ground"
+    def __init__(self, body: str, found: str, expected: str) -> None:
+        """The error about this body."""
+        super().__init__(f"environment: {body and f'body {body}: '}found {found}; expected {expected}")
+        self.body, self.found, self.expected = body, found, expected
+
+
+class Falling(SceneError):
+    """Gravity would move a body down without end, so that the scene could give out energy without end."""
 
     def __init__(self, body: str) -> None:
         """The error about this body."""
-        super().__init__(f"environment: body {body}: found {self.FOUND}; expected {self.EXPECTED}")
-        self.body = body
+        expected = "a room, a wall whose normal points against gravity, or a spring to the ground"
+        super().__init__(body, "gravity, and nothing that holds the body for good", expected)
 
 
-class UnknownGap(ValueError):
-    """Two things may touch whose distance is not known here: a box, and a capsule that is along no axis.
+class UnknownGap(SceneError):
+    """Two things may touch whose distance is not known here: a box, and a capsule that is along no axis."""
 
-    Attributes:
-        names: of both.
-    """
-
-    EXPECTED: Final = "a capsule along x, y or z, or a contact of stiffness 0 between the two"
-
-    def __init__(self, names: tuple[str, str]) -> None:
-        """The error about these two."""
-        self.found = f"a capsule along no axis that may touch a box ({names[0]!r} and {names[1]!r})"
-        super().__init__(f"environment: found {self.found}; expected {self.EXPECTED}")
-        self.names = names
+    def __init__(self, body: str, other: str) -> None:
+        """The error about a body and a different thing."""
+        found = f"a box that may touch a capsule along no axis ({body!r} and {other!r})"
+        super().__init__(body, found, "a capsule along x, y or z, or a contact of stiffness 0 between the two")
 
 
 @dataclass(frozen=True)
@@ -226,6 +230,7 @@ class ContactScene:
     Raises:
         Falling: gravity would move a body down without end.
         UnknownGap: a capsule along no axis may touch a box.
+        SceneError: there are too many pairs.
         ValueError: a name is used twice or unknown, a number is out of its range, or there are too many things.
     """
 
@@ -247,8 +252,10 @@ class ContactScene:
         for body in self.bodies:
             if self.lowest_energy(body) == -math.inf:
                 raise Falling(body.name)
-        for _ in self.pairs():
-            pass  # each is known
+        count = sum(1 for _ in self.pairs())
+        if count > MOST_PAIRS:
+            expected = f"at most {MOST_PAIRS}; a contact of stiffness 0 takes its pair away"
+            raise SceneError("", f"{count} pairs that may touch", expected)
 
     def __eq__(self, other: object) -> bool:
         """Equal when every number is."""
@@ -418,7 +425,7 @@ class ContactScene:
             return
         known = core_difference(a.core, b.core)
         if known is None:
-            raise UnknownGap((a.name, b.name))
+            raise UnknownGap(a.name, b.name)
         yield ContactPair((a.name, b.name), i, j, surface, reach, *known)
 
     def surface_of(self, a: str, b: str) -> Surface:

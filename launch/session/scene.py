@@ -22,11 +22,10 @@ from manyhands.design.models.scene import (
     STIFFEST,
     Body,
     ContactScene,
-    Falling,
     Obstacle,
+    SceneError,
     SceneLink,
     ToolSphere,
-    UnknownGap,
 )
 from manyhands.launch.session.device import Intents
 from manyhands.launch.session.errors import listed, one_of, show
@@ -398,16 +397,11 @@ class SceneEnvironment(SessionModel):
                 yield Problem(("contacts", index, "between"), "two obstacles", "a tool or a body at one of the ends")
 
     def _beginning(self, ports: tuple[str, ...]) -> Iterator[Problem]:
-        """The problems of what stands where: bodies that fall, and tools inside other things."""
+        """The problems of what stands where: bodies that fall, shapes, pairs, and tools inside other things."""
         try:
             scene = self.scene(ports)
-        except Falling as error:
-            yield Problem(("bodies", error.body), error.FOUND, error.EXPECTED)
-            return
-        except UnknownGap as error:
-            bodies = [name for name in error.names if name in self.bodies]
-            capsule = min(bodies, key=lambda name: self.bodies[name].shape == "box")
-            yield Problem(("bodies", capsule), error.found, error.EXPECTED)
+        except SceneError as error:
+            yield Problem(("bodies", error.body) if error.body else ("bodies",), error.found, error.expected)
             return
         contacts = scene.contacts
         for pair, gap in zip(contacts.pairs, contacts.gaps(scene.points)[0].tolist(), strict=True):
@@ -420,8 +414,7 @@ class SceneEnvironment(SessionModel):
         """The same as design has it, in a session with these ports.
 
         Raises:
-            Falling: a body under gravity has nothing that holds it.
-            UnknownGap: a capsule along no axis may touch a box.
+            SceneError: gravity, a pair of shapes or the number of pairs makes no scene that could run.
             ValueError: the scene has one of the other problems that :meth:`problems` reports.
         """
         devices = _by_device(ports)

@@ -46,6 +46,8 @@ MOST_STEPS: Final = 12
 NEAR: Final = 2e-3
 """m; a pair with a greater gap takes part in a tick only if points are fast enough to close it."""
 
+_EVERYWHERE: Final = 1e4  # m; beyond it all pairs have taken part, for nothing in a scene is so far away
+
 _ENOUGH: Final = 1e-12  # m; a residual of this size is a force's rounding
 
 
@@ -241,10 +243,13 @@ class SceneLaw:
     def _touched(self, free: Vector) -> tuple[Vector, Vector]:
         """The positions and the contacts' forces on all points, from the positions ``free`` without contacts."""
         z, force = self._solved(free)
-        moved = float(np.abs(z - self._z).max(initial=0.0))
-        if 4.0 * moved > self._reach and len(self._near) < len(self._contacts):
-            self._take(np.arange(len(self._contacts)))
-            z, force = self._solved(free)
+        while 4.0 * (moved := float(np.abs(z - self._z).max(initial=0.0))) > self._reach < _EVERYWHERE:
+            # far motion: the pairs within 8 times of it take part, at least twice as far as before
+            self._reach = 8.0 * moved
+            near = np.flatnonzero(self._gap < self._reach)
+            if len(near) > len(self._near):
+                self._take(near)
+                z, force = self._solved(free)
         self._normal_next = np.zeros(len(self._contacts))
         self._bristles_next = np.zeros((len(self._contacts), 3))
         near = self._near

@@ -248,7 +248,10 @@ def test_a_body_that_would_fall_for_good_is_refused(parts: dict[str, Any]) -> No
         ({"bodies": (replace(BALL, shape="cone"),)}, "body ball: found the shape 'cone'"),
         ({"bodies": (replace(BALL, shape="box"),)}, "body ball: found the shape 'box'"),
         ({"bodies": (replace(BALL, half=(0.1, 0.0, 0.0)),)}, "body ball: found the shape 'sphere'"),
-        ({"bodies": (CRATE, replace(BALL, shape="capsule", half=(0.1, 0.1, 0.0)))}, "capsule along no axis"),
+        (
+            {"bodies": (CRATE, replace(BALL, shape="capsule", half=(0.1, 0.1, 0.0)))},
+            "body crate: found a box that may touch a capsule along no",
+        ),
         ({"bodies": (replace(BALL, motion=(0.0, 0.0, 0.0)),)}, "a mass or 3 motions"),
         ({"bodies": (replace(BALL, mass=0.0, motion=(0.0, 0.0)),)}, "a mass or 2 motions"),
         (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -108,7 +109,11 @@ def test_a_session_is_the_same_after_it_is_written(path: Path) -> None:
         ("bodies.crate.radius=0.1", "bodies.crate.radius", "radius of a box"),
         ("bodies.crate.high=[0.6, 0.4, 0.3]", "bodies.crate.high", "along y"),
         ("bodies.rod.radius=0", "bodies.rod.radius", "0"),
-        ("bodies.rod.ends=[[-0.5, 0.3, 0.2], [-0.5, 0.1, 0.3]]", "bodies.rod", "may touch a box ('crate' and 'rod')"),
+        (
+            "bodies.rod.ends=[[-0.5, 0.3, 0.2], [-0.5, 0.1, 0.3]]",
+            "bodies.crate",
+            "a box that may touch a capsule along no axis ('crate' and 'rod')",
+        ),
         ("bodies.ball.motion=[0, 0, 0]", "bodies.ball", "a mass and a motion"),
         ("bodies.ball={at: [0, 0, 0.05]}", "bodies.ball", "neither a mass nor a motion"),
         ("bodies.piston.motion=[0, 0]", "bodies.piston.motion", "a list of 2"),
@@ -148,6 +153,17 @@ def test_an_error_names_its_place(path: Path, override: str, at: str, found: str
     text = str(error.value)
     assert f"environment.{at}: " in text
     assert found in text
+
+
+def test_too_many_pairs_are_refused_with_both_numbers(path: Path) -> None:
+    bodies = {f"b{i}": {"mass": 1, "at": [0, 0, 1], "radius": 0.01} for i in range(30)}
+    obstacles = {f"o{i}": {"shape": "sphere", "at": [9, 9, 9], "radius": 0.1} for i in range(17)}
+    given = [f"environment.{key}={json.dumps(value)}" for key, value in (("bodies", bodies), ("obstacles", obstacles))]
+    flat = ["environment.links=[]", "environment.contacts=[]", "environment.tank=0", "environment.gravity=[0, 0, 0]"]
+    with pytest.raises(
+        SessionError, match=r"environment\.bodies: found 1040 pairs that may touch; expected at most 1024"
+    ):
+        load_session(path, [*given, *flat])
 
 
 @pytest.mark.parametrize(("device", "found"), [("{dof: 4", "a device with 4 axes"), ("{dof: 3, axes: [x, y, w]", "")])
