@@ -28,12 +28,14 @@ passivity controller of :class:`manyhands.nodes.environment.enforced.EnforcedCor
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.design.models.scene import ContactScene
+from manyhands.nodes import telemetry as names
 from manyhands.nodes.arithmetic import Floats
 from manyhands.nodes.device.intent import Intent, intent_from
 from manyhands.nodes.environment.model import MOST_FORCE
@@ -126,6 +128,12 @@ class SceneLaw:
     def touching(self) -> int:
         """The number of pairs that press on each other in the tick before."""
         return int(np.count_nonzero(self._normal))
+
+    @property
+    def figures(self) -> Mapping[str, float]:
+        """The unfinished ticks; with driven bodies the ticks in which they paused, and what is in their tank, J."""
+        found = {names.UNFINISHED: float(self.unfinished)}
+        return found | ({names.PAUSED: float(self.paused), names.DRIVE_TANK: self.tank} if self._motions else {})
 
     @property
     def masses(self) -> Floats:

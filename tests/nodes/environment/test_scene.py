@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from manyhands.design.models.contacts import Surface
 from manyhands.design.models.network import GROUND, Network, NetworkLink
 from manyhands.design.models.scene import Body, ContactScene, Obstacle, SceneLink, ToolSphere
+from manyhands.launch.run.display import scene_line, world_lines
 from manyhands.nodes.environment.core import EnvironmentCore
 from manyhands.nodes.environment.enforced import EnforcedCore
 from manyhands.nodes.environment.scene import SceneLaw
@@ -287,6 +288,10 @@ def test_a_driven_body_pauses_where_its_tank_is_empty_and_goes_on_without_a_load
     assert 0.0 <= law.tank < 1e-3
     assert 0.01 < places[-1] < 0.04
     assert np.abs(np.diff(places)).max() <= 0.04 * 5 * T
+    assert scene_line(law.figures) == f"driven bodies paused in {law.paused} ticks, {law.tank:.3g} J in the tank"
+    assert scene_line({**free.figures, "unfinished": 3.0}) == "contacts not solved to the end in 3 ticks"
+    assert free.figures == {"unfinished": 0.0, "paused": 0.0, "drive_tank": 0.0}
+    assert world_lines(free.figures) == []
     assert free.paused == 0
     assert free.tank == 0.0
 
