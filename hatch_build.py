@@ -49,6 +49,7 @@ MODULES = [
     "nodes/environment/membership",
     "nodes/environment/node",
     "nodes/environment/pace",
+    "nodes/environment/scene",
     "nodes/wave_link/ends",
     "nodes/wave_link/faces",
     "nodes/wave_link/play_out",

@@ -120,6 +120,9 @@ ENFORCED_ENERGY = "enforced_energy"  # J that it kept back
 HELD = "held_"  # and the coupling: ticks in which the proxy test held its proxies
 REVERSALS = "reversals_"  # and the coupling: ticks in which the force on its tools reversed
 CHATTER = "chatter_"  # and the coupling: the most of them in a second
+UNFINISHED = "unfinished"  # ticks in which the iteration of a scene's contacts did not end
+PAUSED = "paused"  # ticks in which the tank of a scene held its driven bodies
+DRIVE_TANK = "drive_tank"  # J that the driven bodies of a scene may still give out
 
 
 def ledger_figures(ledger: Ledger | None) -> dict[str, float]:

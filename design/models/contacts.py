@@ -7,15 +7,22 @@ of the gap. The proof of a scene (docs/decisions/0041-scenes.md) rests on that b
 | pair | gap |
 |---|---|
 | two spheres | distance of the centres, less both radii |
-| sphere and wall | height over the plane, less the radius; so is each face of a room |
+| anything and a wall | height of its lowest point over the plane; so is each face of a room |
 | sphere and capsule | distance from the capsule's axis, less both radii; a sphere's axis is a point |
-| sphere and box | signed distance from the box, less the radius |
+| two capsules | distance of the axes, which is that of a centre from a parallelogram, less both radii |
+| anything else and box | signed distance of a centre from a box, less the radii |
+
+A thing is its *core*, a point, a segment or a box with its sides along the axes, with a radius around it. Nothing
+turns. So the cores A + a and B + b of two things meet where a - b is in the Minkowski difference of B and A. That set
+is convex, and the gap is the signed distance of a - b from it, less both radii. For two boxes it is a box, and so it is
+for a box and a segment along an axis.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +32,9 @@ from manyhands.design.models.statespace import Matrix
 GROUND: Final = "ground"
 """The end of a link that stands still."""
 
+Point: TypeAlias = tuple[float, float, float]
+"""A position or a vector in the scene, along x, y and z."""
+
 AXES: Final = "xyz"
 """The axes of space, in the order of every position here."""
 
@@ -33,6 +43,11 @@ def coordinates(body: str) -> tuple[str, ...]:
     """The names of a body's coordinates x, y and z among the masses of a session."""
     return tuple(f"{body}.{axis}" for axis in AXES)
 
+
+_PARALLEL: Final = 1e-14
+"""The square of a sine below which two axes are parallel: either way the nearest point is then exact to 1e-7."""
+
+_LEAST: Final = 1e-300  # m^2, of the square of an axis: no division by 0
 
 _UP = np.array([0.0, 0.0, 1.0])  # the gradient where a centre is on an axis or on the other centre: one of many
 
@@ -51,6 +66,67 @@ class Surface(NamedTuple):
     friction: float = 0.0
 
 
+class Core(NamedTuple):
+    """A point, a segment or a box: what a thing is within its radius.
+
+    Attributes:
+        kind: "segment" or "box"; a point is a segment of length 0.
+        ends: of the segment, or the corners of the box with the least and the greatest coordinates, m.
+    """
+
+    kind: str
+    ends: tuple[Point, Point]
+
+    @property
+    def is_point(self) -> bool:
+        """Whether it has no extent."""
+        return self.ends[0] == self.ends[1]
+
+    @property
+    def along_axes(self) -> bool:
+        """Whether it is a box, or a segment along one of the axes, which is a box without width."""
+        return self.kind == "box" or sum(a != b for a, b in zip(*self.ends, strict=True)) <= 1
+
+    def support(self, direction: Point) -> float:
+        """How far it reaches from its middle along a vector of any length, m."""
+        half = [(b - a) / 2.0 for a, b in zip(*self.ends, strict=True)]
+        reaches = [n * h for n, h in zip(direction, half, strict=True)]
+        along = sum(map(abs, reaches)) if self.kind == "box" else abs(sum(reaches))
+        return along / math.hypot(*direction)
+
+
+def core_difference(a: Core, b: Core) -> tuple[str, tuple[Point, ...]] | None:
+    """The Minkowski difference of ``b`` and ``a``, where a centre less the other is while the cores meet.
+
+    Args:
+        a: with its middle at the origin.
+        b: anywhere.
+
+    Returns:
+        Kind and shape of a :class:`ContactPair`; None for a box and a segment that is along no axis.
+    """
+    low, high = b.ends
+    half = a.ends[1]
+    if a.is_point or b.is_point:
+        wide = b if a.is_point else a
+        return _KINDS[wide.kind], (_moved(low, half, -1.0), _moved(high, half, 1.0))
+    if a.along_axes and b.along_axes:
+        least, most = (tuple(f(pair) for pair in zip(low, high, strict=True)) for f in (min, max))
+        wide_half = tuple(map(abs, half))
+        return "box", (_moved(least, wide_half, -1.0), _moved(most, wide_half, 1.0))
+    if a.kind == b.kind == "segment":
+        return "parallelogram", (low, high, half)
+    return None
+
+
+_KINDS: Final = {"segment": "capsule", "box": "box"}
+
+
+def _moved(point: Sequence[float], by: Sequence[float], sign: float) -> Point:
+    x, y, z = (p + sign * d for p, d in zip(point, by, strict=True))
+    return x, y, z
+
+
 class ContactPair(NamedTuple):
     """Two things that may touch.
 
@@ -59,9 +135,10 @@ class ContactPair(NamedTuple):
         a: index of the first point.
         b: index of the second point; -1 where the second thing stands still.
         surface: how they touch.
-        reach: the radii of both, m.
-        kind: "spheres", "plane", "capsule" or "box".
-        shape: nothing for two spheres; a point of a plane and its normal; the ends of an axis; the corners of a box.
+        reach: the radii of both, m; for a plane also how far the core reaches towards it.
+        kind: "spheres", "plane", "capsule", "parallelogram" or "box".
+        shape: nothing for two spheres; a point of a plane and its normal; the ends of an axis; the ends of an axis and
+            half of the other one; the corners of a box.
     """
 
     names: tuple[str, str]
@@ -73,9 +150,8 @@ class ContactPair(NamedTuple):
     shape: tuple[Sequence[float], ...] = ()
 
 
-def _ordered(pairs: Iterable[ContactPair]) -> list[ContactPair]:
-    order = ("spheres", "capsule", "plane", "box")
-    return sorted(pairs, key=lambda pair: order.index(pair.kind))
+_ORDER: Final = ("spheres", "capsule", "parallelogram", "plane", "box")
+"""The order of the rows by their kinds; the first three are distances from sets without an inside."""
 
 
 class Contacts:
@@ -95,7 +171,7 @@ class Contacts:
         Raises:
             ValueError: a plane has no normal.
         """
-        rows = self.pairs = _ordered(pairs)
+        rows = self.pairs = sorted(pairs, key=lambda pair: _ORDER.index(pair.kind))
         count = len(rows)
         self.incidence = np.zeros((count, points))
         for row, pair in enumerate(rows):
@@ -106,13 +182,19 @@ class Contacts:
         self.stiffness, self.damping, self.friction = np.ascontiguousarray(surfaces.T)
         self._reach = np.array([pair.reach for pair in rows])
         kinds = [pair.kind for pair in rows]
-        spheres, capsules, planes = (kinds.count(kind) for kind in ("spheres", "capsule", "plane"))
+        spheres, capsules, pairs_of_axes, planes = (kinds.count(kind) for kind in _ORDER[:-1])
+        round_ = spheres + capsules + pairs_of_axes
         self._capsules = slice(spheres, spheres + capsules)
-        self._round = slice(0, spheres + capsules)
-        self._planes = slice(spheres + capsules, spheres + capsules + planes)
-        self._boxes = slice(spheres + capsules + planes, count)
-        shapes = [np.array([pair.shape for pair in rows[part]], dtype=np.float64) for part in self._parts()]
-        ends, sides, corners = (shape.reshape(len(shape), 2, 3) for shape in shapes)
+        self._parallelograms = slice(spheres + capsules, round_)
+        self._round = slice(0, round_)
+        self._planes = slice(round_, round_ + planes)
+        self._boxes = slice(round_ + planes, count)
+        ends, axes, sides, corners = (
+            np.array([pair.shape for pair in rows[part]], dtype=np.float64).reshape(-1, size, 3)
+            for part, size in zip(self._parts(), (2, 3, 2, 2), strict=True)
+        )
+        self._middles, self._across = axes[:, :2].sum(axis=1) / 2.0, (axes[:, 1] - axes[:, 0]) / 2.0
+        self._along_other = axes[:, 2]
         self._start, self._axis = ends[:, 0], ends[:, 1] - ends[:, 0]
         square = (self._axis * self._axis).sum(axis=1)
         self._along = self._axis / np.where(square > 0.0, square, 1.0)[:, None]
@@ -127,8 +209,8 @@ class Contacts:
         """C, the number of pairs."""
         return len(self.stiffness)
 
-    def _parts(self) -> tuple[slice, slice, slice]:
-        return self._capsules, self._planes, self._boxes
+    def _parts(self) -> tuple[slice, slice, slice, slice]:
+        return self._capsules, self._parallelograms, self._planes, self._boxes
 
     def gaps(self, z: Matrix) -> tuple[NDArray[np.float64], Matrix]:
         """The gaps and their gradients.
@@ -142,11 +224,13 @@ class Contacts:
         """
         u = self.incidence @ z
         gap = np.empty(len(u))
-        capsules, planes, boxes = self._parts()
+        capsules, parallelograms, planes, boxes = self._parts()
         if len(self._start):
             relative = u[capsules] - self._start
             at = np.minimum(np.maximum((relative * self._along).sum(axis=1), 0.0), 1.0)
             u[capsules] = relative - at[:, None] * self._axis
+        if len(self._middles):
+            u[parallelograms] = _from_parallelograms(u[parallelograms] - self._middles, self._across, self._along_other)
         if self._round.stop:
             across = u[self._round]
             distance = np.sqrt((across * across).sum(axis=1))
@@ -166,6 +250,23 @@ class Contacts:
         """The energy that the springs of overlapping pairs store, J; ``z`` as for :meth:`gaps`."""
         depth = np.maximum(0.0, -self.gaps(z)[0])
         return 0.5 * float(self.stiffness @ (depth * depth))
+
+
+def _from_parallelograms(relative: Matrix, a: Matrix, b: Matrix) -> Matrix:
+    """The vectors from the nearest points s a + t b, -1 <= s, t <= 1, m.
+
+    The s of the nearest point of the plane, within its bounds; the best t for that s; and the best s for that t. Where
+    a and b are parallel to rounding, the best s for t = 0 begins, which ends at a nearest point as well.
+    """
+    aa, bb = (np.maximum((side * side).sum(axis=1), _LEAST) for side in (a, b))
+    ab = (a * b).sum(axis=1)
+    ua, ub = (relative * a).sum(axis=1), (relative * b).sum(axis=1)
+    determinant = aa * bb - ab * ab
+    parallel = determinant <= _PARALLEL * aa * bb
+    s = np.where(parallel, ua / aa, (ua * bb - ub * ab) / np.where(parallel, 1.0, determinant))
+    t = np.clip((ub - np.clip(s, -1.0, 1.0) * ab) / bb, -1.0, 1.0)
+    s = np.clip((ua - t * ab) / aa, -1.0, 1.0)
+    return np.asarray(relative - s[:, None] * a - t[:, None] * b)
 
 
 def _from_boxes(relative: Matrix, halves: Matrix) -> tuple[NDArray[np.float64], Matrix]:

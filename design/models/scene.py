@@ -1,7 +1,8 @@
 """Scenes: tools and bodies in space that springs join, that touch each other and what stands still, with friction.
 
-A tool is a point or a sphere that one device moves along one to three axes. A body is a point or a sphere with a mass.
-Obstacles stand still: walls and rooms keep the spheres inside a convex set, the others keep them outside of one.
+A tool is a point or a sphere that one device moves along one to three axes. A body is a point, a sphere, a capsule or a
+box with a mass; it does not turn. Obstacles stand still: walls and rooms keep things inside a convex set, the others
+keep them outside of one.
 
 The promise of a scene is the level Phi_E = 0: from its start on it gives out no more energy than it stored there,
 whatever its stiffnesses, dampings and friction are (docs/decisions/0041-scenes.md). That holds for the exact solution
@@ -13,20 +14,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 import numpy as np
 
 from manyhands.design.models.brief import brief_repr
-from manyhands.design.models.contacts import AXES, GROUND, ContactPair, Contacts, Surface
+from manyhands.design.models.contacts import (
+    AXES,
+    GROUND,
+    ContactPair,
+    Contacts,
+    Core,
+    Point,
+    Surface,
+    core_difference,
+)
 from manyhands.design.models.distance_grid import MOST_DRAWN
 from manyhands.design.models.statespace import Matrix
-
-Point: TypeAlias = tuple[float, float, float]
-"""A position or a vector in the scene, along x, y and z."""
 
 STIFFEST: Final = 1e6
 """N/m; with stiffer contacts the iteration of a tick would not end in a bounded number of steps."""
@@ -35,6 +42,15 @@ MOST_POINTS: Final = 32
 """Tools and bodies together: their number determines the time of a tick."""
 
 MOST_OBSTACLES: Final = 32
+
+MOST_PAIRS: Final = 1024
+"""Pairs that may touch: a tick computes the gap of each."""
+
+MOST_SAMPLES: Final = 10_000
+"""Samples of a driven body's recorded motion along one axis: the certificate and the environment's bundle have them."""
+
+MOST_DRIVE: Final = 1000.0
+"""J, of the tank of the driven bodies."""
 
 SHAPES: Final[Mapping[str, tuple[str, ...]]] = {
     "wall": ("at", "normal"),
@@ -45,21 +61,41 @@ SHAPES: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """The keys of each shape of an obstacle, besides ``shape``."""
 
+BODY_SHAPES: Final = ("sphere", "capsule", "box")
+"""The shapes of bodies, with the same keys as of obstacles, and a mass."""
 
-class Falling(ValueError):
-    """Gravity would move a body down without end, so that the scene could give out energy without end.
+
+class SceneError(ValueError):
+    """What is stated makes no scene that could run.
 
     Attributes:
-        body: its name.
+        body: the body that it is about; empty where it is about all together.
+        found: what was found.
+        expected: what would be right.
     """
 
-    FOUND: Final = "gravity, and nothing that holds the body for good"
-    EXPECTED: Final = "a room, a wall whose normal points against gravity, or a spring to the ground"
+    def __init__(self, body: str, found: str, expected: str) -> None:
+        """The error about this body."""
+        super().__init__(f"environment: {body and f'body {body}: '}found {found}; expected {expected}")
+        self.body, self.found, self.expected = body, found, expected
+
+
+class Falling(SceneError):
+    """Gravity would move a body down without end, so that the scene could give out energy without end."""
 
     def __init__(self, body: str) -> None:
         """The error about this body."""
-        super().__init__(f"environment: body {body}: found {self.FOUND}; expected {self.EXPECTED}")
-        self.body = body
+        expected = "a room, a wall whose normal points against gravity, or a spring to the ground"
+        super().__init__(body, "gravity, and nothing that holds the body for good", expected)
+
+
+class UnknownGap(SceneError):
+    """Two things may touch whose distance is not known here: a box, and a capsule that is along no axis."""
+
+    def __init__(self, body: str, other: str) -> None:
+        """The error about a body and a different thing."""
+        found = f"a box that may touch a capsule along no axis ({body!r} and {other!r})"
+        super().__init__(body, found, "a capsule along x, y or z, or a contact of stiffness 0 between the two")
 
 
 @dataclass(frozen=True)
@@ -80,22 +116,43 @@ class ToolSphere:
     at: Point
     radius: float = 0.0
 
+    @property
+    def core(self) -> Core:
+        """The centre, at the origin."""
+        return _POINT
+
+
+_POINT: Final = Core("segment", ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+
 
 @dataclass(frozen=True)
 class Body:
-    """A point mass or a sphere that moves freely, without turning.
+    """A point, a sphere, a capsule or a box that moves freely or as it is driven, without turning.
 
     Attributes:
         name: of the body.
-        mass: > 0, kg.
+        mass: > 0, kg; 0 of a driven body, where it has no effect.
         at: where its centre is at the start, at rest, m.
-        radius: m.
+        radius: of a sphere or a capsule, m; 0 for a box.
+        shape: one of :data:`BODY_SHAPES`; the sides of a box are along the axes.
+        half: from the centre to an end of a capsule's axis, or to the corner of a box with the greatest coordinates, m.
+        motion: of a driven body, its displacement along x, y and z, m, that is 0 at the start: each a number, a formula
+            in t (s), or times and values. Empty for a body that moves freely.
     """
 
     name: str
     mass: float
     at: Point
     radius: float = 0.0
+    shape: str = "sphere"
+    half: Point = (0.0, 0.0, 0.0)
+    motion: tuple[Any, ...] = ()
+
+    @property
+    def core(self) -> Core:
+        """What is within its radius, with the centre at the origin."""
+        x, y, z = self.half
+        return Core("box" if self.shape == "box" else "segment", ((-x, -y, -z), self.half))
 
 
 @dataclass(frozen=True)
@@ -118,6 +175,11 @@ class Obstacle:
     points: tuple[Point, ...]
     radius: float = 0.0
     triangles: tuple[tuple[int, int, int], ...] = ()
+
+    @property
+    def core(self) -> Core:
+        """What is within its radius, for a sphere, a capsule or a box."""
+        return Core("box" if self.shape == "box" else "segment", (self.points[0], self.points[-1]))
 
     @property
     def faces(self) -> tuple[tuple[Point, Point], ...]:
@@ -169,9 +231,12 @@ class ContactScene:
         surface: how any two things touch, unless ``surfaces`` states otherwise. Linked things do not touch.
         surfaces: how two named things touch.
         gravity: the acceleration of free bodies, m/s^2.
+        tank: the energy that all driven bodies together may give out, J.
 
     Raises:
         Falling: gravity would move a body down without end.
+        UnknownGap: a capsule along no axis may touch a box.
+        SceneError: there are too many pairs.
         ValueError: a name is used twice or unknown, a number is out of its range, or there are too many things.
     """
 
@@ -183,6 +248,7 @@ class ContactScene:
     surface: Surface = UNTOUCHED
     surfaces: tuple[tuple[tuple[str, str], Surface], ...] = ()
     gravity: Point = (0.0, 0.0, 0.0)
+    tank: float = 0.0
 
     __repr__ = brief_repr
 
@@ -192,6 +258,10 @@ class ContactScene:
         for body in self.bodies:
             if self.lowest_energy(body) == -math.inf:
                 raise Falling(body.name)
+        count = sum(1 for _ in self.pairs())
+        if count > MOST_PAIRS:
+            expected = f"at most {MOST_PAIRS}; a contact of stiffness 0 takes its pair away"
+            raise SceneError("", f"{count} pairs that may touch", expected)
 
     def __eq__(self, other: object) -> bool:
         """Equal when every number is."""
@@ -222,6 +292,11 @@ class ContactScene:
         for tool in self.tools:
             if len(set(tool.axes)) < len(tool.axes) or len(tool.axes) != len(tool.ports) or not set(tool.axes) <= _XYZ:
                 yield f"tool {tool.name}: found the axes {tool.axes} for {len(tool.ports)} ports; expected one each"
+        for body in self.bodies:
+            if body.shape not in BODY_SHAPES or {"sphere": any(body.half), "box": min(body.half) <= 0.0}.get(
+                body.shape
+            ):
+                yield f"body {body.name}: found the shape {body.shape!r} with the half extent {body.half}"
         for obstacle in self.obstacles:
             expected = {"wall": 2, "room": 2, "box": 2, "capsule": 2, "sphere": 1}.get(obstacle.shape)
             if obstacle.shape == "mesh":
@@ -239,7 +314,15 @@ class ContactScene:
         for ends, _ in self.surfaces:
             if not set(ends) <= set(names[:-1]) or ends[0] == ends[1] or not set(ends) & set(movable):
                 yield f"contact between {ends}: expected two different things, one of them a tool or a body"
-        masses = [body.mass for body in self.bodies]
+        for body in self.bodies:
+            if body.motion and (body.mass, len(body.motion)) != (0.0, 3):
+                yield f"body {body.name}: found a mass or {len(body.motion)} motions; expected no mass, and 3 motions"
+            samples = [len(motion["times"]) for motion in body.motion if isinstance(motion, Mapping)]
+            if any(count > MOST_SAMPLES for count in samples):
+                yield f"body {body.name}: found a motion of {max(samples)} samples; expected at most {MOST_SAMPLES}"
+        if not 0.0 <= self.tank <= MOST_DRIVE:
+            yield f"found a tank of {self.tank} J; expected 0 to {MOST_DRIVE:g} J"
+        masses = [body.mass for body in self.bodies if not body.motion]
         if not all(0.0 < mass < math.inf for mass in masses):
             yield f"found the masses {masses}; expected finite ones > 0"
         amounts = [thing.radius for thing in self.things] + [obstacle.radius for obstacle in self.obstacles]
@@ -267,6 +350,8 @@ class ContactScene:
         yield from self.gravity
         for thing in self.things:
             yield from thing.at
+        for body in self.bodies:
+            yield from body.half
         for obstacle in self.obstacles:
             for point in obstacle.points:
                 yield from point
@@ -280,18 +365,19 @@ class ContactScene:
 
     @property
     def bounds(self) -> tuple[Matrix, Matrix]:
-        """The corners with the least and the greatest coordinates of all places that the scene names, m: centres at the
-        start, corners, ends, and a point of each wall; the origin in an empty scene.
+        """The corners with the least and the greatest coordinates of all places that the scene names, m: centres,
+        corners and ends at the start, and a point of each wall; the origin in an empty scene.
         """
-        places = [thing.at for thing in self.things]
+        places = [(a + x, b + y, c + z) for t in self.things for a, b, c in [t.at] for x, y, z in t.core.ends]
         places += [p for o in self.obstacles for p in (o.points[:1] if o.shape == "wall" else o.points)]
         found = np.array(places or [(0.0, 0.0, 0.0)], dtype=np.float64)
         return found.min(axis=0), found.max(axis=0)
 
     @property
     def geometry(self) -> ContactScene:
-        """The scene without springs, contacts and gravity: its tools, bodies and obstacles."""
-        return ContactScene(self.ports, self.tools, self.bodies, self.obstacles)
+        """The scene without springs, contacts, gravity and motions: its tools, bodies and obstacles."""
+        bodies = tuple(replace(body, motion=(0.0, 0.0, 0.0)) if body.motion else body for body in self.bodies)
+        return ContactScene(self.ports, self.tools, bodies, self.obstacles)
 
     def ends_of(self, link: SceneLink) -> tuple[int | None, int | None]:
         """The indices of the points that a link joins; None for the ground."""
@@ -315,26 +401,45 @@ class ContactScene:
         return Contacts(self.pairs(), len(self.points))
 
     def pairs(self) -> Iterator[ContactPair]:
-        """The pairs that may touch: two spheres, or a sphere and an obstacle; of a room one for each face."""
+        """The pairs that may touch: two things, or a thing and an obstacle; of a room one for each face.
+
+        A driven body passes through obstacles and driven bodies, since nothing could give way.
+
+        Raises:
+            UnknownGap: a capsule along no axis may touch a box.
+        """
         things = self.things
+        driven = {body.name for body in self.bodies if body.motion}
         for (i, a), (j, b) in combinations(enumerate(things), 2):
-            surface = self.surface_of(a.name, b.name)
-            if surface.stiffness > 0.0 and a.radius + b.radius > 0.0:
-                yield ContactPair((a.name, b.name), i, j, surface, a.radius + b.radius, "spheres")
+            if {a.name, b.name} <= driven:
+                continue
+            yield from self._pair((i, a), (j, b))
         for i, a in enumerate(things):
-            for obstacle in self.obstacles:
-                names = (a.name, obstacle.name)
-                surface = self.surface_of(*names)
-                if surface.stiffness == 0.0:
+            for obstacle in () if a.name in driven else self.obstacles:
+                if not obstacle.faces:
+                    yield from self._pair((i, a), (-1, obstacle))
                     continue
-                if obstacle.shape in ("wall", "room"):
-                    for face in obstacle.faces:
-                        yield ContactPair(names, i, -1, surface, a.radius, "plane", face)
-                elif obstacle.shape == "box":
-                    yield ContactPair(names, i, -1, surface, a.radius, "box", obstacle.points)
-                else:
-                    ends = (obstacle.points[0], obstacle.points[-1])
-                    yield ContactPair(names, i, -1, surface, a.radius + obstacle.radius, "capsule", ends)
+                surface = self.surface_of(a.name, obstacle.name)
+                for face in obstacle.faces if surface.stiffness > 0.0 else ():
+                    reach = a.radius + a.core.support(face[1])
+                    yield ContactPair((a.name, obstacle.name), i, -1, surface, reach, "plane", face)
+
+    def _pair(
+        self, first: tuple[int, ToolSphere | Body], second: tuple[int, ToolSphere | Body | Obstacle]
+    ) -> Iterator[ContactPair]:
+        """The pair of two things, unless they never touch."""
+        (i, a), (j, b) = first, second
+        surface, reach = self.surface_of(a.name, b.name), a.radius + b.radius
+        if surface.stiffness == 0.0:
+            return
+        if a.core.is_point and b.core.is_point and j >= 0:
+            if reach > 0.0:
+                yield ContactPair((a.name, b.name), i, j, surface, reach, "spheres")
+            return
+        known = core_difference(a.core, b.core)
+        if known is None:
+            raise UnknownGap(a.name, b.name)
+        yield ContactPair((a.name, b.name), i, j, surface, reach, *known)
 
     def surface_of(self, a: str, b: str) -> Surface:
         """How two things touch; with the stiffness 0 for things that a link joins."""
@@ -372,7 +477,9 @@ class ContactScene:
             for at, n in pressed:
                 unit = np.array(n) / math.hypot(*n)
                 force = -float(W @ unit)
-                total += force * (float(unit @ np.array(at)) + body.radius) - force * force / (2.0 * k)
+                total += force * (float(unit @ np.array(at)) + body.radius + body.core.support(n)) - force * force / (
+                    2.0 * k
+                )
             found.append(total)
         return max(found)
 
@@ -380,7 +487,8 @@ class ContactScene:
     def energy_at_start(self) -> float:
         """A bound on the energy that the scene can give out from its start at rest, J, at least 0.
 
-        It is that of height, of springs and of overlapping contacts, less the bound of :meth:`lowest_energy`.
+        It is that of height, of springs and of overlapping contacts, less the bound of :meth:`lowest_energy`, and the
+        tank of its driven bodies.
         """
         springs = 0.0
         for link in self.links:
@@ -389,13 +497,14 @@ class ContactScene:
         height = sum(
             -body.mass * float(np.dot(self.gravity, body.at)) - self.lowest_energy(body) for body in self.bodies
         )
-        return max(0.0, height + springs + self.contacts.energy(self.points))
+        return max(0.0, height + springs + self.contacts.energy(self.points)) + self.tank
 
     def terms(self) -> dict[str, Any]:
         """The scene as JSON values, by the keys of a certificate's ``environment``."""
         return {
             "type": "scene",
             "gravity": list(self.gravity),
+            **({"tank": self.tank} if self.tank else {}),
             "tools": {
                 tool.name: {
                     "ports": [self.ports[port] for port in tool.ports],
@@ -405,7 +514,16 @@ class ContactScene:
                 }
                 for tool in self.tools
             },
-            "bodies": {b.name: {"mass": b.mass, "at": list(b.at), "radius": b.radius} for b in self.bodies},
+            "bodies": {
+                b.name: {
+                    "mass": b.mass,
+                    "at": list(b.at),
+                    "radius": b.radius,
+                    **({} if b.shape == "sphere" else {"shape": b.shape, "half": list(b.half)}),
+                    **({"motion": list(b.motion)} if b.motion else {}),
+                }
+                for b in self.bodies
+            },
             "obstacles": {
                 o.name: {
                     "shape": o.shape,
@@ -448,6 +566,15 @@ def _corners(data: Sequence[Any]) -> tuple[int, int, int]:
     return i, j, k
 
 
+def _motion(data: Any) -> Any:
+    """A motion along one axis, in the types that :attr:`Body.motion` has."""
+    if isinstance(data, str):
+        return data
+    if isinstance(data, Mapping):
+        return {key: [float(value) for value in data[key]] for key in ("times", "values")}
+    return float(data)
+
+
 def _surface(data: Mapping[str, Any]) -> Surface:
     return Surface(float(data["stiffness"]), float(data["damping"]), float(data["friction"]))
 
@@ -471,7 +598,15 @@ def scene_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> ContactScene:
             for name, tool in data["tools"].items()
         ),
         bodies=tuple(
-            Body(str(name), float(body["mass"]), _point(body["at"]), float(body["radius"]))
+            Body(
+                str(name),
+                float(body["mass"]),
+                _point(body["at"]),
+                float(body["radius"]),
+                str(body.get("shape", "sphere")),
+                _point(body.get("half", (0.0, 0.0, 0.0))),
+                tuple(map(_motion, body.get("motion", ()))),
+            )
             for name, body in data["bodies"].items()
         ),
         obstacles=tuple(
@@ -492,6 +627,7 @@ def scene_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> ContactScene:
         surface=_surface(data["contact"]),
         surfaces=tuple(((str(a), str(b)), _surface(c)) for c in data["contacts"] for a, b in [c["between"]]),
         gravity=_point(data["gravity"]),
+        tank=float(data.get("tank", 0.0)),
     )
 
 

@@ -196,12 +196,13 @@ class SceneData(DeclaredData):
     Attributes:
         moved: for each port and axis of a tool: the port's index, the tool's, the axis.
         masses: of the bodies by name, kg.
-        amounts: all radii, stiffnesses, dampings and coefficients of friction.
+        amounts: all radii, sides of bodies, stiffnesses, dampings and coefficients of friction.
         obstacles: by name.
         links: by ends: the stiffness, N/m.
         touching: by ends: the stiffness of a contact that is not that of all others, N/m.
         stiffness: of all other contacts, N/m.
         gravity: m/s^2.
+        tank: what the driven bodies may give out, J.
     """
 
     moved: tuple[tuple[int, int, int], ...]
@@ -212,6 +213,7 @@ class SceneData(DeclaredData):
     touching: dict[frozenset[str], Number]
     stiffness: Number
     gravity: tuple[Number, ...]
+    tank: Number
 
 
 DynamicsData = NetworkData | SystemData | TransferData
@@ -279,7 +281,8 @@ _POINTS = {"wall": 2, "room": 2, "box": 2, "sphere": 1, "capsule": 2}
 
 
 def _scene(item: Item, ports: tuple[str, ...]) -> SceneData:
-    parts = item.fields(("type", "gravity", "tools", "bodies", "obstacles", "links", "contact", "contacts"))
+    keys_of_all = ("type", "gravity", "tools", "bodies", "obstacles", "links", "contact", "contacts")
+    parts = item.fields(keys_of_all, ("tank",))
     tools, bodies, things = (parts[key].entries(_MOST_THINGS) for key in ("tools", "bodies", "obstacles"))
     names = [*tools, *bodies, *things, GROUND]
     if len(set(names)) != len(names):
@@ -296,9 +299,16 @@ def _scene(item: Item, ports: tuple[str, ...]) -> SceneData:
         moved += [(port, number, axis) for port, axis in zip(its, axes, strict=True)]
     masses: dict[str, Number] = {}
     for name, body in bodies.items():
-        fields = body.fields(("mass", "at", "radius"))
+        fields = body.fields(("mass", "at", "radius"), ("shape", "half", "motion"))
         _vector(fields["at"])
-        masses[name] = fields["mass"].number()
+        half = _vector(fields["half"]) if "half" in fields else (0, 0, 0)
+        # a segment reaches to both sides, whatever its direction
+        amounts += half if "shape" in fields and fields["shape"].text("capsule", "box") == "box" else ()
+        mass = fields["mass"].number()
+        if "motion" in fields:  # whatever it is: the theorem has no condition on it
+            fields["motion"].items(3, exactly=3)
+        else:
+            masses[name] = mass
         amounts.append(fields["radius"].number())
     obstacles: dict[str, ObstacleData] = {}
     for name, thing in things.items():
@@ -314,6 +324,8 @@ def _scene(item: Item, ports: tuple[str, ...]) -> SceneData:
         links.append((_two_of(fields["between"], [*tools, *bodies, GROUND]), fields["stiffness"].number()))
         amounts += [fields[key].number() for key in ("stiffness", "damping")]
     keys = ("stiffness", "damping", "friction")
+    tank = parts["tank"].number() if "tank" in parts else 0
+    amounts.append(tank)
     everywhere = parts["contact"].fields(keys)
     amounts += [everywhere[key].number() for key in keys]
     touching: dict[frozenset[str], Number] = {}
@@ -332,6 +344,7 @@ def _scene(item: Item, ports: tuple[str, ...]) -> SceneData:
         touching,
         everywhere["stiffness"].number(),
         _vector(parts["gravity"]),
+        tank,
     )
 
 

@@ -1,9 +1,9 @@
 """A scene's promise: what can be checked off line of the theorem that its level is 0.
 
-The theorem (docs/decisions/0041-scenes.md) needs masses > 0, and stiffnesses, dampings, radii and coefficients of
-friction >= 0. It needs one coordinate of a tool for each port, and convex obstacles, which these shapes are. And it
-needs an energy that is bounded below. Without gravity all energies are >= 0. With gravity g, each body of mass M must
-be held in one of three ways, for M g = -sum of lambda n with lambda >= 0 over faces of normals n (into the inside):
+The theorem (docs/decisions/0041-scenes.md) needs masses > 0, and stiffnesses, dampings, sizes and coefficients of
+friction >= 0. It needs one coordinate of a tool for each port, and convex obstacles and bodies, which these shapes are.
+And it needs an energy that is bounded below. Without gravity all energies are >= 0. With gravity g, each body of mass M
+must be held in one of three ways, for M g = -sum of lambda n, lambda >= 0, over faces of normals n (into the inside):
 
     -M g^T q + sum of k/2 max(0, -n^T q + c)^2 >= sum of (lambda c - lambda^2/(2 k)),
 
@@ -34,7 +34,9 @@ def findings(data: SceneData, m: int) -> list[Finding]:
     held = [name for name, mass in data.masses.items() if not _held(data, name, exact_decimal(mass))]
     solid = [name for name, thing in data.obstacles.items() if not _solid(thing.shape, thing.points)]
     return [
-        _finding("masses are positive, no stiffness, damping, radius or friction is negative", positive, float(least)),
+        _finding(
+            "masses are positive, no stiffness, damping, size, friction or tank is negative", positive, float(least)
+        ),
         _finding("every port moves a tool along an axis of its own", moved),
         _finding("every obstacle is convex, with an inside", not solid, because=", ".join(solid)),
         _finding("the energy is bounded below: no body falls without end", not held, because=", ".join(held)),
@@ -46,7 +48,11 @@ def argument(data: SceneData) -> str:
     shapes = {thing.shape for thing in data.obstacles.values()}
     flat, curved = sorted(shapes & {"wall", "room"}), sorted(shapes - {"wall", "room"})
     parts = [f"{' and '.join(flat)} by convex potentials"] if flat else []
-    parts.append(f"{', '.join([*curved, 'spheres'])} by tangent planes; friction by the bound of the tick before")
+    parts.append(
+        f"{', '.join([*curved, 'tools and bodies'])} by tangent planes; friction by the bound of the tick before"
+    )
+    if data.tank > 0:
+        parts.append(f"driven bodies give out at most the {float(data.tank):g} J of their tank, which counts as stored")
     kept = "kept at run time by a controller, which is not proved here"
     return f"for solved ticks by a theorem, {'; '.join(parts)}; {kept}"
 

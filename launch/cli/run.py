@@ -106,7 +106,9 @@ def simulate(
             )
         world, parties = simulation.environment, tuple(simulation.couplings)
         for line in world_lines(
-            energy_figures(world.energy, parties) | contact_figures(world.held, world.chatter, parties)
+            energy_figures(world.energy, parties)
+            | contact_figures(world.held, world.chatter, parties)
+            | {**world.figures}
         ):
             say(out, line)
         if line := enforcement_sentence(enforcement_figures(world.controller)):

@@ -33,16 +33,10 @@ from manyhands.launch.plan.keys import Keys
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.reach import IPC, Listen, Reach, ReachError, reach
 from manyhands.launch.plan.topology import Topology
-from manyhands.launch.session import (
-    AskedEnvironment,
-    MeshEnvironment,
-    NetworkEnvironment,
-    SceneEnvironment,
-    Session,
-    TraceData,
-)
+from manyhands.launch.session import AskedEnvironment, MeshEnvironment, NetworkEnvironment, SceneEnvironment, Session
 from manyhands.launch.session.errors import one_of
 from manyhands.launch.session.limits import HAND_STORE
+from manyhands.launch.session.motion import plain_intent
 from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.launch.session.wave_link import WaveLink
 from manyhands.nodes import bundle as bundle_files
@@ -479,16 +473,10 @@ def _source(session: Session, name: str) -> Source:
         operator=hand.rational.realisation(),
         hand_damping=hand.damping,
         hand_stiffness=hand.stiffness,
-        force=tuple(_plain(intent) for intent in hand.force),
-        motion=tuple(_plain(intent) for intent in hand.motion),
+        force=tuple(plain_intent(intent) for intent in hand.force),
+        motion=tuple(plain_intent(intent) for intent in hand.motion),
     )
     return BrowserHand(physics) if device.driver == "browser" else physics
-
-
-def _plain(intent: float | str | TraceData) -> object:
-    if isinstance(intent, TraceData):
-        return {"times": list(intent.times), "values": list(intent.values)}
-    return intent
 
 
 def require_member(session: Session, name: str) -> None:

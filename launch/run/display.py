@@ -144,9 +144,22 @@ def held_line(figures: Mapping[str, float]) -> str:
     return f"proxies held: {', '.join(held)}" if held else ""
 
 
+def scene_line(figures: Mapping[str, float]) -> str:
+    """One line with the ticks of a scene that were not solved or held its driven bodies; empty without any."""
+    parts = []
+    if (unfinished := figures.get(names.UNFINISHED, 0.0)) > 0.0:
+        parts.append(f"contacts not solved to the end in {unfinished:.0f} ticks")
+    if (paused := figures.get(names.PAUSED, 0.0)) > 0.0:
+        parts.append(
+            f"driven bodies paused in {paused:.0f} ticks, {figures.get(names.DRIVE_TANK, 0.0):.3g} J in the tank"
+        )
+    return "; ".join(parts)
+
+
 def world_lines(figures: Mapping[str, float]) -> list[str]:
-    """What the environment's figures say of energy between users, held proxies and chatter; a line for each."""
-    return [line for line in (energy_line(figures), held_line(figures), chatter_line(figures)) if line]
+    """What the environment's figures say of energy between users, proxies, scenes and chatter; a line for each."""
+    lines = (energy_line(figures), held_line(figures), scene_line(figures), chatter_line(figures))
+    return [line for line in lines if line]
 
 
 def promise_lines(rows: Iterable[PromiseStatus], notices: Collection[str] = ()) -> Iterator[tuple[str, str]]:

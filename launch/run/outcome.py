@@ -140,6 +140,10 @@ def node_entry(role: Role, report: Report, restarts: int = 0) -> dict[str, Any]:
             "ticks": _count(figures[names.ENFORCED_TICKS]),
             "energy": figures[names.ENFORCED_ENERGY],
         }
+    if names.UNFINISHED in figures:
+        entry["scene"] = {"unfinished": _count(figures[names.UNFINISHED])}
+        if {names.PAUSED, names.DRIVE_TANK} <= figures.keys():
+            entry["scene"] |= {"paused": _count(figures[names.PAUSED]), "tank": figures[names.DRIVE_TANK]}
     energy = _energy(figures)
     if energy:
         entry["energy"] = energy

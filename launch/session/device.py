@@ -124,7 +124,7 @@ def _passivity(operator: RationalMatrix) -> PassivityFinding:
 
 
 @dataclass(frozen=True, slots=True)
-class _Intents:
+class Intents:
     """The check of an intended force or motion for every axis."""
 
     what: Quantity
@@ -139,10 +139,14 @@ class _Intents:
         return self._checked_in((info.context or {}).get("folder", Path()))(value, info)
 
     def _checked_in(self, folder: Path) -> PerAxis:
+        return PerAxis(self.of_axis(folder))
+
+    def of_axis(self, folder: Path) -> Described:
+        """The check of one axis; the files of traces are in ``folder``."""
         numbers = dict.fromkeys(("times", "values"), _SAMPLES.json_schema)
         traces = (mapping_of({"trace": {"type": "string", "minLength": 1}}), mapping_of(numbers))
         form = either(self.what.json_schema, {"type": "string"}, *traces)
-        return PerAxis(Described(lambda intent: _intent(self.what, intent, folder), form))
+        return Described(lambda intent: _intent(self.what, intent, folder), form)
 
 
 def _intent(what: Quantity, value: object, folder: Path) -> float | str | TraceData:
@@ -182,8 +186,8 @@ def _probe(text: str) -> None:
 _HAND_MASS: Final = PerAxis(HAND_MASS)
 _DAMPING: Final = PerAxis(DAMPING)
 _STIFFNESS: Final = PerAxis(STIFFNESS)
-_FORCE: Final = _Intents(Quantity("an intended force", "N"))
-_MOTION: Final = _Intents(Quantity("an intended motion", "m"))
+_FORCE: Final = Intents(Quantity("an intended force", "N"))
+_MOTION: Final = Intents(Quantity("an intended motion", "m"))
 _AXES: Final = "one for all axes, or a list with one for each"
 
 

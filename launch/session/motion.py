@@ -59,6 +59,13 @@ def trace_from_numbers(times: tuple[float, ...], values: tuple[float, ...], name
     return TraceData(times=times, values=values)
 
 
+def plain_intent(intent: float | str | TraceData) -> object:
+    """An intention as a bundle has it, and :func:`manyhands.nodes.device.intent.intent_from` reads it."""
+    if isinstance(intent, TraceData):
+        return {"times": list(intent.times), "values": list(intent.values)}
+    return intent
+
+
 def read_trace(file: object, folder: Path) -> TraceData:
     """Read a trace; its path is relative to ``folder``, the folder of the session file.
 

@@ -4,26 +4,30 @@ A device with one to three axes is one tool, under the device's own name. Positi
 positions in the file are those at the start; everything starts at rest.
 """
 
-from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, Final, Literal, Self, TypeAlias
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Final, Literal, Self, TypeAlias
 
-from pydantic import BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
 
-from manyhands.design.models.contacts import GROUND, Surface
+from manyhands.design.models.contacts import GROUND, Point, Surface
 from manyhands.design.models.scene import (
+    BODY_SHAPES,
+    MOST_DRIVE,
     MOST_OBSTACLES,
     MOST_POINTS,
+    MOST_SAMPLES,
     SHAPES,
     STIFFEST,
     Body,
     ContactScene,
-    Falling,
     Obstacle,
-    Point,
+    SceneError,
     SceneLink,
     ToolSphere,
 )
-from manyhands.launch.session.device import ports_by_device
+from manyhands.launch.session.device import Intents, ports_by_device
 from manyhands.launch.session.errors import listed, one_of, show
 from manyhands.launch.session.fields import (
     DAMPING,
@@ -44,8 +48,10 @@ from manyhands.launch.session.fields import (
     refuse,
     require_spring_or_damper,
 )
-from manyhands.launch.session.forms import either, list_of, where
+from manyhands.launch.session.forms import JsonSchema, either, list_of, where
 from manyhands.launch.session.limits import MAX_LINKS
+from manyhands.launch.session.motion import TraceData, plain_intent
+from manyhands.nodes.device.intent import intent_from
 
 _XYZ: Final = ("x", "y", "z")
 TOUCH: Final = 1e-9  # m; a tool may touch at the start
@@ -69,6 +75,7 @@ _ACCELERATION: Final = _vector(Quantity("an acceleration", "m/s²", least=-100.0
 _RADIUS: Final = Quantity("a radius", "m", least=0.0, most=_FARTHEST)
 _ROUND: Final = Quantity("a radius", "m", above=0.0, most=_FARTHEST)
 _CONTACT_STIFFNESS: Final = Quantity("a stiffness", "N/m", least=0.0, most=STIFFEST)
+_TANK: Final = Quantity("a tank", "J", least=0.0, most=MOST_DRIVE)
 FRICTION: Final = Quantity("a coefficient of friction", least=0.0, most=10.0)
 
 Place: TypeAlias = Annotated[tuple[float, float, float], BeforeValidator(_PLACE)]
@@ -82,26 +89,24 @@ class SceneTool(SessionModel):
     radius: Radius = Field(default=0.0, description="its radius in m; 0 for a point")
 
 
-class SceneBody(SessionModel):
-    """A point mass or a sphere that moves freely, without turning."""
+def _keys_by_shape(shapes: Collection[str], default: str = "", optional_keys: Collection[str] = ()) -> dict[str, Any]:
+    """The part of the schema that gives each shape its keys; ``optional_keys`` are those of the default shape."""
+    named = {shape: SHAPES[shape] for shape in shapes}
+    return {
+        "allOf": [
+            {
+                "if": where("shape", shape)
+                if shape != default
+                else {"not": where("shape", *(named.keys() - {default}))},
+                "then": {
+                    "required": [key for key in keys if shape != default or key not in optional_keys],
+                    "properties": {key: False for others in named.values() for key in others if key not in keys},
+                },
+            }
+            for shape, keys in named.items()
+        ]
+    }
 
-    mass: Annotated[float, BeforeValidator(MASS)] = Field(description="its mass in kg")
-    at: Place = Field(description="where its centre is at the start, in m: [x, y, z]")
-    radius: Radius = Field(default=0.0, description="its radius in m; 0 for a point")
-
-
-_SHAPED: Final[dict[str, Any]] = {
-    "allOf": [
-        {
-            "if": where("shape", shape),
-            "then": {
-                "required": [*keys],
-                "properties": {key: False for of_others in SHAPES.values() for key in of_others if key not in keys},
-            },
-        }
-        for shape, keys in SHAPES.items()
-    ]
-}
 
 _ENDS: Final = Described(lambda value: None if value is None else _two_places(value), list_of(_PLACE.json_schema, 2, 2))
 
@@ -116,23 +121,21 @@ def _two_places(value: object) -> tuple[Point, Point]:
 _OptionalPlace: TypeAlias = Annotated[tuple[float, float, float] | None, BeforeValidator(optional(_PLACE))]
 
 
-class SceneObstacle(SessionModel):
-    """A thing that stands still: a wall or a room that spheres stay inside of, or a shape that they stay outside of."""
+_OptionalEnds: TypeAlias = Annotated[
+    tuple[tuple[float, float, float], tuple[float, float, float]] | None, BeforeValidator(_ENDS)
+]
 
-    model_config = ConfigDict(json_schema_extra=_SHAPED)
 
-    shape: Annotated[Literal["wall", "room", "box", "sphere", "capsule"], BeforeValidator(Choice(tuple(SHAPES)))] = (
-        Field(description="its shape: wall, room, box, sphere or capsule")
-    )
+class ShapedThing(SessionModel):
+    """What a body and an obstacle have in common: the keys of their shape, and no others."""
+
+    _optional_keys: ClassVar[tuple[str, ...]] = ()
+
+    shape: str
     at: _OptionalPlace = defaulted(None, "a point of a wall, or a sphere's centre, in m: [x, y, z]")
-    normal: Annotated[tuple[float, float, float] | None, BeforeValidator(optional(_DIRECTION))] = defaulted(
-        None, "the direction from a wall to the side where things are: [x, y, z]"
-    )
     low: _OptionalPlace = defaulted(None, "the corner of a room or a box with the least coordinates, in m: [x, y, z]")
     high: _OptionalPlace = defaulted(None, "the corner with the greatest coordinates, in m: [x, y, z]")
-    ends: Annotated[tuple[tuple[float, float, float], tuple[float, float, float]] | None, BeforeValidator(_ENDS)] = (
-        defaulted(None, "the two ends of a capsule's axis, in m: [[x, y, z], [x, y, z]]")
-    )
+    ends: _OptionalEnds = defaulted(None, "the two ends of a capsule's axis, in m: [[x, y, z], [x, y, z]]")
     radius: Annotated[float | None, BeforeValidator(optional(_ROUND))] = defaulted(
         None, "the radius of a sphere or a capsule in m"
     )
@@ -140,19 +143,109 @@ class SceneObstacle(SessionModel):
     @model_validator(mode="after")
     def _of_its_shape(self) -> Self:
         keys = SHAPES[self.shape]
-        stated = {key for of_one in SHAPES.values() for key in of_one if getattr(self, key) is not None}
-        if missing := [key for key in keys if key not in stated]:
-            raise refuse(f"a {self.shape} without {listed(missing)}", f"the keys {listed(keys)} for a {self.shape}")
+        stated = {key for of_one in SHAPES.values() for key in of_one if getattr(self, key, None) is not None}
+        needed = [key for key in keys if key not in self._optional_keys or self.shape != "sphere"]
+        if missing := [key for key in needed if key not in stated]:
+            raise refuse(f"a {self.shape} without {listed(missing)}", f"the keys {listed(needed)} for a {self.shape}")
         if other := sorted(stated.difference(keys)):
             raise refuse(
                 f"{other[0]} of a {self.shape}", f"only the keys {listed(keys)} for a {self.shape}", (other[0],)
             )
-        if self.normal is not None and not any(self.normal):
-            raise refuse("the normal [0, 0, 0]", "a direction", at=("normal",))
         if self.low is not None and self.high is not None:
             for axis, low, high in zip(_XYZ, self.low, self.high, strict=True):
                 if not low < high:
                     raise refuse(f"{low:g} m in low and {high:g} m in high along {axis}", "low below high", ("high",))
+        return self
+
+
+@dataclass(frozen=True, slots=True)
+class _Motion:
+    """The check of a driven body's motion: x, y and z, each a number, a formula in t or a trace."""
+
+    _axis: ClassVar[Intents] = Intents(Quantity("a motion", "m"))
+
+    @property
+    def json_schema(self) -> JsonSchema:
+        """A list of three."""
+        return list_of(self._axis.of_axis(Path()).json_schema, 3, 3)
+
+    def __call__(self, value: object, info: ValidationInfo) -> object:
+        """The three motions; the files of traces are in the folder of the session file."""
+        if value is None:
+            return None
+        if not isinstance(value, list | tuple) or len(value) != len(_XYZ):
+            raise refuse(show(value), "a motion [x, y, z], each a number in m, a formula in t, or a trace")
+        motions = each(self._axis.of_axis((info.context or {}).get("folder", Path())), value)
+        for axis, motion in zip(_XYZ, motions, strict=True):
+            start = intent_from(plain_intent(motion))(0.0)  # type: ignore[arg-type]  # what plain_intent returns
+            if abs(start) > TOUCH:
+                raise refuse(f"{start:g} m at t = 0 along {axis}", "0 m there: the body begins where it is put")
+            if isinstance(motion, TraceData) and len(motion.times) > MOST_SAMPLES:
+                raise refuse(f"a trace of {len(motion.times)} samples", f"at most {MOST_SAMPLES}")
+        return motions
+
+
+class SceneBody(ShapedThing):
+    """A point, a sphere, a capsule or a box that moves freely or as it is driven, without turning."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            **_keys_by_shape(BODY_SHAPES, "sphere", ("radius",)),
+            **either({"required": ["mass"]}, {"required": ["motion"]}),
+        }
+    )
+    _optional_keys = ("radius",)
+
+    mass: Annotated[float | None, BeforeValidator(optional(MASS))] = defaulted(None, "its mass in kg")
+    motion: Annotated[tuple[float | str | TraceData, ...] | None, BeforeValidator(_Motion())] = defaulted(
+        None, "its displacement in m, in place of a mass, where it is driven: [x, y, z]"
+    )
+    shape: Annotated[Literal["sphere", "capsule", "box"], BeforeValidator(Choice(BODY_SHAPES))] = Field(
+        default="sphere", description="its shape: sphere, capsule or box"
+    )
+    at: _OptionalPlace = defaulted(None, "where a sphere's centre is at the start, in m: [x, y, z]")
+    radius: Annotated[float | None, BeforeValidator(optional(_RADIUS))] = defaulted(
+        None, "the radius of a sphere or a capsule in m; a sphere without it is a point"
+    )
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> Self:
+        if self.shape == "capsule" and self.radius == 0.0:
+            raise refuse("0", f"{_ROUND.what} in m greater than 0", ("radius",))
+        if (self.mass is None) == (self.motion is None):
+            raise refuse(
+                "neither a mass nor a motion" if self.mass is None else "a mass and a motion",
+                "a mass in kg, or the motion of a driven body",
+            )
+        return self
+
+    def body(self, name: str) -> Body:
+        """The same as design has it."""
+        least, most = self.ends or (self.low or self.at, self.high or self.at)
+        if least is None or most is None:
+            raise ValueError(f"found the body {name} without a place; expected one")
+        (x, a), (y, b), (z, c) = zip(least, most, strict=True)
+        at, half = ((x + a) / 2.0, (y + b) / 2.0, (z + c) / 2.0), ((a - x) / 2.0, (b - y) / 2.0, (c - z) / 2.0)
+        motion = tuple(plain_intent(axis) for axis in self.motion or ())
+        return Body(name, self.mass or 0.0, at, self.radius or 0.0, self.shape, half, motion)
+
+
+class SceneObstacle(ShapedThing):
+    """A thing that stands still: a wall or a room that things stay inside of, or a shape that they stay outside of."""
+
+    model_config = ConfigDict(json_schema_extra=_keys_by_shape(SHAPES))
+
+    shape: Annotated[Literal["wall", "room", "box", "sphere", "capsule"], BeforeValidator(Choice(tuple(SHAPES)))] = (
+        Field(description="its shape: wall, room, box, sphere or capsule")
+    )
+    normal: Annotated[tuple[float, float, float] | None, BeforeValidator(optional(_DIRECTION))] = defaulted(
+        None, "the direction from a wall to the side where things are: [x, y, z]"
+    )
+
+    @model_validator(mode="after")
+    def _has_direction(self) -> Self:
+        if self.normal is not None and not any(self.normal):
+            raise refuse("the normal [0, 0, 0]", "a direction", at=("normal",))
         return self
 
     def obstacle(self, name: str) -> Obstacle:
@@ -261,7 +354,7 @@ class SceneEnvironment(SessionModel):
     )
     bodies: Annotated[
         dict[str, SceneBody], BeforeValidator(NamedParts(part_name("a body's name"), MOST_POINTS, least=0))
-    ] = Field(default={}, description="the bodies that move freely, by name")
+    ] = Field(default={}, description="the bodies that move freely or are driven, by name")
     obstacles: Annotated[
         dict[str, SceneObstacle], BeforeValidator(NamedParts(part_name("an obstacle's name"), MOST_OBSTACLES, least=0))
     ] = Field(default={}, description="the things that stand still, by name")
@@ -274,6 +367,9 @@ class SceneEnvironment(SessionModel):
     )
     gravity: Annotated[tuple[float, float, float], BeforeValidator(_ACCELERATION)] = Field(
         default=(0.0, 0.0, 0.0), description="the acceleration of free bodies in m/s²: [x, y, z]"
+    )
+    tank: Annotated[float, BeforeValidator(_TANK)] = Field(
+        default=0.0, description="the energy in J that the driven bodies together may give out"
     )
 
     def problems(self, ports: tuple[str, ...]) -> Iterator[Problem]:
@@ -299,16 +395,18 @@ class SceneEnvironment(SessionModel):
                         yield Problem(
                             (key, index, "between", position), f"the unknown end {show(end)}", one_of(ends, end)
                         )
+        if self.tank and not any(body.motion for body in self.bodies.values()):
+            yield Problem(("tank",), "a tank, and no body with a motion", "a driven body, or no tank")
         for index, contact in enumerate(self.contacts):
             if all(end in self.obstacles for end in contact.between):
                 yield Problem(("contacts", index, "between"), "two obstacles", "a tool or a body at one of the ends")
 
     def _beginning(self, ports: tuple[str, ...]) -> Iterator[Problem]:
-        """The problems of what stands where: bodies that fall, and tools inside other things."""
+        """The problems of what stands where: bodies that fall, shapes, pairs, and tools inside other things."""
         try:
             scene = self.scene(ports)
-        except Falling as error:
-            yield Problem(("bodies", error.body), error.FOUND, error.EXPECTED)
+        except SceneError as error:
+            yield Problem(("bodies", error.body) if error.body else ("bodies",), error.found, error.expected)
             return
         contacts = scene.contacts
         for pair, gap in zip(contacts.pairs, contacts.gaps(scene.points)[0].tolist(), strict=True):
@@ -321,16 +419,17 @@ class SceneEnvironment(SessionModel):
         """The same as design has it, in a session with these ports.
 
         Raises:
-            Falling: a body under gravity has nothing that holds it.
+            SceneError: gravity, a pair of shapes or the number of pairs makes no scene that could run.
             ValueError: the scene has one of the other problems that :meth:`problems` reports.
         """
         return ContactScene(
             ports,
             tools=tool_spheres(self.tools, ports),
-            bodies=tuple(Body(name, body.mass, body.at, body.radius) for name, body in self.bodies.items()),
+            bodies=tuple(body.body(name) for name, body in self.bodies.items()),
             obstacles=tuple(thing.obstacle(name) for name, thing in self.obstacles.items()),
             links=tuple(SceneLink(link.between, link.stiffness, link.damping, link.rest) for link in self.links),
             surface=self.contact.surface,
             surfaces=tuple((pair.between, pair.surface) for pair in self.contacts),
             gravity=self.gravity,
+            tank=self.tank,
         )

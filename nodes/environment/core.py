@@ -30,8 +30,9 @@ a model, a scene or E under a controller (:mod:`manyhands.nodes.environment.enfo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from operator import mul
+from types import MappingProxyType
 from typing import TypeAlias
 
 import numpy as np
@@ -61,6 +62,7 @@ class EnvironmentCore:
         failure: always None, for matrices cannot fail; see :class:`manyhands.nodes.environment.enforced.EnforcedCore`.
         controller: always None, for the promise is proved and needs no controller.
         held: always empty, for matrices have no proxies.
+        figures: always empty, for nothing else is counted.
         chatter: always None, for matrices are solved within the tick.
         ledger: its energy ledger; None when the session is not certified.
         energy: the energy that each coupling puts into the others, and their budgets.
@@ -71,6 +73,7 @@ class EnvironmentCore:
     failure: str | None = None
     controller: PassivityController | None = None
     held: Sequence[int] = ()
+    figures: Mapping[str, float] = MappingProxyType({})
     chatter: Chatter | None = None
 
     def __init__(

@@ -20,7 +20,8 @@ tool rests whatever the force is, and h does not matter. There are four kinds of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
@@ -69,11 +70,17 @@ class ForceLaw(Protocol):
         """By party, the ticks in which a test held its proxies; empty for a law without proxies."""
         ...
 
+    @property
+    def figures(self) -> Mapping[str, float]:
+        """What it counts itself, by the names of :mod:`manyhands.nodes.telemetry`; empty for most."""
+        ...
+
 
 class BlackBox:
     """The law of a model that is asked at the predicted tool position."""
 
     held: Sequence[int] = ()
+    figures: Mapping[str, float] = MappingProxyType({})
 
     def __init__(self, model: AskedModel) -> None:
         """Ask ``model`` from its tick 0 on."""
@@ -107,6 +114,7 @@ class LinearLaw:
 
     failure: str | None = None
     held: Sequence[int] = ()
+    figures: Mapping[str, float] = MappingProxyType({})
 
     def __init__(self, E: StateSpace, masses: int = 0) -> None:
         """Start at rest.
@@ -244,6 +252,11 @@ class EnforcedCore:
     def held(self) -> Sequence[int]:
         """By party, the ticks in which the test held its proxies; empty without proxies."""
         return self._law.held
+
+    @property
+    def figures(self) -> Mapping[str, float]:
+        """What the law counts itself, by the names of :mod:`manyhands.nodes.telemetry`."""
+        return self._law.figures
 
     def exchange(self, block: int, D_V: Vector) -> None:
         """Change the feedthrough of a frozen block.

@@ -517,6 +517,7 @@ class EnvironmentNode:
             if figures := peer_link.figures():
                 found.update(zip(_named(tuple(figures), peer_link.peer.name), figures.values(), strict=True))
         found |= names.contact_figures(core.held, core.chatter, self._parties)
+        found.update(core.figures)
         return found | names.energy_figures(core.energy, self._parties)
 
     def _publish(self, control: ControlLine, core: Core, members: Members) -> None:

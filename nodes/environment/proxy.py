@@ -26,7 +26,7 @@ proxies of parties whose own term is below 0 are held; the other parties' tools 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,7 @@ class ProxyLaw:
 
     Attributes:
         held: by party, the ticks in which the test shortened the step of its proxies.
+        figures: always empty, for nothing else is counted.
     """
 
     def __init__(
@@ -90,6 +91,7 @@ class ProxyLaw:
         self._compliance: Vector | None = None
         self._M, self._DK = self._K, self._K  # made with the first compliance
         self.held = [0] * len(self._parties)
+        self.figures: Mapping[str, float] = {}
 
     @property
     def failure(self) -> str | None:

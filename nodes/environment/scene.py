@@ -15,6 +15,10 @@ before, with the gap's tangent plane g(z) = d + n^T (u - u(k-1)) in place of the
 N(k-1) being the normal force of the tick before. Both are gradients of convex functions of z, so that the tick has one
 solution. docs/decisions/0041-scenes.md proves that the scene then keeps the level 0, for every W.
 
+A driven body has no compliance, so z_free is where its motion puts it. The work of the forces that move it is taken
+from the scene's tank. In a tick whose work the tank cannot pay, all driven bodies stand still, where their work is 0,
+and their motion goes on from there in the next tick.
+
 A primal-dual active-set iteration [Hintermueller2002]_ finds the solution, from the forces of the tick before on, in
 :data:`MOST_STEPS` steps at most. It works with the forces along the rows of a matrix G, one row along the gradient of
 each pair and three across it, and projects them on what the laws admit [Alart1991]_. The forces that are sent are those
@@ -24,13 +28,16 @@ passivity controller of :class:`manyhands.nodes.environment.enforced.EnforcedCor
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.design.models.scene import ContactScene
+from manyhands.nodes import telemetry as names
 from manyhands.nodes.arithmetic import Floats
+from manyhands.nodes.device.intent import Intent, intent_from
 from manyhands.nodes.environment.model import MOST_FORCE
 
 Vector = NDArray[np.float64]
@@ -41,6 +48,8 @@ MOST_STEPS: Final = 12
 NEAR: Final = 2e-3
 """m; a pair with a greater gap takes part in a tick only if points are fast enough to close it."""
 
+_EVERYWHERE: Final = 1e4  # m; beyond it all pairs have taken part, for nothing in a scene is so far away
+
 _ENOUGH: Final = 1e-12  # m; a residual of this size is a force's rounding
 
 
@@ -49,6 +58,8 @@ class SceneLaw:
 
     Attributes:
         failure: that a tick had forces beyond :data:`.MOST_FORCE`, after which they are zero; None before.
+        tank: what the driven bodies may still give out, J.
+        paused: ticks in which the tank held them.
         held: always empty, for a scene has no proxies.
         steps: Newton steps so far.
         unfinished: ticks whose iteration did not end in :data:`MOST_STEPS` steps.
@@ -78,10 +89,19 @@ class SceneLaw:
                     if other is not None:
                         matrix[own, 3 * other : 3 * other + 3] -= amount * np.eye(3)
         self._mobility = np.zeros((size, size))
+        motions: list[tuple[int, Intent]] = []  # by coordinate
         for i, body in enumerate(bodies, len(tools)):
             own = slice(3 * i, 3 * i + 3)
+            if body.motion:
+                motions += [(3 * i + axis, intent_from(motion)) for axis, motion in enumerate(body.motion)]
+                continue
             load[own] += body.mass * np.array(scene.gravity)
             self._mobility[own, own] = T * T / body.mass * np.eye(3)
+        self._driven = np.array([row for row, _ in motions], dtype=np.intp)
+        self._motions = [motion for _, motion in motions]
+        self._moved = 0  # ticks of their motion
+        self.tank, self._work = scene.tank, 0.0  # J
+        self._pauses, self.paused = False, 0
         self._K, self._B, self._load = K + B / T, B / T, load
         contacts = self._contacts = scene.contacts
         self._total = contacts.stiffness + contacts.damping / T
@@ -91,6 +111,7 @@ class SceneLaw:
         self._home: Vector = self._z
         self._step = np.zeros(size)  # of the tick before
         self._free = self._z.copy()
+        self._target: Vector = self._z[self._driven]  # of the driven bodies in this tick; motions begin at 0
         self._normal = np.zeros(len(contacts))  # the normal forces of the tick before, N
         self._bristles = np.zeros((len(contacts), 3))  # e of the tick before, m
         self._compliance: Vector | None = None
@@ -109,6 +130,12 @@ class SceneLaw:
         return int(np.count_nonzero(self._normal))
 
     @property
+    def figures(self) -> Mapping[str, float]:
+        """The unfinished ticks; with driven bodies the ticks in which they paused, and what is in their tank, J."""
+        found = {names.UNFINISHED: float(self.unfinished)}
+        return found | ({names.PAUSED: float(self.paused), names.DRIVE_TANK: self.tank} if self._motions else {})
+
+    @property
     def masses(self) -> Floats:
         """How far the bodies are from where they started, x, y and z of each, m."""
         found: Floats = (self._z - self._home)[self._first :].tolist()
@@ -124,16 +151,29 @@ class SceneLaw:
             self._W = self._linear @ W
             self._weigh()
         self._free[self._ports] = self._home[self._ports] + r
-        past = self._past
-        self._next, force = self._touched(self._linear @ self._free + self._W @ past)
-        f: Vector = (past - self._K @ self._next + force)[self._ports]
+        F = self._forces_on(self._target)
+        driven = self._driven
+        if len(driven):
+            self._work = -float(F[driven] @ (self._next - self._z)[driven])
+            self._pauses = not self._work <= self.tank
+            if self._pauses:
+                F, self._work = self._forces_on(self._z[driven]), 0.0
+        f: Vector = F[self._ports]
         # written with not: a comparison with NaN is false
         if self.failure is None and not np.abs(f).max() <= MOST_FORCE:
             self.failure = f"the scene failed: found a force beyond {MOST_FORCE:g} N; expected tools near the scene"
         if self.failure is None:
             return f
-        self._next = self._z
+        self._next, self._work = self._z, 0.0
         return np.zeros(len(f))
+
+    def _forces_on(self, driven: Vector) -> Vector:
+        """The forces on all points, N, with the driven bodies at ``driven``; sets the positions at the tick's end."""
+        past = self._past
+        self._free[self._driven] = driven
+        self._next, force = self._touched(self._linear @ self._free + self._W @ past)
+        F: Vector = past - self._K @ self._next + force
+        return F
 
     def advance(self, x_e: Vector, f: Vector) -> None:
         """Step to the next tick, with the tools at ``x_e``, m; the forces ``f`` are in the positions already."""
@@ -143,7 +183,25 @@ class SceneLaw:
         self._z = z
         self._normal, self._bristles = self._normal_next, self._bristles_next
         self._free[self._first :] = z[self._first :] + self._step[self._first :]
+        self._drive()
         self._prepare()
+
+    def _drive(self) -> None:
+        """Pay the work of the driven bodies, and set their next target; motions pause where the tank held them."""
+        driven = self._driven
+        if not len(driven):
+            return
+        self.tank -= self._work
+        if self._pauses:
+            self.paused += 1
+        else:
+            self._moved += 1
+        try:
+            moved = [motion(self._moved * self._T) for motion in self._motions]
+        except ValueError as error:
+            self.failure = self.failure or f"a driven body failed: {error}"
+            return
+        self._target = self._home[driven] + moved
 
     def _prepare(self) -> None:
         """Everything of the next tick that follows from the positions of this one."""
@@ -193,10 +251,13 @@ class SceneLaw:
     def _touched(self, free: Vector) -> tuple[Vector, Vector]:
         """The positions and the contacts' forces on all points, from the positions ``free`` without contacts."""
         z, force = self._solved(free)
-        moved = float(np.abs(z - self._z).max(initial=0.0))
-        if 4.0 * moved > self._reach and len(self._near) < len(self._contacts):
-            self._take(np.arange(len(self._contacts)))
-            z, force = self._solved(free)
+        while 4.0 * (moved := float(np.abs(z - self._z).max(initial=0.0))) > self._reach < _EVERYWHERE:
+            # far motion: the pairs within 8 times of it take part, at least twice as far as before
+            self._reach = 8.0 * moved
+            near = np.flatnonzero(self._gap < self._reach)
+            if len(near) > len(self._near):
+                self._take(near)
+                z, force = self._solved(free)
         self._normal_next = np.zeros(len(self._contacts))
         self._bristles_next = np.zeros((len(self._contacts), 3))
         near = self._near

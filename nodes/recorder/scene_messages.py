@@ -18,8 +18,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.design.models.contacts import coordinates
-from manyhands.design.models.scene import ContactScene, Obstacle, Point
+from manyhands.design.models.contacts import Point, coordinates
+from manyhands.design.models.scene import ContactScene, Obstacle
 from manyhands.protocol.channels import MASS_POSITION, TOOL_POSITION
 from manyhands.protocol.messages import Values
 
@@ -164,8 +164,10 @@ class SceneMessages:
         tools = len(self._scene.tools)
         for point, thing in enumerate(self._scene.things):
             colour = _TOOL_COLOUR if point < tools else _BODY_COLOUR
-            sphere = _solid((0.0, 0.0, 0.0), (2.0 * (thing.radius or DRAWN_RADIUS),) * 3, colour)
-            yield _entity(thing.name, f"{self._frame}/{thing.name}", spheres=[sphere])
+            core = thing.core
+            radius = thing.radius if thing.radius or core.kind == "box" else DRAWN_RADIUS
+            drawn = _box(core.ends, colour) if core.kind == "box" else _capsule(core.ends, radius, colour)
+            yield _entity(thing.name, f"{self._frame}/{thing.name}", **drawn)
 
     def _standing(self) -> Iterator[dict[str, Any]]:
         """The entities of obstacles, without their time."""
@@ -299,13 +301,13 @@ def _turned(direction: NDArray[np.float64]) -> dict[str, float]:
 
 def _primitives(obstacle: Obstacle, low: NDArray[np.float64], high: NDArray[np.float64]) -> dict[str, Any]:
     """The primitives of an obstacle in a scene with the corners ``low`` and ``high``, m."""
-    points = np.array(obstacle.points, dtype=np.float64)
     match obstacle.shape:
         case "wall":
-            return {"cubes": [_wall(obstacle.points[0], points[1], low, high)]}
+            at, normal = obstacle.points
+            return {"cubes": [_wall(at, np.array(normal), low, high)]}
         case "room" | "box":
             colour = _ENCLOSING_COLOUR if obstacle.shape == "room" else _OBSTACLE_COLOUR
-            return {"cubes": [_solid(points.mean(axis=0), points[1] - points[0], colour)]}
+            return _box(obstacle.points, colour)
         case "mesh":
             surface = {
                 "pose": {"position": _vector((0.0, 0.0, 0.0)), "orientation": _UPRIGHT},
@@ -316,14 +318,28 @@ def _primitives(obstacle: Obstacle, low: NDArray[np.float64], high: NDArray[np.f
             }
             return {"triangles": [surface]}
         case _:
-            ends = [_solid(point, (2.0 * obstacle.radius,) * 3, _OBSTACLE_COLOUR) for point in points]
-            axis = points[-1] - points[0]
-            length = float(np.linalg.norm(axis))
-            if length == 0.0:
-                return {"spheres": ends}
-            size = (2.0 * obstacle.radius, 2.0 * obstacle.radius, length)
-            cylinder = _solid(points.mean(axis=0), size, _OBSTACLE_COLOUR, _turned(axis / length))
-            return {"spheres": ends, "cylinders": [{**cylinder, "bottom_scale": 1.0, "top_scale": 1.0}]}
+            return _capsule(obstacle.core.ends, obstacle.radius, _OBSTACLE_COLOUR)
+
+
+def _box(corners: tuple[Point, ...], colour: Mapping[str, float]) -> dict[str, Any]:
+    """The primitives of a box with these corners, m."""
+    points = np.array(corners, dtype=np.float64)
+    return {"cubes": [_solid(points.mean(axis=0), points[1] - points[0], colour)]}
+
+
+def _capsule(ends: tuple[Point, Point], radius: float, colour: Mapping[str, float]) -> dict[str, Any]:
+    """The primitives of a capsule, or of a sphere where both ends are one point, m."""
+    points = np.array(ends, dtype=np.float64)
+    axis = points[1] - points[0]
+    length = float(np.linalg.norm(axis))
+    if length == 0.0:
+        return {"spheres": [_solid(points[0], (2.0 * radius,) * 3, colour)]}
+    size = (2.0 * radius, 2.0 * radius, length)
+    cylinder = _solid(points.mean(axis=0), size, colour, _turned(axis / length))
+    return {
+        "spheres": [_solid(point, (2.0 * radius,) * 3, colour) for point in points],
+        "cylinders": [{**cylinder, "bottom_scale": 1.0, "top_scale": 1.0}],
+    }
 
 
 def _wall(at: Point, normal: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]) -> Any:

@@ -32,6 +32,15 @@ def session_of(scene: ContactScene, rng: np.random.Generator) -> Session:
         stated = {"ends": points} if shape == "capsule" else dict(zip(keys, points, strict=True))
         return {"shape": shape, **stated, **({"radius": radius} if radius else {})}
 
+    def body(mass: float, at: Any, radius: float, shape: str = "sphere", half: Any = (0.0, 0.0, 0.0)) -> dict[str, Any]:
+        low, high = (np.subtract(at, half).tolist(), np.add(at, half).tolist())
+        keys: dict[str, dict[str, Any]] = {
+            "sphere": {"at": at, "radius": radius},
+            "capsule": {"ends": [low, high], "radius": radius},
+            "box": {"low": low, "high": high},
+        }
+        return {"mass": mass, "shape": shape, **keys[shape]}
+
     terms = scene.terms()
     devices = {
         name: {
@@ -60,7 +69,7 @@ def session_of(scene: ContactScene, rng: np.random.Generator) -> Session:
                 "type": "scene",
                 "gravity": terms["gravity"],
                 "tools": {name: {"at": tool["at"], "radius": tool["radius"]} for name, tool in terms["tools"].items()},
-                "bodies": terms["bodies"],
+                "bodies": {name: body(**thing) for name, thing in terms["bodies"].items()},
                 "obstacles": {name: obstacle(**thing) for name, thing in terms["obstacles"].items()},
                 "links": terms["links"],
                 "contact": terms["contact"],

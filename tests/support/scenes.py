@@ -18,7 +18,7 @@ OBSTACLES = (
 
 
 def random_scene(rng: np.random.Generator, tools: int, bodies: int, axes: int = 3) -> ContactScene:
-    """A room in which tools of ``axes`` axes, bodies and obstacles may overlap at the start."""
+    """A room in which tools of ``axes`` axes, bodies of every shape and obstacles may overlap at the start."""
 
     def place() -> Point:
         x, y, z = rng.uniform(-0.05, 0.05, 3).tolist()
@@ -34,13 +34,34 @@ def random_scene(rng: np.random.Generator, tools: int, bodies: int, axes: int = 
             ToolSphere(f"t{i}", tuple(range(axes * i, axes * i + axes)), tuple(range(axes)), place(), 0.01)
             for i in range(tools)
         ),
-        bodies=tuple(Body(f"b{i}", rng.uniform(0.02, 1.0), place(), rng.uniform(0.01, 0.03)) for i in range(bodies)),
+        bodies=tuple(random_body(rng, i, place()) for i in range(bodies)),
         obstacles=OBSTACLES,
         links=tuple(links),
         surface=Surface(10.0 ** rng.uniform(2.5, 6.0), rng.uniform(0.0, 5.0), rng.choice([0.0, 0.3, 1.0])),
-        surfaces=((("t0", "stone"), Surface(0.0)), (("t0", "ramp"), Surface(800.0, 1.0, 2.0))),
+        surfaces=(
+            (("t0", "stone"), Surface(0.0)),
+            (("t0", "ramp"), Surface(800.0, 1.0, 2.0)),
+            # a capsule along no axis and a box cannot touch
+            *(((f"b{i}", ("rail", "block")[i % 4 == 3]), Surface(0.0)) for i in range(bodies) if i % 2),
+            *(((f"b{i}", f"b{j}"), Surface(0.0)) for i in range(bodies) for j in range(i) if (i + j) % 4 == 0),
+        ),
         gravity=(0.0, 0.0, rng.choice([0.0, -9.81])),
     )
+
+
+def random_body(rng: np.random.Generator, i: int, at: Point) -> Body:
+    """By ``i`` a sphere, a box, a capsule along an axis or one along none."""
+    mass, radius = rng.uniform(0.02, 1.0), rng.uniform(0.01, 0.03)
+    x, y, z = rng.uniform(0.01, 0.03, 3).tolist()
+    match i % 4:
+        case 1:
+            return Body(f"b{i}", mass, at, 0.0, "box", (x, y, z))
+        case 2:
+            return Body(f"b{i}", mass, at, radius, "capsule", (0.0, y, 0.0))
+        case 3:
+            return Body(f"b{i}", mass, at, radius, "capsule", (x, -y, z))
+        case _:
+            return Body(f"b{i}", mass, at, radius)
 
 
 def random_compliance(rng: np.random.Generator, m: int) -> np.ndarray:

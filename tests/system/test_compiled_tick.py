@@ -90,7 +90,7 @@ def test_a_compiled_run_has_the_numbers_of_pure_python(tmp_path: Path) -> None:
     assert len(extensions) == len(HOOK.MODULES) + 1  # and one that they share
     shutil.copytree(ROOT / "launch", folder / "manyhands" / "launch", ignore=shutil.ignore_patterns("__pycache__"))
     where = "import manyhands.nodes.device.node as node; print(node.__file__)"
-    for session in ("example1.yaml", "example1-operator.yaml"):
+    for session in ("example1.yaml", "example1-operator.yaml", "rub.yaml"):
         runs = []
         for path, ending in ((folder, "so"), (ROOT / "src", "py")):
             environment = {**os.environ, "PYTHONPATH": str(path)}

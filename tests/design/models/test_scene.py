@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations_with_replacement, product
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manyhands.design.certificate import describe_environment, environment_of
-from manyhands.design.models.contacts import ContactPair, Contacts, Surface
+from manyhands.design.models.contacts import ContactPair, Contacts, Core, Surface, core_difference
 from manyhands.design.models.environment import DeclaredScene
 from manyhands.design.models.scene import UNTOUCHED, Body, ContactScene, Falling, Obstacle, SceneLink, ToolSphere
 
@@ -24,13 +25,15 @@ SHAPES = {
     "plane": (((0.1, 0.2, 0.3), (1.0, -2.0, 0.5)), -1),
     "capsule": (((-1.0, 0.0, 0.2), (0.5, 1.0, 0.0)), -1),
     "point": (((0.3, 0.0, -0.2), (0.3, 0.0, -0.2)), -1),
+    "parallelogram": (((-1.0, 0.0, 0.2), (0.5, 1.0, 0.0), (0.3, -0.5, 0.1)), -1),
+    "parallel axes": (((-1.0, 0.0, 0.2), (0.5, 1.0, 0.0), (0.75, 0.5, -0.1)), -1),
     "box": ((LOW, HIGH), -1),
 }
 
 
 def contacts_of(shape: str, reach: float = 0.0) -> Contacts:
     points, b = SHAPES[shape]
-    kind = "capsule" if shape == "point" else shape
+    kind = {"point": "capsule", "parallel axes": "parallelogram"}.get(shape, shape)
     return Contacts([ContactPair(("a", "b"), 0, b, SURFACE, reach, kind, points)], 2)
 
 
@@ -41,12 +44,28 @@ def distance(shape: str, u: np.ndarray, z: np.ndarray) -> float:
     points = np.array(SHAPES[shape][0])
     if shape == "plane":
         return float((u - points[0]) @ points[1] / np.linalg.norm(points[1]))
+    if len(points) == 3:
+        return from_parallelogram(u - points[:2].mean(axis=0), (points[1] - points[0]) / 2.0, points[2])
     if shape != "box":
         along = np.linspace(0.0, 1.0, 20001)[:, None]
         return float(np.linalg.norm(u - (points[0] + along * (points[1] - points[0])), axis=1).min())
     nearest = np.clip(u, *points)
     inside = np.min([u - points[0], points[1] - u])
     return float(np.linalg.norm(u - nearest)) if inside < 0.0 else -float(inside)
+
+
+def from_parallelogram(u: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
+    """The distance from s a + t b, -1 <= s, t <= 1: a search by thirds over s, with the best t for each."""
+
+    def of(s: float) -> float:
+        t = np.clip((u - s * a) @ b / (b @ b), -1.0, 1.0)
+        return float(np.linalg.norm(u - s * a - t * b))
+
+    low, high = -1.0, 1.0
+    for _ in range(100):
+        one, two = (2.0 * low + high) / 3.0, (low + 2.0 * high) / 3.0
+        low, high = (low, two) if of(one) <= of(two) else (one, high)
+    return of(low)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -66,6 +85,47 @@ def test_a_tangent_plane_is_below_the_gap(shape: str, seed: int) -> None:
     assert there - gap[0] == pytest.approx(float(gradient[0] @ (contacts.incidence @ step)[0]), abs=1e-8)
 
 
+EXTENT = {
+    "point": Core("segment", ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))),
+    "rod": Core("segment", ((0.0, 0.3, 0.0), (0.0, -0.3, 0.0))),
+    "slanted rod": Core("segment", ((0.2, -0.3, -0.1), (-0.2, 0.3, 0.1))),
+    "other rod": Core("segment", ((-0.1, -0.3, -0.4), (0.1, 0.3, 0.4))),
+    "crate": Core("box", ((-0.2, -0.1, -0.3), (0.2, 0.1, 0.3))),
+    "plate": Core("box", ((-0.4, -0.4, -0.05), (0.4, 0.4, 0.05))),
+}
+
+
+def vertices(core: Core) -> np.ndarray:
+    ends = np.array(core.ends)
+    return np.array([*product(*ends.T)]) if core.kind == "box" else ends
+
+
+@pytest.mark.parametrize(("one", "other"), [*combinations_with_replacement(EXTENT, 2)])
+@given(seed=st.integers(0, 2**32 - 1))
+def test_the_gap_of_two_things_is_the_widest_slab_between_them(one: str, other: str, seed: int) -> None:
+    """By the definition of a signed distance: no direction has more room, and the gradient has as much."""
+    rng, a, b = np.random.default_rng(seed), EXTENT[one], EXTENT[other]
+    offset = rng.normal(size=3) * rng.choice([0.0, 0.5])  # of an obstacle, which is not about the origin
+    low, high = (tuple((np.array(end) + offset).tolist()) for end in b.ends)
+    known = core_difference(a, Core(b.kind, (low, high)))
+    refused = {one, other} & {"slanted rod", "other rod"} and {one, other} & {"crate", "plate"}
+    assert (known is None) == bool(refused)
+    if known is None:
+        return
+    z = rng.normal(size=(2, 3)) * 10.0 ** rng.uniform(-2.0, 0.0)
+    (gap,), (n,) = Contacts([ContactPair(("a", "b"), 0, 1, SURFACE, 0.0, *known)], 2).gaps(z)
+
+    def room(directions: np.ndarray) -> np.ndarray:
+        ours, theirs = vertices(a) + z[0], vertices(b) + offset + z[1]
+        return np.asarray((directions @ ours.T).min(axis=1) - (directions @ theirs.T).max(axis=1))
+
+    directions = rng.normal(size=(200, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    assert room(directions).max() <= gap + 1e-12
+    assert room(n[None])[0] == pytest.approx(gap, abs=1e-9)
+    assert a.support(tuple(n)) == pytest.approx((vertices(a) @ n).max(), abs=1e-12)
+
+
 @pytest.mark.parametrize(("shape", "at"), [("spheres", (0.3, 0, -0.2)), ("capsule", (-1, 0, 0.2)), ("box", (0, 0, 0))])
 def test_a_centre_has_a_gradient(shape: str, at: tuple[float, ...]) -> None:
     """Where the distance has a corner, one of its tangent planes is taken."""
@@ -81,6 +141,9 @@ def test_a_centre_has_a_gradient(shape: str, at: tuple[float, ...]) -> None:
 def test_a_scene_is_read_as_it_was_written(seed: int) -> None:
     rng = np.random.default_rng(seed)
     scene = random_scene(rng, int(rng.integers(1, 4)), int(rng.integers(0, 4)), int(rng.integers(1, 4)))
+    motion = ("0.1*t", 0.0, {"times": [0.0, 1.0], "values": [0.0, 0.2]})
+    driven = Body("driven", 0.0, (0.0, 0.0, 0.0), 0.01, motion=motion)
+    scene = replace(scene, bodies=(*scene.bodies, driven), tank=2.0)
     again = environment_of(describe_environment(DeclaredScene(scene)), scene.ports)
     assert again == DeclaredScene(scene)
     assert isinstance(again, DeclaredScene)
@@ -89,6 +152,7 @@ def test_a_scene_is_read_as_it_was_written(seed: int) -> None:
 
 
 BALL = Body("ball", 0.5, (0.0, 0.0, 0.3), 0.05)
+CRATE = Body("crate", 0.5, (0.0, 0.0, 0.3), 0.0, "box", (0.1, 0.1, 0.05))
 G = (0.0, 0.0, -9.81)
 FLOOR = Obstacle("floor", "wall", ((1.0, 1.0, 0.1), (0.0, 0.0, 2.0)))
 ROOM = Obstacle("room", "room", ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)))
@@ -100,6 +164,20 @@ def scene_of(**parts: Any) -> ContactScene:
     return ContactScene(("p",), **{**given_parts, **parts})
 
 
+def test_driven_bodies_touch_what_can_give_way() -> None:
+    driven = replace(BALL, mass=0.0, motion=("0.1*t", 0.0, 0.0))
+    scene = scene_of(
+        bodies=(BALL, replace(driven, name="one"), replace(driven, name="two")), obstacles=(ROOM,), tank=3.0
+    )
+    assert {pair.names for pair in scene.pairs()} == {
+        *(("p", name) for name in ("ball", "one", "two", "room")),
+        *(("ball", name) for name in ("one", "two", "room")),
+    }
+    overlapping = 2 * 500.0 * 0.1**2  # the ball and each driven one are in one place
+    assert scene.energy_at_start == pytest.approx(3.0 + overlapping)
+    assert scene.geometry.terms()["bodies"]["one"]["motion"] == [0.0, 0.0, 0.0]
+
+
 def test_the_energy_at_the_start() -> None:
     weight = 0.5 * 9.81
     sunk = weight**2 / (2 * 1000.0)
@@ -107,6 +185,10 @@ def test_the_energy_at_the_start() -> None:
     apart = ((("p", "floor"), Surface(0.0)),)  # the tool is below the floor
     on_floor = scene_of(bodies=(BALL,), obstacles=(FLOOR,), gravity=G, surfaces=apart)
     assert on_floor.energy_at_start == pytest.approx(weight * 0.15 + sunk)
+    flat = replace(BALL, shape="capsule", half=(0.2, 0.3, 0.0), name="flat")
+    no_gap = ((("crate", "flat"), Surface(0.0)),)
+    lying = scene_of(bodies=(CRATE, flat), obstacles=(FLOOR,), gravity=G, surfaces=apart + no_gap)
+    assert lying.energy_at_start == pytest.approx(2 * (weight * 0.15 + sunk))
     in_room = scene_of(bodies=(BALL,), obstacles=(ROOM,), gravity=(3.0, -9.0, 0.0))
     expected = 0.5 * (3.0 + 9.0) * 0.95 + (1.5**2 + 4.5**2) / 2000.0
     assert in_room.energy_at_start == pytest.approx(expected)
@@ -171,6 +253,20 @@ MESH = Obstacle(
         ({"bodies": (replace(BALL, name="ground"),)}, "distinct names"),
         ({"bodies": (replace(BALL, mass=0.0),)}, "masses"),
         ({"bodies": (replace(BALL, radius=-0.1),)}, "radius"),
+        ({"bodies": (replace(BALL, shape="cone"),)}, "body ball: found the shape 'cone'"),
+        ({"bodies": (replace(BALL, shape="box"),)}, "body ball: found the shape 'box'"),
+        ({"bodies": (replace(BALL, half=(0.1, 0.0, 0.0)),)}, "body ball: found the shape 'sphere'"),
+        (
+            {"bodies": (CRATE, replace(BALL, shape="capsule", half=(0.1, 0.1, 0.0)))},
+            "body crate: found a box that may touch a capsule along no",
+        ),
+        ({"bodies": (replace(BALL, motion=(0.0, 0.0, 0.0)),)}, "a mass or 3 motions"),
+        ({"bodies": (replace(BALL, mass=0.0, motion=(0.0, 0.0)),)}, "a mass or 2 motions"),
+        (
+            {"bodies": (replace(BALL, mass=0.0, motion=({"times": [0.0] * 10001, "values": []}, 0.0, 0.0)),)},
+            "a motion of 10001 samples",
+        ),
+        ({"tank": -1.0}, "a tank of -1.0 J"),
         ({"bodies": (replace(BALL, at=(0.0, float("nan"), 0.0)),)}, "finite coordinates"),
         ({"bodies": tuple(replace(BALL, name=f"b{i}") for i in range(32))}, "at most 32"),
         ({"surface": Surface(2e6)}, "at most 1e"),

@@ -22,7 +22,13 @@ PORTS = ("a.x", "a.y", "b.x")
 SCENE = ContactScene(
     PORTS,
     tools=(ToolSphere("a", (0, 1), (0, 1), (0.0, 0.0, 0.0), 0.01), ToolSphere("b", (2,), (0,), (0.1, 0.0, 0.0))),
-    bodies=(Body("ball", 0.5, (0.0, 0.0, 0.1), 0.02), Body("lamp", 0.1, (0.1, 0.0, 0.5))),
+    bodies=(
+        Body("ball", 0.5, (0.0, 0.0, 0.1), 0.02),
+        Body("lamp", 0.1, (0.1, 0.0, 0.5)),
+        Body("crate", 0.3, (0.5, 0.0, 0.1), 0.0, "box", (0.05, 0.06, 0.07)),
+        Body("rod", 0.3, (0.0, 0.5, 0.1), 0.01, "capsule", (-0.05, 0.0, 0.0)),
+        Body("piston", 0.0, (0.7, 0.0, 0.1), 0.01, motion=("0.1*sin(t)", 0.0, 0.0)),
+    ),
     obstacles=(
         Obstacle("floor", "wall", ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))),
         Obstacle("block", "box", ((0.2, 0.2, 0.0), (0.3, 0.3, 0.1))),
@@ -31,6 +37,7 @@ SCENE = ContactScene(
     surface=Surface(3000.0, 1.0, 0.4),
     surfaces=((("lamp", "floor"), Surface(0.0)),),
     gravity=(0.0, 0.0, -9.81),
+    tank=2.5,
 )
 
 
@@ -53,7 +60,8 @@ def test_a_scene_is_proved_and_its_level_enforced(data: dict[str, Any]) -> None:
     findings = prove(sealed(data))
     assert [finding for finding in findings if not finding.holds] == []
     (level,) = [finding for finding in findings if finding.enforced]
-    assert "wall by convex potentials; box, spheres by tangent planes" in level.argument
+    assert "driven bodies give out at most the 2.5 J of their tank" in level.argument
+    assert "wall by convex potentials; box, tools and bodies by tangent planes" in level.argument
     assert data["levels"]["Phi_E"] == [[0.0] * 3] * 3 or not np.any(
         [np.any(block) for block in data["levels"]["Phi_E"].values()]
     )
@@ -78,6 +86,10 @@ BODIES, FALLS = "masses are positive", "no body falls"
         (setter("bodies", "ball", "mass", to=0.0), BODIES),
         (setter("bodies", "ball", "mass", to=-1.0), BODIES),
         (setter("bodies", "ball", "radius", to=-0.1), BODIES),
+        (setter("tank", to=-1e-9), BODIES),
+        (setter("bodies", "ball", to={"mass": 0.5, "at": [0, 0, 0.1], "radius": 0, "motion": [0, 0, 0]}), ""),
+        (setter("bodies", "crate", "half", to=[0.05, -0.06, 0.07]), BODIES),
+        (setter("bodies", "rod", "half", to=[0.05, -0.06, 0.07]), ""),
         (setter("links", 0, "stiffness", to=-1.0), BODIES),
         (setter("links", 0, "damping", to=-0.1), BODIES),
         (setter("contact", "stiffness", to=-3000.0), BODIES),
@@ -118,6 +130,11 @@ def test_a_level_below_that_of_the_scene_is_not_proved(data: dict[str, Any]) -> 
     ("change", "place"),
     [
         (setter("bodies", "a", to={"mass": 1.0, "at": [0, 0, 0], "radius": 0}), "environment"),
+        (setter("tank", to="full"), "tank"),
+        (setter("bodies", "piston", "motion", to=[0, 0]), "bodies.piston.motion"),
+        (setter("bodies", "crate", "half", to=[0, 0]), "bodies.crate.half"),
+        (setter("bodies", "crate", "shape", to="cone"), "bodies.crate.shape"),
+        (setter("bodies", "rod", "turns", to=True), "bodies.rod"),
         (setter("tools", "a", "at", to=[0, 0]), "tools.a.at"),
         (setter("tools", "a", "axes", to=["x", "w"]), "tools.a.axes"),
         (setter("obstacles", "block", "shape", to="cone"), "obstacles.block.shape"),

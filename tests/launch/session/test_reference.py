@@ -36,7 +36,15 @@ from manyhands.launch.session import (
     load_session,
 )
 from manyhands.launch.session.fields import SessionModel, keys_of
-from manyhands.launch.session.scene import SceneBody, SceneContact, SceneObstacle, ScenePair, SceneSpring, SceneTool
+from manyhands.launch.session.scene import (
+    SceneBody,
+    SceneContact,
+    SceneObstacle,
+    ScenePair,
+    SceneSpring,
+    SceneTool,
+    ShapedThing,
+)
 from manyhands.nodes.device import pointer
 
 from ...support.meshes import grid
@@ -84,7 +92,9 @@ def test_every_part_of_a_session_has_a_section() -> None:
     def parts(model: type[SessionModel]) -> set[type[SessionModel]]:
         return set(model.__subclasses__()).union(*(parts(part) for part in model.__subclasses__()))
 
-    assert parts(SessionModel) - {AskedEnvironment} == {model for models in MODELS.values() for model in models}
+    assert parts(SessionModel) - {AskedEnvironment, ShapedThing} == {
+        model for models in MODELS.values() for model in models
+    }
 
 
 def test_the_example_is_a_session(tmp_path: Path) -> None:

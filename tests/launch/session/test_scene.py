@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 
 from manyhands.design.models.contacts import Surface
 from manyhands.design.models.environment import DeclaredScene
+from manyhands.design.models.scene import Body
 from manyhands.launch.plan.prepare import session_environment
 from manyhands.launch.session import SceneEnvironment, Session, SessionError, load_session
 
@@ -28,6 +30,10 @@ environment:
     ben: {at: [0.1, 0, 0.05]}
   bodies:
     ball: {mass: 0.5, at: [0, 0, 0.05], radius: 0.03}
+    crate: {shape: box, mass: 0.2, low: [0.5, 0.5, 0], high: [0.6, 0.7, 0.3]}
+    rod: {shape: capsule, mass: 0.1, ends: [[-0.5, 0.3, 0.2], [-0.5, 0.1, 0.2]], radius: 0.01}
+    piston: {motion: ["0.1*sin(t)", 0, {times: [0, 2], values: [0, 0.1]}], at: [0.7, 0.2, 0.4], radius: 0.02}
+  tank: 4
   obstacles:
     floor: {shape: wall, at: [0, 0, 0], normal: [0, 0, 1]}
     room: {shape: room, low: [-1, -1, -1], high: [1, 1, 1]}
@@ -58,7 +64,14 @@ def test_a_file_becomes_a_scene(path: Path) -> None:
     anna, ben = scene.tools
     assert (anna.ports, anna.axes, anna.at, anna.radius) == ((0, 1, 2), (0, 1, 2), (-0.1, 0.0, 0.05), 0.01)
     assert (ben.ports, ben.axes) == ((3, 4), (2, 0))  # by the names of the device's axes
-    assert scene.bodies[0].mass == 0.5
+    assert scene.bodies[0] == Body("ball", 0.5, (0.0, 0.0, 0.05), 0.03)
+    crate, rod, piston = scene.bodies[1:]
+    motion = ("0.1*sin(t)", 0.0, {"times": [0.0, 2.0], "values": [0.0, 0.1]})
+    assert piston == Body("piston", 0.0, (0.7, 0.2, 0.4), 0.02, motion=motion)
+    assert scene.tank == 4.0
+    assert (crate.shape, crate.radius, rod.shape, rod.radius) == ("box", 0.0, "capsule", 0.01)
+    assert [*crate.at, *crate.half] == pytest.approx([0.55, 0.6, 0.15, 0.05, 0.1, 0.15])
+    assert [*rod.at, *rod.half] == pytest.approx([-0.5, 0.2, 0.2, 0.0, -0.1, 0.0])
     assert [(o.shape, len(o.points), o.radius) for o in scene.obstacles] == [
         ("wall", 2, 0.0),
         ("room", 2, 0.0),
@@ -90,6 +103,25 @@ def test_a_session_is_the_same_after_it_is_written(path: Path) -> None:
         ("tools.anna.at=[-0.1, 0, 0.005]", "tools.anna", "5 mm inside 'floor'"),
         ("bodies.ball.mass=0", "bodies.ball.mass", "0"),
         ("bodies.ball.at=here", "bodies.ball.at", "here"),
+        ("bodies.ball.ends=[[0, 0, 0], [0, 0, 1]]", "bodies.ball.ends", "ends of a sphere"),
+        ("bodies.ball={mass: 1}", "bodies.ball", "a sphere without at"),
+        ("bodies.crate.shape=room", "bodies.crate.shape", "room"),
+        ("bodies.crate.radius=0.1", "bodies.crate.radius", "radius of a box"),
+        ("bodies.crate.high=[0.6, 0.4, 0.3]", "bodies.crate.high", "along y"),
+        ("bodies.rod.radius=0", "bodies.rod.radius", "0"),
+        (
+            "bodies.rod.ends=[[-0.5, 0.3, 0.2], [-0.5, 0.1, 0.3]]",
+            "bodies.crate",
+            "a box that may touch a capsule along no axis ('crate' and 'rod')",
+        ),
+        ("bodies.ball.motion=[0, 0, 0]", "bodies.ball", "a mass and a motion"),
+        ("bodies.ball={at: [0, 0, 0.05]}", "bodies.ball", "neither a mass nor a motion"),
+        ("bodies.piston.motion=[0, 0]", "bodies.piston.motion", "a list of 2"),
+        ("bodies.piston.motion=[0, cos(t), 0]", "bodies.piston.motion", "1 m at t = 0 along y"),
+        ("bodies.piston.motion=[0, open(t), 0]", "bodies.piston.motion.1", "open"),
+        ("tank=-1", "tank", "-1"),
+        ("tank=1e4", "tank", "10000"),
+        ("bodies={}", "tank", "a tank, and no body with a motion"),
         ("bodies.ben={mass: 1, at: [0, 0, 1]}", "bodies.ben", "'ben'"),
         ("obstacles.ground={shape: sphere, at: [0, 0, 9], radius: 1}", "obstacles.ground", "of the ground"),
         ("obstacles.floor.shape=cone", "obstacles.floor.shape", "cone"),
@@ -121,6 +153,17 @@ def test_an_error_names_its_place(path: Path, override: str, at: str, found: str
     text = str(error.value)
     assert f"environment.{at}: " in text
     assert found in text
+
+
+def test_too_many_pairs_are_refused_with_both_numbers(path: Path) -> None:
+    bodies = {f"b{i}": {"mass": 1, "at": [0, 0, 1], "radius": 0.01} for i in range(30)}
+    obstacles = {f"o{i}": {"shape": "sphere", "at": [9, 9, 9], "radius": 0.1} for i in range(17)}
+    given = [f"environment.{key}={json.dumps(value)}" for key, value in (("bodies", bodies), ("obstacles", obstacles))]
+    flat = ["environment.links=[]", "environment.contacts=[]", "environment.tank=0", "environment.gravity=[0, 0, 0]"]
+    with pytest.raises(
+        SessionError, match=r"environment\.bodies: found 1040 pairs that may touch; expected at most 1024"
+    ):
+        load_session(path, [*given, *flat])
 
 
 @pytest.mark.parametrize(("device", "found"), [("{dof: 4", "a device with 4 axes"), ("{dof: 3, axes: [x, y, w]", "")])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,6 +12,7 @@ from hypothesis import strategies as st
 from manyhands.design.models.contacts import Surface
 from manyhands.design.models.network import GROUND, Network, NetworkLink
 from manyhands.design.models.scene import Body, ContactScene, Obstacle, SceneLink, ToolSphere
+from manyhands.launch.run.display import scene_line, world_lines
 from manyhands.nodes.environment.core import EnvironmentCore
 from manyhands.nodes.environment.enforced import EnforcedCore
 from manyhands.nodes.environment.scene import SceneLaw
@@ -73,13 +76,21 @@ def hostile(f: np.ndarray, rng: np.random.Generator, p: np.ndarray) -> np.ndarra
     bodies=st.integers(0, 4),
     axes=st.integers(1, 3),
     clutched=st.booleans(),
+    tank=st.sampled_from([None, 0.0, 1e-3, 1.0]),
 )
 def test_a_scene_gives_out_no_more_than_it_stores(
-    seed: int, tools: int, bodies: int, axes: int, clutched: bool
+    seed: int, tools: int, bodies: int, axes: int, clutched: bool, tank: float | None
 ) -> None:
-    """Without a controller, at any stiffness, for any D_V, while the block freezes, ramps and comes back."""
+    """Without a controller, at any stiffness, for any D_V, while the block freezes, ramps and comes back.
+
+    With a tank a driven body moves through the room; what is left in the tank is stored, and never negative.
+    """
     rng = np.random.default_rng(seed)
     scene = random_scene(rng, tools, bodies, axes)
+    if tank is not None:
+        motion = ("0.05*sin(12*t)", {"times": [0.0, 0.03, 0.06], "values": [0.0, 0.06, -0.04]}, "0.02*t")
+        paddle = Body("paddle", 0.0, (0.0, 0.0, 0.08), 0.03, motion=motion)
+        scene = replace(scene, bodies=(*scene.bodies, paddle), tank=tank)
     m = len(scene.ports)
     law, stored, work = SceneLaw(scene, T), Stored(scene), 0.0
     core, p, f = core_of(scene, random_compliance(rng, m), law=law), np.zeros(m), np.zeros(m)
@@ -95,7 +106,8 @@ def test_a_scene_gives_out_no_more_than_it_stores(
         work += abs(core.ledger.total - before) + float(np.abs(f) @ np.abs(np.array(core.tools) - x_e))
         if law.unfinished:
             return  # the controller is for these; a different test counts them
-        assert core.ledger.total >= stored.at(core) - ROUNDING * (work + scene.energy_at_start) - 1e-12
+        assert law.tank >= 0.0
+        assert core.ledger.total >= stored.at(core) + law.tank - ROUNDING * (work + scene.energy_at_start) - 1e-12
         assert core.ledger.total >= -ROUNDING * work
 
 
@@ -117,73 +129,222 @@ def test_few_ticks_are_unfinished_and_the_controller_covers_them() -> None:
     assert steps <= 6 * ticks
 
 
-def test_without_contacts_a_scene_is_the_network() -> None:
-    """The ball of a network along x and y, joined to two tools and the ground, by 1e-9 of every force."""
+@settings(max_examples=cases(5, 200))
+@given(seed=st.integers(0, 2**32 - 1), tools=st.integers(1, 3), bodies=st.integers(0, 3))
+def test_without_contacts_a_scene_is_the_network(seed: int, tools: int, bodies: int) -> None:
+    """Masses, springs and dampers between tools, masses and the ground, along x and y, by 1e-9 of every force."""
+    rng = np.random.default_rng(seed)
+
+    def place() -> tuple[float, float, float]:
+        x, y, z = rng.uniform(-0.2, 0.2, 3).tolist()
+        return x, y, z
+
+    names = [f"t{i}" for i in range(tools)] + [f"m{i}" for i in range(bodies)]
+    masses = dict(zip(names[tools:], rng.uniform(0.05, 2.0, bodies).tolist(), strict=True))
+    links = [
+        ((one, other), *rng.choice([[600.0, 0.5], [0.0, 3.0], [90.0, 0.0]]).tolist())
+        for i, one in enumerate(names)
+        for other in (*names[:i], GROUND)
+        if i >= tools or rng.random() < 0.5
+    ] + [(("t0", GROUND), 20.0, 0.1)]
     scene = ContactScene(
-        ("a.x", "a.y", "b.x", "b.y"),
-        tools=(ToolSphere("a", (0, 1), (0, 1), (-0.1, 0.0, 0.0)), ToolSphere("b", (2, 3), (0, 1), (0.1, 0.3, 0.0))),
-        bodies=(Body("ball", 0.5, (0.0, 0.1, 0.2)),),
-        links=(
-            SceneLink(("a", "ball"), 600.0, 0.5),
-            SceneLink(("ball", "b"), 800.0, 0.2),
-            SceneLink(("ball", GROUND), 60.0, 1.0),
-            SceneLink((GROUND, "a"), 20.0, 0.1),
-        ),
+        tuple(f"t{i}.{axis}" for i in range(tools) for axis in "xy"),
+        tools=tuple(ToolSphere(f"t{i}", (2 * i, 2 * i + 1), (0, 1), place()) for i in range(tools)),
+        bodies=tuple(Body(name, mass, place()) for name, mass in masses.items()),
+        links=tuple(SceneLink(*link) for link in links),
     )
-    along = [("x", 0), ("y", 1)]
     network = Network(
         scene.ports,
-        tuple((f"ball.{axis}", 0.5) for axis, _ in along),
+        tuple((f"{name}.{axis}", mass) for axis in "xy" for name, mass in masses.items()),
         tuple(
-            NetworkLink(ends, stiffness, damping)
-            for axis, _ in along
-            for ends, stiffness, damping in (
-                ((f"a.{axis}", f"ball.{axis}"), 600.0, 0.5),
-                ((f"ball.{axis}", f"b.{axis}"), 800.0, 0.2),
-                ((f"ball.{axis}", GROUND), 60.0, 1.0),
-                ((GROUND, f"a.{axis}"), 20.0, 0.1),
-            )
+            NetworkLink(tuple(end if end == GROUND else f"{end}.{axis}" for end in ends), stiffness, damping)
+            for axis in "xy"
+            for ends, stiffness, damping in links
         ),
     )
-    rng = np.random.default_rng(5)
-    D = random_compliance(rng, 4)
+    m = len(scene.ports)
+    D = random_compliance(rng, m)
     ours = core_of(scene, D)
-    theirs = EnvironmentCore(network.environment(T), D, np.zeros((4, 4)), T, ramp=20, masses=2)
-    p = np.zeros(4)
-    for k in range(400):
+    theirs = EnvironmentCore(network.environment(T), D, np.zeros((m, m)), T, ramp=20, masses=2 * bodies)
+    p = np.zeros(m)
+    for k in range(250):
         for core in (ours, theirs):
-            if k in (100, 150):
-                (core.clutches.freeze if k == 100 else core.clutches.engage)(0)
-        p = p + rng.normal(0.0, 1e-3, 4)
+            if k in (80, 120):
+                (core.clutches.freeze if k == 80 else core.clutches.engage)(0)
+        p = p + rng.normal(0.0, 1e-3, m)
         f, expected = react(ours, p), react(theirs, p)
         ours.settle()
         theirs.settle()
         assert f == pytest.approx(expected, rel=1e-9, abs=1e-9)
-        assert ours.masses[:2] == pytest.approx(theirs.masses, abs=1e-12)
-    assert ours.masses[2] == 0.0
+        q = np.reshape(ours.masses, (-1, 3))
+        assert q[:, :2].T.ravel() == pytest.approx(theirs.masses, abs=1e-12)
+        assert q[:, 2] == pytest.approx(np.zeros(bodies), abs=1e-12)
 
 
-def test_free_bodies_keep_their_momentum_and_lose_energy() -> None:
+def test_two_devices_hold_one_body_by_springs() -> None:
+    """What one hand does to the body the other feels; in rest their forces and the body's weight balance."""
+    scene = ContactScene(
+        ("a.x", "a.y", "b.x", "b.y"),
+        tools=(ToolSphere("a", (0, 1), (0, 1), (-0.1, 0.0, 0.0)), ToolSphere("b", (2, 3), (0, 1), (0.1, 0.0, 0.0))),
+        bodies=(Body("bar", 0.4, (0.0, 0.0, 0.0), 0.01, "capsule", (0.1, 0.0, 0.0)),),
+        obstacles=(Obstacle("floor", "wall", ((0.0, -0.1, 0.0), (0.0, 1.0, 0.0))),),
+        links=tuple(SceneLink((name, "bar"), 500.0, 10.0) for name in "ab"),
+        surface=Surface(2000.0),
+        gravity=(0.0, -9.81, 0.0),
+    )
+    core = core_of(scene, np.eye(4) / 900.0)
+    pushed, f = np.array([0.01, 0.0, 0.0, 0.0]), np.zeros(4)
+    for _ in range(3000):
+        f = react(core, pushed)
+        core.settle()
+    assert f[:2] + f[2:] == pytest.approx([0.0, -0.4 * 9.81], abs=1e-6)
+    # two couplings and two links in series between the hands
+    assert f[2] == pytest.approx(0.01 / (2.0 / 900.0 + 2.0 / 500.0), rel=1e-6)
+
+
+@settings(max_examples=cases(6, 300))
+@given(seed=st.integers(0, 2**32 - 1), bodies=st.integers(2, 5), mu=st.sampled_from([0.0, 0.5]))
+def test_free_bodies_keep_their_momentum_and_gain_no_energy(seed: int, bodies: int, mu: float) -> None:
+    """Bodies of every shape overlap, are pulled together by springs, and hit and rub each other."""
+    rng = np.random.default_rng(seed)
+    scene = random_scene(rng, 1, bodies)
+    apart = tuple((pair, Surface(0.0)) for pair, surface in scene.surfaces if surface.stiffness == 0.0)
+    scene = replace(
+        scene,
+        tools=(replace(scene.tools[0], at=(5.0, 0.0, 0.0), radius=0.0),),
+        obstacles=(),
+        links=tuple(SceneLink((f"b{i}", f"b{i + 1}"), 200.0, 0.1, (0.0, 0.0, 0.0)) for i in range(0, bodies - 1, 2)),
+        surface=Surface(10.0 ** rng.uniform(3.0, 5.0), 0.5, mu),
+        surfaces=tuple((pair, surface) for pair, surface in apart if not set(pair) & {"stone", "block", "rail"}),
+        gravity=(0.0, 0.0, 0.0),
+    )
+    core, stored = core_of(scene), Stored(scene)
+    mass = np.array([body.mass for body in scene.bodies])
+    before, energy, most = np.zeros((bodies, 3)), scene.energy_at_start, 0.0
+    for _ in range(200):
+        react(core, np.zeros(3))
+        core.settle()
+        z = np.reshape(core.masses, (bodies, 3))
+        v, before = (z - before) / T, z
+        most = max(most, float((mass @ np.abs(v)).max()))
+        assert mass @ v == pytest.approx(np.zeros(3), abs=1e-9 * (1.0 + most))
+        now = stored.at(core)
+        assert now <= (scene.energy_at_start if mu else energy) * (1.0 + 1e-12) + 1e-15  # bristles store some with mu
+        energy = now
+    assert most > 0.01  # they did move
+
+
+def test_a_swing_loses_what_backward_euler_must_lose() -> None:
+    """Of a mass on a spring each tick leaves 1/(1 + (omega T)^2) of the energy, to rounding; and so for a contact."""
+    swing = ContactScene(
+        PORTS,
+        tools=(HAND,),
+        bodies=(Body("bob", 0.2, (1.0, 0.0, 0.0)),),
+        links=(SceneLink(("bob", GROUND), 800.0, 0.0, (0.9, 0.05, 0.0)),),
+    )
+    core, stored = core_of(swing), Stored(swing)
+    for k in range(1, 400):
+        react(core, np.zeros(3))
+        core.settle()
+        left = swing.energy_at_start / (1.0 + 800.0 / 0.2 * T * T) ** k
+        assert stored.at(core) == pytest.approx(left, rel=1e-9)
+    sunk = ContactScene(
+        PORTS, tools=(HAND,), bodies=(Body("ball", 0.2, (1.0, 0.0, 0.015), 0.02),), obstacles=(FLOOR,),
+        surface=Surface(2000.0),
+    )  # fmt: skip
+    core, stored, x, v, bounced = core_of(sunk), Stored(sunk), 0.005, 0.0, 0
+    for _ in range(40):
+        react(core, np.zeros(3))
+        core.settle()
+        depth = (x - T * v) / (1.0 + T * T * 2000.0 / 0.2)  # implicit; without contact where it is not positive
+        v, bounced = (v + T * 2000.0 / 0.2 * depth, bounced) if depth > 0.0 else (v, bounced + 1)
+        x -= T * v
+        assert stored.at(core) == pytest.approx(0.1 * v * v + 1000.0 * max(x, 0.0) ** 2, rel=1e-9)
+    assert bounced > 10
+
+
+def test_crates_and_rods_stand_on_each_other() -> None:
+    """Each lies as deep in the next as its load presses it, and a hand lifts nothing that it does not hold."""
+    masses = (0.5, 0.3, 0.2)
     scene = ContactScene(
         PORTS,
         tools=(HAND,),
-        bodies=(Body("left", 0.2, (0.3, 0.0, 0.0), 0.03), Body("right", 0.3, (0.36, 0.01, 0.02), 0.03)),
-        links=(SceneLink(("left", "right"), 900.0, 0.0, (-0.2, 0.0, 0.0)),),  # it pulls them into each other
-        surface=Surface(5e4, 0.0, 0.5),
-        surfaces=((("left", "right"), Surface(5e4, 0.0, 0.5)),),
+        bodies=(
+            Body("crate", masses[0], (0.3, 0.0, 0.1), 0.0, "box", (0.05, 0.1, 0.1)),
+            Body("plank", masses[1], (0.27, 0.02, 0.22), 0.0, "box", (0.2, 0.05, 0.02)),
+            Body("rod", masses[2], (0.3, 0.0, 0.25), 0.01, "capsule", (0.0, -0.1, 0.0)),
+            Body("slanted", 0.1, (-0.3, 0.0, 0.06), 0.01, "capsule", (0.05, 0.1, -0.05)),
+        ),
+        obstacles=(FLOOR,),
+        surface=Surface(5e3, 20.0, 0.5),
+        surfaces=tuple(((name, "slanted"), Surface(0.0)) for name in ("crate", "plank")),
+        gravity=(0.0, 0.0, -9.81),
     )
-    core, mass = core_of(scene), np.array([0.2, 0.3])
-    before = np.zeros((2, 3))
-    energies = [scene.energy_at_start]
-    for _ in range(500):
+    core = core_of(scene)
+    for _ in range(1500):
         react(core, np.zeros(3))
         core.settle()
-        z = np.reshape(core.masses, (2, 3))
-        v, before = (z - before) / T, z
-        assert mass @ v == pytest.approx(np.zeros(3), abs=1e-9)
-        energies.append(0.5 * float(mass @ (v * v).sum(axis=1)))
-    assert max(energies[1:]) <= energies[0]
-    assert max(energies[1:]) > 0.1 * energies[0]  # they did move
+    sunk = np.cumsum([9.81 * sum(masses[i:]) / 5e3 for i in range(3)])
+    found = np.reshape(core.masses, (4, 3))
+    assert found[:3, 2] == pytest.approx(-sunk, abs=1e-6)
+    assert found[3, 2] == pytest.approx(-9.81 * 0.1 / 5e3, abs=1e-6)
+    assert np.abs(found[:, :2]).max() < 1e-6
+
+
+def driven(tank: float, motion: str, ticks: int) -> tuple[SceneLaw, np.ndarray, float]:
+    """A piston that moves along x against a hand, the places of the piston, and what the hand has received."""
+    piston = Body("piston", 0.0, (-0.05, 0.0, 0.05), 0.0, "box", (0.03, 0.02, 0.02), (motion, 0.0, 0.0))
+    light = Body("light", 1e-3, (-0.05, 0.0, 0.3), 0.0)  # the spring makes much more of its motion than of a driven one
+    scene = ContactScene(
+        PORTS,
+        tools=(HAND,),
+        bodies=(piston, light),
+        links=(SceneLink(("light", "piston"), 1e5, 0.0),) if tank else (),
+        surface=Surface(2e4, 1.0, 0.3),
+        tank=tank,
+    )
+    law = SceneLaw(scene, T)
+    core, places, received = core_of(scene, law=law), [], 0.0
+    for _ in range(ticks):
+        f, before = react(core, np.zeros(3)), np.array(core.tools)
+        core.settle()
+        received += float(f @ (np.array(core.tools) - before))
+        places.append(core.masses[0])
+        assert core.ledger is not None
+        assert core.ledger.total >= 0.0
+    return law, np.array(places), received
+
+
+def test_a_driven_body_moves_as_stated_and_pays_for_its_work() -> None:
+    law, places, received = driven(1.0, "0.03*sin(5*t)", 300)
+    assert places == pytest.approx(0.03 * np.sin(5 * T * np.arange(300)), abs=1e-15)
+    assert law.paused == 0
+    stored = law._contacts.energy(law._z.reshape(-1, 3))
+    assert received > 0.01
+    assert 1.0 - law.tank >= received + stored - 1e-12
+
+
+def test_a_driven_body_pauses_where_its_tank_is_empty_and_goes_on_without_a_load() -> None:
+    law, places, received = driven(0.02, "0.04*sin(5*t)", 600)
+    free, _, _ = driven(0.0, "-0.04*sin(5*t)", 600)
+    assert law.paused > 100
+    assert received <= 0.02
+    assert 0.0 <= law.tank < 1e-3
+    assert 0.01 < places[-1] < 0.04
+    assert np.abs(np.diff(places)).max() <= 0.04 * 5 * T
+    assert scene_line(law.figures) == f"driven bodies paused in {law.paused} ticks, {law.tank:.3g} J in the tank"
+    assert scene_line({**free.figures, "unfinished": 3.0}) == "contacts not solved to the end in 3 ticks"
+    assert free.figures == {"unfinished": 0.0, "paused": 0.0, "drive_tank": 0.0}
+    assert world_lines(free.figures) == []
+    assert free.paused == 0
+    assert free.tank == 0.0
+
+
+def test_a_motion_without_a_value_ends_the_session() -> None:
+    law, places, _ = driven(1.0, "0.001*sqrt(1-(100*t)**2)-0.001", 20)
+    assert law.failure is not None
+    assert law.failure.startswith("a driven body failed: ")
+    assert np.isfinite(places).all()
 
 
 def pressed(mu: float, push: np.ndarray, stiffness: float = 5e4, ticks: int = 400) -> tuple[np.ndarray, np.ndarray]:
