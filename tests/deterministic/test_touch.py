@@ -1,0 +1,80 @@
+"""A device in wall time that touches a wall and stones: no buzz, and no energy for nothing (:mod:`.touch`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from tests.deterministic.touch import (
+    ENCODER,
+    HOSTILE,
+    LIGHT,
+    RESTING,
+    Certified,
+    Grip,
+    Renderer,
+    engine,
+    proxies,
+    scene,
+    touch,
+)
+from tests.deterministic.touch_peers import GodObject, MocapWeld, Penalty
+
+STIFF = 50e3  # N/m
+LOOSE = Grip(100.0, 0.0)  # a hand that burns nothing
+STATED = 2400.0  # N/m: 0.8 of what CHAI3D states for a Novint Falcon
+
+
+@pytest.mark.parametrize("kind", [scene, proxies])
+@pytest.mark.parametrize(("objective", "grip"), [("feasible", LOOSE), ("stiffest", LIGHT)])
+def test_a_wall_of_50_kN_a_metre_does_not_buzz(
+    kind: Callable[[str, float], dict[str, Any]], objective: str, grip: Grip
+) -> None:
+    """The device's own damping is 0.5 N*s/m: it moves by less than a step of its encoder, at every frequency."""
+    trace = touch("wall", grip, Certified(kind("wall", STIFF), objective), 4.0, ENCODER, RESTING)
+    amplitude, line = trace.unrest(ENCODER)
+    assert trace.f[-1, 1] > 0.3
+    assert amplitude < 1.0
+    assert line < 1.0
+
+
+def test_a_penalty_wall_buzzes_in_the_same_hand() -> None:
+    trace = touch("wall", LIGHT, Penalty("wall", STATED), 4.0, ENCODER, RESTING)
+    amplitude, line = trace.unrest(ENCODER)
+    assert amplitude > 10.0
+    assert line > 10.0
+    assert len(touch("wall", LIGHT, Penalty("wall", STIFF), 4.0, ENCODER, RESTING).x) < 4000  # beyond 1 m
+
+
+def test_no_hand_is_given_energy_that_it_did_not_put_in() -> None:
+    """What a certificate says, with an encoder without steps: over all stones, in the hands that ask most."""
+    for grip in (LIGHT, HOSTILE):
+        for kind in (scene, proxies):
+            trace = touch("stones", grip, Certified(kind("stones", 2000.0)), 3.0, 0.0)
+            assert trace.deepest > 2e-3
+            assert trace.account.min() >= -1e-12
+
+
+def test_an_engine_gives_no_energy_either() -> None:
+    pytest.importorskip("mujoco")
+    trace = touch("stones", LIGHT, Certified(engine("stones", 2000.0)), 3.0, 0.0)
+    assert trace.deepest > 2e-3
+    assert trace.account.min() >= -1e-12
+
+
+@pytest.mark.parametrize("peer", ["penalty", "god-object", "weld"])
+def test_what_others_do_gives_energy_in_the_same_hand(peer: str) -> None:
+    """Otherwise the tests above would show nothing."""
+    if peer == "weld":
+        pytest.importorskip("mujoco")
+    renderer: Renderer
+    match peer:
+        case "penalty":
+            renderer = Penalty("stones", STATED)
+        case "god-object":
+            renderer = GodObject("stones", STATED)
+        case _:
+            renderer = MocapWeld("stones")
+    assert touch("stones", LIGHT, renderer, 1.5, 0.0).account.min() < -1e-3
