@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -78,3 +80,37 @@ def test_what_others_do_gives_energy_in_the_same_hand(peer: str) -> None:
         case _:
             renderer = MocapWeld("stones")
     assert touch("stones", LIGHT, renderer, 1.5, 0.0).account.min() < -1e-3
+
+
+@pytest.fixture
+def world_peers(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The benchmark, which is run from the repository's root."""
+    monkeypatch.syspath_prepend(Path(__file__).parents[2])
+    return import_module("benchmarks.world_peers")
+
+
+@pytest.mark.long
+def test_the_comparison_has_a_row_for_everybody(world_peers: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs of 50 ms, with few gains: the documented one, and the best."""
+    pytest.importorskip("mujoco")
+    monkeypatch.setattr(world_peers, "SECONDS", 0.05)
+    monkeypatch.setattr(world_peers, "SWEEP", (500.0, STATED))
+    monkeypatch.setattr(world_peers, "WELDS", ((0.02, 0.9, 0.95),))
+    outcomes = [world_peers.run(case) for case in world_peers.cases()]
+    lines = world_peers.table(outcomes).splitlines()
+    assert sum(line.startswith("| **") for line in lines) == 6
+    assert sum("as documented: 2400 N/m" in line for line in lines) == 4
+    assert sum(", best in damped hands: " in line for line in lines) == 6
+    assert sum(", best in all hands: " in line for line in lines) == 6
+
+
+def test_the_best_gain_is_the_stiffest_that_gives_nothing(world_peers: Any) -> None:
+    def outcome(felt: float, account: float) -> Any:
+        hands = dict.fromkeys(world_peers.GRIPS, 0.0)
+        values = [{**hands, "firm": felt}, hands, hands, {**hands, "light": account}, hands, hands, hands, {}]
+        return world_peers.Outcome(world_peers.Case("wall", "penalty", (felt,)), *values)
+
+    soft, stiff, loud = outcome(300.0, 0.0), outcome(500.0, -1e-7), outcome(900.0, -1e-3)
+    assert world_peers.best([soft, stiff, loud], ("firm", "light")) is stiff
+    assert world_peers.best([soft, stiff, loud], ("firm",)) is loud
+    assert world_peers.best([loud, outcome(2000.0, -1.0)], ("light",)) is loud

@@ -228,7 +228,12 @@ def session_tree(environment: Tree, objective: str) -> Tree:
 
 
 class Certified:
-    """Coupling and environment of a designed and certified session."""
+    """Coupling and environment of a designed and certified session.
+
+    Attributes:
+        environment: the environment's core.
+        stiffness: that of the coupling within a tick, K + B/T, N/m.
+    """
 
     def __init__(self, environment: Tree, objective: str = "stiffest") -> None:
         """Design the session with this environment; it must be certified."""
@@ -244,6 +249,7 @@ class Certified:
                     D_V = bundle.block.D
                 case EnvironmentBundle():
                     world = bundle
+        self.stiffness = 1.0 / float(D_V[0, 0])
         self.environment = environment_core(world, D_V, (slice(0, 2),))
 
     def step(self, x: Floats) -> Floats:
