@@ -8,9 +8,9 @@ The device, its encoder and its hands are those of tests/deterministic/touch.py,
 tests/deterministic/touch_peers.py. All numbers follow from the code alone: two runs are equal. The exit code is 1 if a
 scene, a proxy or an engine of ours gives energy to a hand.
 
-A peer that needs a gain has three rows: the one that its documentation states, and the best of a sweep, in damped hands
-alone and in all. The best is the stiffest that gives none of them more than 1 uJ, for what the encoder's steps do; where
-there is none, the one that gives least.
+A peer that needs a gain has three rows: the one that its documentation states, and the best of a sweep, in damped
+hands alone and in all. The best is the stiffest that gives none of them more than 1 uJ, for what the encoder's steps
+do; where there is none, the one that gives least.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ from typing import Any, Final
 
 from benchmarks.page import add_outputs, fill, make_folders
 from tests.deterministic.touch import (
-    DAMPING,
     ENCODER,
     FIRM,
     HOSTILE,
@@ -107,6 +106,10 @@ class Outcome:
     def least(self, hands: Iterable[str]) -> float:
         """The least account in any of these hands, J."""
         return min(self.account[hand] for hand in hands)
+
+    def away(self, hand: str) -> bool:
+        """Whether the device ran away in this hand."""
+        return self.lasted[hand] < SECONDS - T / 2.0
 
     @property
     def felt(self) -> float:
@@ -189,13 +192,11 @@ def table(outcomes: Sequence[Outcome]) -> str:
         head = f"| {name} | felt, N/m | deepest, mm | least E | least account | noise, N | reversals in a second |"
         text += [head, "|" + "---|" * 7]
         for label, outcome in rows(outcomes, world):
-            away = min(outcome.lasted.values()) < SECONDS - T / 2.0
-            felt = (
-                "—" if math.isnan(outcome.felt) or outcome.lasted["firm"] < SECONDS - T / 2.0 else f"{outcome.felt:.0f}"
-            )
-            firm = f"{outcome.deepest['firm'] * 1e3:.1f}" if outcome.lasted["firm"] >= SECONDS - T / 2.0 else "—"
+            gone = outcome.away("firm")
+            felt = "—" if gone or math.isnan(outcome.felt) else f"{outcome.felt:.0f}"
+            firm = "—" if gone else f"{outcome.deepest['firm'] * 1e3:.1f}"
             cells = [
-                f"{label}{' (away)' if away else ''}",
+                f"{label}{' (away)' if any(map(outcome.away, GRIPS)) else ''}",
                 felt,
                 firm,
                 energy(outcome.received),
@@ -223,13 +224,12 @@ def plot(outcomes: Sequence[Outcome], file: Path) -> None:
     for panel, world in zip(axes, STIFFNESS, strict=True):
         for scheme, style in {**peers, **marks}.items():
             here = [o for o in outcomes if o.case.world == world and o.case.scheme == scheme and o.felt > 0.0]
-            here = [o for o in here if o.lasted["firm"] >= SECONDS - T / 2.0 and o.felt < 5000.0]
+            here = [o for o in here if not o.away("firm") and o.felt < 5000.0]
             here.sort(key=lambda o: o.felt)
             size = 11 if scheme in marks else 5
             felt, least = [o.felt for o in here], [o.least(GRIPS) * 1e3 for o in here]
             panel.plot(felt, least, style, label=scheme, markersize=size, zorder=3 if scheme in marks else 2)
         panel.axhline(0.0, color="0.6", linewidth=0.8)
-        panel.axvline(2.0 * DAMPING / T, color="0.6", linewidth=0.8, linestyle=":")
         panel.set_yscale("symlog", linthresh=1e-3)
         panel.set_xscale("log")
         panel.set_title("a wall" if world == "wall" else "three stones that overlap")
