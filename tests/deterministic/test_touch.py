@@ -98,7 +98,7 @@ def test_the_comparison_has_a_row_for_everybody(world_peers: Any, monkeypatch: p
     monkeypatch.setattr(world_peers, "WELDS", ((0.02, 0.9, 0.95),))
     outcomes = [world_peers.run(case) for case in world_peers.cases()]
     lines = world_peers.table(outcomes).splitlines()
-    assert sum(line.startswith("| **") for line in lines) == 6
+    assert sum(line.startswith("| **") for line in lines) == 8
     assert sum("as documented: 2400 N/m" in line for line in lines) == 4
     assert sum(", best in damped hands: " in line for line in lines) == 6
     assert sum(", best in all hands: " in line for line in lines) == 6

@@ -50,7 +50,7 @@ DELAY: Final = 0.3e-3
 """s; from a sample to its force, for every renderer."""
 
 ENCODER: Final = 0.0254 / 400
-"""m; 1/400 inch, the step that is given for the Novint Falcon."""
+"""m; 1/400 inch, the resolution that is stated for a Novint Falcon [H3D2021]_."""
 
 DAMPING: Final = 0.5
 """N*s/m; of the device itself, on each axis."""
