@@ -197,7 +197,7 @@ def table(outcomes: Sequence[Outcome]) -> str:
         text += [head, "|" + "---|" * 7]
         for label, outcome in rows(outcomes, world):
             gone = outcome.away("firm")
-            felt = "—" if gone or math.isnan(outcome.felt) else f"{outcome.felt:.0f}"
+            felt = f"{outcome.felt:.0f}" if not gone and outcome.felt > 0.0 else "—"
             firm = "—" if gone else f"{outcome.deepest['firm'] * 1e3:.1f}"
             cells = [
                 f"{label}{' (away)' if any(map(outcome.away, GRIPS)) else ''}",
@@ -267,7 +267,7 @@ def resting() -> str:
         for grip in grips.values():
             renderer = make()
             amplitude, line = touch("wall", grip, renderer, 4.0, motion=RESTING).unrest(ENCODER)
-            cells.append(f"{amplitude:.2g}, {line:.2g}")
+            cells.append(", ".join(f"{steps:.2g}" if steps > 1e-3 else "0" for steps in (amplitude, line)))
         coupling = f"{objective}, {renderer.stiffness:.0f} N/m" if isinstance(renderer, Certified) else "none"
         text.append(f"| {name} | {coupling} | {' | '.join(cells)} |")
     return "\n".join(text)

@@ -68,7 +68,7 @@ Generator = np.random.Generator
 
 E_0: Final = 5e-3
 SPEED: Final = 10.0
-"""m/s; the hands push so that a device alone stays below 0.3 m/s, so one that is faster has diverged."""
+"""m/s; the hands push so that a device alone stays below 0.3 m/s, or 3 m/s in a scene: a faster one has diverged."""
 
 STOPPED: Final = from_seconds(0.05)
 ROUNDING: Final = 1e-9
@@ -270,7 +270,7 @@ class Course:
         ticks: those of the run.
         felt: the ticks in which a force of at least :data:`FELT` was applied to any device.
         ledgers: by party, the least margin of its ledger above its bound, J.
-        kept_back: what a controller of the environment kept back, J, beyond what an iteration leaves.
+        kept_back: what a controller of the environment kept back, J.
     """
 
     least: float
