@@ -45,6 +45,7 @@ from tests.deterministic.touch_peers import IMPEDANCE, WELD, GodObject, MocapWel
 
 MARK, REST_MARK = "peers", "rest"
 SECONDS = 5.0
+REST_SECONDS = 20.0  # of which the last one counts
 STATED = 2400.0  # N/m: 0.8 of the 3000 N/m that CHAI3D states for a Novint Falcon
 STIFFNESS = {"wall": 50e3, "stones": 2000.0}  # N/m, of the worlds of ours
 SPRINGS = (500.0, 2000.0)  # N/m, between tool and avatar
@@ -266,11 +267,17 @@ def resting() -> str:
         cells = []
         for grip in grips.values():
             renderer = make()
-            amplitude, line = touch("wall", grip, renderer, 4.0, motion=RESTING).unrest(ENCODER)
-            cells.append(", ".join(f"{steps:.2g}" if steps > 1e-3 else "0" for steps in (amplitude, line)))
+            amplitude, line = touch("wall", grip, renderer, REST_SECONDS, motion=RESTING).unrest(ENCODER)
+            cells.append(", ".join(_steps(value) for value in (amplitude, line)))
         coupling = f"{objective}, {renderer.stiffness:.0f} N/m" if isinstance(renderer, Certified) else "none"
         text.append(f"| {name} | {coupling} | {' | '.join(cells)} |")
     return "\n".join(text)
+
+
+def _steps(value: float) -> str:
+    if value >= 100.0:
+        return f"{value:.0f}"
+    return f"{value:.2g}" if value > 1e-3 else "0"
 
 
 def _plain(value: Any) -> Any:
