@@ -90,7 +90,9 @@ def world_peers(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 @pytest.mark.long
-def test_the_comparison_has_a_row_for_everybody(world_peers: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_comparison_has_a_row_for_everybody(
+    world_peers: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Runs of 50 ms, with few gains: the documented one, and the best."""
     pytest.importorskip("mujoco")
     monkeypatch.setattr(world_peers, "SECONDS", 0.05)
@@ -102,6 +104,8 @@ def test_the_comparison_has_a_row_for_everybody(world_peers: Any, monkeypatch: p
     assert sum("as documented: 2400 N/m" in line for line in lines) == 4
     assert sum(", best in damped hands: " in line for line in lines) == 6
     assert sum(", best in all hands: " in line for line in lines) == 6
+    world_peers.plot(outcomes, tmp_path / "peers.png")
+    assert (tmp_path / "peers.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_best_gain_is_the_stiffest_that_gives_nothing(world_peers: Any) -> None:
