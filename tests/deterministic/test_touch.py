@@ -90,9 +90,7 @@ def world_peers(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 @pytest.mark.long
-def test_the_comparison_has_a_row_for_everybody(
-    world_peers: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_comparison_has_a_row_for_everybody(world_peers: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs of 50 ms, with few gains: the documented one, and the best."""
     pytest.importorskip("mujoco")
     monkeypatch.setattr(world_peers, "SECONDS", 0.05)
@@ -104,17 +102,18 @@ def test_the_comparison_has_a_row_for_everybody(
     assert sum("as documented: 2400 N/m" in line for line in lines) == 4
     assert sum(", best in damped hands: " in line for line in lines) == 6
     assert sum(", best in all hands: " in line for line in lines) == 6
-    world_peers.plot(outcomes, tmp_path / "peers.png")
-    assert (tmp_path / "peers.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_best_gain_is_the_stiffest_that_gives_nothing(world_peers: Any) -> None:
-    def outcome(felt: float, account: float) -> Any:
+def test_the_best_gain_is_the_stiffest_that_gives_nothing(world_peers: Any, tmp_path: Path) -> None:
+    def outcome(felt: float, account: float, world: str = "wall") -> Any:
         hands = dict.fromkeys(world_peers.GRIPS, 0.0)
-        values = [{**hands, "firm": felt}, hands, hands, {**hands, "light": account}, hands, hands, hands, {}]
-        return world_peers.Outcome(world_peers.Case("wall", "penalty", (felt,)), *values)
+        lasted = dict.fromkeys(hands, world_peers.SECONDS)
+        values = [{**hands, "firm": felt}, hands, hands, {**hands, "light": account}, hands, hands, lasted, {}]
+        return world_peers.Outcome(world_peers.Case(world, "penalty", (felt,)), *values)
 
     soft, stiff, loud = outcome(300.0, 0.0), outcome(500.0, -1e-7), outcome(900.0, -1e-3)
     assert world_peers.best([soft, stiff, loud], ("firm", "light")) is stiff
     assert world_peers.best([soft, stiff, loud], ("firm",)) is loud
     assert world_peers.best([loud, outcome(2000.0, -1.0)], ("light",)) is loud
+    world_peers.plot([soft, stiff, loud, outcome(700.0, -1e-3, "stones")], tmp_path / "peers.png")
+    assert (tmp_path / "peers.png").read_bytes().startswith(b"\x89PNG")
