@@ -306,7 +306,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with multiprocessing.get_context("spawn").Pool(asked.processes) as pool:
         outcomes = pool.map(run, cases(), chunksize=1)
     if asked.json:
-        asked.json.write_text(json.dumps([_plain(asdict(outcome)) for outcome in outcomes], indent=1) + "\n")
+        asked.json.write_text(
+            json.dumps([_plain(asdict(outcome)) for outcome in outcomes], separators=(",", ":")) + "\n"
+        )
     if asked.plot:
         plot(outcomes, asked.plot)
     said = table(outcomes)
