@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test test-long guests lint types imports pytest campaign fuzz datagrams wan far-user scenes flood loop watched soak users linked-users chaos faults lateness hostile remote pictures page benchmark curve docs docs-pictures clean
+.PHONY: demo test test-long guests lint types imports pytest campaign fuzz datagrams wan far-user scenes world-peers flood loop watched soak users linked-users chaos faults lateness hostile remote pictures page benchmark curve docs docs-pictures clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -27,8 +27,8 @@ WORKERS ?= 2
 # the order is tests/conftest.py's; a test that waits for ever ends the run (pyproject.toml), and is not begun again
 SPREAD  := --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 # matrices of ten rows: more threads in BLAS only wait for each other, and for the other test process
-pytest test-long campaign: export OMP_NUM_THREADS = 1
-pytest test-long campaign: export OPENBLAS_NUM_THREADS = 1
+pytest test-long campaign scenes world-peers: export OMP_NUM_THREADS = 1
+pytest test-long campaign scenes world-peers: export OPENBLAS_NUM_THREADS = 1
 # where it is set, every process of every session that a test starts would compile the product and the tests anew
 pytest test-long campaign: export PYTHONDONTWRITEBYTECODE =
 pytest: $(VENV)/.installed
@@ -75,9 +75,17 @@ wan: $(VENV)/.installed
 far-user: $(VENV)/.installed
 	$(BIN)/python -m tests.support.far_user 60
 
-# 500 random scenes with contacts and friction in closed loop, every account checked: about three minutes
+# 500 random scenes with contacts and friction in closed loop, every account checked: about three minutes. Then 500 with
+# devices in wall time, within the certified delay and far beyond, and hostile hands: ten minutes
 scenes: $(VENV)/.installed
 	MANYHANDS_SCENES=500 $(BIN)/pytest -n $(WORKERS) tests/launch/test_simulation_scene.py
+	$(BIN)/python -m tests.deterministic.lateness --scenes --sessions 500 --ticks 500 --seed $(SEED)
+
+# a wall and stones rendered by ours and as others do it, in the same hands, in simulated time; exits 1 if one of ours gives
+# a hand energy: ten minutes on one core
+world-peers: $(VENV)/.installed
+	$(BIN)/python -m benchmarks.world_peers --rest --markdown docs/worlds.md
+	$(BIN)/python -m benchmarks.world_peers --json docs/world-peers.json --plot docs/images/world-peers.png --markdown docs/worlds.md
 
 # what honest nodes feel of a rogue that sends as fast as it can: about ten minutes
 flood: $(VENV)/.installed

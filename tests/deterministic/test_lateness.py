@@ -1,6 +1,6 @@
 """Sessions whose devices live in wall time, at delays that no certificate covers (:mod:`tests.deterministic.lateness`).
 
-``make lateness`` runs a thousand of them.
+``make lateness`` runs a thousand of them with networks, ``make scenes`` 500 with scenes.
 """
 
 from __future__ import annotations
@@ -10,12 +10,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from manyhands.design.models.statespace import StateSpace
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.nodes.bundle import REALTIME, DeviceBundle
 from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.tick import WallTimeTick
+from manyhands.nodes.environment.scene import SceneLaw
 from manyhands.protocol.clock import Instant
-from tests.deterministic.lateness import E_0, DelayedDriver, Late, Outcome, outcome_of, prepared_session
+from tests.deterministic.lateness import (
+    E_0,
+    DelayedDriver,
+    Late,
+    Outcome,
+    outcome_of,
+    outcome_of_session,
+    prepared_session,
+)
+from tests.support.cases import cases
 
 SEEDS = (1, 2, 3, 5)
 
@@ -45,6 +56,45 @@ def test_a_latency_that_is_stated_is_as_a_delay_of_the_loop(part: float) -> None
     assert [outcome.violations for outcome in found] == [(), ()]
     assert any(outcome.enforced.changed > 0 for outcome in found)
     assert any(outcome.counted.least < -E_0 for outcome in found)
+
+
+@pytest.fixture(scope="module")
+def scenes() -> list[Outcome]:
+    found = [outcome_of(seed, 400, scenes=True) for seed in range(9, 9 + cases(3, 60))]
+    return [outcome for outcome in found if outcome is not None]
+
+
+@pytest.mark.wide
+def test_no_device_in_a_scene_breaks_its_account_or_diverges(scenes: list[Outcome]) -> None:
+    assert len(scenes) >= 3
+    assert [outcome.violations for outcome in scenes] == [()] * len(scenes)
+    assert all(outcome.covered.felt > 40 for outcome in scenes[:3])
+
+
+def test_in_a_scene_the_same_instants_break_accounts_without_the_tank(scenes: list[Outcome]) -> None:
+    assert any(outcome.counted.least < -E_0 for outcome in scenes)
+    assert any(outcome.enforced.changed > 0 for outcome in scenes)
+
+
+def test_a_coupling_that_is_stiffer_than_its_certificate_is_found() -> None:
+    """Ten times as stiff under the same claim: its ledger falls below 0."""
+    prepared = prepared_session(9, scenes=True)
+    assert prepared is not None
+    blocks = tuple(StateSpace(block.A, block.B, block.C / 10.0, block.D / 10.0) for block in prepared.blocks)
+    outcome = outcome_of_session(replace(prepared, blocks=blocks), 9, 400, 0.0, scenes=True)
+    assert outcome is not None
+    assert "found a ledger of c" in outcome.violations[0]
+
+
+def test_a_contact_that_pulls_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The wrong sign in a scene's forces: the controller has to keep back what they would put out."""
+    prepared = prepared_session(9, scenes=True)
+    assert prepared is not None
+    law = SceneLaw.propose
+    monkeypatch.setattr(SceneLaw, "propose", lambda *arguments: -law(*arguments))
+    outcome = outcome_of_session(prepared, 9, 400, 0.0, scenes=True)
+    assert outcome is not None
+    assert "kept back by the controller" in outcome.violations[0]
 
 
 def test_the_account_of_a_late_device_is_that_of_its_true_instants() -> None:

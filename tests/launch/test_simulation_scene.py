@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from manyhands.launch.session import Session, load_session
 from manyhands.launch.simulation import Silence, Simulation
 from manyhands.nodes.environment.enforced import EnforcedCore
 
-from ..support.scenes import random_scene
+from ..support.scenes import random_scene, scene_session
 
 SHIPPED = Path(__file__).parents[2] / "launch" / "sessions"
 
@@ -27,57 +26,16 @@ def session_of(scene: ContactScene, rng: np.random.Generator) -> Session:
         size, frequency, phase = rng.uniform(0.0, 0.06), rng.uniform(0.5, 8.0), rng.uniform(0.0, 6.0)
         return f"{size}*(sin(2*pi*{frequency}*t+{phase})-sin({phase}))"
 
-    def obstacle(shape: str, points: Any, radius: float) -> dict[str, Any]:
-        keys = {"wall": ("at", "normal"), "sphere": ("at",), "capsule": ("ends",)}.get(shape, ("low", "high"))
-        stated = {"ends": points} if shape == "capsule" else dict(zip(keys, points, strict=True))
-        return {"shape": shape, **stated, **({"radius": radius} if radius else {})}
-
-    def body(mass: float, at: Any, radius: float, shape: str = "sphere", half: Any = (0.0, 0.0, 0.0)) -> dict[str, Any]:
-        low, high = (np.subtract(at, half).tolist(), np.add(at, half).tolist())
-        keys: dict[str, dict[str, Any]] = {
-            "sphere": {"at": at, "radius": radius},
-            "capsule": {"ends": [low, high], "radius": radius},
-            "box": {"low": low, "high": high},
-        }
-        return {"mass": mass, "shape": shape, **keys[shape]}
-
-    terms = scene.terms()
     devices = {
-        name: {
-            "dof": len(tool["ports"]),
-            "axes": tool["axes"],
+        tool.name: {
             "osp": 1.37,
-            "driver": "simulated",
             "mass": 0.2,
-            "hand": {"stiffness": 300, "damping": 4, "motion": [motion() for _ in tool["ports"]]},
+            "hand": {"stiffness": 300, "damping": 4, "motion": [motion() for _ in tool.ports]},
         }
-        for name, tool in terms["tools"].items()
+        for tool in scene.tools
     }
-    touching = [*terms["contacts"]]
-    touching += [
-        {"between": list(pair.names), "stiffness": 0}  # no tool may begin inside of something
-        for pair, gap in zip(scene.contacts.pairs, scene.contacts.gaps(scene.points)[0], strict=True)
-        if gap < 0.0 and pair.names[0] in terms["tools"]
-    ]
-    return Session.model_validate(
-        {
-            "session": "random-scene",
-            "period": 0.001,
-            "devices": devices,
-            "couplings": {f"to_{name}": {"devices": [name]} for name in devices},
-            "environment": {
-                "type": "scene",
-                "gravity": terms["gravity"],
-                "tools": {name: {"at": tool["at"], "radius": tool["radius"]} for name, tool in terms["tools"].items()},
-                "bodies": {name: body(**thing) for name, thing in terms["bodies"].items()},
-                "obstacles": {name: obstacle(**thing) for name, thing in terms["obstacles"].items()},
-                "links": terms["links"],
-                "contact": terms["contact"],
-                "contacts": sorted(touching, key=lambda contact: contact["stiffness"]),
-            },
-            "design": {"coupling": "given", "stiffness": 900, "damping": 0.2},
-        }
-    )
+    design = {"coupling": "given", "stiffness": 900, "damping": 0.2}
+    return Session.model_validate(scene_session(scene, devices, design))
 
 
 @pytest.mark.parametrize("seed", range(int(os.environ.get("MANYHANDS_SCENES", "4"))))  # `make scenes` runs 500

@@ -1,6 +1,9 @@
-"""Random scenes: crowded rooms with every shape, springs and friction."""
+"""Random scenes, crowded rooms with every shape, springs and friction; and the session of a scene."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -68,3 +71,58 @@ def random_compliance(rng: np.random.Generator, m: int) -> np.ndarray:
     """D_V, m x m, m/N: any matrix whose symmetric part is positive definite."""
     A = rng.normal(size=(m, m))
     return np.asarray((np.eye(m) + 0.1 * (A - A.T) + 0.3 * A @ A.T / m) / 10.0 ** rng.uniform(2.0, 3.5))
+
+
+def scene_session(
+    scene: ContactScene, devices: Mapping[str, Mapping[str, Any]], design: Mapping[str, Any], T: float = 1e-3
+) -> dict[str, Any]:
+    """The session file of a scene, as plain data.
+
+    Args:
+        scene: the scene; tools that begin inside of something do not touch it.
+        devices: of each tool, what its simulated device has beside its axes.
+        design: as in a session file.
+        T: period, s.
+    """
+
+    def obstacle(shape: str, points: Any, radius: float) -> dict[str, Any]:
+        keys = {"wall": ("at", "normal"), "sphere": ("at",), "capsule": ("ends",)}.get(shape, ("low", "high"))
+        stated = {"ends": points} if shape == "capsule" else dict(zip(keys, points, strict=True))
+        return {"shape": shape, **stated, **({"radius": radius} if radius else {})}
+
+    def body(mass: float, at: Any, radius: float, shape: str = "sphere", half: Any = (0.0, 0.0, 0.0)) -> dict[str, Any]:
+        low, high = (np.subtract(at, half).tolist(), np.add(at, half).tolist())
+        keys: dict[str, dict[str, Any]] = {
+            "sphere": {"at": at, "radius": radius},
+            "capsule": {"ends": [low, high], "radius": radius},
+            "box": {"low": low, "high": high},
+        }
+        return {"mass": mass, "shape": shape, **keys[shape]}
+
+    terms = scene.terms()
+    touching = [*terms["contacts"]]
+    touching += [
+        {"between": list(pair.names), "stiffness": 0}
+        for pair, gap in zip(scene.contacts.pairs, scene.contacts.gaps(scene.points)[0], strict=True)
+        if gap < 0.0 and pair.names[0] in terms["tools"]
+    ]
+    return {
+        "session": "random-scene",
+        "period": T,
+        "devices": {
+            name: {"dof": len(tool["ports"]), "axes": tool["axes"], "driver": "simulated", **devices[name]}
+            for name, tool in terms["tools"].items()
+        },
+        "couplings": {f"to_{name}": {"devices": [name]} for name in devices},
+        "environment": {
+            "type": "scene",
+            "gravity": terms["gravity"],
+            "tools": {name: {"at": tool["at"], "radius": tool["radius"]} for name, tool in terms["tools"].items()},
+            "bodies": {name: body(**thing) for name, thing in terms["bodies"].items()},
+            "obstacles": {name: obstacle(**thing) for name, thing in terms["obstacles"].items()},
+            "links": terms["links"],
+            "contact": terms["contact"],
+            "contacts": sorted(touching, key=lambda contact: contact["stiffness"]),
+        },
+        "design": dict(design),
+    }
