@@ -301,8 +301,9 @@ class ContactScene:
             expected = {"wall": 2, "room": 2, "box": 2, "capsule": 2, "sphere": 1}.get(obstacle.shape)
             if obstacle.shape == "mesh":
                 yield from self._problems_of_mesh(obstacle)
-            elif expected != len(obstacle.points):
-                yield f"obstacle {obstacle.name}: found the shape {obstacle.shape!r} with {len(obstacle.points)} points"
+            elif expected != len(obstacle.points) or obstacle.triangles:
+                found = f"{len(obstacle.points)} points and {len(obstacle.triangles)} triangles"
+                yield f"obstacle {obstacle.name}: found the shape {obstacle.shape!r} with {found}"
             elif obstacle.shape in ("room", "box") and not all(a < b for a, b in zip(*obstacle.points, strict=True)):
                 yield f"obstacle {obstacle.name}: expected the corner 'low' below 'high' along every axis"
             elif obstacle.shape == "wall" and not any(obstacle.points[1]):

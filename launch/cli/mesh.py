@@ -44,7 +44,7 @@ def mesh(
 
     The grid has all that a session needs, and is part of every recording. An edge is rounded by about a cell.
     """
-    with errors():
+    with errors("mesh"):
         from manyhands.design.files import replacing
         from manyhands.design.models.triangle_mesh import MeshError
         from manyhands.launch.files import require_target

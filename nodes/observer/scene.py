@@ -144,7 +144,7 @@ class About:
         observers: what each observer may read, by name, as in the session file.
         seats: the device of each seat that users take and leave while the session runs, by the seat's name, which is
             that of its coupling.
-        scene: the geometry of the virtual world's tools, bodies and obstacles; None if it is no scene.
+        scene: the geometry of the virtual world's tools, bodies and obstacles; None if it is no scene and no mesh.
     """
 
     session: str

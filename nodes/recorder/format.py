@@ -238,7 +238,7 @@ class Recorded:
         version: of the program that recorded it.
         periods: T of the nodes that have a period of their own, s: those at the site of a wave link with one.
         linked: the couplings that have a wave link, in the session's order.
-        scene: the geometry of its tools, bodies and obstacles; None if the environment is no scene.
+        scene: the geometry of its tools, bodies and obstacles; None if the environment is neither a scene nor a mesh.
     """
 
     session: str

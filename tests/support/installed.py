@@ -22,6 +22,7 @@ from packaging.utils import canonicalize_name
 ROOT = Path(__file__).parents[2]
 
 NEEDED = {
+    "mesh": "mesh",
     "new": "design",  # of the session of its example, as of those of graph and keys: whether a hand is passive
     "design": "design",
     "verify": "design",

@@ -276,6 +276,7 @@ MESH = Obstacle(
         ({"obstacles": (Obstacle("o", "cone", ()),)}, "shape 'cone'"),
         ({"obstacles": (Obstacle("o", "box", (HIGH, LOW)),)}, "'low' below 'high'"),
         ({"obstacles": (Obstacle("o", "wall", (LOW, (0.0, 0.0, 0.0))),)}, "normal"),
+        ({"obstacles": (replace(FLOOR, triangles=MESH.triangles),)}, "shape 'wall' with 2 points and 4 triangles"),
         ({"obstacles": (MESH,)}, "contact with a mesh, which is not convex"),
         ({"surface": UNTOUCHED, "obstacles": (replace(MESH, triangles=()),)}, "0 triangles in all; expected 1 to 2000"),
         (
