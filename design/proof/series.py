@@ -34,7 +34,7 @@ from manyhands.design.proof.system import Realisation
 
 def finding(claim: Claim) -> Finding:
     """Whether each p_i is between 0 and 1, and its port meets one end that is no port by springs of its own."""
-    condition = "what is counted in series is a part of the world's own springs"
+    condition = "what is counted in series is the world's own"
     fault = _fault(claim)
     least = min((rational.rounded(1 - part) for part in claim.series.values()), default=0.0)
     return Finding(condition, not fault, least if not fault else -1.0, 0.0, argument=fault or "exactly: compared")

@@ -298,7 +298,7 @@ def test_a_part_that_is_not_the_worlds_own_is_not_proved(stiff: Certificate, nam
     path, value, text = FALSE[name]
     data = {**plain(stiff), "series": {"dx": 0.999}}
     failing = [finding for finding in prove(changed(data, path, value)) if not finding.holds]
-    assert failing[0].condition == "what is counted in series is a part of the world's own springs"
+    assert failing[0].condition == "what is counted in series is the world's own"
     assert text in failing[0].argument
 
 
