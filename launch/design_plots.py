@@ -118,7 +118,7 @@ def plot_design(
         report("pictures: none over frequency, the environment is too large")
     else:
         report("pictures: frequency responses")
-        omega = frequencies([E, *blocks], T)
+        omega = frequencies([E, *blocks, *([] if counted is None else counted)], T)
         angles = omega * T
         points = np.exp(1j * angles)
         E_z, V_z = response(E, angles), coupling_response(blocks, partition, angles)
