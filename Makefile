@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test test-long guests lint types imports pytest campaign fuzz datagrams wan far-user scenes world-peers flood loop watched soak users linked-users chaos faults lateness hostile remote pictures page benchmark curve docs docs-pictures clean
+.PHONY: demo test test-long guests lint types imports pytest campaign attack fuzz datagrams wan far-user scenes world-peers flood loop watched soak users linked-users chaos faults lateness hostile remote pictures page benchmark curve docs docs-pictures clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -27,10 +27,10 @@ WORKERS ?= 2
 # the order is tests/conftest.py's; a test that waits for ever ends the run (pyproject.toml), and is not begun again
 SPREAD  := --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 # matrices of ten rows: more threads in BLAS only wait for each other, and for the other test process
-pytest test-long campaign scenes world-peers: export OMP_NUM_THREADS = 1
-pytest test-long campaign scenes world-peers: export OPENBLAS_NUM_THREADS = 1
+pytest test-long campaign attack scenes world-peers: export OMP_NUM_THREADS = 1
+pytest test-long campaign attack scenes world-peers: export OPENBLAS_NUM_THREADS = 1
 # where it is set, every process of every session that a test starts would compile the product and the tests anew
-pytest test-long campaign: export PYTHONDONTWRITEBYTECODE =
+pytest test-long campaign attack: export PYTHONDONTWRITEBYTECODE =
 pytest: $(VENV)/.installed
 	$(BIN)/pytest -n $(WORKERS) $(SPREAD) -m "not alone and not long"
 	$(BIN)/pytest -m "alone and not long"
@@ -55,6 +55,11 @@ campaign: $(VENV)/.installed
 	done
 	MANYHANDS_UNMOVED_SESSIONS=120 $(BIN)/pytest -q tests/design/test_unmoved_masses.py
 	$(BIN)/python -m tests.attack.campaign --claims $(CLAIMS) --seconds $$(($(MINUTES) * 60)) --processes 2 --seed $(SEED)
+
+# the attack on one kind of certificates alone; by default on those that count the world's springs in series
+KIND ?= series
+attack: $(VENV)/.installed
+	$(BIN)/python -m tests.attack.campaign --kind "$(KIND)" --claims $(CLAIMS) --seconds $$(($(MINUTES) * 60)) --processes 2 --seed $(SEED)
 
 # coverage-guided fuzzing of all that strangers can send, ten minutes at the default; see tests/fuzz/README.md
 FUZZ_SECONDS ?= 600

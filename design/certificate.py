@@ -6,6 +6,10 @@ Every fact stands in the file once: a check rebuilds what follows from the physi
 of springs and dampers). Floats are written by their shortest exact representation, so that the file round-trips bit by
 bit.
 
+A file that counts a part of the world's contact springs in series with the coupling has the key ``series``, and is of
+version 5. Its coupling is the one that the processes run, which contains that part; its environment is the world as the
+session describes it (docs/decisions/0045-series-compliance.md).
+
 A file whose claim covers periods longer than T has the key ``period_tolerance`` and is of version 4: a reader that does
 not know the key must not take the claim for one about periods of T. Every other file is of version 3
 (docs/decisions/0010-delay-inside-the-tick.md). A file of version 2 does not record the request, and its id does not
@@ -333,6 +337,8 @@ FORMAT = "manyhands-certificate"
 VERSION = 3
 WITH_TOLERANCE = 4
 """The version with a period tolerance greater than 0; otherwise it is like version 3."""
+WITH_SERIES = 5
+"""The version that counts compliance of the world in series, with or without a period tolerance."""
 WITHOUT_ASKED = 2
 """The version that does not record the request; its id is computed over the content with sorted keys."""
 MAX_FILE_BYTES = 256 * 2**20
@@ -343,6 +349,7 @@ _EXTRA_KEYS: Mapping[int, set[str]] = {
     WITHOUT_ASKED: set(),
     VERSION: {"asked"},
     WITH_TOLERANCE: {"asked", "period_tolerance"},
+    WITH_SERIES: {"asked", "period_tolerance", "series"},
 }
 
 
@@ -371,8 +378,9 @@ class Certificate:
 
     Attributes:
         loop: the physical data, period, delay and block structure.
-        coupling: the blocks of V, each a spring-damper or a linear system, in the partition's order.
-        levels: the promised levels and the storage matrices.
+        coupling: the blocks of V, each a spring-damper or a linear system, in the partition's order. Where the loop
+            counts a part of the world's links in series, they contain that part.
+        levels: the promised levels and the storage matrices, of the loop as it is cut (:attr:`.HapticLoop.cut`).
         transparency: the claim on transparency; None if the session has no such aim.
         margins: for each condition, its distance to failure.
         method: how the coupling was found: algorithm, iterations, solver.
@@ -393,6 +401,8 @@ class Certificate:
     @property
     def version(self) -> int:
         """The version of the file format that holds exactly this content."""
+        if self.loop.series:
+            return WITH_SERIES
         if self.loop.period_tolerance:
             return WITH_TOLERANCE
         return WITHOUT_ASKED if self.asked is None else VERSION
@@ -409,13 +419,16 @@ class Certificate:
 
     @cached_property
     def blocks(self) -> tuple[StateSpace, ...]:
-        """The realisation of each block of V."""
+        """The realisation of each block of V, as its process runs it."""
         return realisations(self.coupling, self.loop.period)
 
     @property
     def V(self) -> LinearSystem:
-        """The coupling, discrete, from force (N) to the displacement between hand and tool (m), m x m."""
-        V = self.loop.partition.join(self.blocks)
+        """The coupling, discrete, from force (N) to the displacement between hand and tool (m), m x m.
+
+        It does not contain what is counted of the world's links.
+        """
+        V = self._own
         return LinearSystem(V.A, V.B, V.C, V.D, self.loop.period)
 
     @property
@@ -443,7 +456,12 @@ class Certificate:
 
     @cached_property
     def _springs(self) -> SpringDamper:
-        return self.spring_damper or spring_damper_of(self.loop.partition.join(self.blocks), self.loop.period)
+        springs = None if self.loop.series else self.spring_damper
+        return springs or spring_damper_of(self._own, self.loop.period)
+
+    @cached_property
+    def _own(self) -> StateSpace:
+        return self.loop.without_counted(self.loop.partition.join(self.blocks))
 
     def frequency_responses(self, omega: ArrayLike | None = None) -> FrequencyResponses:
         """E, V, and the impedance F(E, V) that the hands feel, over frequency.
@@ -499,7 +517,7 @@ class Certificate:
 
     @cached_property
     def spring_damper(self) -> SpringDamper | None:
-        """K and B of the whole coupling, m x m; None if a block is not of the spring-damper class."""
+        """K and B of the whole coupling as it is run, m x m; None if a block is not of the spring-damper class."""
         parts = [part for part in self.coupling if isinstance(part, SpringDamper)]
         if len(parts) != len(self.coupling):
             return None
@@ -528,6 +546,7 @@ def content(certificate: Certificate) -> dict[str, Any]:
             name: [ports[p] for p in block] for name, block in zip(partition.names, partition.blocks, strict=True)
         },
         "environment": describe_environment(loop.environment),
+        **({"series": loop.parts} if loop.series else {}),
         **({} if certificate.asked is None else {"asked": dict(certificate.asked)}),
         "coupling": describe_coupling(partition.names, certificate.coupling),
         "levels": {
@@ -643,7 +662,7 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
     """
     form, version = data["format"], data["version"]
     if form != FORMAT or type(version) is not int or version not in _EXTRA_KEYS:
-        expected = f"{FORMAT} version {WITHOUT_ASKED}, {VERSION} or {WITH_TOLERANCE}"
+        expected = f"{FORMAT} version {WITHOUT_ASKED}, {VERSION}, {WITH_TOLERANCE} or {WITH_SERIES}"
         raise ValueError(f"expected {expected}, found {form!r} {version!r}")
     keys = _KEYS | _EXTRA_KEYS[version]
     if unknown := set(data) - keys:
@@ -651,8 +670,9 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
     asked = None if version == WITHOUT_ASKED else data["asked"]
     if version != WITHOUT_ASKED and not isinstance(asked, Mapping):
         raise ValueError("expected asked to be an object")
-    period_tolerance = float(data["period_tolerance"]) if version == WITH_TOLERANCE else 0.0
-    if version == WITH_TOLERANCE and not period_tolerance > 0.0:
+    tolerant = version == WITH_TOLERANCE or "period_tolerance" in data
+    period_tolerance = float(data["period_tolerance"]) if tolerant else 0.0
+    if tolerant and not period_tolerance > 0.0:
         raise ValueError(f"period_tolerance: found {period_tolerance}, expected more than 0 in version {version}")
     if unknown := set(asked or ()) - _ASKED:
         raise ValueError(f"asked: found the keys {sorted(unknown)}, expected some of {sorted(_ASKED)}")
@@ -674,6 +694,7 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
         environment=environment_of(data["environment"], ports),
         tau=float(data["tau"]),
         period_tolerance=period_tolerance,
+        series=_series(data["series"], ports) if version == WITH_SERIES else (),
     )
     partition, levels, storage = loop.partition, data["levels"], data["storage"]
     Phi_E = levels["Phi_E"]
@@ -700,6 +721,14 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
         asked=asked,
         id=str(data["id"]),
     )
+
+
+def _series(data: Mapping[str, Any], ports: tuple[str, ...]) -> tuple[float, ...]:
+    """By port, the part of the world's own link that is counted; a port that is not named counts nothing."""
+    found = {str(port): float(part) for port, part in data.items()}
+    if not set(found) <= set(ports) or not all(found.values()):
+        raise ValueError(f"series: found {sorted(found)}, expected ports of the loop with parts greater than 0")
+    return tuple(found.get(port, 0.0) for port in ports)
 
 
 def _finite(text: str) -> float:
@@ -769,6 +798,7 @@ def differences(certificate: Certificate, loop: HapticLoop, wanted: CouplingRequ
         for what, mine, theirs in (
             ("block structure", own.partition, loop.partition),
             ("environment", own.environment, loop.environment),
+            ("part of the world's links that is counted in series", own.series, loop.series),
             ("level or order of devices", [_level(d) for d in own.devices], [_level(d) for d in loop.devices]),
         )
         if mine != theirs

@@ -53,6 +53,8 @@ def responses_of(certificate: Certificate, omega: ArrayLike | None = None) -> Fr
         raise ValueError(f"omega: expected frequencies from 0 to pi/T = {np.pi / T:.6g} rad/s in one dimension")
     E_z = response(E, at * T)
     V_z = coupling_response(certificate.blocks, certificate.loop.partition, at * T)
+    if certificate.loop.series:
+        V_z = V_z - response(certificate.loop.counted, at * T)
     return FrequencyResponses(at, E_z, V_z, closed_loop(E_z, V_z))
 
 

@@ -6,7 +6,7 @@ that some program derived from them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -15,8 +15,9 @@ import numpy as np
 from manyhands.design.levels.contract import NO_DELAY_GAIN
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import Partition, SpringDamper, loop_gain
-from manyhands.design.models.environment import DeclaredEnvironment, DeclaredScene, Environment
+from manyhands.design.models.environment import DeclaredEnvironment, DeclaredScene, Environment, NetworkBox
 from manyhands.design.models.integrators import Split
+from manyhands.design.models.network import Network
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix, symmetric_part
 from manyhands.design.models.weights import Transparency
 
@@ -153,6 +154,8 @@ class HapticLoop:
         environment: the environment, with the same ports in the same order.
         tau: longest delay inside the tick to be certified, from the sample of x(k) until f_v(k) acts, s, at most T.
         period_tolerance: rho; the periods to be certified are at most (1 + rho) T; dimensionless, 0 ... 1.
+        series: by port, the part of the compliance of the world's own link there that is counted in series with the
+            coupling, 0 ... 1; empty if nothing is counted (docs/decisions/0045-series-compliance.md).
     """
 
     session: str
@@ -163,6 +166,7 @@ class HapticLoop:
     environment: Environment
     tau: float = 0.0
     period_tolerance: float = 0.0
+    series: tuple[float, ...] = ()
 
     __repr__ = brief_repr
 
@@ -180,6 +184,68 @@ class HapticLoop:
             raise ValueError(f"expected a delay from 0 to the period, found {self.tau} s")
         if not 0.0 <= self.period_tolerance <= 1.0:
             raise ValueError(f"expected a period tolerance from 0 to 1, found {self.period_tolerance}")
+        if self.series:
+            self._check_series()
+
+    def _check_series(self) -> None:
+        environment = self.environment
+        if len(self.series) != len(self.ports) or not all(0.0 <= part < 1.0 for part in self.series):
+            raise ValueError(f"series: expected a number from 0 to less than 1 for each port, found {self.series}")
+        if not any(self.series):
+            raise ValueError("series: expected a part greater than 0 for some port, or no series at all")
+        if not isinstance(environment, Network | NetworkBox):
+            raise ValueError("series: expected an environment that is a network without delay")
+        contacts = environment.contacts()
+        missing = [port for port, part in zip(self.ports, self.series, strict=True) if part and port not in contacts]
+        if missing:
+            raise ValueError(
+                f"series: expected a port that one spring joins to a mass or to ground, found {missing[0]}"
+            )
+
+    @property
+    def parts(self) -> dict[str, float]:
+        """``series`` by the name of the port, where it is not 0."""
+        return {port: part for port, part in zip(self.ports, self.series, strict=False) if part}
+
+    @cached_property
+    def cut(self) -> HapticLoop:
+        """The same loop, cut inside the world's links that are counted: Theorem 3 is applied to it, and it is run.
+
+        Its environment is the world with stiffer links, and its coupling contains what the links gave up. It is the
+        loop itself if nothing is counted.
+        """
+        environment = self.environment
+        if not self.series or not isinstance(environment, Network | NetworkBox):
+            return self
+        return replace(self, environment=environment.stiffened(self.parts), series=())
+
+    @cached_property
+    def counted(self) -> StateSpace:
+        """C = diag(part/(k + b s)), what is counted of the world's links, from force (N) to displacement (m), m x m.
+
+        By backward Euler, one state for each port where something is counted; of a network known up to intervals, in
+        their middle.
+        """
+        environment, T, m = self.environment, self.period, len(self.ports)
+        network = environment.nominal if isinstance(environment, NetworkBox) else environment
+        if not self.series or not isinstance(network, Network):
+            return StateSpace.static(np.zeros((m, m)))
+        contacts = network.contacts()
+        ports = [i for i, part in enumerate(self.series) if part]
+        n = len(ports)
+        A, B, C, D = np.zeros((n, n)), np.zeros((n, m)), np.zeros((m, n)), np.zeros((m, m))
+        for at, i in enumerate(ports):
+            link = contacts[self.ports[i]]
+            impedance = T * link.stiffness + link.damping
+            A[at, at] = link.damping / impedance
+            B[at, i] = T * A[at, at]
+            C[i, at] = self.series[i] / impedance
+            D[i, i] = T * C[i, at]
+        return StateSpace(A, B, C, D)
+
+    def without_counted(self, V: StateSpace) -> StateSpace:
+        """V less :attr:`counted`: the coupling itself, of the coupling that is run; states of V, then those of C."""
+        return V if not self.series else V.minus(self.counted)
 
     @property
     def punctual(self) -> bool:

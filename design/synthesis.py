@@ -134,10 +134,10 @@ def _complementarity(loop: HapticLoop, wish: Wish, orders: tuple[int, ...] | Non
     found: SpringDamper | LinearCoupling
     try:
         if orders is None:
-            found, convergence = design_spring_damper(loop, progress, **options)
+            found, convergence = design_spring_damper(loop.cut, progress, **options)
         else:
             sizes = tuple(n * len(block) for n, block in zip(orders, loop.partition.blocks, strict=True))
-            found, convergence = design_linear(loop, sizes, progress, **options)
+            found, convergence = design_linear(loop.cut, sizes, progress, **options)
     except (StoppedShort, Interrupted) as error:
         if not isinstance(error.best, SpringDamper | LinearCoupling) or error.convergence is None:
             raise
@@ -184,6 +184,7 @@ def environment_need(loop: HapticLoop, progress: Progress | None = None) -> floa
     Raises:
         Infeasible: E_hat is passive at no level.
     """
+    loop = loop.cut
     environment = loop.environment
     if isinstance(environment, DeclaredEnvironment):
         return float(eigh(environment.promised(), loop.Delta_D, eigvals_only=True)[-1])
@@ -244,7 +245,8 @@ def _transparent_springs(loop: HapticLoop, aim: Transparency, progress: Progress
     device = gain_of_stiffest(loop, needed)
     T = loop.period
     Phi_E = max(needed, 0.0) * loop.Delta_D  # with a negative need, V_hat might be output strictly passive at no level
-    normalised = NormalisedLoop(loop.split.environment(T), loop.Delta_D, device.kappa, T, loop.partition, aim)
+    E, counted = loop.split.environment(T), loop.counted if loop.series else None
+    normalised = NormalisedLoop(E, loop.Delta_D, device.kappa, T, loop.partition, aim, counted)
     found = transparency.design_spring_damper(normalised, Phi_E, device.share, progress)
     method: dict[str, str | int] = {"algorithm": "spring-damper class, sequential convex programs"}
     method["iterations"] = len(found.history)
@@ -271,7 +273,8 @@ def _linear(loop: HapticLoop, wanted: LinearWanted, progress: Progress | None) -
         LEAST_LEVEL * Delta + (1.0 + LEAST_LEVEL) * least_coupling_level(device.share * Delta, max(needed, 0.0) * Delta)
         for Delta in loop.Delta_D_blocks
     )
-    normalised = NormalisedLoop(E, loop.Delta_D, device.kappa, T, loop.partition, wish.aim or UNWEIGHTED)
+    counted = loop.counted if loop.series else None
+    normalised = NormalisedLoop(E, loop.Delta_D, device.kappa, T, loop.partition, wish.aim or UNWEIGHTED, counted)
     if wish.aim is not None and wanted.poles is None:
         found = design_linear_by_search(normalised, wanted.orders, least, progress)
         kind = "linear class over fixed poles, poles searched"
@@ -376,9 +379,9 @@ def certificate_of(
         raise Infeasible(f"the coupling cannot be realised: {error}", ("make K and B positive definite",)) from error
     _well_posed(loop, blocks)
     if environment is None:
-        levels = certify_given(loop, found.coupling, progress, found.device, found.levels)
+        levels = certify_given(loop.cut, found.coupling, progress, found.device, found.levels)
     else:
-        levels = certify_beside(loop, found.coupling, environment, found.device)
+        levels = certify_beside(loop.cut, found.coupling, environment, found.device)
     *tighter, last = _CLAIMED if found.aim is not None else _CLAIMED[:1]
     for above in tighter:
         with suppress(SolverFailure):  # the next claim is less tight and leaves its storage function more room
@@ -470,7 +473,7 @@ def _transparency(
     loop: HapticLoop, coupling: tuple[CouplingBlock, ...], aim: Transparency, above: float
 ) -> TransparencyClaim:
     """The weighted norm that the coupling reaches, and a storage function that proves it."""
-    V = loop.partition.join(realisations(coupling, loop.period))
+    V = loop.without_counted(loop.partition.join(realisations(coupling, loop.period)))
     system = weighted(loop.split.environment(loop.period), V, aim)
     norm, _ = hinf_norm(system, loop.period)
     gamma = norm * (1.0 + above)

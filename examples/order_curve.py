@@ -2,6 +2,7 @@
 
     python examples/order_curve.py                     # the whole table; about three minutes
     python examples/order_curve.py --orders 0 1 2      # its beginning; under a minute
+    python examples/order_curve.py --series            # with the world's own springs counted in series
 
 Each entry is a design of its own, loop shaping (24) with so many states for each port, and each is certified: the
 level printed is proved, and the table's figure is an upper bound that a coupling reached. The search is local, so a
@@ -23,9 +24,10 @@ ORDERS = (0, 1, 2, 4, 6)
 ONE_BLOCK = "couplings={c: {devices: [dx, dy, dz]}}"  # in place of the session's cx, cy, cz
 
 
-def cells(order: int, centralised: bool) -> str:
+def cells(order: int, centralised: bool, series: bool) -> str:
     """The certified level gamma with ``order`` states a port, and the seconds it took, as two cells of the table."""
-    session = load_named("example2-linear", [ONE_BLOCK] if centralised else [])
+    changes = [*([ONE_BLOCK] if centralised else []), *(["design.series=true"] if series else [])]
+    session = load_named("example2-linear", changes)
     loop, asked = haptic_loop(session), coupling_request(session)
     if not isinstance(asked, LinearWanted):
         raise TypeError(f"expected a session that asks for a linear coupling, found {asked}")
@@ -44,11 +46,14 @@ def main() -> None:
     """Print the table, a row as soon as it is there."""
     parser = argparse.ArgumentParser(description="gamma of Example 2 against the order of its couplings")
     parser.add_argument("--orders", type=int, nargs="+", default=ORDERS, help="states for each port")
-    orders = parser.parse_args().orders
-    print("| states a port | a block each | seconds | one block for all | seconds |")
+    parser.add_argument("--series", action="store_true", help="count the world's own springs in series")
+    given = parser.parse_args()
+    states = "states a port, in series" if given.series else "states a port"
+    print(f"| {states} | a block each | seconds | one block for all | seconds |")
     print("|---|---|---|---|---|")
-    for order in orders:
-        print(f"| {order} | {cells(order, False)} | {cells(order, True)} |", flush=True)
+    for order in given.orders:
+        one_each, one = (cells(order, centralised, given.series) for centralised in (False, True))
+        print(f"| {order} | {one_each} | {one} |", flush=True)
 
 
 if __name__ == "__main__":

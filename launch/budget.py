@@ -21,9 +21,11 @@ from rich.table import Table
 from manyhands.design.budget import Felt, Stiffness, environment_share, felt_over, stiffest
 from manyhands.design.files import replacing
 from manyhands.design.models.brief import brief_names, brief_repr
-from manyhands.design.models.environment import StateSpaceEnvironment
+from manyhands.design.models.environment import NetworkBox, StateSpaceEnvironment
+from manyhands.design.models.network import Network
 from manyhands.design.models.statespace import Matrix
 from manyhands.design.problem import HapticLoop
+from manyhands.design.series import counted_parts
 from manyhands.extras import require
 from manyhands.launch.files import TargetError, require_target
 from manyhands.launch.plan.prepare import haptic_loop
@@ -242,6 +244,66 @@ def _wave_link_budget(session: Session, name: str) -> WaveLinkBudget:
     return WaveLinkBudget(name, loop.period, loop.tau, link.round_trip, cache(at))
 
 
+@dataclass(frozen=True)
+class SeriesStiffness:
+    """The limit of the coupling at one port where the world's own spring is counted in series with it, at one delay.
+
+    Attributes:
+        port: name of the port.
+        tau: longest delay inside the tick, s.
+        contact: k of the world's spring there, N/m.
+        part: of its compliance that is counted.
+        without: limit of the coupling without it, N/m.
+        certified: limit of the coupling itself with it, N/m: 1/(1/without - part/k).
+    """
+
+    port: str
+    tau: float
+    contact: float
+    part: float
+    without: float
+    certified: float
+
+
+def series_budget(found: DelayBudget) -> tuple[SeriesStiffness, ...]:
+    """The limits in series at the session's period, by port and delay; empty where the session counts nothing."""
+    loop = found.loop
+    if not loop.series or not isinstance(loop.environment, Network | NetworkBox):
+        return ()
+    contacts, out = loop.environment.contacts(), []
+    device_of = {port: device.name for device in loop.devices for port in device.ports}
+    for device in found.devices:
+        for row in device.against_delay:
+            parts = counted_parts(replace(loop, tau=row.tau, series=()), max(loop.series))
+            for i, part in enumerate(parts):
+                if part and row.certified and device_of[i] == device.name:
+                    contact = contacts[loop.ports[i]].stiffness
+                    own = 1.0 / (1.0 / row.certified - part / contact)
+                    out.append(SeriesStiffness(loop.ports[i], row.tau, contact, part, row.certified, own))
+    return tuple(out)
+
+
+def print_series(console: Console, found: Sequence[SeriesStiffness], tau: float) -> None:
+    """Print what counting the world's springs in series allows each coupling; ``tau`` is the session's, s."""
+    if not found:
+        return
+    table = Table(title="with the world's own springs in series", title_justify="left")
+    table.add_column("port")
+    for column in ("τ [ms]", "its spring [N/m]", "counted", "without [N/m]", "certified below [N/m]"):
+        table.add_column(escape(column), justify="right")
+    ports = list(dict.fromkeys(row.port for row in found))
+    for port in ports[:_MOST_ROWS]:
+        for i, row in enumerate(row for row in found if row.port == port):
+            table.add_row(
+                port if i == 0 else "", _ms(row.tau) + (" (session)" if row.tau == tau else ""), _figure(row.contact),
+                f"{row.part:g}", _figure(row.without), _figure(row.certified),
+            )  # fmt: skip
+        table.add_section()
+    console.print(table)
+    if len(ports) > _MOST_ROWS:
+        console.print(f"{len(ports) - _MOST_ROWS} more ports are not shown; --json has all", markup=False)
+
+
 def budget_object(found: DelayBudget) -> dict[str, Any]:
     """The object that ``--json`` prints; T and tau in s, stiffness in N/m, "share" null where it is infinite."""
     loop = found.loop
@@ -262,6 +324,7 @@ def budget_object(found: DelayBudget) -> dict[str, Any]:
             }
             for device in found.devices
         },
+        **({"series": [asdict(row) for row in in_series]} if (in_series := series_budget(found)) else {}),
     }
 
 

@@ -79,6 +79,7 @@ def plot_design(
     W2: Filter | None = None,
     objective: str | None = None,
     gamma: float | None = None,
+    counted: tuple[StateSpace, StateSpace] | None = None,
     history: Sequence[float] = (),
     history_label: str = "‖WZ − I‖",
     progress: Callable[[str], None] | None = None,
@@ -101,6 +102,8 @@ def plot_design(
         W2: weight on the right; None for 1.
         objective: "loop-shaping" for W1 E V W2, "closed-loop" for W1 (F(E,V) - E) W2; anything else shows E V.
         gamma: the level of the objective.
+        counted: the world and C, if a part C of the world's compliance is counted in series: E and the blocks are then
+            those that are run, and the objective is about the world and the blocks less C. None if nothing is counted.
         history: one number for each iteration of the synthesis.
         history_label: name of the quantity in ``history``.
         progress: called with what is being drawn, as a text.
@@ -115,14 +118,18 @@ def plot_design(
         report("pictures: none over frequency, the environment is too large")
     else:
         report("pictures: frequency responses")
-        omega = frequencies([E, *blocks], T)
+        omega = frequencies([E, *blocks, *([] if counted is None else counted)], T)
         angles = omega * T
         points = np.exp(1j * angles)
         E_z, V_z = response(E, angles), coupling_response(blocks, partition, angles)
         F_z = closed_loop(E_z, V_z)
-        label, shaped = shaped_response(E_z, V_z, F_z, points, W1, W2, objective)
+        world_z, own_z = (E_z, V_z)
+        if counted is not None:
+            world, C = counted
+            world_z, own_z = response(world, angles), V_z - response(C, angles)
+        label, shaped = shaped_response(world_z, own_z, F_z, points, W1, W2, objective)
         report("pictures: singular values")
-        paths.append(plot_singular_values(folder, omega, {"E": E_z, "F(E,V)": F_z}, label, shaped, gamma))
+        paths.append(plot_singular_values(folder, omega, {"E": world_z, "F(E,V)": F_z}, label, shaped, gamma))
         report("pictures: passivity")
         E_hat = (T * points / (points - 1.0))[:, None, None] * E_z
         V_hat = ((points - 1.0) / (T * points))[:, None, None] * (V_z - K)

@@ -22,7 +22,8 @@ from rich.table import Table
 from manyhands.design.certificate import Certificate, asked_text, load, save, unrecorded
 from manyhands.design.errors import CertificateError, DesignError, Infeasible
 from manyhands.design.models.coupling import SpringDamper
-from manyhands.design.models.environment import DeclaredEnvironment, DeclaredScene, ProxyEnvironment
+from manyhands.design.models.environment import DeclaredEnvironment, DeclaredScene, NetworkBox, ProxyEnvironment
+from manyhands.design.models.network import Network
 from manyhands.design.models.statespace import Matrix
 from manyhands.design.models.weights import Filter
 from manyhands.design.problem import HapticLoop
@@ -64,6 +65,7 @@ def certificate_object(certificate: Certificate, proved: bool = True) -> dict[st
         "margin": certificate.margins.get(CONDITION_10),
         "gamma": None if certificate.transparency is None else certificate.transparency.gamma,
         "coupling": coupling,
+        "series": series_rows(certificate) or None,
         "levels": {
             "Delta_D": loop.partition.embed(levels.Delta_D).tolist(),
             "Delta_V": loop.partition.embed(levels.Delta_V).tolist(),
@@ -90,6 +92,7 @@ def infeasible_object(loop: HapticLoop, reason: str, relax: tuple[str, ...]) -> 
         "margin": None,
         "gamma": None,
         "coupling": None,
+        "series": None,
         "levels": {"Delta_D": loop.Delta_D.tolist(), "Delta_V": None, "Phi_E": None},
         "margins": {},
         "period": loop.period,
@@ -119,12 +122,13 @@ def print_certificate(console: Console, certificate: Certificate) -> None:
     if not loop.punctual:
         table.add_row("left of Δ_D", f"{levels.device.share:.4f}, with K = {levels.device.kappa:.4f} T/Δ_D")
     if certificate.spring_damper is not None:
-        _coupling_rows(table, certificate.spring_damper)
+        _coupling_rows(table, certificate.spring_damper, of_run=bool(loop.series))
     else:
         orders = ", ".join(
             f"{name} {b.order}" for name, b in zip(loop.partition.names, certificate.blocks, strict=True)
         )
-        table.add_row("states of V", orders)
+        table.add_row("states of V" + (", run" if loop.series else ""), orders)
+    _series_rows(table, certificate)
     claim = certificate.transparency
     if claim is not None:
         norm = "‖W1 E V W2‖" if claim.aim.objective == "loop-shaping" else "‖W1 (F(E,V) − E) W2‖"
@@ -247,9 +251,43 @@ def _account(node: Mapping[str, Any], report: Mapping[str, Any]) -> str:
     return f"{node['interface']['min']:.1e}{bound}"
 
 
-def _coupling_rows(table: Table, coupling: SpringDamper) -> None:
-    table.add_row("K [N/m]", _matrix_text(coupling.stiffness, ".4f"))
-    table.add_row("B [N·s/m]", _matrix_text(coupling.damping, ".4f"))
+def _coupling_rows(table: Table, coupling: SpringDamper, of_run: bool) -> None:
+    run = ", run" if of_run else ""
+    table.add_row(f"K{run} [N/m]", _matrix_text(coupling.stiffness, ".4f"))
+    table.add_row(f"B{run} [N·s/m]", _matrix_text(coupling.damping, ".4f"))
+
+
+def series_rows(certificate: Certificate) -> dict[str, dict[str, float]]:
+    """Of each port where the world's spring is counted in series: whose stiffness the hand feels at rest, N/m.
+
+    ``part`` of the spring's compliance is counted; ``coupling`` is the coupling itself, ``contact`` the world's spring,
+    and ``together`` both in series, all other ports free of force.
+    """
+    loop = certificate.loop
+    environment = loop.environment.nominal if isinstance(loop.environment, NetworkBox) else loop.environment
+    if not loop.series or not isinstance(environment, Network):
+        return {}
+    contacts, compliance = environment.contacts(), np.diag(np.linalg.inv(certificate.stiffness))
+    out = {}
+    for port, part, own in zip(loop.ports, loop.series, compliance, strict=True):
+        if part:
+            k = contacts[port].stiffness
+            together = float(1.0 / (own + 1.0 / k))
+            out[port] = {"part": part, "coupling": float(1.0 / own), "contact": k, "together": together}
+    return out
+
+
+def _series_rows(table: Table, certificate: Certificate) -> None:
+    """What is counted in series, and whose stiffness the hand feels at rest."""
+    rows = series_rows(certificate)
+    if not rows:
+        return
+    few = list(rows.items())[:_LARGEST_SHOWN]
+    more = [f"and {len(rows) - len(few)} more"] if len(rows) > len(few) else []
+    counted = [f"{port} {row['part']:g} of {row['contact']:.6g} N/m" for port, row in few]
+    felt = [f"{port} {row['coupling']:.0f}, {row['contact']:.0f}, {row['together']:.0f} N/m" for port, row in few]
+    table.add_row("counted in series", "\n".join([*counted, *more]))
+    table.add_row("coupling, contact,\nboth, at rest", "\n".join([*felt, *more]))
 
 
 def _matrix_text(M: Matrix, form: str) -> str:
@@ -347,7 +385,7 @@ def _draw(designed: Designed, folder: Path, progress: Progress) -> tuple[Path, .
     embed = loop.partition.embed
     return plot_design(
         folder,
-        E=loop.environment.environment(loop.period),
+        E=loop.cut.environment.environment(loop.period),
         blocks=certificate.blocks,
         partition=loop.partition,
         K=embed(loop.loop_gain(levels.device.kappa)),
@@ -360,6 +398,7 @@ def _draw(designed: Designed, folder: Path, progress: Progress) -> tuple[Path, .
         W2=None if claim is None else _at_points(claim.aim.W2),
         objective=None if claim is None else claim.aim.objective,
         gamma=None if claim is None else claim.gamma,
+        counted=(loop.environment.environment(loop.period), loop.counted) if loop.series else None,
         history=designed.history,
         history_label=designed.watched,
         progress=progress,
@@ -434,7 +473,9 @@ def run_budget(session: Session, out: Console, err: Console, picture: Path | Non
         budget_object,
         plot_budget,
         print_budget,
+        print_series,
         print_wave_links,
+        series_budget,
         session_budget,
         wave_links_object,
     )
@@ -449,6 +490,7 @@ def run_budget(session: Session, out: Console, err: Console, picture: Path | Non
         print_json(budget_object(found) | {"rates": rates_object(rates)} | own)
     else:
         print_budget(out, found)
+        print_series(out, series_budget(found), loop.tau)
         print_wave_links(out, links)
         print_rates(out, session.name, rates)
     if picture is not None:

@@ -17,6 +17,7 @@ Springs to proxies are declared environments too, whatever proposes the proxies.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, NoReturn, Protocol
 
@@ -138,6 +139,14 @@ class NetworkBox:
                 for a, b in zip(low.links, high.links, strict=True)
             ),
         )
+
+    def contacts(self) -> dict[str, NetworkLink]:
+        """:meth:`Network.contacts` at the lower ends: the softest of each port's links."""
+        return self.low.contacts()
+
+    def stiffened(self, parts: Mapping[str, float]) -> NetworkBox:
+        """:meth:`Network.stiffened` at both ends."""
+        return NetworkBox(self.low.stiffened(parts), self.high.stiffened(parts))
 
     def environment(self, T: float) -> StateSpace:
         """E of the nominal network."""

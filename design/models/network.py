@@ -28,6 +28,7 @@ The design does not assume any of this: it computes Phi_E for the E that results
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -108,6 +109,41 @@ class Network:
         for name, mass in self.masses:
             if not 0.0 < mass < np.inf:
                 raise ValueError(f"mass {name}: found {mass} kg, expected a finite one > 0")
+
+    def contacts(self) -> dict[str, NetworkLink]:
+        """The link by which a port meets the rest of the world, by port; links in parallel are added.
+
+        A port is left out if its links lead to several ends, or to another port, or if it has no stiffness: then no
+        spring of its own is in series with whatever moves the port.
+        """
+        ports = set(self.ports)
+        found: dict[str, NetworkLink] = {}
+        several: set[str] = set()
+        for link in self.links:
+            for port, end in (link.ends, link.ends[::-1]):
+                if port not in ports:
+                    continue
+                before = found.get(port)
+                if end in ports or (before is not None and before.ends[1] != end):
+                    several.add(port)
+                k, b = (0.0, 0.0) if before is None else (before.stiffness, before.damping)
+                found[port] = NetworkLink((port, end), k + link.stiffness, b + link.damping)
+        return {port: link for port, link in found.items() if port not in several and link.stiffness > 0.0}
+
+    def stiffened(self, parts: Mapping[str, float]) -> Network:
+        """The network whose links at a port are stiffer by 1/(1 - part), in stiffness and damping.
+
+        For a port of :meth:`contacts` with the link k + b s, this is the world that is left when the compliance
+        part/(k + b s) is taken out of it (docs/decisions/0045-series-compliance.md).
+
+        Args:
+            parts: 0 <= part < 1, by port.
+        """
+        links = []
+        for link in self.links:
+            factor = 1.0 / (1.0 - max(parts.get(end, 0.0) for end in link.ends))
+            links.append(NetworkLink(link.ends, factor * link.stiffness, factor * link.damping))
+        return Network(self.ports, self.masses, tuple(links))
 
     def stiffness_matrix(self) -> Matrix:
         """K, (m+n) x (m+n), N/m; ports first, then masses."""

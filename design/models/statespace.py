@@ -186,6 +186,16 @@ class StateSpace:
         resolvent = np.linalg.solve(point * np.eye(self.order) - self.A, self.B.astype(np.complex128))
         return np.asarray(self.C @ resolvent + self.D)
 
+    def minus(self, other: StateSpace) -> StateSpace:
+        """This system less another one with the same inputs and outputs; the states of this one, then of the other."""
+        n, k = self.order, other.order
+        return StateSpace(
+            np.block([[self.A, np.zeros((n, k))], [np.zeros((k, n)), other.A]]),
+            np.vstack([self.B, other.B]),
+            np.hstack([self.C, -other.C]),
+            self.D - other.D,
+        )
+
     def simulate(self, inputs: Matrix) -> Matrix:
         """Outputs (ticks x m) of the discrete system from rest, for ``inputs`` (ticks x p)."""
         state = np.zeros(self.order)

@@ -1,6 +1,7 @@
 """The claim of a certificate, read from its plain data: every name is resolved, every number is exact, none is trusted.
 
-The format is version 3 of the certificate file, or version 2, which lacks ``asked``. Matrices keep the paper's letters.
+The format is version 3 of the certificate file, or version 2, which lacks ``asked``. Version 4 has a period tolerance,
+and version 5 the parts of the world's links that are counted in series. Matrices keep the paper's letters.
 Indices count ports from 0 in the certificate's order, and masses after them.
 
 An environment's physical data are a network, a state space, or rational functions of s. A declared environment has
@@ -33,8 +34,8 @@ from manyhands.design.proof.finding import ProofInputError
 GROUND = "ground"
 _MAX_DELAY = 1_000  # ticks
 
-Span = tuple[Number, Number]
-"""A parameter's lower and upper end; both are equal for a known parameter."""
+Span = tuple[Number | fmpq, Number | fmpq]
+"""A parameter's lower and upper end; both are equal for a known parameter. Rationals are computed from the file's."""
 
 
 @dataclass(frozen=True)
@@ -437,6 +438,7 @@ def _trimmed(coefficients: tuple[Number, ...]) -> tuple[Number, ...]:
 
 
 FORMAT = "manyhands-certificate"
+WITH_SERIES = 5
 WITH_TOLERANCE = 4
 VERSION = 3
 WITHOUT_ASKED = 2
@@ -455,6 +457,7 @@ _KEYS: tuple[str, ...] = (
 _KEYS += ("coupling", "levels", "storage", "transparency", "margins", "method")
 _ASKED = "asked"
 _TOLERANCE = "period_tolerance"
+_SERIES = "series"
 _MOST_ASKED = 50_000  # values in ``asked``: an order for each of MAX_PORTS blocks, and room for the rest
 _DEEPEST_ASKED = 8
 
@@ -538,6 +541,7 @@ class Claim:
         osp: the promised level of each device, N*s/m.
         blocks: name and ports of each block of V.
         environment: the physical data of E.
+        series: by port, the part of the compliance of the world's own link that V contains; 0 for all others.
         coupling: the blocks of V, in order.
         kappa, share, c: the loop gain K = kappa T Delta_D^-1, the part of the device's level that remains, and the
             storage's weight that proves it.
@@ -559,6 +563,7 @@ class Claim:
     osp: tuple[StatedMatrix, ...]
     blocks: tuple[PortGroup, ...]
     environment: EnvironmentData
+    series: Mapping[int, fmpq]
     coupling: tuple[StatedSpringDamper | Linear, ...]
     kappa: fmpq
     share: fmpq
@@ -577,16 +582,19 @@ def read(data: Mapping[str, Any]) -> Claim:
     Raises:
         ProofInputError: a key is missing or unknown, or its value has the wrong type, shape or size.
     """
-    fields = Item(data, "").fields(_KEYS, (_ASKED, _TOLERANCE))
+    fields = Item(data, "").fields(_KEYS, (_ASKED, _TOLERANCE, _SERIES))
     fields["format"].text(FORMAT)
-    version = fields["version"].whole(WITHOUT_ASKED, WITH_TOLERANCE)
+    version = fields["version"].whole(WITHOUT_ASKED, WITH_SERIES)
     if (_ASKED in fields) != (version != WITHOUT_ASKED):
         where = f"in version {VERSION} and later, and not in version {WITHOUT_ASKED}"
         raise ProofInputError(f"{_ASKED}: expected it {where}")
     if _ASKED in fields:
         _require_plain(fields[_ASKED])
-    if (_TOLERANCE in fields) != (version == WITH_TOLERANCE):
-        raise ProofInputError(f"{_TOLERANCE}: expected it in version {WITH_TOLERANCE}, and in no other")
+    if (_TOLERANCE in fields) != (version == WITH_TOLERANCE) and version != WITH_SERIES:
+        where = f"in version {WITH_TOLERANCE}, and in no other except {WITH_SERIES}"
+        raise ProofInputError(f"{_TOLERANCE}: expected it {where}")
+    if (_SERIES in fields) != (version == WITH_SERIES):
+        raise ProofInputError(f"{_SERIES}: expected it in version {WITH_SERIES}, and in no other")
     fields["session"].text()
     for item in fields["method"].entries(1_000).values():
         if not isinstance(item.value, str):
@@ -620,6 +628,7 @@ def read(data: Mapping[str, Any]) -> Claim:
         osp=tuple(osp),
         blocks=blocks,
         environment=environment,
+        series=_series(fields[_SERIES], index) if _SERIES in fields else {},
         coupling=_coupling(fields["coupling"], storage["V_hat"], blocks),
         kappa=exact_decimal(levels["kappa"].number()),
         share=exact_decimal(levels["share"].number()),
@@ -631,6 +640,14 @@ def read(data: Mapping[str, Any]) -> Claim:
         transparency=_transparency(fields["transparency"]),
         margins={name: exact_decimal(item.number()) for name, item in fields["margins"].entries(100).items()},
     )
+
+
+def _series(item: Item, index: dict[str, int]) -> dict[int, fmpq]:
+    """The parts that are counted, by port."""
+    found = item.entries(MAX_PORTS)
+    if not found or not set(found) <= set(index):
+        raise item.refusal("a part for at least one of the certificate's ports, and for no other name")
+    return {index[port]: exact_decimal(part.number()) for port, part in found.items()}
 
 
 def _require_plain(item: Item) -> None:

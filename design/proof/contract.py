@@ -23,7 +23,7 @@ from __future__ import annotations
 from flint import fmpq
 
 from manyhands.design.proof import exact, rational, statics, wave_link
-from manyhands.design.proof.claim import WITH_TOLERANCE, Claim, StatedSpringDamper
+from manyhands.design.proof.claim import Claim, StatedSpringDamper
 from manyhands.design.proof.coupling import loop_stiffness_limit
 from manyhands.design.proof.exact import Sparse
 from manyhands.design.proof.finding import Finding, Verdict
@@ -77,7 +77,7 @@ def times(claim: Claim) -> Finding:
     """0 < T, 0 <= tau <= T; and 0 < rho <= 1 where periods longer than T are claimed."""
     T, tau, rho = claim.period, claim.tau, claim.period_tolerance
     holds, condition = T > 0 and 0 <= tau <= T, "0 < T and 0 <= tau <= T"
-    if claim.version == WITH_TOLERANCE:
+    if "period_tolerance" in claim.data:
         holds, condition = holds and 0 < rho <= 1, f"{condition}, 0 < rho <= 1"
     return Finding(condition, holds, rational.rounded(T) if holds else 0.0, 0.0, "", "exactly")
 

@@ -32,9 +32,9 @@ _MAX_BITS = 1023  # of a whole number: greater ones do not fit into a float
 _MAX_TEXT = 1_000
 
 
-def exact_decimal(number: Number) -> fmpq:
-    """The exact value of the shortest decimal of ``number``."""
-    return fmpq(*_ratio(number))
+def exact_decimal(number: Number | fmpq) -> fmpq:
+    """The exact value of the shortest decimal of ``number``; a rational, which is exact, as it is."""
+    return number if isinstance(number, fmpq) else fmpq(*_ratio(number))
 
 
 def _ratio(number: Number) -> tuple[int, int]:

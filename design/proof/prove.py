@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from manyhands.design.proof import contract, environment, transparency, wave_link
+from manyhands.design.proof import contract, environment, series, transparency, wave_link
 from manyhands.design.proof.claim import WITHOUT_ASKED, Claim, ProxyData, StatedSpringDamper, read
 from manyhands.design.proof.coupling import linear, spring_damper
 from manyhands.design.proof.device import device_form
@@ -47,7 +47,12 @@ def prove(data: Mapping[str, Any], progress: Progress | None = None) -> tuple[Fi
     report("the coupling's blocks")
     promises += [_block(claim, i) for i in range(len(claim.blocks))] if promises[-1].holds else []
     report("the environment")
-    promises += environment.findings(claim.environment, claim.P_E, claim.Phi_E, len(claim.ports), claim.period)
+    if claim.series:
+        promises.append(series.finding(claim))
+        if not promises[-1].holds:
+            return (*findings, *promises)
+    inner = series.cut(claim).environment
+    promises += environment.findings(inner, claim.P_E, claim.Phi_E, len(claim.ports), claim.period)
     promises += wave_link.contract_findings(claim)
     report("condition (10)")
     promises.append(contract.loop_condition(claim))

@@ -12,6 +12,8 @@ these four systems, with m inputs and m outputs each:
   = kron(e_1, I_m), C = kron((b_1 - a_1 b_0, ..., b_n - a_n b_0), I_m), D = b_0 I_m.
 - V: its blocks, states stacked in the order of "structure", inputs and outputs at their ports. A spring-damper block
   has C_V = (T K + B)^-1, A_V = B C_V, B_V = T A_V, D_V = T C_V, one state per port.
+- Where a part of the world's links is counted in series, V above is the blocks less C, and E is the world as it is
+  (:mod:`manyhands.design.proof.series`): states of the blocks, then one for each port where something is counted.
 - E: from E1 and Rest = (A_r, B_r, C_r, D_r), for every kind of environment, delayed ones too (Rest with its chain),
   and a network in the middle of its intervals; state (eta, u-), u- the displacement of the tick before:
 
@@ -42,6 +44,7 @@ from __future__ import annotations
 from flint import arb_mat, fmpq
 
 from manyhands.design.proof import environment, rational
+from manyhands.design.proof import series as series_of_world
 from manyhands.design.proof.claim import (
     Claim,
     DeclaredData,
@@ -103,6 +106,7 @@ def order(claim: Claim, data: DynamicsData, stated: StatedTransparency) -> int:
     n_E = environment.order(data, m) + m
     n_V = sum(V.stiffness.rows if isinstance(V, StatedSpringDamper) else V.A.rows for V in claim.coupling)
     n_W = m * (len(stated.W1.den) + len(stated.W2.den) - 2)
+    n_V += len(claim.series)
     return n_W + n_V + n_E * (2 if stated.objective == "closed-loop" else 1)
 
 
@@ -116,10 +120,23 @@ def weighted(claim: Claim, data: DynamicsData, stated: StatedTransparency) -> Re
     m = len(claim.ports)
     W1, W2 = (companion(w.num, w.den, m) for w in (stated.W1, stated.W2))
     V = coupling(claim)
+    if claim.series:
+        V = less(V, series_of_world.counted(claim))
     E = environment_of(environment.split(data, claim.period), claim.period)
     if stated.objective == "loop-shaping":
         return series(W2, V, E, W1)
     return series(W2, E, loop(V, E), W1)
+
+
+def less(first: Realisation, second: Realisation) -> Realisation:
+    """The difference of two systems with the same inputs; states of the first, then of the second."""
+    (A_1, B_1, C_1, D_1), (A_2, B_2, C_2, D_2) = first, second
+    return (
+        diagonal_blocks(arb_mat, [A_1, A_2]),
+        assembled(arb_mat, [[B_1], [B_2]]),
+        assembled(arb_mat, [[C_1, -C_2]]),
+        D_1 - D_2,
+    )
 
 
 def series(*systems: Realisation) -> Realisation:

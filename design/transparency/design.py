@@ -128,7 +128,7 @@ def design_spring_damper(
     coupling = family.coupling(found.x)
     if min(np.linalg.eigvalsh(M)[0] for M in family.conditions(found.x)) < -1e-6:
         raise SolverFailure("spring-damper transparency: the answer does not survive a check of its conditions")
-    gamma, frequency = hinf_norm(weighted(loop.E, coupling.realisation(loop.T), loop.aim), loop.T)
+    gamma, frequency = hinf_norm(weighted(loop.E, loop.own(coupling.realisation(loop.T)), loop.aim), loop.T)
     return SpringDamperDesign(coupling, gamma, frequency, tuple(history), found.interrupted)
 
 
@@ -235,7 +235,7 @@ def recovered(family: FixedPoleFamily, found: Minimum, history: tuple[float, ...
             )
         blocks.append(loop.physical(block.realisation(x), i))
         storages.append(loop.storage(block.unpack(x)[2], i))
-    gamma, frequency = hinf_norm(weighted(loop.E, loop.partition.join(blocks), loop.aim), loop.T)
+    gamma, frequency = hinf_norm(weighted(loop.E, loop.own(loop.partition.join(blocks)), loop.aim), loop.T)
     return LinearDesign(
         tuple(blocks),
         tuple(storages),

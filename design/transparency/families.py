@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from scipy.linalg import null_space, solve_discrete_lyapunov
 
 from manyhands.design.models.coupling import Partition, SpringDamper
-from manyhands.design.models.statespace import Matrix, StateSpace, symmetric_part
+from manyhands.design.models.statespace import Matrix, StateSpace, frequency_response, symmetric_part
 from manyhands.design.models.weights import Filter, Transparency, WeightedLoop
 from manyhands.design.passivity.hinfinity import frequency_grid
 from manyhands.design.solver import LinearMatrixProgram, coefficients
@@ -56,6 +56,8 @@ class NormalisedLoop:
         T: period, s.
         partition: the ports of each block of the coupling V.
         aim: objective and weights of the transparency problem; the default serves designs without such a problem.
+        counted: what is counted of the world's links, force (N) to displacement (m), m x m. A coupling of the family
+            contains it, and the aim is about the coupling without it; None if nothing is counted.
         scaling: S_i = Delta_D,i^{-1/2} of each block, m_i x m_i, symmetric, (N*s/m)^{-1/2}; computed from Delta_D.
 
     Raises:
@@ -69,6 +71,7 @@ class NormalisedLoop:
     T: float
     partition: Partition
     aim: Transparency = UNWEIGHTED
+    counted: StateSpace | None = None
     scaling: tuple[Matrix, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -102,19 +105,23 @@ class NormalisedLoop:
         return WeightedLoop(self.E, self.aim)
 
     def grid(self, V: StateSpace) -> Matrix:
-        """Angles that separate the peaks of the weighted loop with the coupling V (physical units)."""
-        return frequency_grid(np.concatenate([self.weighted.poles(), self.weighted.poles_with(V)]))
+        """Angles that separate the peaks of the weighted loop with a coupling V of the family (physical units)."""
+        return frequency_grid(np.concatenate([self.weighted.poles(), self.weighted.poles_with(self.own(V))]))
 
-    def coupling(self, v: Sequence[ComplexArray], count: int) -> ComplexArray:
-        """V from the responses v of the blocks, angles x m x m."""
-        out = np.zeros((count, self.partition.size, self.partition.size), dtype=np.complex128)
+    def own(self, V: StateSpace) -> StateSpace:
+        """A coupling V of the family (physical units) without what is counted of the world's links."""
+        return V if self.counted is None else V.minus(self.counted)
+
+    def coupling(self, v: Sequence[ComplexArray], angles: Matrix) -> ComplexArray:
+        """The coupling without what is counted, from the responses v of the blocks at ``angles``, angles x m x m."""
+        out = np.zeros((len(angles), self.partition.size, self.partition.size), dtype=np.complex128)
         for ports, S, block in zip(self.partition.blocks, self.scaling, v, strict=True):
             out[:, np.array(ports)[:, None], np.array(ports)] = self.T * S @ block @ S
-        return out
+        return out if self.counted is None else out - frequency_response(self.counted, angles)
 
     def derivatives(self, v: Sequence[ComplexArray], slopes: Sequence[ComplexArray], angles: Matrix) -> ComplexArray:
         """The slopes of G from those of the blocks' v (angles x unknowns of the block x m_i x m_i), block by block."""
-        _, L, R = self.weighted.factors(self.coupling(v, len(angles)), angles)
+        _, L, R = self.weighted.factors(self.coupling(v, angles), angles)
         parts = []
         for ports, S, slope in zip(self.partition.blocks, self.scaling, slopes, strict=True):
             left = self.T * L[:, :, list(ports)] @ S
@@ -413,7 +420,7 @@ class SpringDamperFamily(Family):
     def responses(self, x: Matrix, angles: Matrix) -> ComplexArray:
         """G at ``angles``."""
         v, _ = self._blocks(x, angles)
-        return self.loop.weighted.factors(self.loop.coupling(v, len(angles)), angles)[0]
+        return self.loop.weighted.factors(self.loop.coupling(v, angles), angles)[0]
 
     def derivatives(self, x: Matrix, angles: Matrix) -> ComplexArray:
         """The slopes of G at ``angles``."""
@@ -548,7 +555,7 @@ class FixedPoleFamily(Family):
 
     def responses(self, x: Matrix, angles: Matrix) -> ComplexArray:
         """G at ``angles``."""
-        V = self.loop.coupling(self._blocks(x, self._slopes(angles)), len(angles))
+        V = self.loop.coupling(self._blocks(x, self._slopes(angles)), angles)
         return self.loop.weighted.factors(V, angles)[0]
 
     def derivatives(self, x: Matrix, angles: Matrix) -> ComplexArray:

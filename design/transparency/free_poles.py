@@ -153,7 +153,7 @@ class FreePoleFamily(Family):
     def responses(self, x: Matrix, angles: Matrix) -> ComplexArray:
         """G at ``angles``."""
         v, _ = self._blocks(x, angles)
-        return self.loop.weighted.factors(self.loop.coupling(v, len(angles)), angles)[0]
+        return self.loop.weighted.factors(self.loop.coupling(v, angles), angles)[0]
 
     def derivatives(self, x: Matrix, angles: Matrix) -> ComplexArray:
         """The slopes of G at ``angles``."""

@@ -206,7 +206,7 @@ def _certified(certificate: Certificate, session: Session, profile: Profile | No
 def stiffness_range(certificate: Certificate) -> tuple[float, float] | None:
     """The least and the greatest static stiffness of the blocks of V over all directions, N/m; None without any."""
     if certificate.spring_damper is not None:
-        found = np.linalg.eigvalsh(certificate.spring_damper.stiffness)
+        found = np.linalg.eigvalsh(certificate.stiffness)
     else:
         try:
             static = [block.response(1.0).real for block in certificate.blocks]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -46,6 +46,7 @@ from manyhands.design.problem import (
     SpringDamperWanted,
     Wish,
 )
+from manyhands.design.series import counted_parts
 from manyhands.launch.plan.access import capability_violations
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.session import AskedEnvironment, BlockMatrices, Session
@@ -72,7 +73,7 @@ def haptic_loop(session: Session) -> HapticLoop:
     """
     tau = stated_delay(session)
     index = {port: i for i, port in enumerate(session.ports)}
-    return HapticLoop(
+    loop = HapticLoop(
         session=session.name,
         period=session.period,
         ports=session.ports,
@@ -87,6 +88,8 @@ def haptic_loop(session: Session) -> HapticLoop:
         tau=tau,
         period_tolerance=session.period_tolerance,
     )
+    most = session.design.counted
+    return loop if most is None else replace(loop, series=counted_parts(loop, most))
 
 
 def stated_delay(session: Session) -> float:
@@ -216,7 +219,8 @@ class Prepared(Plan):
     """A planned session with the coupling of its run.
 
     Attributes:
-        loop: the session's haptic loop.
+        loop: the session's haptic loop as it is run; where compliance of the world is counted in series, it is cut
+            inside the world's links (:attr:`.HapticLoop.cut`).
         blocks: the realisation of each block of V, in the session's order.
         certificate: the certificate of the loop's stability; None for an uncertified run.
         id: the certificate's id, or one of the uncertified session; all processes of the run must agree on it.
@@ -390,7 +394,7 @@ def prepare(
         except DesignError as error:
             return _uncertified(session, error, uncertified)
     ladder, notes = _ladder(session, proof, progress)
-    return Prepared(session, haptic_loop(session), proof.blocks, proof, proof.id, ladder, notes)
+    return Prepared(session, haptic_loop(session).cut, proof.blocks, proof, proof.id, ladder, notes)
 
 
 def _prepare_parts(

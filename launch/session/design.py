@@ -17,6 +17,7 @@ import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from manyhands.design.series import MOST
 from manyhands.launch.session.errors import listed, one_of, show
 from manyhands.launch.session.fields import (
     Choice,
@@ -249,6 +250,7 @@ _TOLERANCE: Final = Quantity("a part of the period", least=0.0, most=1.0)
 _DELAYS: Final = Items("delays", MAX_RUNGS, _DELAY, least=0)
 AUTO: Final = "auto"
 """The word in place of a delay that is to be measured."""
+_PART: Final = Quantity("a part", above=0.0, most=MOST)
 _ORDER: Final = Whole("states for each port", 1, MAX_PORT_ORDER)
 _ORDERS: Final = NamedParts(part_name("a coupling name"), MAX_COUPLINGS)
 _COUPLINGS: Final = ("spring-damper", "linear", "given", "none")
@@ -275,6 +277,17 @@ def _delay(value: object) -> object:
         raise refusal(*either) from None
 
 
+def _series(value: object) -> object:
+    """Whether compliance of the world is counted in series; or the greatest part of a link's that is counted."""
+    if isinstance(value, bool):
+        return value
+    try:
+        return _PART(value)
+    except PydanticCustomError as error:
+        either = [problem._replace(expected=f"{problem.expected}, or true or false") for problem in problems_of(error)]
+        raise refusal(*either) from None
+
+
 def _order(value: object) -> object:
     """One number for all blocks, or one for each."""
     if not isinstance(value, Mapping):
@@ -284,6 +297,7 @@ def _order(value: object) -> object:
 
 
 _TAU_FORM: Final = either(_DELAY.json_schema, {"const": AUTO})
+_SERIES_FORM: Final = either({"type": "boolean"}, _PART.json_schema)
 _ORDER_FORM: Final = either(_ORDER.json_schema, {**_ORDERS.json_schema, "additionalProperties": _ORDER.json_schema})
 
 
@@ -305,6 +319,7 @@ _EVERY_KEY_IS_USED: Final[list[Any]] = [
         "then": {"properties": {"objective": {"const": "feasible"}, "coupling": {"enum": [*_FOUND]}, "poles": False}},
         "else": without("iterations"),
     },
+    {"if": where("coupling", *_FOUND), "else": {"properties": {"series": {"const": False}}}},
     *(
         {"if": where("coupling", coupling), "then": {"properties": {"objective": {"enum": [*objectives]}}}}
         for coupling, objectives in _OBJECTIVES_OF.items()
@@ -353,6 +368,11 @@ class Design(SessionModel):
         description="by which part of the period the time between two samples may be longer, as the certificate is to "
         "allow",
     )
+    series: Annotated[bool | float, BeforeValidator(Described(_series, _SERIES_FORM))] = Field(
+        default=False,
+        description="whether the spring by which a port meets the world is counted in series with its coupling; or the "
+        "greatest part of it that is counted",
+    )
     ladder: Annotated[tuple[float, ...] | None, BeforeValidator(optional(_DELAYS))] = Field(
         default=None, description="longer delays, growing, for each of which a softer coupling is held ready, in s"
     )
@@ -386,6 +406,13 @@ class Design(SessionModel):
         return None if self.tau is None or isinstance(self.tau, str) else self.tau
 
     @property
+    def counted(self) -> float | None:
+        """The greatest part of a port's own link that is counted in series; ``None`` where nothing is counted."""
+        if isinstance(self.series, bool):
+            return MOST if self.series else None
+        return self.series
+
+    @property
     def wanted(self) -> bool:
         """Whether the design has to find the coupling, rather than take a given one or none."""
         return self.coupling in _FOUND
@@ -409,7 +436,12 @@ class Design(SessionModel):
 
     @model_validator(mode="after")
     def _every_key_is_used(self) -> Self:
-        if problems := [*self._search_problems(), *self._objective_problems(), *self._ladder_problems()]:
+        if problems := [
+            *self._search_problems(),
+            *self._objective_problems(),
+            *self._series_problems(),
+            *self._ladder_problems(),
+        ]:
             raise refusal(*problems)
         return self
 
@@ -438,6 +470,12 @@ class Design(SessionModel):
         elif self.iterations is not None:
             found = "iterations with 'algorithm: convex'"
             yield Problem(("iterations",), found, "'algorithm: complementarity', or no iterations")
+
+    def _series_problems(self) -> Iterator[Problem]:
+        """Counting in series without a coupling to be found, which contains what is counted."""
+        if self.counted is not None and not self.wanted:
+            found = f"{show(self.series)} with 'coupling: {self.coupling}'"
+            yield Problem(("series",), found, "'coupling: spring-damper' or 'linear', or series: false")
 
     def _ladder_problems(self) -> Iterator[Problem]:
         """Delays that do not grow, or that belong to no coupling."""

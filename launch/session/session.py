@@ -30,7 +30,13 @@ from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, model_
 from manyhands.design.models.brief import brief_names
 from manyhands.launch.session.design import TRANSPARENCY, Design, full_matrix
 from manyhands.launch.session.device import Device
-from manyhands.launch.session.environment import GROUND, AskedEnvironment, Environment, environment_of_its_type
+from manyhands.launch.session.environment import (
+    GROUND,
+    AskedEnvironment,
+    Environment,
+    NetworkEnvironment,
+    environment_of_its_type,
+)
 from manyhands.launch.session.errors import SessionError, listed, one_of, show
 from manyhands.launch.session.fields import (
     Choice,
@@ -342,6 +348,7 @@ class Session(SessionModel):
             problems += islice(self._colocation_problems(), MAX_PROBLEMS)
         if not problems:
             problems += islice(self._wave_link_problems(), MAX_PROBLEMS)
+            problems += islice(self._series_problems(), MAX_PROBLEMS)
         if not problems:
             problems += islice(self._delay_problems(), MAX_PROBLEMS)
         if not problems:
@@ -372,6 +379,19 @@ class Session(SessionModel):
             if len(self.devices_of(name)) > 1:
                 found = f"true, with the coupling {name!r} of the devices {listed(self.devices_of(name))}"
                 yield Problem(("colocate",), found, "couplings of one device each, or false")
+
+    def _series_problems(self) -> Iterator[Problem]:
+        """A problem where a world that has no springs to be counted is to be counted in series."""
+        if self.design.counted is None:
+            return
+        at, network = ("design", "series"), self.environment
+        if not isinstance(network, NetworkEnvironment) or network.delay:
+            late = " with a delay" if isinstance(network, NetworkEnvironment) else ""
+            found = f"{show(self.design.series)} with an environment of type {network.type}{late}"
+            yield Problem(at, found, "an environment of type network without delay, or series: false")
+        elif self.wave_links:
+            found = f"{show(self.design.series)} with the wave link of {next(iter(self.wave_links))!r}"
+            yield Problem(at, found, "no wave link, or series: false: the spring of a world is not there across a link")
 
     def _wave_link_problems(self) -> Iterator[Problem]:
         """A problem for each wave link that fits neither its coupling nor the design."""

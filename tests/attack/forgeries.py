@@ -130,7 +130,18 @@ def _period_tolerance(rng: Generator, data: Data) -> None:
     before = data.get("period_tolerance", 0.0)
     rho = float(rng.choice([1.0, 10.0 ** rng.uniform(-9.0, 0.0), before * factor(rng), -0.1, 0.0]))
     data["period_tolerance"] = rho
-    data["version"] = 4 if rng.random() < 0.95 else data["version"]
+    if "series" not in data:
+        data["version"] = 4 if rng.random() < 0.95 else data["version"]
+
+
+def _series(rng: Generator, data: Data) -> None:
+    """Another part of a port's link, a part that is none, another port; or the key in a version without it."""
+    parts = data.setdefault("series", {})
+    port = str(rng.choice(data["ports"]))
+    parts[port] = float(rng.choice([rng.random(), parts.get(port, 0.5) * factor(rng), 1.0, 0.0, 1.5, -0.5]))
+    if rng.random() < 0.2:
+        parts.pop(_block(rng, parts))
+    data["version"] = 5 if rng.random() < 0.95 else data["version"]
 
 
 def _period(rng: Generator, data: Data) -> None:
@@ -247,6 +258,7 @@ CHANGES: dict[str, Callable[[Generator, Data], None]] = {
     "storage": _storage,
     "tau": _tau,
     "period_tolerance": _period_tolerance,
+    "series": _series,
     "period": _period,
     "kappa, share, c": _gain,
     "delay": _delay,
@@ -265,6 +277,7 @@ def applies(change: str, data: Data) -> bool:
     needs = {
         "gamma": data["transparency"] is not None,
         "delay": E != "declared",
+        "series": "series" in data or (E == "network" and data["version"] == 3),
         "intervals": E == "network" and data["environment"]["delay"] == 0,
     }
     return needs.get(change, True)

@@ -97,8 +97,12 @@ class Reader:
         M, B, K = (self.arithmetic.zeros(len(names), len(names)) for _ in range(3))
         for i, mass in enumerate(E["masses"].values()):
             M[m + i, m + i] = value(mass)
+        counted = self.data.get("series", {})
         for link in E["links"]:
             k, b = value(link["stiffness"]), value(link["damping"])
+            for name in link["between"]:  # a part of the link's compliance is in V, and the rest of it is stiffer
+                if name in counted:
+                    k, b = (x / (1 - self.arithmetic.number(counted[name])) for x in (k, b))
             ends = [at[name] for name in link["between"] if name != "ground"]
             for i in ends:
                 for j in ends:
@@ -298,6 +302,23 @@ class Reader:
                     value = num / den
                     out[..., i, j] = value[..., 0, 0] if isinstance(value, np.ndarray) else value
         return out * z ** (-E["delay"])
+
+    @property
+    def world(self) -> Reader:
+        """The same without what is counted in series: its environment is the world as it is stated."""
+        return replace(self, data={key: value for key, value in self.data.items() if key != "series"})
+
+    def counted_at(self, z: Any) -> list[Any]:
+        """What is counted of each port's own links, p/(k + b s), at z; 0 where nothing is."""
+        parts, number = self.data.get("series", {}), self.arithmetic.number
+        if not parts:
+            return [0 * z for _ in self.ports]
+        _, B, K = self.world.network  # a port's own links are all that its row has
+        s = (z - 1) / (z * self.T)
+        return [
+            number(parts[port]) / (K[i, i] + B[i, i] * s) if port in parts else 0 * z
+            for i, port in enumerate(self.ports)
+        ]
 
     def polynomial(self, coefficients: Sequence[float], s: Any) -> Any:
         """Its value at s; descending powers."""

@@ -48,6 +48,10 @@ def statics(data: Data) -> list[str]:
         ends = [end for link in E["links"] for key in ("stiffness", "damping") for end in _ends(link[key])]
         if any(end < 0 for end in ends) or any(end <= 0 for mass in E["masses"].values() for end in _ends(mass)):
             out.append("a network's parts are positive")
+        elif not _counted(data):
+            out.append("what is counted in series is the world's own")
+    elif "series" in data:
+        out.append("what is counted in series is the world's own")
     elif E["type"] != "declared":
         E1 = static_stiffness(data)
         if E1 is None:
@@ -61,6 +65,18 @@ def statics(data: Data) -> list[str]:
         if V1 is None or any(V1[i][j] != V1[j][i] for i in range(len(V1)) for j in range(i)):
             out.append("V(1) is symmetric")
     return out
+
+
+def _counted(data: Data) -> bool:
+    """Whether each part is between 0 and 1, and of a port that one spring joins to a mass or to the ground."""
+    links, late = data["environment"]["links"], data["environment"]["delay"]
+    for port, part in data.get("series", {}).items():
+        own = [link for link in links if port in link["between"]]
+        others = {end for link in own for end in link["between"] if end != port}
+        stiff = any(_ends(link["stiffness"])[0] > 0 for link in own)
+        if late or len(others) != 1 or others & set(data["ports"]) or not stiff or not 0 < decimal(part) < 1:
+            return False
+    return True
 
 
 def _ends(span: Any) -> list[float]:
@@ -214,13 +230,15 @@ def transparency_part(reader: Reader, z: Any) -> Array:
     for key in ("W1", "W2"):
         num, den = (reader.polynomial(claim[key][part], z) for part in ("num", "den"))
         weight = weight * (num / den)
-    E, m, at = reader.environment_at(z), len(reader.ports), reader.ports.index
+    E, m, at = reader.world.environment_at(z), len(reader.ports), reader.ports.index
     V = 0 * E
     for name, ports in reader.data["structure"].items():
         part, i = reader.block_at(name, z), [at(port) for port in ports]
         for a, row in enumerate(i):
             for b, column in enumerate(i):
                 V[..., row, column] = part[..., a, b]
+    for i, own in enumerate(reader.counted_at(z)):
+        V[..., i, i] = V[..., i, i] - (own[..., 0, 0] if isinstance(own, np.ndarray) else own)
     X = E @ V if claim["objective"] == "loop-shaping" else reader.arithmetic.solve(reader.eye(m) + E @ V, E) - E
     X = X * weight
     return reader.eye(m) * reader.arithmetic.number(claim["gamma"]) ** 2 - _star(X) @ X

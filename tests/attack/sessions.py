@@ -323,6 +323,41 @@ def of_linear(rng: Generator) -> Data | None:
     return designed(loop, LinearGiven(tuple(blocks)))
 
 
+def of_series(rng: Generator) -> Data | None:
+    """A network that some ports meet by one spring of their own, of which a part is counted in series."""
+    T, osp, _ = _scales(rng)
+    m = int(rng.integers(1, 7))
+    ports, n = tuple(f"p{i}" for i in range(m)), int(rng.integers(0, 3))
+    masses = tuple((f"m{i}", osp * T * 10.0 * spread(rng, -2.0, 4.0)) for i in range(n))
+    inner = [*(name for name, _ in masses), GROUND]
+
+    def link(a: str, b: str) -> NetworkLink:
+        k = osp / T * spread(rng, -2.0, 3.0)
+        return NetworkLink((a, b), k, k * T * spread(rng, -3.0, 0.5) * float(rng.random() < 0.8))
+
+    links = [link(port, str(rng.choice(inner))) for port in ports]
+    links += [link(link_.ends[0], link_.ends[1]) for link_ in links if rng.random() < 0.1]  # in parallel
+    links += [link(a, str(rng.choice([b for b in inner if b != a]))) for a in inner[:-1]]
+    if m > 1 and rng.random() < 0.3:
+        links.append(link(ports[0], ports[1]))  # these two have no link of their own
+    world: Network | NetworkBox = Network(ports, masses, tuple(links))
+    if rng.random() < 0.3:
+        f = 1.0 + float(rng.exponential(1.0))
+        stiffer = tuple(NetworkLink(a.ends, f * a.stiffness, f * a.damping) for a in links)
+        world = NetworkBox(world, Network(ports, masses, stiffer))
+    loop = loop_of(rng, world, T, osp, late(rng, T))
+    contacts = world.contacts()
+    counted = [float(rng.choice([0.999, 0.5, rng.random()])) * float(port in contacts) for port in ports]
+    aim = None
+    if any(counted):
+        loop = replace(loop, series=tuple(counted))
+    if rng.random() < 0.3 and loop.punctual and isinstance(world, Network):
+        p = float(np.exp(-spread(rng, -2.0, -0.5)))
+        objective = "loop-shaping" if rng.random() < 0.5 else "closed-loop"
+        aim = Transparency(objective, Filter((1.0 - p,), (1.0, -p)), Filter((1.0,), (1.0,)))  # type: ignore[arg-type]
+    return designed(loop, spring_damper(rng, loop, aim))
+
+
 def of_transparency(rng: Generator) -> Data | None:
     T, osp, m = _scales(rng)
     environment: Environment = network(rng, m, osp, T) if rng.random() < 0.6 else system(rng, m, 0.1 * osp / T, T)
@@ -349,6 +384,7 @@ KINDS: dict[str, Callable[[Generator], Data | None]] = {
     "declared": of_declared,
     "linear coupling": of_linear,
     "transparency": of_transparency,
+    "series": of_series,
 }
 
 

@@ -26,7 +26,7 @@ from tests.attack.sessions import KINDS, designed
 CERTIFICATES = Path(__file__).parent / "certificates"
 FALSE = sorted(path.stem for path in CERTIFICATES.glob("*.json") if not path.stem.startswith("ladder"))
 CLASSES = (*KINDS, "ladder", *(f"forged: {change}" for change in CHANGES), "forged: ladder")
-MOST_SESSIONS = 60
+MOST_SESSIONS = 200
 FORGERIES = len(CHANGES)
 
 

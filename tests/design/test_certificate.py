@@ -170,7 +170,7 @@ BROKEN_TEXTS = {
     "17": "not a certificate",
     '"certificate"': "not a certificate",
     "{}": "key 'format' is missing",
-    '{"format": "manyhands-certificate", "version": 1}': "expected manyhands-certificate version 2, 3 or 4, found",
+    '{"format": "manyhands-certificate", "version": 1}': "expected manyhands-certificate version 2, 3, 4 or 5, found",
     '{"format": "other", "version": 3}': "found 'other' 3",
     '{"format": "manyhands-certificate", "version": 2.0}': "found 'manyhands-certificate' 2.0",
     '{"a": 1, "a": 2}': "every key once",
@@ -209,7 +209,7 @@ def test_a_file_too_large_is_refused(path: Path) -> None:
 @pytest.mark.parametrize(
     ("at", "value", "words"),
     [
-        (("version",), 1, "version 2, 3 or 4, found 'manyhands-certificate' 1"),
+        (("version",), 1, "version 2, 3, 4 or 5, found 'manyhands-certificate' 1"),
         (("version",), 2, "found the keys ['asked']"),
         (("asked",), None, "expected asked to be an object"),
         (("asked",), ["stiffest"], "expected asked to be an object"),

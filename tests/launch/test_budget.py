@@ -23,6 +23,8 @@ from manyhands.launch.budget import (
     plot_budget,
     print_budget,
     print_wave_links,
+    series_budget,
+    session_budget,
     wave_link_budgets,
     wave_links_object,
 )
@@ -99,6 +101,22 @@ def test_the_tables_say_what_is_what() -> None:
     assert "longer than T" in text
     assert "The environment is passive" in text
     assert printed(loop([1.37])).count("τ = 0") == 2  # its own and Colgate's: no third for the session's
+
+
+def test_the_worlds_own_springs_in_series() -> None:
+    """1/(1/K - p/k), with the delay's own p; without `series` there is no table of it."""
+    found = session_budget(load_named("example1", ["design.series=true", "design.tau=0.0005"]))
+    rows = series_budget(found)
+    assert {row.port for row in rows} == {"dx", "dy", "dz"}
+    own = {(row.port, row.tau): row for row in rows}
+    assert own["dx", 0.0].certified == pytest.approx(9797.0, abs=1.0)
+    assert own["dz", 0.001].certified == pytest.approx(864.0, abs=1.0)
+    for row in rows:
+        assert 1.0 / row.certified + row.part / row.contact == pytest.approx(1.0 / row.without)
+    assert json.loads(json.dumps(budget_object(found)))["series"][0]["port"] == "dx"
+    plainly = session_budget(load_named("example1"))
+    assert series_budget(plainly) == ()
+    assert "series" not in budget_object(plainly)
 
 
 def test_longer_periods_cost_stiffness() -> None:

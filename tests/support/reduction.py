@@ -67,7 +67,7 @@ def reduced(certificate: Certificate, frozen: Collection[str]) -> Certificate:
     Raises:
         ValueError: a name is no block's, or no block remains.
     """
-    loop, levels = certificate.loop, certificate.levels
+    loop, levels = certificate.loop.cut, certificate.levels
     partition = loop.partition
     unknown = sorted(set(frozen) - set(partition.names))
     if unknown:

@@ -149,7 +149,10 @@ def forged(path: Path, run: RecordedRun, change: Callable[[dict[tuple[str, str],
 
 
 def prepared_as(kind: str) -> Prepared:
-    """A certified session of a kind: a shipped one, or Example 1 ``linear`` or ``enforced``, without a ladder."""
+    """A certified session of a kind: a shipped one, or Example 1 ``linear``, ``enforced`` or ``series``, no ladder."""
+    if kind == "series":
+        counted = ["design.series=true", "design.objective=stiffest", "design.ladder=[]"]
+        return prepare(load_session(SESSIONS / "example1.yaml", counted))
     if kind == "enforced":
         return prepare(load_session(SESSIONS / "example1.yaml", ["environment.enforce=true", "design.ladder=[]"]))
     if kind != "linear":

@@ -110,7 +110,7 @@ def test_anything_at_all(value: Any) -> None:
         (("method",), {"a": 1.5}, "method.a"),
         (("version",), 2, "asked"),
         (("version",), 4, "period_tolerance"),
-        (("version",), 5, "version"),
+        (("version",), 6, "version"),
         (("period_tolerance",), 0.1, "period_tolerance"),
         (("asked",), None, "asked"),
         (("asked",), "stiffest", "asked"),
