@@ -278,8 +278,10 @@ class ContactScene:
 
     @property
     def geometry(self) -> ContactScene:
-        """The scene without springs, contacts and gravity: its tools, bodies and obstacles."""
-        return ContactScene(self.ports, self.tools, self.bodies, self.obstacles)
+        """The scene without springs and gravity: its tools, bodies and obstacles, and how they touch."""
+        return ContactScene(
+            self.ports, self.tools, self.bodies, self.obstacles, surface=self.surface, surfaces=self.surfaces
+        )
 
     def ends_of(self, link: SceneLink) -> tuple[int | None, int | None]:
         """The indices of the points that a link joins; None for the ground."""
@@ -412,13 +414,13 @@ class ContactScene:
         }
 
     def geometry_terms(self) -> dict[str, Any]:
-        """Tools, bodies and obstacles as JSON values, with the names of the ports."""
+        """Tools, bodies, obstacles and how they touch, as JSON values, with the names of the ports."""
         terms = self.terms()
         return {"ports": list(self.ports), **{key: terms[key] for key in _GEOMETRY}}
 
 
 _XYZ: Final = {0, 1, 2}
-_GEOMETRY: Final = ("tools", "bodies", "obstacles")
+_GEOMETRY: Final = ("tools", "bodies", "obstacles", "contact", "contacts")
 
 
 def _point(data: Sequence[Any]) -> Point:

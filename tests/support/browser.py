@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 from urllib.parse import urlsplit
 
-from playwright.sync_api import Browser, Page, Route, WebSocketRoute, sync_playwright
+from playwright.sync_api import Browser, ConsoleMessage, Page, Route, WebSocketRoute, sync_playwright
 
 from manyhands.launch.view.feed import Cursor, Feed
 from manyhands.launch.view.security import HEADERS
@@ -36,6 +36,15 @@ QUIET: Final = (
     "--disable-backgrounding-occluded-windows",
     "--disable-renderer-backgrounding",
 )
+
+SOFTWARE: Final = "GPU stall due to ReadPixels"
+"""Of the one message that WebGL without a graphics card logs by itself, about its own speed."""
+
+
+def is_wrong(message: ConsoleMessage) -> bool:
+    """Whether a message of the browser's console is the page's error or warning."""
+    return message.type in ("error", "warning") and SOFTWARE not in message.text
+
 
 UNTIL: Final = """([condition, limit]) => new Promise((done, fail) => {
   const end = setTimeout(() => fail(new Error("it never became so")), limit);
@@ -112,7 +121,7 @@ def open_page(browser: Browser, address: str, width: int, scheme: Any, wrong: li
     page.on("request", lambda request: requested(request.url))
     page.on("websocket", lambda opened: requested(opened.url))
     page.on("pageerror", lambda error: wrong.append(f"error {error}"))
-    page.on("console", lambda told: wrong.append(told.text) if told.type in ("error", "warning") else None)
+    page.on("console", lambda told: wrong.append(told.text) if is_wrong(told) else None)
     page.goto(address)
     until(page, "#plot", "data-points", above=100)
     tick = int(page.get_attribute("#plot", "data-last-tick") or 0)
@@ -183,9 +192,7 @@ class ShownPage:
         self.page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
         self.page.set_default_timeout(60_000)
         self.page.on("pageerror", lambda error: self.wrong.append(f"error {error}"))
-        self.page.on(
-            "console", lambda told: self.wrong.append(told.text) if told.type in ("error", "warning") else None
-        )
+        self.page.on("console", lambda told: self.wrong.append(told.text) if is_wrong(told) else None)
         assets = load_assets()
 
         def answer(route: Route) -> None:
