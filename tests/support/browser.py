@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
 import re
 import signal
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 from urllib.parse import urlsplit
 
+import numpy as np
 from playwright.sync_api import Browser, ConsoleMessage, Page, Route, WebSocketRoute, sync_playwright
 
 from manyhands.launch.view.feed import Cursor, Feed
@@ -60,7 +63,8 @@ UNTIL: Final = """([condition, limit]) => new Promise((done, fail) => {
     const { name, where, what } = condition;
     const element = document.querySelector(where);
     if (!element) return false;
-    const value = name === "text" ? element.textContent : (element.getAttribute(name) ?? "");
+    const whole = name === "text" ? element.textContent : (element.getAttribute(name) ?? "");
+    const value = what.axis === undefined ? whole : (whole.split(" ")[what.axis] ?? "");
     if (what.equals !== undefined) return value === what.equals;
     if (what.has !== undefined) return value.includes(what.has);
     return value !== "" && (what.above !== undefined ? Number(value) > what.above : Number(value) < what.below);
@@ -71,17 +75,20 @@ UNTIL: Final = """([condition, limit]) => new Promise((done, fail) => {
 
 
 def until(page: Page, where: str, name: str, **what: Any) -> None:
-    """Wait until an attribute of an element, or its text: ``equals``, ``has``, or is ``above`` or ``below`` it."""
+    """Wait until an attribute of an element, or its text: ``equals``, ``has``, or is ``above`` or ``below`` it.
+
+    With ``axis`` it is one of several numbers.
+    """
     page.evaluate(UNTIL, [{"where": where, "name": name, "what": what}, 60_000])
 
 
 @contextmanager
-def viewed(*options: str | Path) -> Iterator[tuple[str, int]]:
-    """A session that can be dragged, and its page, served with these options.
+def viewed(*options: str | Path, session: Sequence[str] = (SESSION,)) -> Iterator[tuple[str, int]]:
+    """A session that can be dragged (its file, and options of its launch), and its page, served with ``options``.
 
     Yields the page's address and the supervisor's process id.
     """
-    with started("launch", SESSION, *SLOWED) as launched:
+    with started("launch", *session, *SLOWED) as launched:
         read_until(launched, "running")
         with started("view", "--running", str(launched.pid), *options) as view:
             address = re.sub(r"^page: ", "", read_until(view, "page: ").strip())
@@ -142,6 +149,56 @@ def centre(page: Page, where: str) -> tuple[float, float]:
     return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
 
 
+SPACE: Final = ".space"
+"""The drawing of a scene in space, which has the focus for the camera's keys."""
+
+_FIELD: Final = 0.6  # rad, of the camera, from the lower to the upper edge
+
+
+class Camera(NamedTuple):
+    """The camera as the page states it: two angles (rad), distance and target (m), and the picture's height (px)."""
+
+    azimuth: float
+    elevation: float
+    distance: float
+    target: np.ndarray[Any, np.dtype[np.float64]]
+    height: float
+
+    @classmethod
+    def of(cls, page: Page) -> Camera:
+        """The camera of the picture that the page shows."""
+        azimuth, elevation, distance, *target = map(float, (page.get_attribute(SPACE, "data-camera") or "").split())
+        box = page.locator(f"{SPACE} canvas").bounding_box()
+        assert box is not None
+        return cls(azimuth, elevation, distance, np.array(target), box["height"])
+
+    def moved(self, place: Any, right: float, down: float) -> np.ndarray[Any, np.dtype[np.float64]]:
+        """The motion, m, parallel to the picture, that moves what is at ``place`` by so many px."""
+        sa, ca, se, ce = (
+            math.sin(self.azimuth),
+            math.cos(self.azimuth),
+            math.sin(self.elevation),
+            math.cos(self.elevation),
+        )
+        eye = self.target + self.distance * np.array([ce * sa, se, ce * ca])
+        depth = float((eye - place) @ np.array([ce * sa, se, ce * ca]))
+        length = 2.0 * depth * math.tan(_FIELD / 2.0) / self.height  # of a px
+        return length * (right * np.array([ca, 0.0, -sa]) - down * np.array([-se * sa, ce, -se * ca]))
+
+
+def camera_after(page: Page, *keys: str) -> Camera:
+    """The camera after these keys, and after the frame that shows it."""
+    for key in keys:
+        page.keyboard.press(key)
+    frames(page)
+    return Camera.of(page)
+
+
+def frames(page: Page) -> None:
+    """Wait until two more frames are drawn."""
+    page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+
 NOWHERE: Final = "http://127.0.0.1:9/"
 """The address of a page that no server serves: the test answers its requests itself."""
 
@@ -182,15 +239,18 @@ class ShownPage:
     Attributes:
         page: the browser's page.
         wrong: every error and warning of the page.
+        demands: the page's messages, in their order.
     """
 
-    def __init__(self, browser: Browser, feed: Feed, width: int, scheme: Any) -> None:
-        """Open the page, and show the feed's present state."""
+    def __init__(self, browser: Browser, feed: Feed, width: int, scheme: Any, before: str = "") -> None:
+        """Open the page, and show the feed's present state; the page's scripts run after the script ``before``."""
         self.wrong: list[str] = []
+        self.demands: list[dict[str, Any]] = []
         self._feed, self._cursor, self._sent = feed, Cursor(), 0
         self._sockets: list[WebSocketRoute] = []
         self.page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
         self.page.set_default_timeout(60_000)
+        self.page.add_init_script(before)
         self.page.on("pageerror", lambda error: self.wrong.append(f"error {error}"))
         self.page.on("console", lambda told: self.wrong.append(told.text) if is_wrong(told) else None)
         assets = load_assets()
@@ -206,6 +266,7 @@ class ShownPage:
 
         def connected(socket: WebSocketRoute) -> None:
             self._sockets.append(socket)
+            socket.on_message(lambda text: self.demands.append(json.loads(text)))
             socket.send(feed.session())
             self._send()
 
@@ -218,6 +279,14 @@ class ShownPage:
         """Show what the feed has taken in since."""
         self._send()
         self._await_drawing()
+
+    def await_demand(self, demand: dict[str, Any]) -> None:
+        """Wait, frame by frame, until the page has sent this message."""
+        for _ in range(3600):
+            if demand in self.demands:
+                return
+            self.page.evaluate("() => new Promise(requestAnimationFrame)")
+        raise AssertionError(f"the page has sent {self.demands}; expected {demand}")
 
     def _send(self) -> None:
         self._sent += 1

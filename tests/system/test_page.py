@@ -7,9 +7,10 @@ import shutil
 import signal
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from ..support.browser import browsing, centre, open_page, picture, until, viewed
+from ..support.browser import SPACE, browsing, camera_after, centre, open_page, picture, until, viewed
 
 CHROMIUM = shutil.which("chromium")
 REQUIRED = os.environ.get("MANYHANDS_REQUIRE_BROWSER") == "1"
@@ -21,6 +22,12 @@ pytestmark = [
 ]
 
 LEFT, RIGHT_FORCE = '[data-device="left"]', '[data-force-of="right"]'
+ANNA, BEN, RED = '[data-device="anna"]', '[data-device="ben"]', '[data-mass="red"]'
+HAND = "{stiffness: 300, damping: 5}"  # it joins a device to the pointer
+CARRIED = (
+    "carry",
+    *(f"--set=devices.{d}.{key}" for d in ("anna", "ben") for key in ("driver=browser", f"hand={HAND}")),
+)
 BALL = '[data-mass="ball"]'
 MOVED = 0.001  # m: no other hand moves in this session
 FELT = 0.01  # N
@@ -92,6 +99,45 @@ def test_the_page_of_a_session_that_is_dragged_and_hurt() -> None:
         for page in (wide, narrow):
             until(page, "body", "data-state", equals="over")
         assert wrong == []
+
+
+def test_two_people_carry_a_ball_in_two_browsers() -> None:
+    """Each drags one tool with a mouse: towards the ball, and up."""
+    assert CHROMIUM is not None, "MANYHANDS_REQUIRE_BROWSER is set, and there is no chromium"
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    wrong: list[str] = []
+    with viewed(session=CARRIED) as (address, _), browsing(CHROMIUM) as browser:
+        pages = [open_page(browser, address, 1280, "light", wrong), open_page(browser, address, 390, "dark", wrong)]
+        sides = {ANNA: (pages[0], 1.0), BEN: (pages[1], -1.0)}
+        grips = {}
+        for device, (page, side) in sides.items():
+            page.bring_to_front()
+            page.locator(SPACE).focus()
+            camera = camera_after(page, *("ArrowLeft",) * 5, *("ArrowDown",) * 3)
+            pixels = 1.0 / camera.moved(np.array([-0.06 * side, 0.04, 0.0]), 1.0, 0.0)[0]  # px of a m
+            x, y = centre(page, device)
+            page.mouse.move(x, y)
+            page.mouse.down()
+            x += 0.05 * side * pixels
+            page.mouse.move(x, y, steps=5)
+            grips[device] = page, x, y, pixels
+        until(pages[0], ANNA, "data-held", equals="here")
+        until(pages[0], BEN, "data-held", equals="elsewhere")
+        for centimetres in (2, 4, 6):
+            for page, x, y, pixels in grips.values():
+                page.mouse.move(x, y - 0.01 * centimetres * pixels, steps=2)
+        until(pages[0], RED, "data-at", above=0.02, axis=1)  # m
+        picture(pages[0], PICTURES, "carried-1280-light")
+        picture(pages[1], PICTURES, "carried-390-dark")
+        for page in pages:
+            page.emulate_media(color_scheme="dark" if page is pages[0] else "light")
+        picture(pages[0], PICTURES, "carried-1280-dark")
+        picture(pages[1], PICTURES, "carried-390-light")
+        for page, *_ in grips.values():
+            page.bring_to_front()
+            page.mouse.up()
+        until(pages[0], RED, "data-at", below=0.01, axis=1)
+    assert wrong == []
 
 
 def test_a_page_with_a_token(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 y is up. `azimuth` turns the camera about y, from the side of z towards that of x; `elevation` raises it.
 */
 
-const FIRST = { azimuth: 0.42, elevation: 0.3 };
+const FIRST = { azimuth: (25 * Math.PI) / 180, elevation: (15 * Math.PI) / 180 };
 const STEEPEST = 1.55; // elevation, just below the vertical, where right and left would change places
 const CLOSEST = 0.1; // parts of the first distance
 const FARTHEST = 10;

@@ -32,7 +32,7 @@ export class Palette {
     named("thing", () => new THREE.MeshLambertMaterial());
     named("solid", () => new THREE.MeshLambertMaterial({ side: THREE.DoubleSide, ...BEHIND }));
     named("trace-1", () => new THREE.MeshLambertMaterial());
-    named("trace-3", () => new THREE.MeshBasicMaterial());
+    named("trace-3", () => new THREE.MeshBasicMaterial({ transparent: true, opacity: 0.85, depthTest: false })); // contacts are inside of things
     named("lattice", () => new THREE.LineBasicMaterial());
     named("line", () => new THREE.LineBasicMaterial());
     named("dim", () => new THREE.LineBasicMaterial());

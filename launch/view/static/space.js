@@ -13,6 +13,7 @@ const LOOK = 500; // ms between two updates of the scale
 const SEEN = 0.8; // parts of the scene's radius that the first view shows: corners may be outside
 const MOTION = 0.2; // parts of a device's greatest displacement that the first view has room for
 const POINT = 0.012; // parts of the scene's radius: the radius of a sphere that stands for a point
+const TRIAD = 24; // px, the length of an axis
 const RING = 11; // px, the radius of a device's ring
 
 export class Space {
@@ -105,7 +106,7 @@ export class Space {
     const height = Math.round(Math.max(260, Math.min(460, 0.62 * width)));
     this.orbit.resize(width, height);
     this.stage.resize(width, height);
-    this.frame.style.height = `${height}px`;
+    Object.assign(this.frame.style, { width: `${width}px`, height: `${height}px` });
     this.overlay.setAttribute("viewBox", `0 0 ${width} ${height}`);
     this.draw();
   }
@@ -203,16 +204,14 @@ export class Space {
     return found;
   }
 
-  /** The directions of the axes, at a corner of the ground. */
+  /** The directions of the axes, at a corner of the picture. */
   drawAxes() {
-    const { low, ground, high, step } = this.around;
-    const corner = [low[0], ground, high[2]];
-    const from = this.orbit.project(corner);
+    const { right, up, height } = this.orbit;
+    const from = { x: 42, y: height - 62 };
     this.axes.forEach(({ line }, axis) => {
-      const to = from && this.orbit.project(corner.map((x, i) => (i === axis ? x + step : x)));
-      line.style.display = to ? "" : "none";
-      if (to) place(line, { x1: from.x, y1: from.y, x2: to.x, y2: to.y });
-      this.labels.place(to, 2);
+      const to = { x: from.x + TRIAD * right[axis], y: from.y - TRIAD * up[axis] };
+      place(line, { x1: from.x, y1: from.y, x2: to.x, y2: to.y });
+      this.labels.place(to, 1);
     });
   }
 
@@ -271,7 +270,7 @@ function joinedBy(springs, things) {
   return [...pairs.values()];
 }
 
-/** Corners, middle and radius of what is seen at first, the height of the ground, and the side of its grid, m. */
+/** What the first view shows: its middle and its radius; the ground with the corners of its grid, and a side of it, m. */
 function around({ scene, reach }, things) {
   const [low, high] = [[Infinity, Infinity, Infinity], [-Infinity, -Infinity, -Infinity]];
   const include = (point, radius) => {
@@ -280,18 +279,18 @@ function around({ scene, reach }, things) {
       high[i] = Math.max(high[i], point[i] + radius);
     }
   };
-  const free = ({ tool, names }) => (tool ? MOTION * Math.max(...names.map((port) => reach[port] ?? 0)) : 0);
-  for (const thing of things) include(thing.at, thing.radius + free(thing));
-  for (const { shape, points, radius } of Object.values(scene.obstacles)) {
+  const obstacles = Object.values(scene.obstacles);
+  for (const { at, radius } of things) include(at, radius);
+  for (const { shape, points, radius } of obstacles) {
     for (const point of shape === "wall" ? [] : points) include(point, radius ?? 0);
   }
+  const lowest = low[1];
+  for (const { tool, at, names } of things) if (tool) include(at, MOTION * Math.max(...names.map((port) => reach[port] ?? 0)));
   const middle = low.map((x, i) => (x + high[i]) / 2);
   const radius = Math.max(1e-3, Math.hypot(...low.map((x, i) => high[i] - x)) / 2);
-  const floor = Object.values(scene.obstacles).find(({ shape, points }) => shape === "wall" && points[1][1] > 0.9 * Math.hypot(...points[1]));
-  const room = Object.values(scene.obstacles).find(({ shape }) => shape === "room");
-  if (!room) {
-    for (const i of [0, 2]) [low[i], high[i]] = [middle[i] - radius, middle[i] + radius];
-  }
-  const ground = floor ? floor.points[0][1] : low[1];
-  return { low, high, middle, radius, ground, step: rounded(radius / 8) };
+  const room = obstacles.find(({ shape }) => shape === "room")?.points;
+  const floor = obstacles.find(({ shape, points: [, normal] }) => shape === "wall" && normal[1] > 0.9 * Math.hypot(...normal));
+  const corners = room ?? [middle.map((x) => x - radius), middle.map((x) => x + radius)];
+  const ground = room?.[0][1] ?? floor?.points[0][1] ?? lowest;
+  return { middle, radius, ground, low: corners[0], high: corners[1], step: rounded(radius / 8) };
 }

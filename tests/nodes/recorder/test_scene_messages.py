@@ -274,7 +274,7 @@ def test_the_largest_scene_has_bounded_messages() -> None:
 def test_the_metadata_has_the_geometry_alone() -> None:
     texts = RECORDED.as_metadata()
     assert Recorded.from_metadata(texts) == RECORDED
-    assert set(json.loads(texts["scene"])) == {"ports", "tools", "bodies", "obstacles"}
+    assert set(json.loads(texts["scene"])) == {"ports", "tools", "bodies", "obstacles", "contact", "contacts"}
     without = replace(RECORDED, scene=None)
     assert "scene" not in without.as_metadata()
     assert recorded(without) == []
