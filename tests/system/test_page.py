@@ -108,24 +108,21 @@ def test_two_people_carry_a_ball_in_two_browsers() -> None:
     wrong: list[str] = []
     with viewed(session=CARRIED) as (address, _), browsing(CHROMIUM) as browser:
         pages = [open_page(browser, address, 1280, "light", wrong), open_page(browser, address, 390, "dark", wrong)]
-        sides = {ANNA: (pages[0], 1.0), BEN: (pages[1], -1.0)}
-        grips = {}
-        for device, (page, side) in sides.items():
+        hands = []
+        for page, device, side in ((pages[0], ANNA, 1.0), (pages[1], BEN, -1.0)):
             page.bring_to_front()
             page.locator(SPACE).focus()
-            camera = camera_after(page, *("ArrowLeft",) * 5, *("ArrowDown",) * 3)
-            pixels = 1.0 / camera.moved(np.array([-0.06 * side, 0.04, 0.0]), 1.0, 0.0)[0]  # px of a m
+            camera = camera_after(page, *("ArrowLeft",) * 5, *("ArrowDown",) * 3)  # level, from the front
+            pixels = 1.0 / camera.moved(np.array([-0.06 * side, 0.04, 0.0]), 1.0, 0.0)[0]  # of a m
             x, y = centre(page, device)
             page.mouse.move(x, y)
             page.mouse.down()
-            x += 0.05 * side * pixels
-            page.mouse.move(x, y, steps=5)
-            grips[device] = page, x, y, pixels
-        until(pages[0], ANNA, "data-held", equals="here")
+            until(page, device, "data-held", equals="here")
+            hands.append((page, x, y, side, pixels))
         until(pages[0], BEN, "data-held", equals="elsewhere")
-        for centimetres in (2, 4, 6):
-            for page, x, y, pixels in grips.values():
-                page.mouse.move(x, y - 0.01 * centimetres * pixels, steps=2)
+        for inwards, upwards in ((0.05, 0.0), (0.05, 0.02), (0.05, 0.04), (0.05, 0.06)):  # m
+            for page, x, y, side, pixels in hands:
+                page.mouse.move(x + side * inwards * pixels, y - upwards * pixels, steps=2)
         until(pages[0], RED, "data-at", above=0.02, axis=1)  # m
         picture(pages[0], PICTURES, "carried-1280-light")
         picture(pages[1], PICTURES, "carried-390-dark")
@@ -133,7 +130,7 @@ def test_two_people_carry_a_ball_in_two_browsers() -> None:
             page.emulate_media(color_scheme="dark" if page is pages[0] else "light")
         picture(pages[0], PICTURES, "carried-1280-dark")
         picture(pages[1], PICTURES, "carried-390-light")
-        for page, *_ in grips.values():
+        for page, *_ in hands:
             page.bring_to_front()
             page.mouse.up()
         until(pages[0], RED, "data-at", below=0.01, axis=1)
