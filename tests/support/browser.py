@@ -268,7 +268,7 @@ class ShownPage:
             self._sockets.append(socket)
             socket.on_message(lambda text: self.demands.append(json.loads(text)))
             socket.send(feed.session())
-            self._send()
+            self.send()
 
         self.page.route("**/*", answer)
         self.page.route_web_socket("**/socket", connected)
@@ -277,7 +277,7 @@ class ShownPage:
 
     def show(self) -> None:
         """Show what the feed has taken in since."""
-        self._send()
+        self.send()
         self._await_drawing()
 
     def await_demand(self, demand: dict[str, Any]) -> None:
@@ -288,7 +288,8 @@ class ShownPage:
             self.page.evaluate("() => new Promise(requestAnimationFrame)")
         raise AssertionError(f"the page has sent {self.demands}; expected {demand}")
 
-    def _send(self) -> None:
+    def send(self) -> None:
+        """Send what the feed has taken in since, without waiting for the page."""
         self._sent += 1
         self._sockets[-1].send(self._feed.picture(self._cursor, {}))
 

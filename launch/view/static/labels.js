@@ -29,8 +29,7 @@ export class Labels {
     }
     label.side = found.side;
     this.taken.push(found.box);
-    text.setAttribute("x", found.box[0].toFixed(1));
-    text.setAttribute("y", (found.box[3] - 4).toFixed(1));
+    text.setAttribute("transform", `translate(${found.box[0].toFixed(1)} ${(found.box[3] - 4).toFixed(1)})`);
   }
 
   /** The first free place, beginning with the one that the label has, so that it does not jump. */

@@ -3,11 +3,11 @@
 import * as THREE from "./three/three.module.js";
 
 const UP = new THREE.Vector3(0, 1, 0);
-const FINE = 32; // segments around a sphere
+const FINE = 22; // segments around a sphere
 const TURNS = 9; // of a drawn spring
 const ROUND = new THREE.SphereGeometry(1, FINE, FINE / 2);
 const CUBE = new THREE.BoxGeometry(1, 1, 1);
-const DISC = new THREE.CircleGeometry(1, 40).rotateX(-Math.PI / 2);
+const DISC = new THREE.CircleGeometry(1, 24).rotateX(-Math.PI / 2);
 const RING = new THREE.TorusGeometry(1, 0.22, 8, 28).rotateX(Math.PI / 2);
 const SHAFT = new THREE.CylinderGeometry(1, 1, 1, 12).translate(0, 0.5, 0);
 const HEAD = new THREE.ConeGeometry(1, 1, 16).translate(0, -0.5, 0);
