@@ -208,17 +208,19 @@ def test_the_contacts_are_where_the_scene_has_them(carry: ShownPage) -> None:
     found = 0
     for seed in range(8):
         given = random_scene(np.random.default_rng(seed), 3, 4)
-        radii = {thing.name: thing.radius for thing in given.things}
+        terms = given.geometry.geometry_terms()  # as a page receives it
         things = [
-            {"name": n, "radius": r, "place": p} for (n, r), p in zip(radii.items(), given.points.tolist(), strict=True)
-        ]
+            {"name": name, "radius": thing["radius"], "place": thing["at"], "half": thing.get("half", [0.0, 0.0, 0.0]),
+             "box": thing.get("shape") == "box", "driven": "motion" in thing}
+            for name, thing in [*terms["tools"].items(), *terms["bodies"].items()]
+        ]  # fmt: skip
         joined = [list(link.ends) for link in given.links]
         contacts = carry.page.evaluate(
             """async ([scene, things, joined]) => {
               const { Contacts } = await import("/contacts.js");
               return new Contacts(scene, things, joined).now();
             }""",
-            [given.geometry_terms(), things, joined],
+            [terms, things, joined],
         )
         gap, gradient = given.contacts.gaps(given.points)
         normals = sorted(np.round(contact["normal"], 9).tolist() for contact in contacts)

@@ -1,63 +1,92 @@
-/** Which things of a scene overlap, and where: the contacts that are drawn, found from the positions alone. */
+/** Which things of a scene overlap, and where: the contacts that are drawn, found from the positions alone.
 
-/** The nearest point of a segment. */
-function onSegment(place, a, b) {
-  let [along, length] = [0, 0];
+A solid is all that is within its radius of its core, which is a box, or the segment from `place - half` to `place + half`.
+*/
+
+/** Whether the core is a box, perhaps without thickness: points and segments along an axis are, too. */
+const isBox = ({ box, half }) => box || half.filter((h) => h !== 0).length < 2;
+
+const within = (value, most) => Math.max(-most, Math.min(most, value));
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+
+/** The nearest points of two segments. */
+function nearest(a, b) {
+  const apart = a.place.map((x, i) => x - b.place[i]);
+  const [aa, bb, ab] = [dot(a.half, a.half), dot(b.half, b.half), dot(a.half, b.half)];
+  const [da, db] = [dot(apart, a.half), dot(apart, b.half)];
+  const span = aa * bb - ab * ab;
+  let s = span > 1e-12 * aa * bb ? within((ab * db - bb * da) / span, 1) : 0;
+  const t = bb > 0 ? within((ab * s + db) / bb, 1) : 0;
+  if (aa > 0) s = within((ab * t - da) / aa, 1);
+  return [a.place.map((x, i) => x + s * a.half[i]), b.place.map((x, i) => x + t * b.half[i])];
+}
+
+/** The contact of two solids: its place, and its normal from the second to the first; null where they do not overlap. */
+function between(a, b) {
+  const most = a.radius + b.radius;
   for (let i = 0; i < 3; i += 1) {
-    along += (b[i] - a[i]) * (place[i] - a[i]);
-    length += (b[i] - a[i]) ** 2;
+    if (Math.abs(a.place[i] - b.place[i]) >= most + Math.abs(a.half[i]) + Math.abs(b.half[i])) return null;
   }
-  const part = length ? Math.max(0, Math.min(1, along / length)) : 0;
-  return a.map((x, i) => x + part * (b[i] - x));
+  return isBox(a) && isBox(b) ? betweenBoxes(a, b, most) : betweenSegments(a, b, most);
 }
 
-/** The contact of a sphere with a thing whose nearest point is `point`; `thickness` is the sum of both radii. */
-function withPoint(place, radius, point, thickness) {
-  const distance = Math.hypot(place[0] - point[0], place[1] - point[1], place[2] - point[2]);
-  if (distance >= thickness || distance === 0) return null;
-  const normal = place.map((x, i) => (x - point[i]) / distance);
-  return { at: place.map((x, i) => x - radius * normal[i]), normal };
+function betweenSegments(a, b, most) {
+  const [from, to] = nearest(a, b);
+  const distance = Math.hypot(from[0] - to[0], from[1] - to[1], from[2] - to[2]);
+  if (distance >= most || distance === 0) return null;
+  const normal = from.map((x, i) => (x - to[i]) / distance);
+  return { at: from.map((x, i) => x - a.radius * normal[i]), normal };
 }
 
-function withWall(place, radius, point, normal) {
-  const length = Math.hypot(...normal);
-  let gap = -radius;
-  for (let i = 0; i < 3; i += 1) gap += (normal[i] / length) * (place[i] - point[i]);
-  if (gap >= 0) return null;
-  const unit = normal.map((x) => x / length);
-  return { at: place.map((x, i) => x - radius * unit[i]), normal: unit };
+/** Two boxes touch as a point and a box of both sizes do. */
+function betweenBoxes(a, b, most) {
+  const reach = a.half.map((h, i) => Math.abs(h) + Math.abs(b.half[i]));
+  const apart = a.place.map((x, i) => x - b.place[i]);
+  const outside = apart.map((x, i) => x - within(x, reach[i]));
+  const distance = Math.hypot(...outside);
+  let normal = outside.map((x) => x / distance);
+  if (distance === 0) {
+    const deep = apart.map((x, i) => reach[i] - Math.abs(x));
+    const axis = deep.indexOf(Math.min(...deep));
+    if (deep[axis] <= 0) return null; // points in one place have no normal
+    normal = [0, 1, 2].map((i) => (i === axis ? Math.sign(apart[i]) || 1 : 0));
+  } else if (distance >= most) return null;
+  const at = a.place.map((x, i) => {
+    const [own, other] = [Math.abs(a.half[i]), Math.abs(b.half[i])];
+    const middle = (Math.max(x - own, b.place[i] - other) + Math.min(x + own, b.place[i] + other)) / 2;
+    return x + within(middle - x, own) - a.radius * normal[i];
+  });
+  return { at, normal };
 }
 
-function withBox(place, radius, low, high) {
-  if (place.some((x, i) => x + radius < low[i] || x - radius > high[i])) return null;
-  const inside = place.every((x, i) => x > low[i] && x < high[i]);
-  if (!inside) return withPoint(place, radius, place.map((x, i) => Math.max(low[i], Math.min(high[i], x))), radius);
-  const faces = place.flatMap((x, i) => [[x - low[i], i, low, -1], [high[i] - x, i, high, 1]]);
-  const [, axis, corner, side] = faces.reduce((nearest, face) => (face[0] < nearest[0] ? face : nearest));
-  return { at: place.map((x, i) => (i === axis ? corner[i] : x)), normal: [0, 1, 2].map((i) => (i === axis ? side : 0)) };
+/** The contact with the half-space behind a wall. */
+function withWall(a, point, unit) {
+  const parts = unit.map((n, i) => n * a.half[i]);
+  const own = a.box ? parts.reduce((sum, part) => sum + Math.abs(part), 0) : Math.abs(parts[0] + parts[1] + parts[2]);
+  const far = a.radius + own;
+  if (dot(unit, a.place) - dot(unit, point) >= far) return null;
+  return { at: a.place.map((x, i) => x - far * unit[i]), normal: unit };
 }
 
-/** The contacts of a sphere with an obstacle, by its shape. */
-const WITH = {
-  room(place, radius, { points: [low, high] }, found) {
-    for (let i = 0; i < 3; i += 1) {
-      if (place[i] - radius < low[i]) found.push({ at: replaced(place, i, low[i]), normal: replaced([0, 0, 0], i, 1) });
-      if (place[i] + radius > high[i]) found.push({ at: replaced(place, i, high[i]), normal: replaced([0, 0, 0], i, -1) });
-    }
-    return null;
-  },
-  wall: (place, radius, { points }) => withWall(place, radius, points[0], points[1]),
-  box: (place, radius, { points }) => withBox(place, radius, points[0], points[1]),
-  sphere: (place, radius, { points, radius: own }) => withPoint(place, radius, points[0], radius + own),
-  capsule: (place, radius, { points, radius: own }) =>
-    withPoint(place, radius, onSegment(place, points[0], points[1]), radius + own),
-};
+/** The planes of a wall or a room: a point and the unit normal to the inside of each. */
+function planesOf({ shape, points: [first, second] }) {
+  if (shape === "wall") return [[first, second.map((x) => x / Math.hypot(...second))]];
+  if (shape !== "room") return [];
+  const along = (axis, side) => [0, 1, 2].map((i) => (i === axis ? side : 0));
+  return [0, 1, 2].flatMap((axis) => [[first, along(axis, 1)], [second, along(axis, -1)]]);
+}
 
-const replaced = (values, i, value) => values.map((x, j) => (i === j ? value : x));
+/** The solid of an obstacle; null of one that is none. */
+export function solidOf({ shape, points, radius }) {
+  if (!["box", "sphere", "capsule"].includes(shape)) return null;
+  const [a, b] = [points[0], points.at(-1)];
+  const place = a.map((x, i) => (x + b[i]) / 2);
+  return { place, half: b.map((x, i) => x - place[i]), radius, box: shape === "box" };
+}
 
 /** Finds the contacts of a scene. Things that a spring joins, or whose contact has no stiffness, do not touch. */
 export class Contacts {
-  /** `things` are the tools and bodies that are spheres, with name, radius and present place; `joined` are pairs of names. */
+  /** `things` are the tools and bodies, solids with their names, `driven` or not; `joined` are pairs of names. */
   constructor(scene, things, joined) {
     const apart = new Set(joined.map(key));
     const stiffness = new Map(scene.contacts.map((pair) => [key(pair.between), pair.stiffness]));
@@ -65,23 +94,29 @@ export class Contacts {
       const names = key([a, b]);
       return (stiffness.get(names) ?? (apart.has(names) ? 0 : scene.contact.stiffness)) > 0;
     };
-    this.pairs = things
-      .flatMap((a, i) => things.slice(i + 1).map((b) => ({ a, b, thickness: a.radius + b.radius })))
-      .filter(({ a, b, thickness }) => thickness > 0 && touch(a.name, b.name));
-    this.beside = Object.entries(scene.obstacles)
-      .filter(([, obstacle]) => obstacle.shape in WITH)
-      .flatMap(([name, obstacle]) => things.filter((thing) => touch(thing.name, name)).map((thing) => ({ thing, obstacle })));
+    this.pairs = things.flatMap((a, i) =>
+      things.slice(i + 1).filter((b) => !(a.driven && b.driven) && touch(a.name, b.name)).map((b) => [a, b]),
+    );
+    this.walls = [];
+    for (const [name, obstacle] of Object.entries(scene.obstacles)) {
+      const [solid, planes] = [solidOf(obstacle), planesOf(obstacle)];
+      for (const thing of things) {
+        if (thing.driven || !touch(thing.name, name)) continue;
+        if (solid) this.pairs.push([thing, solid]);
+        for (const [point, unit] of planes) this.walls.push([thing, point, unit]);
+      }
+    }
   }
 
   /** The contacts at the things' present places: the place and the normal of each. */
   now() {
     const found = [];
-    for (const { a, b, thickness } of this.pairs) {
-      const contact = withPoint(a.place, a.radius, b.place, thickness);
+    for (const [a, b] of this.pairs) {
+      const contact = between(a, b);
       if (contact) found.push(contact);
     }
-    for (const { thing, obstacle } of this.beside) {
-      const contact = WITH[obstacle.shape](thing.place, thing.radius, obstacle, found);
+    for (const [thing, point, unit] of this.walls) {
+      const contact = withWall(thing, point, unit);
       if (contact) found.push(contact);
     }
     return found;

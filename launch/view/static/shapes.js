@@ -1,5 +1,6 @@
 /** The solids of the drawing in space: things, obstacles, arrows, springs, contacts and the grid, for three.js. */
 
+import { solidOf } from "./contacts.js";
 import * as THREE from "./three/three.module.js";
 
 const UP = new THREE.Vector3(0, 1, 0);
@@ -63,25 +64,37 @@ export const lights = () => {
   return [new THREE.HemisphereLight(0xffffff, 0x8890a0, 1.9), sun];
 };
 
-/** A sphere whose place is set at every picture. */
-export function ball(radius, material) {
+function ball(radius, material) {
   const mesh = new THREE.Mesh(ROUND, material);
   mesh.scale.setScalar(radius);
   return mesh;
 }
 
-/** The shadow of a sphere on the ground, straight below it. */
+/** A solid about the origin: a box, a sphere or a capsule. */
+export function solid({ box, half, radius }, material) {
+  const group = new THREE.Group();
+  if (box) return group.add(block(half.map((h) => -h), half, material));
+  const ends = [half.map((h) => -h), half];
+  if (half.every((h) => h === 0)) return group.add(ball(radius, material));
+  const middle = new THREE.Mesh(SHAFT, material);
+  span(middle, ends[0], ends[1], radius);
+  return group.add(middle, ...ends.map((end) => placed(ball(radius, material), end)));
+}
+
+/** The shadow of a thing on the ground, straight below it. */
 export class Shade {
-  constructor(radius, ground, palette) {
+  constructor({ half, radius }, ground, palette) {
     this.mesh = new THREE.Mesh(DISC, palette.of("shade"));
-    Object.assign(this, { radius, ground });
+    const [wide, high, deep] = half.map((h) => Math.abs(h) + radius);
+    Object.assign(this, { wide, high, deep, ground });
   }
 
   put([x, y, z]) {
-    const above = Math.max(0, y - this.radius - this.ground);
+    const above = Math.max(0, y - this.high - this.ground) / this.high;
+    const spread = 0.9 + 0.15 * Math.min(4, above);
     this.mesh.visible = y > this.ground;
-    this.mesh.position.set(x, this.ground + 0.01 * this.radius, z);
-    this.mesh.scale.setScalar(this.radius * (0.9 + 0.15 * Math.min(4, above / this.radius)));
+    this.mesh.position.set(x, this.ground + 0.01 * this.high, z);
+    this.mesh.scale.set(spread * this.wide, 1, spread * this.deep);
   }
 }
 
@@ -154,7 +167,7 @@ export class Marks {
   }
 }
 
-function box(low, high, material) {
+function block(low, high, material) {
   const mesh = new THREE.Mesh(CUBE, material);
   mesh.position.set(...low.map((x, i) => (x + high[i]) / 2));
   mesh.scale.set(...low.map((x, i) => high[i] - x));
@@ -163,21 +176,21 @@ function box(low, high, material) {
 
 function edges(low, high, palette) {
   const lines = new THREE.LineSegments(new THREE.EdgesGeometry(CUBE), palette.of("line"));
-  const { position, scale } = box(low, high, null);
+  const { position, scale } = block(low, high, null);
   lines.position.copy(position);
   lines.scale.copy(scale);
   return lines;
 }
 
-/** What is drawn of an obstacle, by its shape; `around` are the middle of the scene and its radius. */
+/** What is drawn of an obstacle that is no solid, by its shape; `around` has the middle of the scene and its radius. */
 const OBSTACLES = {
-  room: ({ points: [low, high] }, palette) => [box(low, high, palette.of("raised")), edges(low, high, palette)],
-  box: ({ points: [low, high] }, palette) => [box(low, high, palette.of("solid")), edges(low, high, palette)],
-  sphere: ({ points: [at], radius }, palette) => [placed(ball(radius, palette.of("solid")), at)],
-  capsule({ points: [a, b], radius }, palette) {
-    const middle = new THREE.Mesh(SHAFT, palette.of("solid"));
-    span(middle, a, b, radius);
-    return [middle, ...[a, b].map((end) => placed(ball(radius, palette.of("solid")), end))];
+  room: ({ points: [low, high] }, palette) => [block(low, high, palette.of("raised")), edges(low, high, palette)],
+  mesh({ points, triangles }, palette) {
+    const geometry = new THREE.BufferGeometry().setFromPoints(points.map((point) => new THREE.Vector3(...point)));
+    geometry.setIndex(triangles.flat());
+    const flat = geometry.toNonIndexed(); // each triangle with a normal of its own
+    flat.computeVertexNormals();
+    return [new THREE.Mesh(flat, palette.of("solid"))];
   },
   wall({ points: [at, normal] }, palette, { middle, radius }) {
     const unit = new THREE.Vector3(...normal).normalize();
@@ -197,7 +210,12 @@ function placed(mesh, at) {
 }
 
 /** The objects of an obstacle; none of a shape that is not known here. */
-export const obstacle = (given, palette, around) => OBSTACLES[given.shape]?.(given, palette, around) ?? [];
+export function obstacle(given, palette, around) {
+  const known = solidOf(given);
+  if (known === null) return OBSTACLES[given.shape]?.(given, palette, around) ?? [];
+  const outline = known.box ? [edges(given.points[0], given.points[1], palette)] : [];
+  return [placed(solid(known, palette.of("solid")), known.place), ...outline];
+}
 
 /** A grid of squares of side `step` on the ground between two corners. */
 export function grid(low, high, ground, step, palette) {

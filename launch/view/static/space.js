@@ -5,7 +5,7 @@ import { html, place, say, svg } from "./elements.js";
 import { fitted, quantity, rounded } from "./format.js";
 import { Labels } from "./labels.js";
 import { FIELD, Orbit, steer } from "./orbit.js";
-import { Arrow, Marks, Palette, Shade, Spring, Stage, ball, grid, lights, obstacle } from "./shapes.js";
+import { Arrow, Marks, Palette, Shade, Spring, Stage, grid, lights, obstacle, solid } from "./shapes.js";
 
 const AXES = ["x", "y", "z"];
 const LEAST_FORCE = 0.1; // N, the smallest that may fill the drawing
@@ -64,10 +64,10 @@ export class Space {
       for (const solid of obstacle(given, palette, around)) scene.add(solid);
     }
     for (const thing of things) {
-      const radius = thing.radius || POINT * around.radius;
-      thing.drawnRadius = radius;
-      thing.mesh = ball(radius, palette.of(thing.tool ? "accent" : "thing"));
-      thing.shade = new Shade(radius, around.ground, palette);
+      const drawn = thing.size > 0 ? thing : { ...thing, radius: POINT * around.radius };
+      thing.drawnRadius = thing.size || drawn.radius;
+      thing.mesh = solid(drawn, palette.of(thing.tool ? "accent" : "thing"));
+      thing.shade = new Shade(drawn, around.ground, palette);
       scene.add(thing.mesh, thing.shade.mesh);
       if (!thing.tool) continue;
       thing.arrow = new Arrow(0.014 * around.radius, palette);
@@ -230,7 +230,7 @@ export class Space {
 
   legend() {
     return (
-      "Ring: device (x). Blue sphere: its tool in the world (x_e). Dashed: the difference that its coupling permits. Yellow sphere: a body. Violet ring: a contact. Arrow: the force on the hand (f). " +
+      "Ring: device (x). Blue sphere: its tool in the world (x_e). Dashed: the difference that its coupling permits. Yellow: bodies. Violet ring: a contact. Arrow: the force on the hand (f). " +
       "Drag the background to turn the view, with Shift to move it; two fingers, or the wheel once it was clicked, zoom; or focus it and press arrow keys, + and −. Home shows the first view."
     );
   }
@@ -244,10 +244,14 @@ export class Space {
 /** Tools, then bodies, with the track and the columns that have their displacements. */
 function thingsOf({ about, tracks }) {
   const columns = (track, names) => names.map((name) => tracks.get(track).columns.indexOf(name));
-  const moving = ([name, { at, radius }], tool, track, axes, names) => ({
-    ...{ name, names, tool, at, radius, track, axes, columns: columns(track, names) },
-    ...{ place: [...at], device: [...at], moved: names.map(() => 0) },
-  });
+  const moving = ([name, given], tool, track, axes, names) => {
+    const { at, radius, half = [0, 0, 0], shape, motion } = given;
+    return {
+      ...{ name, names, tool, at, radius, half, box: shape === "box", driven: motion !== undefined },
+      ...{ size: radius + Math.hypot(...half), track, axes, columns: columns(track, names) },
+      ...{ place: [...at], device: [...at], moved: names.map(() => 0) },
+    };
+  };
   return [
     ...Object.entries(about.scene.tools).map((tool) =>
       moving(tool, true, "environment/tools", tool[1].axes.map((axis) => AXES.indexOf(axis)), tool[1].ports),
@@ -280,7 +284,7 @@ function around({ scene, reach }, things) {
     }
   };
   const obstacles = Object.values(scene.obstacles);
-  for (const { at, radius } of things) include(at, radius);
+  for (const { at, size } of things) include(at, size);
   for (const { shape, points, radius } of obstacles) {
     for (const point of shape === "wall" ? [] : points) include(point, radius ?? 0);
   }
