@@ -115,9 +115,12 @@ def browsing(executable: str) -> Iterator[Browser]:
             browser.close()
 
 
-def open_page(browser: Browser, address: str, width: int, scheme: Any, wrong: list[str]) -> Page:
-    """Open the page and wait until its plot moves; every later error of the page is added to ``wrong``."""
-    page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
+def open_page(browser: Browser, address: str, width: int, scheme: Any, wrong: list[str], dots: float = 1.0) -> Page:
+    """Open the page and wait until its plot moves; every later error of the page is added to ``wrong``.
+
+    The screen has so many ``dots`` in a px.
+    """
+    page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme, device_scale_factor=dots)
     page.set_default_timeout(60_000)
     host = urlsplit(address).netloc
 
@@ -197,6 +200,50 @@ def camera_after(page: Page, *keys: str) -> Camera:
 def frames(page: Page) -> None:
     """Wait until two more frames are drawn."""
     page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+
+CARRIED: Final = (
+    "carry",
+    *(f"--set=devices.{device}.driver=browser" for device in ("anna", "ben")),
+    *(f"--set=devices.{device}.hand={{stiffness: 300, damping: 5}}" for device in ("anna", "ben")),
+)
+"""The shipped session with two balls, whose users are pages."""
+
+ANNA: Final = '[data-device="anna"]'
+BEN: Final = '[data-device="ben"]'
+RED: Final = '[data-mass="red"]'
+
+
+def lift(pages: Sequence[Page]) -> None:
+    """Two people press on the red ball of :data:`CARRIED` from both sides, each with the mouse of a page, and lift it.
+
+    When it returns, the ball is up, and both hold on.
+    """
+    hands = []
+    for page, device, side in zip(pages, (ANNA, BEN), (1.0, -1.0), strict=True):
+        page.bring_to_front()
+        page.locator(SPACE).focus()
+        camera = camera_after(page, *("ArrowLeft",) * 5, *("ArrowDown",) * 3)  # level, from the front
+        pixels = 1.0 / camera.moved(np.array([-0.06 * side, 0.04, 0.0]), 1.0, 0.0)[0]  # of a m
+        hands.append((page, *_taken(page, device), side, pixels))
+        until(page, device, "data-held", equals="here")
+    until(pages[0], BEN, "data-held", equals="elsewhere")
+    for inwards, upwards in ((0.05, 0.0), (0.05, 0.02), (0.05, 0.04), (0.05, 0.06)):  # m
+        for page, x, y, side, pixels in hands:
+            page.mouse.move(x + side * inwards * pixels, y - upwards * pixels, steps=2)
+    until(pages[0], RED, "data-at", above=0.02, axis=1)  # m
+
+
+def _taken(page: Page, device: str) -> tuple[float, float]:
+    """Press the mouse on a device's ring, and return where; an alarm that appears just then moves the drawing away."""
+    for _ in range(10):
+        x, y = centre(page, device)
+        page.mouse.move(x, y)
+        page.mouse.down()
+        if page.evaluate("(where) => document.activeElement.matches(where)", device):
+            return x, y
+        page.mouse.up()
+    raise AssertionError(f"{device} was never below the mouse")
 
 
 NOWHERE: Final = "http://127.0.0.1:9/"

@@ -7,10 +7,9 @@ import shutil
 import signal
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from ..support.browser import SPACE, browsing, camera_after, centre, open_page, picture, until, viewed
+from ..support.browser import CARRIED, RED, browsing, centre, lift, open_page, picture, until, viewed
 
 CHROMIUM = shutil.which("chromium")
 REQUIRED = os.environ.get("MANYHANDS_REQUIRE_BROWSER") == "1"
@@ -22,12 +21,6 @@ pytestmark = [
 ]
 
 LEFT, RIGHT_FORCE = '[data-device="left"]', '[data-force-of="right"]'
-ANNA, BEN, RED = '[data-device="anna"]', '[data-device="ben"]', '[data-mass="red"]'
-HAND = "{stiffness: 300, damping: 5}"  # it joins a device to the pointer
-CARRIED = (
-    "carry",
-    *(f"--set=devices.{d}.{key}" for d in ("anna", "ben") for key in ("driver=browser", f"hand={HAND}")),
-)
 BALL = '[data-mass="ball"]'
 MOVED = 0.001  # m: no other hand moves in this session
 FELT = 0.01  # N
@@ -108,32 +101,17 @@ def test_two_people_carry_a_ball_in_two_browsers() -> None:
     wrong: list[str] = []
     with viewed(session=CARRIED) as (address, _), browsing(CHROMIUM) as browser:
         pages = [open_page(browser, address, 1280, "light", wrong), open_page(browser, address, 390, "dark", wrong)]
-        hands = []
-        for page, device, side in ((pages[0], ANNA, 1.0), (pages[1], BEN, -1.0)):
-            page.bring_to_front()
-            page.locator(SPACE).focus()
-            camera = camera_after(page, *("ArrowLeft",) * 5, *("ArrowDown",) * 3)  # level, from the front
-            pixels = 1.0 / camera.moved(np.array([-0.06 * side, 0.04, 0.0]), 1.0, 0.0)[0]  # of a m
-            x, y = centre(page, device)
-            page.mouse.move(x, y)
-            page.mouse.down()
-            until(page, device, "data-held", equals="here")
-            hands.append((page, x, y, side, pixels))
-        until(pages[0], BEN, "data-held", equals="elsewhere")
-        for inwards, upwards in ((0.05, 0.0), (0.05, 0.02), (0.05, 0.04), (0.05, 0.06)):  # m
-            for page, x, y, side, pixels in hands:
-                page.mouse.move(x + side * inwards * pixels, y - upwards * pixels, steps=2)
-        until(pages[0], RED, "data-at", above=0.02, axis=1)  # m
+        lift(pages)
         picture(pages[0], PICTURES, "carried-1280-light")
         picture(pages[1], PICTURES, "carried-390-dark")
         for page in pages:
             page.emulate_media(color_scheme="dark" if page is pages[0] else "light")
         picture(pages[0], PICTURES, "carried-1280-dark")
         picture(pages[1], PICTURES, "carried-390-light")
-        for page, *_ in hands:
+        for page in pages:
             page.bring_to_front()
             page.mouse.up()
-        until(pages[0], RED, "data-at", below=0.01, axis=1)
+        until(pages[0], RED, "data-at", below=0.01, axis=1)  # m: it has fallen
     assert wrong == []
 
 
