@@ -13,7 +13,7 @@ import { showLobby, showPromises } from "./promises.js";
 import { Session } from "./session.js";
 import { View } from "./view.js";
 
-const DRAW_EVERY = 30; // ms: a screen may be faster, but a hand's motion is not
+const DRAW_EVERY = 25; // ms, so every second frame of most screens: a hand's motion is not faster
 const PLOT_EVERY = 66; // ms
 const WORDS_EVERY = 250; // ms: figures that change faster cannot be read
 const CALM_EVERY = 500; // ms, for people who have asked their system for less motion

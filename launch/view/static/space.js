@@ -228,10 +228,16 @@ export class Space {
     };
   }
 
+  /** How the ring of a device looks that can be held. */
+  get ring() {
+    return "blue";
+  }
+
+  /** What the signs mean. */
   legend() {
     return (
       "Ring: device (x). Blue sphere: its tool in the world (x_e). Dashed: the difference that its coupling permits. Yellow: bodies. Violet ring: a contact. Arrow: the force on the hand (f). " +
-      "Drag the background to turn the view, with Shift to move it; two fingers, or the wheel once it was clicked, zoom; or focus it and press arrow keys, + and −. Home shows the first view."
+      "Drag the background to turn the view, with Shift to move it; two fingers, or the wheel after a click, zoom; or focus it and press arrow keys, + and −. Home shows the first view."
     );
   }
 

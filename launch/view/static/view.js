@@ -57,7 +57,7 @@ export class View {
     if (first) this.drawings[kind] = kind === "space" ? this.makeSpace(holder) : new World(holder, this.session, this.grips);
     this.shown = this.parent.dataset.view = kind;
     this.button.setAttribute("aria-pressed", String(kind === "space"));
-    const held = this.session.about.grips.length ? " Drag a filled ring, or focus it and press the arrow keys." : "";
+    const held = this.session.about.grips.length ? ` Drag a ${this.drawing.ring} ring, or focus it and press the arrow keys.` : "";
     say(byId("world-legend"), `${this.drawing.legend()}${held}${this.button.disabled ? NO_WEBGL : ""}`);
   }
 

@@ -201,6 +201,11 @@ export class World {
     target.setAttribute("d", `M${to.x - 9} ${to.y}h18M${to.x} ${to.y - 9}v18`);
   }
 
+  /** How the ring of a device looks that can be held. */
+  get ring() {
+    return "filled";
+  }
+
   /** What the signs mean. */
   legend() {
     const { springs, environment } = this.session.about;
