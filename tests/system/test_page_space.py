@@ -31,6 +31,30 @@ NO_WEBGL = """() => {
   };
 }"""
 
+COUNTED = """() => {
+  window.pictures = 0;
+  const clear = WebGL2RenderingContext.prototype.clear; // once for each picture
+  WebGL2RenderingContext.prototype.clear = function (mask) {
+    window.pictures += 1;
+    return clear.call(this, mask);
+  };
+}"""
+FIVE_TURNS = """async () => {
+  const frame = () => new Promise(requestAnimationFrame);
+  let still = 0; // frames without a picture
+  for (let i = 0; i < 3600 && still < 10; i += 1) {
+    const before = window.pictures;
+    await frame();
+    still = window.pictures === before ? still + 1 : 0;
+  }
+  const before = window.pictures;
+  for (let i = 0; i < 5; i += 1) {
+    document.querySelector(".space").dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowRight" }));
+  }
+  for (let i = 0; i < 3; i += 1) await frame();
+  return [still, window.pictures - before];
+}"""
+
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
@@ -55,7 +79,7 @@ def closing(page: ShownPage) -> Iterator[ShownPage]:
 
 @pytest.fixture(scope="module")
 def carry(browser: Browser) -> Iterator[ShownPage]:
-    yield from closing(shown(browser))
+    yield from closing(shown(browser, before=f"({COUNTED})()"))
 
 
 @pytest.fixture(scope="module")
@@ -147,6 +171,12 @@ def carry_tool(name: str) -> Any:
     assert CARRY.scene is not None
     [tool] = [tool for tool in CARRY.scene.tools if tool.name == name]
     return np.array(tool.at)
+
+
+def test_a_picture_is_drawn_once_in_a_frame_and_only_when_something_has_changed(first: Page) -> None:
+    home = Camera.of(first)
+    assert first.evaluate(FIVE_TURNS) == [10, 1]
+    assert Camera.of(first).azimuth - home.azimuth == pytest.approx(math.radians(25), abs=1e-6)
 
 
 class Fingers:

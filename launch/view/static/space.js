@@ -13,6 +13,7 @@ const LOOK = 500; // ms between two updates of the scale
 const SEEN = 0.8; // parts of the scene's radius that the first view shows: corners may be outside
 const MOTION = 0.2; // parts of a device's greatest displacement that the first view has room for
 const POINT = 0.012; // parts of the scene's radius: the radius of a sphere that stands for a point
+const CORE = 0.8; // parts of a thing's radius that names of other things avoid
 const TRIAD = 24; // px, the length of an axis
 const RING = 11; // px, the radius of a device's ring
 
@@ -175,7 +176,8 @@ export class Space {
     const rings = this.tools.map((thing) => this.drawDevice(thing, orbit.project(thing.device)));
     say(this.scaleText, `a side of the grid: ${quantity(this.around.step, "m")}, or ${quantity(this.mostForce / 2, "N")}`);
     place(this.scaleText, { x: 10, y: orbit.height - 10 });
-    this.labels.begin(orbit.width, orbit.height, [[0, orbit.height - 26, 230, orbit.height], ...rings.filter((box) => box)]);
+    const boxes = this.things.map((thing, i) => seen[i] && boxAround(seen[i], CORE * seen[i].pixels * thing.drawnRadius));
+    this.labels.begin(orbit.width, orbit.height, [[0, orbit.height - 26, 230, orbit.height], ...rings.filter((box) => box)], boxes);
     this.things.forEach((thing, i) => {
       const far = seen[i] && Math.max(thing.tool ? RING : 0, seen[i].pixels * thing.drawnRadius) + 3;
       this.labels.place(seen[i], far);
@@ -195,7 +197,7 @@ export class Space {
     const wanted = this.grips.held.get(thing.name);
     const to = wanted && this.orbit.project(this.wantedPlace(thing, wanted));
     thing.target.setAttribute("d", to ? `M${to.x - 9} ${to.y}h18M${to.x} ${to.y - 9}v18` : "");
-    return [here.x - RING, here.y - RING, here.x + RING, here.y + RING];
+    return boxAround(here, RING);
   }
 
   wantedPlace({ at, axes }, wanted) {
@@ -246,6 +248,8 @@ export class Space {
     this.stage.dispose();
   }
 }
+
+const boxAround = ({ x, y }, far) => [x - far, y - far, x + far, y + far];
 
 /** Tools, then bodies, with the track and the columns that have their displacements. */
 function thingsOf({ about, tracks }) {
