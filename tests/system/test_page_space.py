@@ -286,5 +286,5 @@ def test_a_page_that_loses_its_webgl_goes_on_in_the_plane(first: Page) -> None:
         "document.querySelector('.space canvas').getContext('webgl2').getExtension('WEBGL_lose_context').loseContext()"
     )
     until(first, "#world-drawing", "data-view", equals="plane")
-    until(first, "#world-legend", "text", has="this browser has no WebGL")
+    until(first, "#world-legend", "text", has="the browser took WebGL away")
     assert first.locator("#view-switch").is_disabled()

@@ -4,7 +4,11 @@ import { byId, html, say } from "./elements.js";
 import { World } from "./world.js";
 
 const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i; // renderers that compute on the processor
-const NO_WEBGL = " It is drawn in its plane, because this browser has no WebGL.";
+const WHY = {
+  missing: "this browser has no WebGL",
+  lost: "the browser took WebGL away; the page has it again when it is opened anew",
+  unloaded: "a script did not come; open the page anew",
+};
 
 /** A context of WebGL, null where there is none. Without a graphics card, smooth edges would take more than half of the time of a picture. */
 function contextOf(canvas) {
@@ -19,8 +23,10 @@ export class View {
   constructor(parent, session, grips) {
     Object.assign(this, { parent, session, grips });
     this.drawings = {};
+    this.only = ""; // why there is the plane alone
     this.button = byId("view-switch");
     this.button.hidden = session.about.scene === null;
+    this.button.disabled = false;
     this.button.onclick = () => this.show(this.shown === "space" ? "plane" : "space");
     if (session.about.scene === null) this.show("plane");
     else this.begin(html("canvas", { "aria-hidden": "true" }));
@@ -29,22 +35,25 @@ export class View {
   /** Begin in space; three.js is loaded only here. */
   async begin(canvas) {
     const context = contextOf(canvas);
-    if (context === null) return this.without();
+    if (context === null) {
+      this.without("missing");
+      return;
+    }
     try {
       const { Space } = await import("./space.js");
       this.makeSpace = (holder) => new Space(holder, this.session, this.grips, canvas, context);
-      canvas.addEventListener("webglcontextlost", () => this.without());
+      canvas.addEventListener("webglcontextlost", () => this.without("lost"));
       this.show("space");
     } catch (error) {
       console.error(error);
-      this.without();
+      this.without("unloaded");
     }
-    return undefined;
   }
 
-  /** There is no WebGL, or no longer. */
-  without() {
+  /** There is no view in space, or no longer. */
+  without(why) {
     this.button.disabled = true;
+    this.only = ` It is drawn in its plane, because ${WHY[why]}.`;
     this.dispose();
     this.show("plane");
   }
@@ -58,7 +67,7 @@ export class View {
     this.shown = this.parent.dataset.view = kind;
     this.button.setAttribute("aria-pressed", String(kind === "space"));
     const held = this.session.about.grips.length ? ` Drag a ${this.drawing.ring} ring, or focus it and press the arrow keys.` : "";
-    say(byId("world-legend"), `${this.drawing.legend()}${held}${this.button.disabled ? NO_WEBGL : ""}`);
+    say(byId("world-legend"), `${this.drawing.legend()}${held}${this.only}`);
   }
 
   get drawing() {
