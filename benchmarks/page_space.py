@@ -2,11 +2,11 @@
 
     python -m benchmarks.page_space [--rounds N] [--seconds S]
 
-The page is shown a session that exists only as frames: two tools and twenty bodies of which each moves, in a room, with
-telemetry of 100 ms ten times a second and pictures twenty times a second, as from a running session. Twice each round:
-with the camera at rest, when the page draws at its own pace (every second frame of a screen of 60 Hz), and with one
-that turns in every frame. Of each the pictures a second are printed, and the time that the page's scripts take for one of
-them; medians of the rounds, with the least and the greatest.
+The page is shown a session that exists only as frames: two tools and twenty bodies of which each moves, in a room,
+with telemetry of 100 ms ten times a second and pictures twenty times a second, as from a running session. Twice each
+round: with the camera at rest, when the page draws at its own pace (every second frame of a screen of 60 Hz), and
+with one that turns in every frame. Of each the pictures a second are printed, and the time that the page's scripts
+take for one of them; medians of the rounds, with the least and the greatest.
 """
 
 from __future__ import annotations

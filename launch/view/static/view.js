@@ -41,6 +41,7 @@ export class View {
     }
     try {
       const { Space } = await import("./space.js");
+      if (this.disposed) return;
       this.makeSpace = (holder) => new Space(holder, this.session, this.grips, canvas, context);
       canvas.addEventListener("webglcontextlost", () => this.without("lost"));
       this.show("space");
@@ -54,7 +55,8 @@ export class View {
   without(why) {
     this.button.disabled = true;
     this.only = ` It is drawn in its plane, because ${WHY[why]}.`;
-    this.dispose();
+    this.drawings.space?.dispose();
+    delete this.drawings.space;
     this.show("plane");
   }
 
@@ -87,8 +89,9 @@ export class View {
     if (this.shown === "space" && this.drawing.moved) this.drawing.draw();
   }
 
+  /** A different session is shown from now on. */
   dispose() {
+    this.disposed = true;
     this.drawings.space?.dispose();
-    delete this.drawings.space;
   }
 }
