@@ -5,8 +5,9 @@
 The page is shown a session that exists only as frames: two tools and twenty bodies of which each moves, in a room,
 with telemetry of 100 ms ten times a second and pictures twenty times a second, as from a running session. Twice each
 round: with the camera at rest, when the page draws at its own pace (every second frame of a screen of 60 Hz), and
-with one that turns in every frame. Of each the pictures a second are printed, and the time that the page's scripts
-take for one of them; medians of the rounds, with the least and the greatest.
+with one that turns in every frame. Printed are the pictures a second, and the processor time that the browser and its
+scripts take for one, which depends less on what else the machine does: medians of the rounds, with the least and the
+greatest.
 """
 
 from __future__ import annotations
@@ -18,10 +19,11 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from benchmarks.proc import cpu_seconds, family
 from manyhands.design.models.scene import Body, ContactScene
 from manyhands.nodes.observer.scene import About
 from manyhands.protocol.clock import Instant
@@ -88,25 +90,34 @@ class Moving(Played):
                 self.feed.take(encode(Observation(name, self.tick, {}, values)), Instant(self.tick * 10**6))
 
 
-def measured(shown: ShownPage, played: Moving, seconds: float, turning: bool) -> tuple[float, list[float]]:
-    """Pictures a second, and the times (ms) of the scripts for each."""
+class Round(NamedTuple):
+    """Pictures a second; the browser's processor time for one of them, and that of the page's scripts for each, ms."""
+
+    rate: float
+    busy: float
+    spent: list[float]
+
+
+def measured(shown: ShownPage, played: Moving, seconds: float, turning: bool) -> Round:
+    """Let it draw for so many seconds."""
     page, start = shown.page, played.tick
     if turning:
         page.evaluate(TURNING, seconds + SETTLING)
-    begun, counting = time.monotonic(), False
+    browsers = [pid for pid in family(os.getpid()) if pid != os.getpid()]
+    begun, counting, used = time.monotonic(), False, 0.0
     while (passed := time.monotonic() - begun) < SETTLING + seconds:
         if not counting and passed > SETTLING:
             page.evaluate("window.counted.pictures.length = window.counted.spent.length = 0")
-            counting = True
+            counting, used = True, cpu_seconds(browsers)
         played.go(start + round(1000 * passed))
         shown.send()
         page.wait_for_timeout(1000 * PICTURE_EVERY)
     counted: dict[str, Any] = page.evaluate("window.counted")
-    at = counted["pictures"]
-    return 1000.0 * (len(at) - 1) / (at[-1] - at[0]), counted["spent"]
+    at, busy = counted["pictures"], cpu_seconds(browsers) - used
+    return Round(1000.0 * (len(at) - 1) / (at[-1] - at[0]), 1000.0 * busy / len(at), counted["spent"])
 
 
-def rounds_of(rounds: int, seconds: float) -> Iterator[dict[bool, tuple[float, list[float]]]]:
+def rounds_of(rounds: int, seconds: float) -> Iterator[dict[bool, Round]]:
     """The measurements of each round, with the camera at rest and turning."""
     with browsing(CHROMIUM) as browser:
         played = Moving(crowded())
@@ -119,6 +130,11 @@ def rounds_of(rounds: int, seconds: float) -> Iterator[dict[bool, tuple[float, l
             raise SystemExit("\n".join(shown.wrong))
 
 
+def spread(values: list[float]) -> str:
+    """The median, with the least and the greatest."""
+    return f"{statistics.median(values):.1f} ({min(values):.1f} to {max(values):.1f})"
+
+
 def main() -> None:
     """Measure, and print a table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
@@ -126,12 +142,15 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=6.0)
     options = parser.parse_args()
     found = list(rounds_of(options.rounds, options.seconds))
-    print("| camera | pictures a second | script, ms a picture: median | 95 % |\n|---|---|---|---|")
+    print(
+        "| camera | pictures a second | processor time of one, ms | of it scripts | scripts, 95 % |\n|---|---|---|---|---|"
+    )
     for turning, name in ((False, "at rest"), (True, "turning")):
-        rates = [one[turning][0] for one in found]
-        spent = np.concatenate([one[turning][1] for one in found])
-        spread = f"{statistics.median(rates):.1f} ({min(rates):.1f} to {max(rates):.1f})"
-        print(f"| {name} | {spread} | {np.median(spent):.1f} | {np.percentile(spent, 95):.1f} |")
+        rates, busy = [one[turning].rate for one in found], [one[turning].busy for one in found]
+        spent = np.concatenate([one[turning].spent for one in found])
+        print(
+            f"| {name} | {spread(rates)} | {spread(busy)} | {np.median(spent):.1f} | {np.percentile(spent, 95):.1f} |"
+        )
     print(f"load of the machine: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores", file=sys.stderr)
 
 
