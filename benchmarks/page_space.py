@@ -142,9 +142,8 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=6.0)
     options = parser.parse_args()
     found = list(rounds_of(options.rounds, options.seconds))
-    print(
-        "| camera | pictures a second | processor time of one, ms | of it scripts | scripts, 95 % |\n|---|---|---|---|---|"
-    )
+    print("| camera | pictures a second | processor time of one, ms | of it scripts | scripts, 95 % |")
+    print("|---|---|---|---|---|")
     for turning, name in ((False, "at rest"), (True, "turning")):
         rates, busy = [one[turning].rate for one in found], [one[turning].busy for one in found]
         spent = np.concatenate([one[turning].spent for one in found])
