@@ -70,7 +70,7 @@ def crowded() -> About:
     places = np.random.default_rng(0).uniform(-0.15, 0.15, (BODIES, 3)) + np.array([0.0, 0.16, 0.0])
     bodies = tuple(Body(f"body {i}", 0.1, (x, y, z), 0.02) for i, (x, y, z) in enumerate(places.tolist()))
     crowd = ContactScene(found.ports, found.tools, bodies, found.obstacles, surface=found.surface)
-    masses = {name: 0.1 for body in bodies for name in crowd.coordinates_of(body)}
+    masses = {f"{body.name}.{axis}": 0.1 for body in bodies for axis in "xyz"}
     return replace(about, scene=crowd, masses=masses)
 
 
