@@ -278,9 +278,14 @@ class ContactScene:
 
     @property
     def geometry(self) -> ContactScene:
-        """The scene without springs and gravity: its tools, bodies and obstacles, and how they touch."""
+        """The scene without springs and gravity: its tools, bodies and obstacles, and how they touch.
+
+        Two things that a spring joins have the stiffness 0 there, unless ``surfaces`` states otherwise.
+        """
+        joined = tuple((link.ends, UNTOUCHED) for link in self.links if GROUND not in link.ends)
+        surfaces = (*self.surfaces, *joined)
         return ContactScene(
-            self.ports, self.tools, self.bodies, self.obstacles, surface=self.surface, surfaces=self.surfaces
+            self.ports, self.tools, self.bodies, self.obstacles, surface=self.surface, surfaces=surfaces
         )
 
     def ends_of(self, link: SceneLink) -> tuple[int | None, int | None]:

@@ -244,13 +244,12 @@ def test_the_contacts_are_where_the_scene_has_them(carry: ShownPage) -> None:
              "box": thing.get("shape") == "box", "driven": "motion" in thing}
             for name, thing in [*terms["tools"].items(), *terms["bodies"].items()]
         ]  # fmt: skip
-        joined = [list(link.ends) for link in given.links]
         contacts = carry.page.evaluate(
-            """async ([scene, things, joined]) => {
+            """async ([scene, things]) => {
               const { Contacts } = await import("/contacts.js");
-              return new Contacts(scene, things, joined).now();
+              return new Contacts(scene, things).now();
             }""",
-            [terms, things, joined],
+            [terms, things],
         )
         gap, gradient = given.contacts.gaps(given.points)
         normals = sorted(np.round(contact["normal"], 9).tolist() for contact in contacts)

@@ -84,16 +84,13 @@ export function solidOf({ shape, points, radius }) {
   return { place, half: b.map((x, i) => x - place[i]), radius, box: shape === "box" };
 }
 
-/** Finds the contacts of a scene. Things that a spring joins, or whose contact has no stiffness, do not touch. */
+/** Finds the contacts of a scene. Things whose contact has no stiffness do not touch. */
 export class Contacts {
-  /** `things` are the tools and bodies, solids with their names, `driven` or not; `joined` are pairs of names. */
-  constructor(scene, things, joined) {
-    const apart = new Set(joined.map(key));
-    const stiffness = new Map(scene.contacts.map((pair) => [key(pair.between), pair.stiffness]));
-    const touch = (a, b) => {
-      const names = key([a, b]);
-      return (stiffness.get(names) ?? (apart.has(names) ? 0 : scene.contact.stiffness)) > 0;
-    };
+  /** `things` are the tools and bodies, solids with their names, `driven` or not. */
+  constructor(scene, things) {
+    const stated = [...scene.contacts].reverse(); // the first of a pair holds
+    const stiffness = new Map(stated.map((pair) => [key(pair.between), pair.stiffness]));
+    const touch = (a, b) => (stiffness.get(key([a, b])) ?? scene.contact.stiffness) > 0;
     this.pairs = things.flatMap((a, i) =>
       things.slice(i + 1).filter((b) => !(a.driven && b.driven) && touch(a.name, b.name)).map((b) => [a, b]),
     );

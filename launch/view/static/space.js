@@ -74,10 +74,9 @@ export class Space {
       thing.arrow = new Arrow(0.014 * around.radius, palette);
       scene.add(thing.arrow.group);
     }
-    const joined = joinedBy(about.springs, things);
-    this.springs = joined.map((ends) => ({ ends, spring: new Spring(0.02 * around.radius, palette) }));
+    this.springs = joinedBy(about.springs, things).map((ends) => ({ ends, spring: new Spring(0.02 * around.radius, palette) }));
     for (const { spring } of this.springs) scene.add(spring.line);
-    this.contacts = new Contacts(about.scene, things, joined.map((ends) => ends.map(({ name }) => name)));
+    this.contacts = new Contacts(about.scene, things);
     this.marks = new Marks(0.03 * around.radius, palette);
     scene.add(this.marks.group);
   }
