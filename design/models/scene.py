@@ -376,9 +376,14 @@ class ContactScene:
 
     @property
     def geometry(self) -> ContactScene:
-        """The scene without springs, contacts, gravity and motions: its tools, bodies and obstacles."""
+        """The scene without springs, gravity and motions: its tools, bodies and obstacles, and how they touch.
+
+        Two things that a spring joins have the stiffness 0 there, unless ``surfaces`` states otherwise.
+        """
         bodies = tuple(replace(body, motion=(0.0, 0.0, 0.0)) if body.motion else body for body in self.bodies)
-        return ContactScene(self.ports, self.tools, bodies, self.obstacles)
+        joined = tuple((link.ends, UNTOUCHED) for link in self.links if GROUND not in link.ends)
+        surfaces = (*self.surfaces, *joined)
+        return ContactScene(self.ports, self.tools, bodies, self.obstacles, surface=self.surface, surfaces=surfaces)
 
     def ends_of(self, link: SceneLink) -> tuple[int | None, int | None]:
         """The indices of the points that a link joins; None for the ground."""
@@ -548,13 +553,13 @@ class ContactScene:
         }
 
     def geometry_terms(self) -> dict[str, Any]:
-        """Tools, bodies and obstacles as JSON values, with the names of the ports."""
+        """Tools, bodies, obstacles and how they touch, as JSON values, with the names of the ports."""
         terms = self.terms()
         return {"ports": list(self.ports), **{key: terms[key] for key in _GEOMETRY}}
 
 
 _XYZ: Final = {0, 1, 2}
-_GEOMETRY: Final = ("tools", "bodies", "obstacles")
+_GEOMETRY: Final = ("tools", "bodies", "obstacles", "contact", "contacts")
 
 
 def _point(data: Sequence[Any]) -> Point:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
 import re
 import signal
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 from urllib.parse import urlsplit
 
-from playwright.sync_api import Browser, Page, Route, WebSocketRoute, sync_playwright
+import numpy as np
+from playwright.sync_api import Browser, ConsoleMessage, Page, Route, WebSocketRoute, sync_playwright
 
 from manyhands.launch.view.feed import Cursor, Feed
 from manyhands.launch.view.security import HEADERS
@@ -37,6 +40,15 @@ QUIET: Final = (
     "--disable-renderer-backgrounding",
 )
 
+SOFTWARE: Final = "GPU stall due to ReadPixels"
+"""Of the one message that WebGL without a graphics card logs by itself, about its own speed."""
+
+
+def is_wrong(message: ConsoleMessage) -> bool:
+    """Whether a message of the browser's console is the page's error or warning."""
+    return message.type in ("error", "warning") and SOFTWARE not in message.text
+
+
 UNTIL: Final = """([condition, limit]) => new Promise((done, fail) => {
   const end = setTimeout(() => fail(new Error("it never became so")), limit);
   const looks = new MutationObserver(look);
@@ -51,7 +63,8 @@ UNTIL: Final = """([condition, limit]) => new Promise((done, fail) => {
     const { name, where, what } = condition;
     const element = document.querySelector(where);
     if (!element) return false;
-    const value = name === "text" ? element.textContent : (element.getAttribute(name) ?? "");
+    const whole = name === "text" ? element.textContent : (element.getAttribute(name) ?? "");
+    const value = what.axis === undefined ? whole : (whole.split(" ")[what.axis] ?? "");
     if (what.equals !== undefined) return value === what.equals;
     if (what.has !== undefined) return value.includes(what.has);
     return value !== "" && (what.above !== undefined ? Number(value) > what.above : Number(value) < what.below);
@@ -62,17 +75,20 @@ UNTIL: Final = """([condition, limit]) => new Promise((done, fail) => {
 
 
 def until(page: Page, where: str, name: str, **what: Any) -> None:
-    """Wait until an attribute of an element, or its text: ``equals``, ``has``, or is ``above`` or ``below`` it."""
+    """Wait until an attribute of an element, or its text: ``equals``, ``has``, or is ``above`` or ``below`` it.
+
+    With ``axis`` it is one of several numbers.
+    """
     page.evaluate(UNTIL, [{"where": where, "name": name, "what": what}, 60_000])
 
 
 @contextmanager
-def viewed(*options: str | Path) -> Iterator[tuple[str, int]]:
-    """A session that can be dragged, and its page, served with these options.
+def viewed(*options: str | Path, session: Sequence[str] = (SESSION,)) -> Iterator[tuple[str, int]]:
+    """A session that can be dragged (its file, and options of its launch), and its page, served with ``options``.
 
     Yields the page's address and the supervisor's process id.
     """
-    with started("launch", SESSION, *SLOWED) as launched:
+    with started("launch", *session, *SLOWED) as launched:
         read_until(launched, "running")
         with started("view", "--running", str(launched.pid), *options) as view:
             address = re.sub(r"^page: ", "", read_until(view, "page: ").strip())
@@ -99,9 +115,12 @@ def browsing(executable: str) -> Iterator[Browser]:
             browser.close()
 
 
-def open_page(browser: Browser, address: str, width: int, scheme: Any, wrong: list[str]) -> Page:
-    """Open the page and wait until its plot moves; every later error of the page is added to ``wrong``."""
-    page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
+def open_page(browser: Browser, address: str, width: int, scheme: Any, wrong: list[str], dots: float = 1.0) -> Page:
+    """Open the page and wait until its plot moves; every later error of the page is added to ``wrong``.
+
+    The screen has so many ``dots`` in a px.
+    """
+    page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme, device_scale_factor=dots)
     page.set_default_timeout(60_000)
     host = urlsplit(address).netloc
 
@@ -112,7 +131,7 @@ def open_page(browser: Browser, address: str, width: int, scheme: Any, wrong: li
     page.on("request", lambda request: requested(request.url))
     page.on("websocket", lambda opened: requested(opened.url))
     page.on("pageerror", lambda error: wrong.append(f"error {error}"))
-    page.on("console", lambda told: wrong.append(told.text) if told.type in ("error", "warning") else None)
+    page.on("console", lambda told: wrong.append(told.text) if is_wrong(told) else None)
     page.goto(address)
     until(page, "#plot", "data-points", above=100)
     tick = int(page.get_attribute("#plot", "data-last-tick") or 0)
@@ -131,6 +150,100 @@ def centre(page: Page, where: str) -> tuple[float, float]:
     box = page.locator(where).bounding_box()
     assert box is not None
     return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+
+SPACE: Final = ".space"
+"""The drawing of a scene in space, which has the focus for the camera's keys."""
+
+_FIELD: Final = 0.6  # rad, of the camera, from the lower to the upper edge
+
+
+class Camera(NamedTuple):
+    """The camera as the page states it: two angles (rad), distance and target (m), and the picture's height (px)."""
+
+    azimuth: float
+    elevation: float
+    distance: float
+    target: np.ndarray[Any, np.dtype[np.float64]]
+    height: float
+
+    @classmethod
+    def of(cls, page: Page) -> Camera:
+        """The camera of the picture that the page shows."""
+        azimuth, elevation, distance, *target = map(float, (page.get_attribute(SPACE, "data-camera") or "").split())
+        box = page.locator(f"{SPACE} canvas").bounding_box()
+        assert box is not None
+        return cls(azimuth, elevation, distance, np.array(target), box["height"])
+
+    def moved(self, place: Any, right: float, down: float) -> np.ndarray[Any, np.dtype[np.float64]]:
+        """The motion, m, parallel to the picture, that moves what is at ``place`` by so many px."""
+        sa, ca, se, ce = (
+            math.sin(self.azimuth),
+            math.cos(self.azimuth),
+            math.sin(self.elevation),
+            math.cos(self.elevation),
+        )
+        eye = self.target + self.distance * np.array([ce * sa, se, ce * ca])
+        depth = float((eye - place) @ np.array([ce * sa, se, ce * ca]))
+        length = 2.0 * depth * math.tan(_FIELD / 2.0) / self.height  # of a px
+        return length * (right * np.array([ca, 0.0, -sa]) - down * np.array([-se * sa, ce, -se * ca]))
+
+
+def camera_after(page: Page, *keys: str) -> Camera:
+    """The camera after these keys, and after the frame that shows it."""
+    for key in keys:
+        page.keyboard.press(key)
+    frames(page)
+    return Camera.of(page)
+
+
+def frames(page: Page) -> None:
+    """Wait until two more frames are drawn."""
+    page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+
+CARRIED: Final = (
+    "carry",
+    *(f"--set=devices.{device}.driver=browser" for device in ("anna", "ben")),
+    *(f"--set=devices.{device}.hand={{stiffness: 300, damping: 5}}" for device in ("anna", "ben")),
+)
+"""The shipped session with two balls, whose users are pages."""
+
+ANNA: Final = '[data-device="anna"]'
+BEN: Final = '[data-device="ben"]'
+RED: Final = '[data-mass="red"]'
+
+
+def lift(pages: Sequence[Page]) -> None:
+    """Two people press on the red ball of :data:`CARRIED` from both sides, each with the mouse of a page, and lift it.
+
+    When it returns, the ball is up, and both hold on.
+    """
+    hands = []
+    for page, device, side in zip(pages, (ANNA, BEN), (1.0, -1.0), strict=True):
+        page.bring_to_front()
+        page.locator(SPACE).focus()
+        camera = camera_after(page, *("ArrowLeft",) * 5, *("ArrowDown",) * 3)  # level, from the front
+        pixels = 1.0 / camera.moved(np.array([-0.06 * side, 0.04, 0.0]), 1.0, 0.0)[0]  # of a m
+        hands.append((page, *_taken(page, device), side, pixels))
+        until(page, device, "data-held", equals="here")
+    until(pages[0], BEN, "data-held", equals="elsewhere")
+    for inwards, upwards in ((0.05, 0.0), (0.05, 0.02), (0.05, 0.04), (0.05, 0.06)):  # m
+        for page, x, y, side, pixels in hands:
+            page.mouse.move(x + side * inwards * pixels, y - upwards * pixels, steps=2)
+    until(pages[0], RED, "data-at", above=0.02, axis=1)  # m
+
+
+def _taken(page: Page, device: str) -> tuple[float, float]:
+    """Press the mouse on a device's ring, and return where; an alarm that appears just then moves the drawing away."""
+    for _ in range(10):
+        x, y = centre(page, device)
+        page.mouse.move(x, y)
+        page.mouse.down()
+        if page.evaluate("(where) => document.activeElement.matches(where)", device):
+            return x, y
+        page.mouse.up()
+    raise AssertionError(f"{device} was never below the mouse")
 
 
 NOWHERE: Final = "http://127.0.0.1:9/"
@@ -173,19 +286,20 @@ class ShownPage:
     Attributes:
         page: the browser's page.
         wrong: every error and warning of the page.
+        demands: the page's messages, in their order.
     """
 
-    def __init__(self, browser: Browser, feed: Feed, width: int, scheme: Any) -> None:
-        """Open the page, and show the feed's present state."""
+    def __init__(self, browser: Browser, feed: Feed, width: int, scheme: Any, before: str = "") -> None:
+        """Open the page, and show the feed's present state; the page's scripts run after the script ``before``."""
         self.wrong: list[str] = []
+        self.demands: list[dict[str, Any]] = []
         self._feed, self._cursor, self._sent = feed, Cursor(), 0
         self._sockets: list[WebSocketRoute] = []
         self.page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
         self.page.set_default_timeout(60_000)
+        self.page.add_init_script(before)
         self.page.on("pageerror", lambda error: self.wrong.append(f"error {error}"))
-        self.page.on(
-            "console", lambda told: self.wrong.append(told.text) if told.type in ("error", "warning") else None
-        )
+        self.page.on("console", lambda told: self.wrong.append(told.text) if is_wrong(told) else None)
         assets = load_assets()
 
         def answer(route: Route) -> None:
@@ -199,8 +313,9 @@ class ShownPage:
 
         def connected(socket: WebSocketRoute) -> None:
             self._sockets.append(socket)
+            socket.on_message(lambda text: self.demands.append(json.loads(text)))
             socket.send(feed.session())
-            self._send()
+            self.send()
 
         self.page.route("**/*", answer)
         self.page.route_web_socket("**/socket", connected)
@@ -209,10 +324,19 @@ class ShownPage:
 
     def show(self) -> None:
         """Show what the feed has taken in since."""
-        self._send()
+        self.send()
         self._await_drawing()
 
-    def _send(self) -> None:
+    def await_demand(self, demand: dict[str, Any]) -> None:
+        """Wait, frame by frame, until the page has sent this message."""
+        for _ in range(3600):
+            if demand in self.demands:
+                return
+            self.page.evaluate("() => new Promise(requestAnimationFrame)")
+        raise AssertionError(f"the page has sent {self.demands}; expected {demand}")
+
+    def send(self) -> None:
+        """Send what the feed has taken in since, without waiting for the page."""
         self._sent += 1
         self._sockets[-1].send(self._feed.picture(self._cursor, {}))
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from ..support.browser import browsing, centre, open_page, picture, until, viewed
+from ..support.browser import CARRIED, RED, browsing, centre, lift, open_page, picture, until, viewed
 
 CHROMIUM = shutil.which("chromium")
 REQUIRED = os.environ.get("MANYHANDS_REQUIRE_BROWSER") == "1"
@@ -92,6 +92,27 @@ def test_the_page_of_a_session_that_is_dragged_and_hurt() -> None:
         for page in (wide, narrow):
             until(page, "body", "data-state", equals="over")
         assert wrong == []
+
+
+def test_two_people_carry_a_ball_in_two_browsers() -> None:
+    """Each drags one tool with a mouse: towards the ball, and up."""
+    assert CHROMIUM is not None, "MANYHANDS_REQUIRE_BROWSER is set, and there is no chromium"
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    wrong: list[str] = []
+    with viewed(session=CARRIED) as (address, _), browsing(CHROMIUM) as browser:
+        pages = [open_page(browser, address, 1280, "light", wrong), open_page(browser, address, 390, "dark", wrong)]
+        lift(pages)
+        picture(pages[0], PICTURES, "carried-1280-light")
+        picture(pages[1], PICTURES, "carried-390-dark")
+        for page in pages:
+            page.emulate_media(color_scheme="dark" if page is pages[0] else "light")
+        picture(pages[0], PICTURES, "carried-1280-dark")
+        picture(pages[1], PICTURES, "carried-390-light")
+        for page in pages:
+            page.bring_to_front()
+            page.mouse.up()
+        until(pages[0], RED, "data-at", below=0.01, axis=1)  # m: it has fallen
+    assert wrong == []
 
 
 def test_a_page_with_a_token(tmp_path: Path) -> None:

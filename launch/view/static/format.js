@@ -31,3 +31,9 @@ export function rounded(most) {
   const power = 10 ** Math.floor(Math.log10(most));
   return [1, 2, 5, 10].map((step) => step * power).find((step) => step >= most * 0.999999);
 }
+
+/** The end of a scale: it grows at once with what it shows, and shrinks when a third of it would do. */
+export const fitted = (before, most) => (most > before || most < 0.3 * before ? rounded(most) : before);
+
+/** The name of a port's axis: what follows the device's name; a device of one axis moves along x. */
+export const axisOf = (port) => (port.includes(".") ? port.slice(port.lastIndexOf(".") + 1) : "x");

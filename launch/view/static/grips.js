@@ -1,6 +1,6 @@
 /** Holds devices by pointer or by keys. The page repeats each hold ten times a second, since a hold that is not repeated ends. */
 
-import { byId, say } from "./elements.js";
+import { byId, place, say, svg } from "./elements.js";
 import { quantity } from "./format.js";
 
 const AGAIN = 100; // ms
@@ -54,48 +54,78 @@ export class Grips {
   /** The present position of a device, m, one entry for each axis. */
   position(device) {
     const axes = this.session.about.nodes[device].ports.length;
-    return Array.from({ length: axes }, (_, axis) => {
-      const x = this.session.now(`${device}/sample`, axis);
-      return Number.isNaN(x) ? 0 : x;
+    return Array.from({ length: axes }, (_, axis) => this.session.known(`${device}/sample`, axis));
+  }
+
+  /** The handle of a device: a ring, which can be dragged if a person can hold the device.
+
+  `drag.start(event, x)` returns a function of later events, whose values are positions, m; x is the device's at the
+  start. `drag.most()` is the displacement that keys reach in 40 steps, m.
+  */
+  handle(device, drag) {
+    const grip = this.session.about.grips.includes(device);
+    const circles = [svg("circle", { r: 11, class: "body" }), svg("circle", { r: 4, class: "dot" })];
+    if (grip) circles.unshift(svg("circle", { r: 24, class: "touch" }), svg("circle", { r: 17, class: "ring" }));
+    const handle = svg("g", { class: grip ? "handle grip" : "handle", "data-device": device }, ...circles);
+    if (!grip) return handle;
+    place(handle, {
+      tabindex: "0",
+      role: "slider",
+      "aria-label": `device ${device}: drag it, or move it with the arrow keys; Escape lets go`,
+    });
+    this.attach(handle, device, drag);
+    return handle;
+  }
+
+  /** Show whether a device is held, and where it is. */
+  show(handle, device, most) {
+    if (!handle.classList.contains("grip")) return;
+    const x = this.position(device);
+    const held = this.session.picture.held[device] ?? "";
+    handle.classList.toggle("held", this.holds(device));
+    handle.classList.toggle("elsewhere", held === "elsewhere");
+    place(handle, {
+      "data-at": x.join(" "),
+      "data-held": held,
+      "aria-valuemin": String(-most),
+      "aria-valuemax": String(most),
+      "aria-valuenow": String(x[0]),
+      "aria-valuetext": held === "elsewhere" ? "held by another page" : this.text(device),
     });
   }
 
-  /** Make a handle draggable; `scale()` returns px per m and the greatest displacement drawn, `place(event)` a position in px. */
-  attach(handle, device, scale, place) {
+  attach(handle, device, drag) {
     const axes = this.session.about.nodes[device].ports.length;
-    let from = null;
+    let moved = null; // while a pointer holds the device
     handle.addEventListener("pointerdown", (event) => {
       if (event.button !== 0 || this.session.picture?.held[device] === "elsewhere") return;
       event.preventDefault();
       handle.focus({ preventScroll: true });
       handle.setPointerCapture(event.pointerId);
-      from = { at: place(event), x: this.position(device) };
-      this.hold(device, from.x);
+      const x = this.position(device);
+      moved = drag.start(event, x);
+      this.hold(device, x);
     });
-    handle.addEventListener("pointermove", (event) => {
-      if (from === null) return;
-      const to = place(event);
-      const moved = [to.x - from.at.x, from.at.y - to.y].map((px) => px / scale().pixels);
-      this.hold(device, from.x.map((x, axis) => x + (moved[axis] ?? 0)));
-    });
+    handle.addEventListener("pointermove", (event) => moved && this.hold(device, moved(event)));
     for (const end of ["pointerup", "pointercancel", "lostpointercapture"]) {
       handle.addEventListener(end, () => {
-        if (from === null) return;
-        from = null;
+        if (moved === null) return;
+        moved = null;
         this.release(device);
       });
     }
-    handle.addEventListener("blur", () => this.release(device));
+    // the focus goes to another handle when a second finger takes it
+    handle.addEventListener("blur", () => moved === null && this.release(device));
     handle.addEventListener("keydown", (event) => {
       if (event.key === "Escape" || (event.key === "Enter" && this.holds(device))) this.release(device);
       else if (event.key === "Enter" || event.key === " ") this.hold(device, this.position(device));
-      else if (event.key in KEYS && (KEYS[event.key][0] < axes || axes === 1)) this.step(device, axes, event, scale());
+      else if (event.key in KEYS && (KEYS[event.key][0] < axes || axes === 1)) this.step(device, axes, event, drag.most());
       else return;
       event.preventDefault();
     });
   }
 
-  step(device, axes, event, { most }) {
+  step(device, axes, event, most) {
     const [axis, sign] = KEYS[event.key];
     const position = [...(this.held.get(device) ?? this.position(device))];
     position[axes === 1 ? 0 : axis] += ((sign * most) / STEPS) * (event.shiftKey ? 5 : 1);

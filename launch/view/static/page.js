@@ -4,15 +4,16 @@ import { showAlarms } from "./alarms.js";
 import { Certificate } from "./certificate.js";
 import { Connection } from "./connection.js";
 import { byId } from "./elements.js";
+import { Forces } from "./forces.js";
 import { Graph } from "./graph.js";
 import { Grips } from "./grips.js";
 import { showFacts, showHeader, showState } from "./header.js";
 import { Plots } from "./plots.js";
 import { showLobby, showPromises } from "./promises.js";
 import { Session } from "./session.js";
-import { World, worldLegend } from "./world.js";
+import { View } from "./view.js";
 
-const DRAW_EVERY = 30; // ms: a screen may be faster, but a hand's motion is not
+const DRAW_EVERY = 25; // ms, so every second frame of most screens: a hand's motion is not faster
 const PLOT_EVERY = 66; // ms
 const WORDS_EVERY = 250; // ms: figures that change faster cannot be read
 const CALM_EVERY = 500; // ms, for people who have asked their system for less motion
@@ -31,7 +32,7 @@ function begin(about) {
   session = new Session(about);
   const grips = new Grips(session, (message) => connection.send(message));
   showFacts(about);
-  worldLegend(about);
+  views?.view.dispose();
   views = null; // built with the first picture: until then there is nothing to draw
   session.grips = grips;
 }
@@ -46,7 +47,8 @@ function take(picture) {
   session.advance(0);
   views = {
     graph: new Graph(byId("graph-drawing"), session.about),
-    world: new World(byId("world-drawing"), session, session.grips),
+    view: new View(byId("world-drawing"), session, session.grips),
+    forces: new Forces(session),
     plots: new Plots(session),
     certificate: new Certificate(session.about),
   };
@@ -75,11 +77,16 @@ let [before, plotted, written] = [performance.now(), 0, 0];
 
 function frame(now) {
   requestAnimationFrame(frame);
-  if (!views || now - before < (calm.matches ? CALM_EVERY : DRAW_EVERY)) return;
+  if (!views) return;
+  if (now - before < (calm.matches ? CALM_EVERY : DRAW_EVERY)) {
+    views.view.follow();
+    return;
+  }
   session.advance((now - before) / 1000);
   before = now;
-  views.world.rescale(now);
-  views.world.draw();
+  views.view.rescale(now);
+  views.view.draw();
+  views.forces.draw();
   if (now - plotted >= PLOT_EVERY) {
     plotted = now;
     views.plots.draw();

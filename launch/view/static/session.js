@@ -3,6 +3,7 @@
 import { Track } from "./tracks.js";
 
 const BEHIND = 0.2; // s by which the drawing stays behind the latest values: telemetry comes ten times a second
+const LATELY = 3; // s that scales are fitted to
 
 export class Session {
   constructor(about) {
@@ -50,5 +51,21 @@ export class Session {
   now(key, column) {
     const track = this.tracks.get(key);
     return track ? track.at(column, ((this.head ?? 0) * this.about.period) / track.seconds) : NaN;
+  }
+
+  /** The same, and 0 where it is not known. */
+  known(key, column) {
+    const value = this.now(key, column);
+    return Number.isNaN(value) ? 0 : value;
+  }
+
+  /** The greatest magnitude of some topics in the last seconds. */
+  greatest(topics) {
+    let most = 0;
+    for (const track of this.tracks.values()) {
+      if (!topics.includes(track.topic)) continue;
+      for (let c = 0; c < track.columns.length; c += 1) most = Math.max(most, track.most(c, Math.ceil(LATELY / track.seconds)));
+    }
+    return most;
   }
 }

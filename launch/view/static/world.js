@@ -1,7 +1,7 @@
-/** The moving virtual world: tools, masses and springs, and the devices that move the tools through their couplings. */
+/** The moving virtual world in its plane: tools, masses and springs, and the devices that move the tools through their couplings. */
 
-import { byId, fit, html, place, say, svg } from "./elements.js";
-import { quantity, rounded } from "./format.js";
+import { fit, place, say, svg } from "./elements.js";
+import { axisOf, fitted, quantity } from "./format.js";
 import { layout } from "./layout.js";
 
 const LEAST = 2e-3; // m, the smallest motion that may fill the drawing: numerical noise must not look like motion
@@ -36,7 +36,6 @@ export class World {
     this.forceHead = svg("path", { class: "force-head" });
     this.forceText = svg("text", { class: "dim" });
     this.drawing.append(this.bar, this.barText, this.forceBar, this.forceHead, this.forceText);
-    byId("forces").replaceChildren(...bodies.filter(({ value }) => value).map(({ value }) => value));
     return { springs, lanes, bodies };
   }
 
@@ -63,27 +62,19 @@ export class World {
     const shown = body.ports.slice(0, 2);
     const axes = shown.map((port) => svg("text", { class: "dim" }, axisOf(port)));
     const upright = svg("path", { class: "axis" });
-    const value = html("li", { "data-force-of": body.name });
-    const handle = this.handle(body.name);
+    const handle = this.grips.handle(body.name, { start: (event, x) => this.drag(event, x), most: () => this.most });
     this.drawing.append(upright, ...axes, lag, tool, target, force, head, label, handle);
-    return { id, body, lag, tool, target, force, head, label, axes, upright, value, handle };
+    return { id, body, lag, tool, target, force, head, label, axes, upright, handle };
   }
 
-  handle(device) {
-    const grip = this.session.about.grips.includes(device);
-    const circles = [svg("circle", { r: 11, class: "body" }), svg("circle", { r: 4, class: "dot" })];
-    if (grip) circles.unshift(svg("circle", { r: 24, class: "touch" }), svg("circle", { r: 17, class: "ring" }));
-    const handle = svg("g", { class: grip ? "handle grip" : "handle", "data-device": device }, ...circles);
-    if (grip) {
-      place(handle, {
-        tabindex: "0",
-        role: "slider",
-        "aria-label": `device ${device}: drag it, or move it with the arrow keys; Escape lets go`,
-      });
-      const scale = () => ({ pixels: this.pixels, most: this.most });
-      this.grips.attach(handle, device, scale, (event) => this.point(event));
-    }
-    return handle;
+  /** Where a device that is at x shall be while the pointer is dragged from where it is. */
+  drag(event, x) {
+    const from = this.point(event);
+    return (later) => {
+      const to = this.point(later);
+      const moved = [to.x - from.x, from.y - to.y];
+      return x.map((value, axis) => value + (moved[axis] ?? 0) / this.pixels);
+    };
   }
 
   /** The position of an event in the drawing's own units. */
@@ -120,14 +111,11 @@ export class World {
   rescale(now) {
     if (now - this.looked < LOOK) return;
     this.looked = now;
-    const { tracks, about } = this.session;
-    const greatest = (topics) =>
-      Math.max(0, ...[...tracks.values()].filter((t) => topics.includes(t.topic)).flatMap((t) => t.columns.map((_, c) => t.most(c, Math.ceil(3 / t.seconds)))));
-    const fit = (before, most) => (most > before || most < 0.3 * before ? rounded(most) : before);
+    const { about } = this.session;
     // where a hand can move a device, its motion has room
     const gripped = about.grips.length ? Math.min(0.02, Math.max(...about.grips.map((d) => about.reach[about.nodes[d].ports[0]] ?? 0))) : 0;
-    if (this.grips.held.size === 0) this.most = fit(this.most, Math.max(LEAST, gripped, greatest(["sample", "tools", "masses"])));
-    this.mostForce = fit(this.mostForce, Math.max(LEAST_FORCE, greatest(["force"])));
+    if (this.grips.held.size === 0) this.most = fitted(this.most, Math.max(LEAST, gripped, this.session.greatest(["sample", "tools", "masses"])));
+    this.mostForce = fitted(this.mostForce, Math.max(LEAST_FORCE, this.session.greatest(["force"])));
   }
 
   get pixels() {
@@ -142,7 +130,7 @@ export class World {
     if (body.kind === "tool") {
       body.ports.slice(0, 2).forEach((port, axis) => (moved[axis] = this.tool_of(port)));
     } else if (body.kind === "mass") {
-      for (const { axis, index } of body.axes) if (axis < 2) moved[axis] = this.known(this.session.now("environment/masses", index));
+      for (const { axis, index } of body.axes) if (axis < 2) moved[axis] = this.session.known("environment/masses", index);
     }
     return this.offset(spot, moved);
   }
@@ -151,13 +139,9 @@ export class World {
     return { x: spot.x + this.pixels * x, y: spot.y - this.pixels * y };
   }
 
-  known(value) {
-    return Number.isNaN(value) ? 0 : value;
-  }
-
   tool_of(port) {
     const track = this.session.tracks.get("environment/tools");
-    return this.known(this.session.now("environment/tools", track.columns.indexOf(port)));
+    return this.session.known("environment/tools", track.columns.indexOf(port));
   }
 
   draw() {
@@ -191,46 +175,42 @@ export class World {
     box.setAttribute("data-at", body.axes.map(({ index }) => this.session.now("environment/masses", index)).join(" "));
   }
 
-  draw_tool({ body, lag, tool, target, force, head, label, axes, upright, value, handle }, at) {
+  draw_tool({ body, lag, tool, target, force, head, label, axes, upright, handle }, at) {
     const spot = this.spots.get(`tool ${body.name}`);
     const lift = body.planar ? 0 : LIFT;
     const x = this.grips.position(body.name);
     const here = this.offset({ x: spot.x, y: spot.y - lift }, [x[0], body.planar ? (x[1] ?? 0) : 0]);
-    const forces = body.ports.map((_, axis) => this.known(this.session.now(`${body.name}/force`, axis)));
+    const forces = body.ports.map((_, axis) => this.session.known(`${body.name}/force`, axis));
     place(tool, { x: at.x - 7, y: at.y - 7, "data-at": body.ports.map((port) => this.tool_of(port)).join(" ") });
     place(lag, { x1: here.x, y1: here.y, x2: at.x, y2: at.y });
     place(label, { x: Math.max(4, spot.x - this.swing - 26), y: spot.y - (body.planar ? this.swing : LIFT) - 18 });
     this.arrow(force, head, here, forces);
-    say(value, `${body.name}: f ${forces.map((f, axis) => `${axisOf(body.ports[axis])} ${quantity(f, "N")}`).join(", ")}`);
-    place(value, { "data-force": forces.join(" ") });
     place(axes[0], { x: spot.x + this.swing + 6, y: spot.y + 14 });
     if (body.planar) {
       place(axes[1], { x: spot.x + 5, y: spot.y - this.swing - 8 });
       upright.setAttribute("d", `M${spot.x} ${spot.y - this.swing - 12}V${spot.y + this.swing + 12}`);
     }
     handle.setAttribute("transform", `translate(${here.x.toFixed(1)} ${here.y.toFixed(1)})`);
-    if (handle.classList.contains("grip")) this.draw_grip(handle, target, body, spot, lift, x);
-  }
-
-  draw_grip(handle, target, body, spot, lift, x) {
+    this.grips.show(handle, body.name, this.most);
     const wanted = this.grips.held.get(body.name);
-    const other = this.session.picture.held[body.name] === "elsewhere";
-    handle.classList.toggle("held", wanted !== undefined);
-    handle.classList.toggle("elsewhere", other);
-    place(handle, {
-      "data-at": x.join(" "),
-      "data-held": this.session.picture.held[body.name] ?? "",
-      "aria-valuemin": String(-this.most),
-      "aria-valuemax": String(this.most),
-      "aria-valuenow": String(x[0]),
-      "aria-valuetext": other ? "held by another page" : this.grips.text(body.name),
-    });
     if (wanted === undefined) {
       target.setAttribute("d", "");
       return;
     }
     const to = this.offset({ x: spot.x, y: spot.y - lift }, [wanted[0], body.planar ? (wanted[1] ?? 0) : 0]);
     target.setAttribute("d", `M${to.x - 9} ${to.y}h18M${to.x} ${to.y - 9}v18`);
+  }
+
+  /** How the ring of a device looks that can be held. */
+  get ring() {
+    return "filled";
+  }
+
+  /** What the signs mean. */
+  legend() {
+    const { springs, environment } = this.session.about;
+    const inside = springs.length ? "zigzags are its springs, boxes its masses" : `inside, it is of the kind ${environment}`;
+    return `Ring: device (x). Square: its tool in the world (x_e). Dashed: the difference that its coupling permits. Arrow: the force it exerts on the hand (f), whose scale is below, in N; a third axis is in the list alone. The world: ${inside}.`;
   }
 
   arrow(path, head, from, forces) {
@@ -260,9 +240,6 @@ export class World {
   }
 }
 
-/** The name of a port's axis: what follows the device's name; a device of one axis moves along x. */
-const axisOf = (port) => (port.includes(".") ? port.slice(port.lastIndexOf(".") + 1) : "x");
-
 /** A spring between two positions, px; the number of its turns is constant. */
 function zigzag(a, b) {
   const [dx, dy] = [b.x - a.x, b.y - a.y];
@@ -276,14 +253,4 @@ function zigzag(a, b) {
     d += `L${(a.x + part * dx + side * nx).toFixed(1)} ${(a.y + part * dy + side * ny).toFixed(1)}`;
   }
   return `${d}L${b.x.toFixed(1)} ${b.y.toFixed(1)}`;
-}
-
-/** The legend of the drawing for this session. */
-export function worldLegend(about) {
-  const held = about.grips.length ? " Drag a filled ring, or focus it and press the arrow keys." : "";
-  const springs = about.springs.length ? "zigzags are its springs, boxes its masses" : `inside, it is of the kind ${about.environment}`;
-  say(
-    byId("world-legend"),
-    `Ring: device (x). Square: its tool in the world (x_e). Dashed: the difference that its coupling permits. Arrow: the force it exerts on the hand (f), whose scale is below, in N; a third axis is in the list alone. The world: ${springs}.${held}`,
-  );
 }

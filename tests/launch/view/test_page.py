@@ -5,10 +5,12 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import re
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +42,7 @@ NOW = Instant(10**9)
 ADDRESS = "http://127.0.0.1:8000"
 DOORSTEP = Doorstep("127.0.0.1", 8000)
 ORIGIN = {"origin": ADDRESS}
+OF_OTHERS = ("uplot", "three")  # folders of libraries, which are kept unchanged
 SOCKET = "ws://127.0.0.1:8000/socket"
 
 
@@ -160,7 +163,9 @@ def test_every_file_is_served_with_its_headers(client: TestClient, path: str) ->
         assert answer.headers[name.decode()] == value.decode()
 
 
-@pytest.mark.parametrize("path", ["/nothing", "/../server.py", "/%2e%2e/server.py", "/uplot/LICENSE", "/docs"])
+@pytest.mark.parametrize(
+    "path", ["/nothing", "/../server.py", "/%2e%2e/server.py", "/uplot/LICENSE", "/three/VERSION", "/docs"]
+)
 def test_nothing_else_is_served(client: TestClient, path: str) -> None:
     answer = client.get(path)
     assert answer.status_code == 404
@@ -169,7 +174,7 @@ def test_nothing_else_is_served(client: TestClient, path: str) -> None:
 
 def test_the_page_names_no_other_host_and_has_no_inline_script() -> None:
     for path in STATIC.rglob("*"):
-        if path.suffix not in (".html", ".js", ".css") or "uplot" in path.parts:
+        if path.suffix not in (".html", ".js", ".css") or path.parent.name in OF_OTHERS:
             continue
         text = path.read_text().replace("http://www.w3.org/2000/svg", "")
         assert "http:" not in text, path
@@ -178,6 +183,16 @@ def test_the_page_names_no_other_host_and_has_no_inline_script() -> None:
     index = (STATIC / "index.html").read_text()
     assert all("src=" in tag.split(">")[0] for tag in index.split("<script")[1:])
     assert "style=" not in index
+
+
+def test_three_js_is_as_its_authors_published_it() -> None:
+    folder = STATIC / "three"
+    version = (folder / "VERSION").read_text()
+    stated = dict(re.findall(r"^sha256 (\S+) ([0-9a-f]{64})$", version, re.MULTILINE))
+    assert stated == {path.name: sha256(path.read_bytes()).hexdigest() for path in folder.glob("*.js")}
+    number = re.search(r"\(r(\d+)\)", version)
+    assert number is not None
+    assert f'const REVISION = "{number[1]}"'.replace('"', "'") in (folder / "three.core.js").read_text()
 
 
 def test_another_hosts_name_is_misdirected(client: TestClient) -> None:

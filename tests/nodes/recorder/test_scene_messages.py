@@ -19,6 +19,7 @@ from manyhands.design.models.contacts import Surface, coordinates
 from manyhands.design.models.scene import (
     MOST_OBSTACLES,
     MOST_POINTS,
+    UNTOUCHED,
     Body,
     ContactScene,
     Obstacle,
@@ -62,7 +63,7 @@ RECORDED = Recorded(
     {"a": Role.DEVICE, "b": Role.DEVICE, "c": Role.COUPLING, "environment": Role.ENVIRONMENT},
     {"a": ("a.x", "a.y"), "b": ("b",), "c": ("a.x", "a.y", "b"), "environment": ("a.x", "a.y", "b")},
     ("ball.x", "ball.y", "ball.z"),
-    scene=replace(WHOLE.geometry, obstacles=(*WHOLE.obstacles, MESH)),
+    scene=replace(WHOLE.geometry, obstacles=(*WHOLE.obstacles, MESH), surface=UNTOUCHED, surfaces=()),
 )
 START = 1_700_000_000_123_456_789
 TICKS = 1230
@@ -309,7 +310,7 @@ def test_the_largest_scene_has_bounded_messages() -> None:
 def test_the_metadata_has_the_geometry_alone() -> None:
     texts = RECORDED.as_metadata()
     assert Recorded.from_metadata(texts) == RECORDED
-    assert set(json.loads(texts["scene"])) == {"ports", "tools", "bodies", "obstacles"}
+    assert set(json.loads(texts["scene"])) == {"ports", "tools", "bodies", "obstacles", "contact", "contacts"}
     without = replace(RECORDED, scene=None)
     assert "scene" not in without.as_metadata()
     assert recorded(without) == []

@@ -1,0 +1,21 @@
+/** The list of the force on each hand, by axis. */
+
+import { byId, html, place, say } from "./elements.js";
+import { axisOf, quantity } from "./format.js";
+
+export class Forces {
+  constructor(session) {
+    this.session = session;
+    const devices = Object.entries(session.about.nodes).filter(([, node]) => node.role === "device");
+    this.items = devices.map(([device, { ports }]) => ({ device, ports, item: html("li", { "data-force-of": device }) }));
+    byId("forces").replaceChildren(...this.items.map(({ item }) => item));
+  }
+
+  draw() {
+    for (const { device, ports, item } of this.items) {
+      const forces = ports.map((_, axis) => this.session.known(`${device}/force`, axis));
+      say(item, `${device}: f ${forces.map((f, axis) => `${axisOf(ports[axis])} ${quantity(f, "N")}`).join(", ")}`);
+      place(item, { "data-force": forces.join(" ") });
+    }
+  }
+}

@@ -1,0 +1,309 @@
+/** The moving virtual world in space: what three.js draws, and above it rings of devices, names and scale as SVG. */
+
+import { Contacts } from "./contacts.js";
+import { html, place, say, svg } from "./elements.js";
+import { fitted, quantity, rounded } from "./format.js";
+import { Labels } from "./labels.js";
+import { FIELD, Orbit, steer } from "./orbit.js";
+import { Arrow, Marks, Palette, Shade, Spring, Stage, grid, lights, obstacle, solid } from "./shapes.js";
+
+const AXES = ["x", "y", "z"];
+const LEAST_FORCE = 0.1; // N, the smallest that may fill the drawing
+const LOOK = 500; // ms between two updates of the scale
+const SEEN = 0.8; // parts of the scene's radius that the first view shows: corners may be outside
+const MOTION = 0.2; // parts of a device's greatest displacement that the first view has room for
+const POINT = 0.012; // parts of the scene's radius: the radius of a sphere that stands for a point
+const CORE = 0.8; // parts of a thing's radius that names of other things avoid
+const TRIAD = 24; // px, the length of an axis
+const RING = 11; // px, the radius of a device's ring
+
+export class Space {
+  /** Draw into `holder`, on a canvas with its context of WebGL. */
+  constructor(holder, session, grips, canvas, context) {
+    Object.assign(this, { parent: holder, session, grips, canvas });
+    this.things = thingsOf(session);
+    this.around = around(session.about, this.things);
+    this.mostForce = 0;
+    this.looked = -Infinity;
+    this.drawn = ""; // the picture that the canvas shows: its instant and the camera's motions
+    this.orbit = new Orbit(this.around.middle, SEEN * this.around.radius);
+    this.palette = new Palette();
+    this.stage = new Stage(canvas, context, this.palette);
+    this.build();
+    this.overlay = svg("svg", { role: "group", "aria-label": "Devices, bodies and scale" });
+    this.frame = html(
+      "div",
+      {
+        class: "space",
+        tabindex: "0",
+        role: "application",
+        "aria-label": "The virtual world in space. Arrow keys turn the view, with Shift they move it; plus and minus zoom; Home shows the first view",
+      },
+      canvas,
+      this.overlay,
+    );
+    this.write();
+    holder.replaceChildren(this.frame);
+    steer(this.orbit, this.frame, canvas);
+    new ResizeObserver(() => this.arrange()).observe(holder);
+    this.scheme = matchMedia("(prefers-color-scheme: dark)");
+    this.recolour = () => {
+      this.palette.recolour();
+      this.drawn = "";
+    };
+    this.scheme.addEventListener("change", this.recolour);
+    this.arrange();
+  }
+
+  /** The solids. */
+  build() {
+    const { about } = this.session;
+    const { palette, around, things } = this;
+    const { scene } = this.stage;
+    scene.add(...lights(), grid(around.low, around.high, around.ground, around.step, palette));
+    for (const given of Object.values(about.scene.obstacles)) {
+      for (const solid of obstacle(given, palette, around)) scene.add(solid);
+    }
+    for (const thing of things) {
+      const drawn = thing.size > 0 ? thing : { ...thing, radius: POINT * around.radius };
+      thing.drawnRadius = thing.size || drawn.radius;
+      thing.mesh = solid(drawn, palette.of(thing.tool ? "accent" : "thing"));
+      thing.shade = new Shade(drawn, around.ground, palette);
+      scene.add(thing.mesh, thing.shade.mesh);
+      if (!thing.tool) continue;
+      thing.arrow = new Arrow(0.014 * around.radius, palette);
+      scene.add(thing.arrow.group);
+    }
+    this.springs = joinedBy(about.springs, things).map((ends) => ({ ends, spring: new Spring(0.02 * around.radius, palette) }));
+    for (const { spring } of this.springs) scene.add(spring.line);
+    this.contacts = new Contacts(about.scene, things);
+    this.marks = new Marks(0.03 * around.radius, palette);
+    scene.add(this.marks.group);
+  }
+
+  /** Rings, names and scale. */
+  write() {
+    const drag = (thing) => ({ start: (event, x) => this.drag(event, x, thing), most: () => this.around.radius });
+    for (const thing of this.things) {
+      thing.label = svg("text", { [thing.tool ? "data-tool" : "data-mass"]: thing.name }, thing.name);
+      if (!thing.tool) continue;
+      thing.lag = svg("line", { class: "lag" });
+      thing.target = svg("path", { class: "target" });
+      thing.handle = this.grips.handle(thing.name, drag(thing));
+      this.overlay.append(thing.lag, thing.target);
+    }
+    this.tools = this.things.filter(({ tool }) => tool);
+    this.axes = AXES.map((axis) => ({ line: svg("line", { class: "axis" }), label: svg("text", { class: "dim" }, axis) }));
+    this.scaleText = svg("text", { class: "dim" });
+    const labels = [...this.things.map(({ label }) => label), ...this.axes.map(({ label }) => label)];
+    this.overlay.append(...this.axes.map(({ line }) => line), ...labels, this.scaleText, ...this.tools.map(({ handle }) => handle));
+    this.labels = new Labels(labels);
+  }
+
+  arrange() {
+    const width = Math.floor(this.parent.clientWidth);
+    if (width === 0) return; // it is not shown
+    const height = Math.round(Math.max(260, Math.min(460, 0.62 * width)));
+    this.orbit.resize(width, height);
+    this.stage.resize(width, height);
+    Object.assign(this.frame.style, { width: `${width}px`, height: `${height}px` });
+    this.overlay.setAttribute("viewBox", `0 0 ${width} ${height}`);
+    this.draw();
+  }
+
+  /** A scale of forces that fits the latest ones. */
+  rescale(now) {
+    if (now - this.looked < LOOK) return;
+    this.looked = now;
+    this.mostForce = fitted(this.mostForce, Math.max(LEAST_FORCE, this.session.greatest(["force"])));
+  }
+
+  /** Whether the camera has moved since the latest picture. */
+  get moved() {
+    return !this.drawn.endsWith(` ${this.orbit.moves}`);
+  }
+
+  draw() {
+    if (this.orbit.width <= 1) return;
+    for (const thing of this.things) this.locate(thing);
+    const picture = `${this.session.head} ${this.mostForce} ${this.orbit.moves}`;
+    if (picture !== this.drawn) {
+      this.drawn = picture;
+      this.drawSolids();
+    }
+    this.drawOverlay();
+  }
+
+  /** Where a thing is now, and where its device is. */
+  locate(thing) {
+    const { session } = this;
+    for (let i = 0; i < 3; i += 1) thing.place[i] = thing.device[i] = thing.at[i];
+    thing.columns.forEach((column, port) => {
+      const axis = thing.axes[port];
+      thing.moved[port] = session.known(thing.track, column);
+      thing.place[axis] += thing.moved[port];
+      if (thing.tool) thing.device[axis] += session.known(`${thing.name}/sample`, port);
+    });
+  }
+
+  drawSolids() {
+    for (const thing of this.things) {
+      thing.mesh.position.fromArray(thing.place);
+      thing.shade.put(thing.place);
+      if (thing.tool) this.drawForce(thing);
+    }
+    for (const { ends, spring } of this.springs) spring.put(ends[0].place, ends[1].place);
+    this.marks.put(this.contacts.now());
+    this.stage.draw(this.orbit, FIELD);
+    const { turned, target, distance } = this.orbit;
+    this.frame.dataset.camera = [turned.azimuth, turned.elevation, distance, ...target].map((x) => x.toFixed(6)).join(" ");
+  }
+
+  /** The force on a hand: two sides of the grid for the greatest. */
+  drawForce({ name, axes, place: at, drawnRadius, arrow }) {
+    const force = [0, 0, 0];
+    axes.forEach((axis, port) => (force[axis] = this.session.known(`${name}/force`, port)));
+    const size = Math.hypot(...force);
+    const scale = size ? (2 * this.around.step * Math.min(1.2, size / (this.mostForce || size))) / size : 0;
+    const along = force.map((f) => scale * f);
+    arrow.put(at.map((x, i) => x + (size ? (drawnRadius * force[i]) / size : 0)), along);
+  }
+
+  drawOverlay() {
+    const { orbit } = this;
+    const seen = this.things.map((thing) => orbit.project(thing.place));
+    const rings = this.tools.map((thing) => this.drawDevice(thing, orbit.project(thing.device)));
+    say(this.scaleText, `a side of the grid: ${quantity(this.around.step, "m")}, or ${quantity(this.mostForce / 2, "N")}`);
+    place(this.scaleText, { x: 10, y: orbit.height - 10 });
+    const boxes = this.things.map((thing, i) => seen[i] && boxAround(seen[i], CORE * seen[i].pixels * thing.drawnRadius));
+    this.labels.begin(orbit.width, orbit.height, [[0, orbit.height - 26, 230, orbit.height], ...rings.filter((box) => box)], boxes);
+    this.things.forEach((thing, i) => {
+      const far = seen[i] && Math.max(thing.tool ? RING : 0, seen[i].pixels * thing.drawnRadius) + 3;
+      this.labels.place(seen[i], far);
+      place(thing.label, { "data-at": thing.moved.join(" ") });
+    });
+    this.drawAxes();
+  }
+
+  /** The ring of a device, how far its tool is from it, and where a person wants it; returns the ring's box. */
+  drawDevice(thing, here) {
+    const tool = here && this.orbit.project(thing.place);
+    this.grips.show(thing.handle, thing.name, this.around.radius);
+    thing.handle.style.display = thing.lag.style.display = tool ? "" : "none";
+    if (!tool) return null;
+    thing.handle.setAttribute("transform", `translate(${here.x.toFixed(1)} ${here.y.toFixed(1)})`);
+    place(thing.lag, { x1: here.x, y1: here.y, x2: tool.x, y2: tool.y });
+    const wanted = this.grips.held.get(thing.name);
+    const to = wanted && this.orbit.project(this.wantedPlace(thing, wanted));
+    thing.target.setAttribute("d", to ? `M${to.x - 9} ${to.y}h18M${to.x} ${to.y - 9}v18` : "");
+    return boxAround(here, RING);
+  }
+
+  wantedPlace({ at, axes }, wanted) {
+    const found = [...at];
+    axes.forEach((axis, port) => (found[axis] += wanted[port]));
+    return found;
+  }
+
+  /** The directions of the axes, at a corner of the picture. */
+  drawAxes() {
+    const { right, up, height } = this.orbit;
+    const from = { x: 42, y: height - 62 };
+    this.axes.forEach(({ line }, axis) => {
+      const to = { x: from.x + TRIAD * right[axis], y: from.y - TRIAD * up[axis] };
+      place(line, { x1: from.x, y1: from.y, x2: to.x, y2: to.y });
+      this.labels.place(to, 1);
+    });
+  }
+
+  /** Where a device that is at x shall be while the pointer is dragged, in the plane through it that is parallel to the picture. */
+  drag(event, x, thing) {
+    let [left, top] = [event.clientX, event.clientY];
+    const start = this.wantedPlace(thing, x);
+    const point = [...start];
+    return (later) => {
+      const moved = this.orbit.across(later.clientX - left, later.clientY - top, this.orbit.depth(point));
+      [left, top] = [later.clientX, later.clientY];
+      moved.forEach((d, i) => (point[i] += d));
+      return x.map((value, port) => value + point[thing.axes[port]] - start[thing.axes[port]]);
+    };
+  }
+
+  /** How the ring of a device looks that can be held. */
+  get ring() {
+    return "blue";
+  }
+
+  /** What the signs mean. */
+  legend() {
+    return (
+      "Ring: device (x). Blue sphere: its tool in the world (x_e). Dashed: the difference that its coupling permits. Yellow: bodies. Violet ring: a contact. Arrow: the force on the hand (f). " +
+      "Drag the background to turn the view, with Shift to move it; two fingers, or the wheel after a click, zoom; or focus it and press arrow keys, + and −. Home shows the first view."
+    );
+  }
+
+  dispose() {
+    this.scheme.removeEventListener("change", this.recolour);
+    this.stage.dispose();
+  }
+}
+
+const boxAround = ({ x, y }, far) => [x - far, y - far, x + far, y + far];
+
+/** Tools, then bodies, with the track and the columns that have their displacements. */
+function thingsOf({ about, tracks }) {
+  const columns = (track, names) => names.map((name) => tracks.get(track).columns.indexOf(name));
+  const moving = ([name, given], tool, track, axes, names) => {
+    const { at, radius, half = [0, 0, 0], shape, motion } = given;
+    return {
+      ...{ name, names, tool, at, radius, half, box: shape === "box", driven: motion !== undefined },
+      ...{ size: radius + Math.hypot(...half), track, axes, columns: columns(track, names) },
+      ...{ place: [...at], device: [...at], moved: names.map(() => 0) },
+    };
+  };
+  return [
+    ...Object.entries(about.scene.tools).map((tool) =>
+      moving(tool, true, "environment/tools", tool[1].axes.map((axis) => AXES.indexOf(axis)), tool[1].ports),
+    ),
+    ...Object.entries(about.scene.bodies).map((body) =>
+      moving(body, false, "environment/masses", [0, 1, 2], AXES.map((axis) => `${body[0]}.${axis}`)),
+    ),
+  ];
+}
+
+/** The pairs of things that springs join, each once; springs to the ground are not among them. */
+function joinedBy(springs, things) {
+  const owner = new Map();
+  const pairs = new Map();
+  for (const thing of things) for (const name of thing.names) owner.set(name, thing);
+  for (const { ends } of springs) {
+    const pair = ends.map((end) => owner.get(end));
+    if (pair[0] && pair[1] && pair[0] !== pair[1]) pairs.set(pair.map((thing) => things.indexOf(thing)).join(), pair);
+  }
+  return [...pairs.values()];
+}
+
+/** What the first view shows: its middle and its radius; the ground with the corners of its grid, and a side of it, m. */
+function around({ scene, reach }, things) {
+  const [low, high] = [[Infinity, Infinity, Infinity], [-Infinity, -Infinity, -Infinity]];
+  const include = (point, radius) => {
+    for (let i = 0; i < 3; i += 1) {
+      low[i] = Math.min(low[i], point[i] - radius);
+      high[i] = Math.max(high[i], point[i] + radius);
+    }
+  };
+  const obstacles = Object.values(scene.obstacles);
+  for (const { at, size } of things) include(at, size);
+  for (const { shape, points, radius } of obstacles) {
+    for (const point of shape === "wall" ? [] : points) include(point, radius ?? 0);
+  }
+  const lowest = low[1];
+  for (const { tool, at, names } of things) if (tool) include(at, MOTION * Math.max(...names.map((port) => reach[port] ?? 0)));
+  const middle = low.map((x, i) => (x + high[i]) / 2);
+  const radius = Math.max(1e-3, Math.hypot(...low.map((x, i) => high[i] - x)) / 2);
+  const room = obstacles.find(({ shape }) => shape === "room")?.points;
+  const floor = obstacles.find(({ shape, points: [, normal] }) => shape === "wall" && normal[1] > 0.9 * Math.hypot(...normal));
+  const corners = room ?? [middle.map((x) => x - radius), middle.map((x) => x + radius)];
+  const ground = room?.[0][1] ?? floor?.points[0][1] ?? lowest;
+  return { middle, radius, ground, low: corners[0], high: corners[1], step: rounded(radius / 8) };
+}

@@ -1,0 +1,295 @@
+"""The page draws a scene in space: its camera, drags in the view's plane, contacts, and what it does without WebGL."""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, CDPSession, Page
+
+from manyhands.design.models.contacts import Surface
+
+from ..support.browser import SPACE, Camera, ShownPage, browsing, camera_after, centre, frames, until
+from ..support.scenes import random_scene
+from .test_page_drawing import Played, scene
+
+CHROMIUM = shutil.which("chromium")
+REQUIRED = os.environ.get("MANYHANDS_REQUIRE_BROWSER") == "1"
+pytestmark = pytest.mark.skipif(CHROMIUM is None and not REQUIRED, reason="no chromium on this machine")
+
+CARRY = replace(scene("carry"), grips=("anna", "ben"))
+ANNA, BEN = '[data-device="anna"]', '[data-device="ben"]'
+QUARTER = 18  # presses of an arrow key: 90°
+NO_WEBGL = """() => {
+  const all = HTMLCanvasElement.prototype.getContext;
+  HTMLCanvasElement.prototype.getContext = function (kind, ...others) {
+    return kind.startsWith("webgl") ? null : all.call(this, kind, ...others);
+  };
+}"""
+
+COUNTED = """() => {
+  window.pictures = 0;
+  const clear = WebGL2RenderingContext.prototype.clear; // once for each picture
+  WebGL2RenderingContext.prototype.clear = function (mask) {
+    window.pictures += 1;
+    return clear.call(this, mask);
+  };
+}"""
+FIVE_TURNS = """async () => {
+  const frame = () => new Promise(requestAnimationFrame);
+  let still = 0; // frames without a picture
+  for (let i = 0; i < 3600 && still < 10; i += 1) {
+    const before = window.pictures;
+    await frame();
+    still = window.pictures === before ? still + 1 : 0;
+  }
+  const before = window.pictures;
+  for (let i = 0; i < 5; i += 1) {
+    document.querySelector(".space").dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowRight" }));
+  }
+  for (let i = 0; i < 3; i += 1) await frame();
+  return [still, window.pictures - before];
+}"""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    assert CHROMIUM is not None, "MANYHANDS_REQUIRE_BROWSER is set, and there is no chromium"
+    with browsing(CHROMIUM) as found:
+        yield found
+
+
+def shown(browser: Browser, before: str = "") -> ShownPage:
+    """The page of the scene at rest."""
+    played = Played(CARRY)
+    played.stand(0.0, {})
+    return ShownPage(browser, played.feed, 1280, "light", before)
+
+
+def closing(page: ShownPage) -> Iterator[ShownPage]:
+    """Of pages that a module opens: a browser ends the process of a closed page some time later."""
+    yield page
+    assert page.wrong == []
+    page.page.close()
+
+
+@pytest.fixture(scope="module")
+def carry(browser: Browser) -> Iterator[ShownPage]:
+    yield from closing(shown(browser, before=f"({COUNTED})()"))
+
+
+@pytest.fixture(scope="module")
+def without_webgl(browser: Browser) -> Iterator[ShownPage]:
+    yield from closing(shown(browser, before=f"({NO_WEBGL})()"))
+
+
+@pytest.fixture
+def first(carry: ShownPage) -> Page:
+    """The page with the first view, the drawing focused."""
+    page = carry.page
+    until(page, SPACE, "data-camera", has=" ")
+    page.locator(SPACE).focus()
+    camera_after(page, "Home")
+    carry.demands.clear()
+    return page
+
+
+def dragged(page: ShownPage, device: str, right: float, down: float) -> list[float]:
+    """Drag a device by so many px, and let go: where the page asked it to be in the end, m."""
+    mouse = page.page.mouse
+    x, y = centre(page.page, f'[data-device="{device}"]')
+    mouse.move(x, y)
+    mouse.down()
+    mouse.move(x + right, y + down, steps=3)
+    mouse.up()
+    page.await_demand({"release": device})
+    return [demand["position"] for demand in page.demands if demand.get("grasp") == device][-1]
+
+
+def test_keys_turn_zoom_and_move_the_view_and_home_restores_it(first: Page) -> None:
+    home = Camera.of(first)
+    assert (home.azimuth, home.elevation) == pytest.approx((math.radians(25), math.radians(15)), abs=1e-6)
+    turned = camera_after(first, "ArrowRight", "ArrowUp", "ArrowUp")
+    assert (turned.azimuth, turned.elevation) == pytest.approx((math.radians(30), math.radians(25)), abs=1e-6)
+    assert camera_after(first, "+").distance == pytest.approx(home.distance / 1.15, rel=1e-5)
+    assert camera_after(first, "-", "-").distance == pytest.approx(home.distance * 1.15, rel=1e-5)
+    at = camera_after(first, "Home")
+    to = camera_after(first, "Shift+ArrowRight")  # 24 px
+    assert (to.target - at.target).tolist() == pytest.approx(at.moved(at.target, 24.0, 0.0).tolist(), abs=1e-5)
+    again = camera_after(first, "Home")
+    assert again[:3] == home[:3]
+    assert again.target.tolist() == home.target.tolist()
+
+
+def test_a_pointer_turns_the_view_and_the_wheel_zooms_once_it_has_the_focus(first: Page) -> None:
+    box = first.locator(SPACE).bounding_box()
+    assert box is not None
+    x, y = box["x"] + 40, box["y"] + 40
+    home = Camera.of(first)
+    first.locator("#pause").focus()
+    first.mouse.move(x, y)
+    first.mouse.wheel(0, 1)
+    first.mouse.down()
+    first.mouse.move(x + 50, y + 20)
+    first.mouse.up()
+    frames(first)
+    turned = Camera.of(first)
+    assert turned.azimuth - home.azimuth == pytest.approx(-0.4, abs=1e-5)
+    assert turned.elevation - home.elevation == pytest.approx(0.16, abs=1e-5)
+    assert turned.distance == home.distance  # the wheel scrolled the page
+    first.mouse.wheel(0, 200)
+    frames(first)
+    assert Camera.of(first).distance == pytest.approx(home.distance * math.exp(0.3), rel=1e-5)
+
+
+@pytest.mark.parametrize(("presses", "azimuth", "right"), [(0, 0.0, [1, 0, 0]), (QUARTER, math.pi / 2, [0, 0, -1])])
+def test_a_drag_moves_the_device_in_the_views_plane(
+    first: Page, carry: ShownPage, presses: int, azimuth: float, right: list[int]
+) -> None:
+    """First level and from the front, where x is to the right on the screen; then from the right, where -z is."""
+    camera = camera_after(first, *("ArrowLeft",) * 5, *("ArrowDown",) * 3, *("ArrowRight",) * presses)
+    assert camera[:2] == pytest.approx((azimuth, 0.0), abs=1e-6)
+    position = np.array(dragged(carry, "ben", 50.0, -30.0))  # the nearer one, seen from the right
+    assert position.tolist() == pytest.approx(camera.moved(carry_tool("ben"), 50.0, -30.0).tolist(), abs=1e-6)
+    length = float(position @ right)
+    assert length > 0.01
+    assert position.tolist() == pytest.approx((length * np.add(right, [0.0, 0.6, 0.0])).tolist(), abs=1e-6)
+
+
+def test_a_drag_from_an_oblique_view_keeps_its_distance_from_the_eye(first: Page, carry: ShownPage) -> None:
+    camera = camera_after(first, "ArrowRight", "ArrowRight", "ArrowUp", "+")
+    position = dragged(carry, "ben", -35.0, 24.0)
+    assert position == pytest.approx(camera.moved(carry_tool("ben"), -35.0, 24.0).tolist(), abs=1e-6)
+    assert all(abs(value) > 1e-3 for value in position)
+
+
+def carry_tool(name: str) -> Any:
+    assert CARRY.scene is not None
+    [tool] = [tool for tool in CARRY.scene.tools if tool.name == name]
+    return np.array(tool.at)
+
+
+def test_a_picture_is_drawn_once_in_a_frame_and_only_when_something_has_changed(first: Page) -> None:
+    home = Camera.of(first)
+    assert first.evaluate(FIVE_TURNS) == [10, 1]
+    assert Camera.of(first).azimuth - home.azimuth == pytest.approx(math.radians(25), abs=1e-6)
+
+
+class Fingers:
+    """Fingers on a touch screen, by number."""
+
+    def __init__(self, page: Page) -> None:
+        self._session: CDPSession = page.context.new_cdp_session(page)
+        self._down: dict[int, tuple[float, float]] = {}
+
+    def put(self, finger: int, x: float, y: float) -> None:
+        kind = "touchMove" if finger in self._down else "touchStart"
+        self._down[finger] = x, y
+        self._send(kind)
+
+    def lift(self) -> None:
+        self._down.clear()
+        self._send("touchEnd")
+
+    def _send(self, kind: str) -> None:
+        points = [{"x": x, "y": y, "id": finger} for finger, (x, y) in self._down.items()]
+        self._session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+
+def test_one_finger_turns_two_pinch_and_two_hold_two_devices(first: Page, carry: ShownPage) -> None:
+    box = first.locator(SPACE).bounding_box()
+    assert box is not None
+    x, y = box["x"] + 60, box["y"] + 50
+    home = Camera.of(first)
+    fingers = Fingers(first)
+    fingers.put(0, x, y)
+    fingers.put(0, x + 25, y)
+    frames(first)
+    assert Camera.of(first).azimuth - home.azimuth == pytest.approx(-0.2, abs=1e-5)
+    fingers.put(1, x + 125, y)
+    fingers.put(1, x + 225, y)  # from 100 px apart to 200
+    frames(first)
+    pinched = Camera.of(first)
+    assert pinched.distance == pytest.approx(home.distance / 2.0, rel=1e-5)
+    assert pinched.azimuth - home.azimuth == pytest.approx(-0.2, abs=1e-5)
+    fingers.lift()
+    camera_after(first, "Home")
+
+    for finger, device in enumerate((ANNA, BEN)):
+        fingers.put(finger, *centre(first, device))
+    x, y = centre(first, ANNA)
+    fingers.put(0, x + 20, y)
+    until(first, ANNA, "class", has="held")
+    until(first, BEN, "class", has="held")
+    fingers.put(1, *centre(first, BEN))
+    assert not any("release" in demand for demand in carry.demands)
+    fingers.lift()
+    for device in ("anna", "ben"):
+        carry.await_demand({"release": device})
+    assert max(demand["position"][0] for demand in carry.demands if demand.get("grasp") == "anna") > 1e-3
+
+
+def test_the_contacts_are_where_the_scene_has_them(carry: ShownPage) -> None:
+    """One for each gap below 0, along its gradient, in random scenes."""
+    found = 0
+    for seed in range(8):
+        given = random_scene(np.random.default_rng(seed), 3, 4)
+        if seed % 2:  # what is stated of two things holds, although a spring joins them
+            b0, b1, b2, b3 = given.bodies
+            overlapping = (b0, b1, replace(b2, at=(b1.at[0] + 0.005, *b1.at[1:])), b3)
+            given = replace(given, bodies=overlapping, surfaces=(*given.surfaces, (("b1", "b2"), Surface(500.0))))
+        terms = given.geometry.geometry_terms()  # as a page receives it
+        things = [
+            {"name": name, "radius": thing["radius"], "place": thing["at"], "half": thing.get("half", [0.0, 0.0, 0.0]),
+             "box": thing.get("shape") == "box", "driven": "motion" in thing}
+            for name, thing in [*terms["tools"].items(), *terms["bodies"].items()]
+        ]  # fmt: skip
+        contacts = carry.page.evaluate(
+            """async ([scene, things]) => {
+              const { Contacts } = await import("/contacts.js");
+              return new Contacts(scene, things).now();
+            }""",
+            [terms, things],
+        )
+        gap, gradient = given.contacts.gaps(given.points)
+        normals = sorted(np.round(contact["normal"], 9).tolist() for contact in contacts)
+        assert normals == sorted(gradient[gap < 0.0].round(9).tolist())
+        found += len(contacts)
+    assert found > 20
+
+
+def test_the_button_changes_between_plane_and_space(carry: ShownPage, first: Page) -> None:
+    first.locator("#view-switch").click()
+    until(first, "#world-drawing", "data-view", equals="plane")
+    assert first.locator('#world-drawing rect[data-tool="anna"]').count() == 1
+    assert first.get_attribute("#view-switch", "aria-pressed") == "false"
+    first.locator("#view-switch").click()
+    until(first, "#world-drawing", "data-view", equals="space")
+    assert first.locator('#world-drawing rect[data-tool="anna"]').count() == 0
+
+
+def test_without_webgl_a_scene_is_drawn_in_its_plane(without_webgl: ShownPage) -> None:
+    page = without_webgl.page
+    until(page, "#world-drawing", "data-view", equals="plane")
+    until(page, "#world-legend", "text", has="this browser has no WebGL")
+    until(page, '[data-tool="anna"]', "data-at", equals="0 0 0")
+    assert page.locator("#view-switch").is_disabled()
+    loaded = page.evaluate("performance.getEntriesByType('resource').map((entry) => new URL(entry.name).pathname)")
+    assert "/view.js" in loaded
+    assert not [path for path in loaded if path.startswith("/three/")]
+
+
+def test_a_page_that_loses_its_webgl_goes_on_in_the_plane(first: Page) -> None:
+    """The last test of this page."""
+    first.evaluate(
+        "document.querySelector('.space canvas').getContext('webgl2').getExtension('WEBGL_lose_context').loseContext()"
+    )
+    until(first, "#world-drawing", "data-view", equals="plane")
+    until(first, "#world-legend", "text", has="the browser took WebGL away")
+    assert first.locator("#view-switch").is_disabled()
