@@ -264,6 +264,16 @@ def test_the_contacts_are_where_the_scene_has_them(carry: ShownPage) -> None:
     assert found > 20
 
 
+def test_the_rounding_of_a_sum_is_shown_as_zero(carry: ShownPage) -> None:
+    found = carry.page.evaluate(
+        """async () => {
+          const { quantity } = await import("/format.js");
+          return [-3.6e-17, 0, -2e-9, 5e-12, null].map((value) => quantity(value, "N"));
+        }"""
+    )
+    assert found == ["0 N", "0 N", "-2.00 nN", "0.00500 nN", "–"]
+
+
 def test_the_button_changes_between_plane_and_space(carry: ShownPage, first: Page) -> None:
     first.locator("#view-switch").click()
     until(first, "#world-drawing", "data-view", equals="plane")

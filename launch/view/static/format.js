@@ -8,11 +8,14 @@ export function prefixOf(most, unit) {
   return PREFIXES.find(([factor]) => most >= factor * 0.9995) ?? PREFIXES.at(-1);
 }
 
+const LEAST = 1e-12; // in any unit: what is smaller is the rounding of a sum, and shown as 0
+
 export const unitOf = (unit) => (unit === "us" ? "µs" : unit);
 
 /** A value with its unit; a dash where there is no value. */
 export function quantity(value, unit) {
   if (value === null || value === undefined || Number.isNaN(value)) return "–";
+  if (Math.abs(value) < LEAST) return `0 ${unitOf(unit)}`;
   const [factor, letter] = prefixOf(Math.abs(value), unit);
   return `${number(value / factor)} ${letter}${unitOf(unit)}`;
 }
