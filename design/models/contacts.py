@@ -40,6 +40,15 @@ _PARALLEL: Final = 1e-14
 
 _LEAST: Final = 1e-300  # m^2, of the square of an axis: no division by 0
 
+AXES: Final = "xyz"
+"""The axes of space, in the order of every position here."""
+
+
+def coordinates(body: str) -> tuple[str, ...]:
+    """The names of a body's coordinates x, y and z among the masses of a session."""
+    return tuple(f"{body}.{axis}" for axis in AXES)
+
+
 _UP = np.array([0.0, 0.0, 1.0])  # the gradient where a centre is on an axis or on the other centre: one of many
 
 

@@ -23,6 +23,7 @@ import numpy as np
 
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.contacts import (
+    AXES,
     GROUND,
     ContactPair,
     Contacts,
@@ -345,11 +346,6 @@ class ContactScene:
         """The centres of the tools and then of the bodies at the start, P x 3, m."""
         return np.array([thing.at for thing in self.things], dtype=np.float64).reshape(-1, 3)
 
-    @staticmethod
-    def coordinates_of(body: Body) -> tuple[str, ...]:
-        """The names of a body's coordinates x, y and z among the masses of a session."""
-        return tuple(f"{body.name}.{axis}" for axis in "xyz")
-
     @property
     def bounds(self) -> tuple[Matrix, Matrix]:
         """The corners with the least and the greatest coordinates of all places that the scene names, m: centres,
@@ -495,7 +491,7 @@ class ContactScene:
             "tools": {
                 tool.name: {
                     "ports": [self.ports[port] for port in tool.ports],
-                    "axes": ["xyz"[axis] for axis in tool.axes],
+                    "axes": [AXES[axis] for axis in tool.axes],
                     "at": list(tool.at),
                     "radius": tool.radius,
                 }
@@ -568,7 +564,7 @@ def scene_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> ContactScene:
             ToolSphere(
                 str(name),
                 tuple(ports.index(port) for port in tool["ports"]),
-                tuple("xyz".index(axis) for axis in tool["axes"]),
+                tuple(AXES.index(axis) for axis in tool["axes"]),
                 _point(tool["at"]),
                 float(tool["radius"]),
             )

@@ -22,6 +22,7 @@ import numpy as np
 
 from manyhands.design.files import replacing
 from manyhands.design.levels.contract import DeviceShare
+from manyhands.design.models.contacts import coordinates
 from manyhands.design.models.environment import DeclaredEnvironment, DeclaredScene, NetworkBox, ProxyEnvironment
 from manyhands.design.models.network import Network
 from manyhands.design.models.scene import ContactScene
@@ -419,7 +420,7 @@ def mass_names(session: Session) -> tuple[str, ...]:
     """The masses of a network in the order of its state, or the coordinates of a scene's or an engine's bodies."""
     environment = session.environment
     if isinstance(environment, SceneEnvironment):
-        return tuple(f"{name}.{axis}" for name in environment.bodies for axis in "xyz")
+        return tuple(name for body in environment.bodies for name in coordinates(body))
     if isinstance(environment, AskedEnvironment):
         return environment.reported
     return tuple(environment.masses) if isinstance(environment, NetworkEnvironment) else ()

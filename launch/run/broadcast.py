@@ -18,7 +18,7 @@ from types import MappingProxyType
 import numpy as np
 
 from manyhands.design.files import open_new
-from manyhands.design.models.contacts import GROUND
+from manyhands.design.models.contacts import AXES, GROUND, coordinates
 from manyhands.design.models.scene import ContactScene
 from manyhands.launch.plan.access import observed
 from manyhands.launch.plan.bundles import scene_geometry
@@ -181,18 +181,21 @@ def _world(session: Session) -> tuple[dict[str, float], tuple[SpringAbout, ...]]
 
 def _bodies(scene: ContactScene) -> tuple[dict[str, float], tuple[SpringAbout, ...]]:
     """The bodies of a scene (kg) and its springs, one for each coordinate."""
-    axes = "xyz"
     moved = [(tool.name, axis, port) for tool in scene.tools for axis, port in zip(tool.axes, tool.ports, strict=True)]
-    at = {(name, axes[axis]): scene.ports[port] for name, axis, port in moved}
-    at |= {(body.name, axis): f"{body.name}.{axis}" for body in scene.bodies for axis in axes}
-    at |= {(GROUND, axis): GROUND for axis in axes}
+    at = {(name, AXES[axis]): scene.ports[port] for name, axis, port in moved}
+    at |= {
+        (body.name, axis): name
+        for body in scene.bodies
+        for axis, name in zip(AXES, coordinates(body.name), strict=True)
+    }
+    at |= {(GROUND, axis): GROUND for axis in AXES}
     springs = (
         SpringAbout((at[link.ends[0], axis], at[link.ends[1], axis]), link.stiffness, link.damping)
         for link in scene.links
-        for axis in axes
+        for axis in AXES
         if all((end, axis) in at for end in link.ends)
     )
-    return {f"{body.name}.{axis}": body.mass for body in scene.bodies for axis in axes}, tuple(springs)
+    return {name: body.mass for body in scene.bodies for name in coordinates(body.name)}, tuple(springs)
 
 
 class Showing:

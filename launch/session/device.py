@@ -330,6 +330,14 @@ def _trace(value: object, info: ValidationInfo) -> object:
 _axis_names: Final = Items("axis names", MAX_DOF, AXIS_NAME)
 
 
+def ports_by_device(ports: tuple[str, ...]) -> dict[str, list[str]]:
+    """The ports of each device by its name, of a session's ports: see :meth:`Device.ports`."""
+    found: dict[str, list[str]] = {}
+    for port in ports:
+        found.setdefault(port.partition(".")[0], []).append(port)
+    return found
+
+
 class Device(SessionModel):
     """A device and the hand that holds it; every tuple has one entry for each axis.
 

@@ -26,7 +26,9 @@ from pydantic import (
 )
 
 from manyhands.design.files import read_regular
+from manyhands.design.models.contacts import coordinates
 from manyhands.launch.session.design import OneOrMany, full_matrix, one_or_many
+from manyhands.launch.session.device import ports_by_device
 from manyhands.launch.session.errors import listed, one_of, show
 from manyhands.launch.session.fields import (
     Choice,
@@ -47,6 +49,7 @@ from manyhands.launch.session.fields import (
     problems_in,
     refusal,
     refuse,
+    require_spring_or_damper,
     unsymmetric,
 )
 from manyhands.launch.session.foreign import PARAMETERS, Factory
@@ -232,12 +235,13 @@ class EngineEnvironment(AskedEnvironment):
     def problems(self, ports: tuple[str, ...]) -> Iterator[Problem]:
         """The problems of level, stiffness and tools in a session with these ports."""
         yield from super().problems(ports)
+        devices = ports_by_device(ports)
         for device, names in self.tools.items():
-            own = _ports_of(device, ports)
+            own = devices.get(device, [])
             if len(own) != len(names):
                 expected = f"{len(own)} names, one for each of its axes" if own else "the name of a device"
                 yield Problem(("tools", device), show(names) if own else show(device), expected)
-        missing = [port for port in ports if not any(port in _ports_of(device, ports) for device in self.tools)]
+        missing = [port for device, own in devices.items() if device not in self.tools for port in own]
         if missing:
             yield Problem(("tools",), f"no name for {listed(missing)}", "one for each axis of every device")
 
@@ -245,8 +249,8 @@ class EngineEnvironment(AskedEnvironment):
         """The engine's factory, with the model's text, the names of the ports in it, the bodies and the stiffness."""
         by_port = {
             port: name
-            for device in self.tools
-            for port, name in zip(_ports_of(device, ports), self.tools[device], strict=True)
+            for device, own in ports_by_device(ports).items()
+            for port, name in zip(own, self.tools[device], strict=True)
         }
         K = np.abs(full_matrix(self.stiffness, len(ports))).sum(axis=1)
         return self.engine, {
@@ -259,11 +263,7 @@ class EngineEnvironment(AskedEnvironment):
     @property
     def reported(self) -> tuple[str, ...]:
         """x, y and z of each body."""
-        return tuple(f"{body}.{axis}" for body in self.bodies for axis in "xyz")
-
-
-def _ports_of(device: str, ports: tuple[str, ...]) -> list[str]:
-    return [port for port in ports if port == device or port.rpartition(".")[0] == device]
+        return tuple(name for body in self.bodies for name in coordinates(body))
 
 
 def _size_problems(key: str, value: OneOrMany, ports: tuple[str, ...]) -> Iterator[Problem]:
@@ -308,10 +308,7 @@ class SessionLink(SessionModel):
 
     @model_validator(mode="after")
     def _has_spring_or_damper(self) -> Self:
-        if self.stiffness == 0.0 and self.damping == 0.0:
-            raise refuse(
-                "neither stiffness nor damping", "a stiffness in N/m, a damping in N·s/m, or both, greater than 0"
-            )
+        require_spring_or_damper(self.stiffness, self.damping)
         return self
 
 

@@ -531,6 +531,12 @@ UncertainDamping: TypeAlias = Annotated[float | Interval, BeforeValidator(Uncert
 UncertainStiffness: TypeAlias = Annotated[float | Interval, BeforeValidator(UncertainQuantity(STIFFNESS)), _AS_WRITTEN]
 
 
+def require_spring_or_damper(stiffness: float | Interval, damping: float | Interval) -> None:
+    """Refuse a link with neither."""
+    if stiffness == 0.0 and damping == 0.0:
+        raise refuse("neither stiffness nor damping", "a stiffness in N/m, a damping in N·s/m, or both, greater than 0")
+
+
 _FORCE: Final = Quantity("a limit of the force", "N", above=0.0, smallest=MIN_POSITIVE)
 _DISPLACEMENT: Final = Quantity("a limit of the displacement", "m", above=0.0, smallest=MIN_POSITIVE)
 _SPEED: Final = Quantity("a limit of the speed", "m/s", above=0.0, smallest=MIN_POSITIVE)

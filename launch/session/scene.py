@@ -27,7 +27,7 @@ from manyhands.design.models.scene import (
     SceneLink,
     ToolSphere,
 )
-from manyhands.launch.session.device import Intents
+from manyhands.launch.session.device import Intents, ports_by_device
 from manyhands.launch.session.errors import listed, one_of, show
 from manyhands.launch.session.fields import (
     DAMPING,
@@ -46,6 +46,7 @@ from manyhands.launch.session.fields import (
     optional,
     part_name,
     refuse,
+    require_spring_or_damper,
 )
 from manyhands.launch.session.forms import JsonSchema, either, list_of, where
 from manyhands.launch.session.limits import MAX_LINKS
@@ -308,19 +309,8 @@ class SceneSpring(SessionModel):
 
     @model_validator(mode="after")
     def _has_spring_or_damper(self) -> Self:
-        if self.stiffness == 0.0 and self.damping == 0.0:
-            raise refuse(
-                "neither stiffness nor damping", "a stiffness in N/m, a damping in N·s/m, or both, greater than 0"
-            )
+        require_spring_or_damper(self.stiffness, self.damping)
         return self
-
-
-def _by_device(ports: tuple[str, ...]) -> dict[str, list[str]]:
-    """The ports of each device, by its name."""
-    found: dict[str, list[str]] = {}
-    for port in ports:
-        found.setdefault(port.partition(".")[0], []).append(port)
-    return found
 
 
 def _axes_of(ports: list[str]) -> tuple[int, ...]:
@@ -365,7 +355,7 @@ class SceneEnvironment(SessionModel):
 
     def _names(self, ports: tuple[str, ...]) -> Iterator[Problem]:
         """The problems of names and numbers."""
-        devices = _by_device(ports)
+        devices = ports_by_device(ports)
         for name in devices:
             if name not in self.tools:
                 yield Problem(("tools",), f"no tool for the device {name!r}", "one tool for each device, by its name")
@@ -417,7 +407,7 @@ class SceneEnvironment(SessionModel):
             SceneError: gravity, a pair of shapes or the number of pairs makes no scene that could run.
             ValueError: the scene has one of the other problems that :meth:`problems` reports.
         """
-        devices = _by_device(ports)
+        devices = ports_by_device(ports)
         index = {port: i for i, port in enumerate(ports)}
         return ContactScene(
             ports,

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from manyhands.design.files import read_regular, replacing
+from manyhands.design.models.contacts import coordinates
 from manyhands.design.models.scene import ContactScene, geometry_of
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import REALTIME
@@ -294,7 +295,7 @@ def _about(data: Any) -> About:
         for name in link.ends:
             _known(name, nodes)
     if about.scene is not None:
-        bodies = {name for body in about.scene.bodies for name in about.scene.coordinates_of(body)}
+        bodies = {name for body in about.scene.bodies for name in coordinates(body.name)}
         ports = {port for node in nodes.values() if node.role is Role.ENVIRONMENT for port in node.ports}
         if not (bodies <= about.masses.keys() and {*about.scene.ports} <= ports):
             raise ValueError("found a scene of other ports or bodies than the environment's")

@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.design.models.contacts import Point
+from manyhands.design.models.contacts import Point, coordinates
 from manyhands.design.models.scene import ContactScene, Obstacle
 from manyhands.protocol.channels import MASS_POSITION, TOOL_POSITION
 from manyhands.protocol.messages import Values
@@ -150,7 +150,7 @@ class SceneMessages:
         free = [
             (point, axis, name)
             for point, body in enumerate(scene.bodies, len(scene.tools))
-            for axis, name in enumerate(scene.coordinates_of(body))
+            for axis, name in enumerate(coordinates(body.name))
         ]
         self._moved, self._free = _columns(moved, ports), _columns(free, masses)
         self._shapes = [*self._moving(), *self._standing()]

@@ -31,6 +31,10 @@ Rows = Mapping[tuple[str, str], np.ndarray]
 """By node and trace, ticks x columns."""
 
 
+TICKS = 330
+"""Of a recording that tests share; no multiple of the ticks between two telemetry messages."""
+
+
 def simulated(prepared: Prepared, ticks: int, faults: Sequence[Silence] = ()) -> dict[tuple[str, str], np.ndarray]:
     """The telemetry of all nodes in a run."""
     simulation = Simulation(prepared)

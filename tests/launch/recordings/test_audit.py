@@ -39,6 +39,7 @@ from tests.support.instants import instant
 
 from ...support.simulated_recordings import (
     SESSIONS,
+    TICKS,
     attachments_of,
     forged,
     prepared_as,
@@ -47,21 +48,9 @@ from ...support.simulated_recordings import (
     written,
 )
 
-TICKS = 330  # no multiple of the ticks between two telemetry messages
 AT = 217
 
 Rows = dict[tuple[str, str], np.ndarray]
-
-
-@pytest.fixture(scope="module")
-def prepared() -> Prepared:
-    return prepared_as("example1")
-
-
-@pytest.fixture(scope="module")
-def recording(prepared: Prepared, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("recording") / "run.mcap"
-    return written(path, recorded_of(prepared), attachments_of(prepared), simulated(prepared, TICKS))
 
 
 def test_an_environment_that_raised_all_forces_again_is_computed_anew_up_to_there(recording: Path) -> None:

@@ -22,6 +22,7 @@ from manyhands.protocol.channels import DISPLACEMENT, FORCE, LEDGER
 
 from ...support.simulated_recordings import (
     SESSIONS,
+    TICKS,
     attachments_of,
     forged,
     prepared_as,
@@ -29,19 +30,6 @@ from ...support.simulated_recordings import (
     simulated,
     written,
 )
-
-TICKS = 330  # no multiple of the ticks between two telemetry messages
-
-
-@pytest.fixture(scope="module")
-def prepared() -> Prepared:
-    return prepared_as("example1")
-
-
-@pytest.fixture(scope="module")
-def recording(prepared: Prepared, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("recording") / "run.mcap"
-    return written(path, recorded_of(prepared), attachments_of(prepared), simulated(prepared, TICKS))
 
 
 def replayed(prepared: Prepared, path: Path) -> Replayed:

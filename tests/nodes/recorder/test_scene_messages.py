@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from manyhands.design.models.contacts import Surface
+from manyhands.design.models.contacts import Surface, coordinates
 from manyhands.design.models.scene import (
     MOST_OBSTACLES,
     MOST_POINTS,
@@ -170,7 +170,7 @@ def test_a_body_is_drawn_about_its_own_frame() -> None:
         Body("rod", 0.2, (0.0, 0.0, 0.9), 0.005, "capsule", (0.03, 0.0, 0.04)),
     )
     scene = ContactScene((), bodies=bodies)
-    masses = tuple(name for body in bodies for name in scene.coordinates_of(body))
+    masses = tuple(name for body in bodies for name in coordinates(body.name))
     made = SceneMessages(scene, "s", "environment", (), masses, 1e6)
     (update,) = made.of(1, {"x_e": np.zeros((1, 0)), "q": np.zeros((1, 6))}, START, ["scene"])
     crate, rod = json.loads(update.data)["entities"]
@@ -281,7 +281,7 @@ def test_the_largest_scene_has_bounded_messages() -> None:
     ends = ((-1 / 3, -1 / 7, -2 / 3), (1 / 3, -2 / 7, 1 / 7))
     bars = tuple(Obstacle(f"o{i:0199}", "capsule", ends, 1 / 3) for i in range(MOST_OBSTACLES))
     scene = ContactScene((), bodies=bodies, obstacles=bars)
-    masses = tuple(name for body in bodies for name in scene.coordinates_of(body))
+    masses = tuple(name for body in bodies for name in coordinates(body.name))
     made = SceneMessages(scene, "s" * 200, "environment", (), masses, 1e6)
     found = [*made.of(1, {"x_e": np.zeros((1, 0)), "q": np.full((1, 96), -1 / 9)}, START)]
     sizes = {one.topic: len(one.data) for one in found}
