@@ -15,7 +15,7 @@ whenever the end moves towards where the tool already is. Since
 
     o(k) = o(k-1) - (1 - s(k)) (x_c(k) - x_c(k-1)),      o = x_e - x_c,
 
-this shortens o. The clutch chooses s by p alone, up to p(k), which the forces of the tick do not change. So no
+this shortens o. The clutch chooses s by p(k) - p(k-1) alone, which the forces of the tick do not change. So no
 algebraic loop closes through s, and any s is lossless. 1 - s fades as o does, over WORK_OFF of motion. The rest of the
 offset, at most LET_GO, is let go in one tick in which the force on the tool pushes in that direction. The clutch then
 gives up -f_e^T o >= 0, and never gains. So that such a tick comes, the lag aims at an offset of half LET_GO on that
@@ -56,9 +56,6 @@ SLOWEST: Final = 0.8
 
 WORK_OFF: Final = 5e-3
 """Motion over which an offset shrinks by e, once it is below (1 - SLOWEST) of this; m."""
-
-SMOOTH: Final = 32.0
-"""Ticks over which the motion of p is averaged to find its direction."""
 
 LET_GO: Final = 1e-6
 """Euclidean norm of the offset that may be given up in one tick, m: less than a hand feels or a sensor resolves."""
@@ -127,7 +124,6 @@ class Clutch:
         "_at",
         "_last",
         "_most",
-        "_moved",
         "_p",
         "_ramp",
         "_x_c",
@@ -153,7 +149,6 @@ class Clutch:
         self.phase, self.ratio, self.settled = ClutchPhase.COUPLED, 1.0, True
         self._at = self._most = float(ramp)  # j and its greatest permitted value, ticks
         self._p: Floats = [0.0] * len(ports)
-        self._moved = self._p  # a mean of p's motion in a tick
         self._x_c = self._x_e = self.reference = self._p
         self.fresh = self.ready = self.rests = False
         self._last = 1.0  # s of the tick before
@@ -166,7 +161,6 @@ class Clutch:
     def seize(self, x_e: Floats) -> None:
         """Take the tool's position x_e(k-1), m, which is x_c(k-1) as well: the clutch was settled so far."""
         self._p = self._x_c = self._x_e = self.reference = x_e
-        self._moved = [0.0] * len(x_e)
         self._last, self.fresh = 1.0, False
 
     def handle(self, event: ClutchEvent) -> bool:
@@ -202,17 +196,13 @@ class Clutch:
             return
         if self.phase is ClutchPhase.JOINING:
             self._p = p  # with no force x_c(k) is p(k)
-            self._moved = [0.0] * len(p)
             self.reference = self._x_e
             self.handle(ClutchEvent.REFERRED)
             return
         leaving, x_e, x_c, ramp, most = self.phase is ClutchPhase.LEAVING, self._x_e, self._x_c, self._ramp, self._most
         offset, before = _difference(x_e, x_c), self._at
-        moved = self._moved = [
-            m + (new - old - m) / SMOOTH for m, new, old in zip(self._moved, p, self._p, strict=True)
-        ]
+        goal = 0.0 if leaving else self._goal(offset, _difference(p, self._p), f_e)
         self._p = p
-        goal = 0.0 if leaving else self._goal(offset, moved, f_e)
         by = goal - before
         at = before + (by if -1.0 <= by <= 1.0 else math.copysign(1.0, by))
         if at > most:
@@ -238,11 +228,7 @@ class Clutch:
         return sum(force * (last - at - self.ratio * by) for force, last, at, by in ends)
 
     def _goal(self, offset: Floats, moved: Floats, f_e: Floats) -> float:
-        """The goal of j: the ramp's end, or less where a lag behind p's motion ``moved`` (m) shortens the offset.
-
-        A changed ratio changes the force, and so p one tick later. Where a hand is nearly still, that may be all of p's
-        motion: by the motion of one tick the ratio went to and fro, and the force with it. So the motion is a mean.
-        """
+        """The goal of j: the ramp's end, or less where a lag behind p's motion ``moved`` (m) shortens the offset."""
         path = math.hypot(*moved)
         if not path > 0.0:
             return float(self._ramp)
