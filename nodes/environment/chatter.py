@@ -1,9 +1,11 @@
-"""Chatter: a force on a tool that turns back and forth from tick to tick.
+"""Chatter: a force on a hand that turns back and forth from tick to tick.
 
-A force *reverses* at a port where two successive steps f(k) - f(k-1) have opposite signs, and both are at least
-:data:`LEAST`. A press of a hand reverses a few times a second. A model that is asked ahead of the tick, with a local
-stiffness C and a coupling with the feedthrough D_V, reverses in every tick once the spectral radius of D_V C is 1 or
-more (docs/decisions/0042-proxies.md): stable under the certificate, and felt as a buzz.
+The forces are those that the couplings receive, f_c = S f_e. While a clutch works an offset off, the force f_e on the
+tool may go to and fro with its ratio, of which a hand feels next to nothing. A force *reverses* at a port where two
+successive steps f(k) - f(k-1) have opposite signs, and both are at least :data:`LEAST`. A press of a hand reverses a
+few times a second. A model that is asked ahead of the tick, with a local stiffness C and a coupling with the
+feedthrough D_V, reverses in every tick once the spectral radius of D_V C is 1 or more
+(docs/decisions/0042-proxies.md): stable under the certificate, and felt as a buzz.
 """
 
 from __future__ import annotations
@@ -39,7 +41,7 @@ class Chatter:
         self.reversals, self.most = [0] * len(self._parties), [0] * len(self._parties)
 
     def enter(self, f: NDArray[np.float64]) -> None:
-        """Take the forces f_e(k) of one tick, N."""
+        """Take the forces f_c(k) of one tick, N."""
         step = f - self._f
         before, self._f, self._step = self._step, f, step
         turned = (step * before < 0.0) & (np.minimum(np.abs(step), np.abs(before)) >= LEAST)

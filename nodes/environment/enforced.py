@@ -158,7 +158,7 @@ class EnforcedCore:
         controller: keeps the ledger from falling below zero; None where no level is enforced.
         energy: the energy that each coupling puts into the others, and their budgets.
         clutches: the clutches of the blocks.
-        chatter: how often the forces on the tools reversed.
+        chatter: how often the forces f_c that the couplings receive reversed.
         ill_posed: ticks in which the loop had no unique solution: always 0, by construction or by the certificate.
     """
 
@@ -231,7 +231,7 @@ class EnforcedCore:
         if self.controller is not None:
             self.controller.settle()
         self.energy.enter(self._f.tolist(), self._next.tolist(), self._x_e.tolist())
-        self.chatter.enter(self._f)
+        self.chatter.enter(self._S * self._f)
         self._x_e = self._next
         self._law.advance(self._x_e, self._f)
         if self.energy.restrained:

@@ -6,6 +6,8 @@ import numpy as np
 
 from manyhands.launch.run.display import chatter_line, held_line, world_lines
 from manyhands.nodes.environment.chatter import LEAST, MOST, Chatter
+from manyhands.nodes.environment.enforced import BlackBox, EnforcedCore
+from manyhands.nodes.environment.model import AskedModel
 from manyhands.nodes.telemetry import contact_figures
 
 T = 1e-3
@@ -61,3 +63,25 @@ def test_what_is_reported_and_what_to_do() -> None:
     assert held_line(with_proxies) == "proxies held: right in 7 ticks"
     assert len(world_lines(with_proxies)) == 2
     assert world_lines({"chatter_left": MOST - 1.0, "held_left": 0.0}) == []
+
+
+def test_reversals_are_those_of_what_the_couplings_receive() -> None:
+    """A model that turns its force in every tick is not felt through a frozen clutch, and counts once it is."""
+
+    class Buzz:
+        def react(self, x_e: np.ndarray, k: int) -> np.ndarray:
+            return np.array([(-1.0) ** k])
+
+    law = BlackBox(AskedModel("buzz", Buzz(), ("p",)))
+    core = EnforcedCore(law, np.array([[1e-3]]), None, 1e-3, False, ramp=20)
+    assert core.chatter is not None
+    core.clutches.freeze(0)
+    for _ in range(50):
+        core.react([0.0])
+        core.settle()
+    assert core.chatter.reversals == [0]
+    core.clutches.engage(0)
+    for _ in range(100):
+        core.react([0.0])
+        core.settle()
+    assert 70 < core.chatter.reversals[0] <= 100
