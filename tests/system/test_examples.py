@@ -48,6 +48,19 @@ def test_the_carried_ball_is_drawn_and_lifted(tmp_path: Path) -> None:
     assert said == "carry.png: the ball is lifted by 56 mm\n"
 
 
+@pytest.mark.long
+def test_what_is_felt_in_the_other_worlds_is_drawn(tmp_path: Path) -> None:
+    said = run("scenes.py", tmp_path)
+    assert (tmp_path / "scenes.png").read_bytes().startswith(PNG)
+    found = re.fullmatch(
+        r"scenes\.png: rub slips at up to 2\.7 N; the peg ends 10\.0 mm over the plate; "
+        r"the tray is lifted by 54 mm; the puck is (\d+) mm away\n",
+        said,
+    )
+    assert found, said
+    assert 10 < int(found[1]) < 30  # 18 here: an engine's digits may change with its version
+
+
 def test_the_stroked_relief_is_drawn_and_felt(tmp_path: Path) -> None:
     said = run("stroke.py", tmp_path)
     assert (tmp_path / "stroke.png").read_bytes().startswith(PNG)
@@ -91,7 +104,7 @@ def test_the_puck_is_held_to_its_promise(tmp_path: Path) -> None:
 
 
 def test_no_example_is_left_out() -> None:
-    others = {"carry.py", "order_curve.py", "puck.py", "relief.py", "stroke.py", "tightness.py"}
+    others = {"carry.py", "order_curve.py", "puck.py", "relief.py", "scenes.py", "stroke.py", "tightness.py"}
     assert {path.name for path in EXAMPLES.glob("*.py")} == {*FIGURES, *others}
 
 
