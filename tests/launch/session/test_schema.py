@@ -71,8 +71,9 @@ FOR_THE_READER = {
     # numbers against each other
     "given-outside-block", "given-unsymmetric", "interval-and-delay", "interval-reversed", "osp-above-damping",
     "osp-interval-above-damping", "osp-interval-reversed", "osp-unsymmetric", "tau-above-period",
-    "wave-link-b-unsymmetric", "wave-link-part-of-device", "wave-link-tau", "wave-link-tau-of-design",
-    "wave-link-transparency", "wave-link-uncoupled", "weight-band-beyond-ticks", "weight-band-reversed",
+    "wave-link-b-unsymmetric", "wave-link-ladder", "wave-link-part-of-device", "wave-link-tau",
+    "wave-link-tau-of-design", "wave-link-transparency", "wave-link-uncoupled", "weight-band-beyond-ticks",
+    "weight-band-reversed",
     # mathematics, formulas and other files
     "formula-attribute", "formula-division-by-zero", "formula-syntax", "formula-unknown-name", "given-not-positive",
     "hand-improper", "hand-not-passive", "hand-unstable", "hand-zero-denominator", "interval-of-nothing",
