@@ -1,20 +1,20 @@
 """The time of a step with tools on a mesh, against their number: the relief of the session ``stroke``, with friction.
 
-    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/mesh.py
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python -m benchmarks.mesh
 
 Each tool presses on the relief and moves over ridges and dome at up to 0.2 m/s. The step is that of the environment's
 core, with its controller and ledger: what it does between receiving p and sending f_c, and what it does afterwards.
-Times are processor times of the thread, as in ``benchmarks/scene.py``; ``wall_p99`` is by the clock.
 """
 
 from __future__ import annotations
 
 import json
 import sys
-import time
+from collections.abc import Sequence
 
 import numpy as np
 
+from benchmarks.world_step import WARM, step_times
 from manyhands.launch.files import load_named
 from manyhands.nodes.environment.enforced import EnforcedCore
 from manyhands.nodes.environment.mesh import MeshProxies
@@ -23,7 +23,6 @@ from manyhands.nodes.environment.proxy import ProxyLaw
 
 T = 1e-3
 TICKS = 8000
-WARM = 200  # ticks before the measurement
 STIFFNESS, FRICTION, RADIUS = 5000.0, 0.15, 0.003  # N/m, m
 DEPTH = 0.02  # m, from where a tool begins to where it is pressed without force
 
@@ -42,36 +41,19 @@ def measure(tools: int, pressed: bool = True) -> dict[str, float]:
     blocks = [list(range(3 * i, 3 * i + 3)) for i in range(tools)]
     law = ProxyLaw(AskedModel("mesh", model, ports), STIFFNESS * np.eye(m), None, T, blocks)
     core = EnforcedCore(law, np.eye(m) / 900.0, np.zeros((m, m)), T, True, blocks)
-    touching, react, settle, wall = [], [], [], []
-    for k in range(WARM + TICKS):
+
+    def place(k: int) -> list[float]:
         phase = 2.0 * np.pi * 1.5 * k * T + np.arange(tools)
-        moves = [
-            0.02 * np.sin(phase),
-            np.full(tools, -DEPTH * pressed * min(1.0, k / WARM)),
-            0.01 * np.cos(0.7 * phase),
-        ]
-        p = np.stack(moves, axis=1).ravel().tolist()
-        clock, begin = time.perf_counter(), time.thread_time()
-        f = core.react(p)
-        sent = time.thread_time()
-        core.settle()
-        end, passed = time.thread_time(), time.perf_counter() - clock
-        if k >= WARM:
-            react.append(sent - begin)
-            settle.append(end - sent)
-            wall.append(passed)
-            touching.append(int(np.count_nonzero(np.reshape(f, (tools, 3)).any(axis=1))))
-    step = 1e6 * (np.array(react) + np.array(settle))
-    return {
-        "touching": round(float(np.mean(touching)), 1),
-        "p50": round(float(np.median(step)), 1),
-        "p99": round(float(np.percentile(step, 99)), 1),
-        "wall_p99": round(1e6 * float(np.percentile(wall, 99)), 1),
-        "before_sending_p50": round(1e6 * float(np.median(react)), 1),
-        "before_sending_p99": round(1e6 * float(np.percentile(react, 99)), 1),
-        "held": sum(law.held),
-        "kept_back": core.controller.ticks if core.controller is not None else 0,
-    }
+        depth = np.full(tools, -DEPTH * pressed * min(1.0, k / WARM))
+        moved: list[float] = (
+            np.stack([0.02 * np.sin(phase), depth, 0.01 * np.cos(0.7 * phase)], axis=1).ravel().tolist()
+        )
+        return moved
+
+    def touching(f: Sequence[float]) -> int:
+        return int(np.count_nonzero(np.reshape(f, (tools, 3)).any(axis=1)))
+
+    return {**step_times(core, TICKS, place, touching), "held": sum(law.held)}
 
 
 def main() -> None:

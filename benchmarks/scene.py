@@ -1,21 +1,20 @@
 """The time of a scene's step against the number of contacts: 4 tools with three axes, and up to 4 bodies, in a room.
 
-    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/scene.py
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python -m benchmarks.scene
 
 Every sphere is pressed into a corner of the room, where it touches three faces with friction, and is moved along them.
 The step is that of the environment's core, with its controller and ledger: what it does between receiving p and sending
-f_c, and what it does afterwards. One core is used. Times are processor times of the thread, so that other programs on
-the machine do not count; ``wall_p99`` is by the clock.
+f_c, and what it does afterwards. One core is used.
 """
 
 from __future__ import annotations
 
 import json
 import sys
-import time
 
 import numpy as np
 
+from benchmarks.world_step import WARM, step_times
 from manyhands.design.models.contacts import Surface
 from manyhands.design.models.scene import Body, ContactScene, Obstacle, SceneLink, ToolSphere
 from manyhands.nodes.environment.enforced import EnforcedCore
@@ -23,7 +22,6 @@ from manyhands.nodes.environment.scene import SceneLaw
 
 T = 1e-3
 TICKS = 4000
-WARM = 200  # ticks before the measurement
 SIDE, RADIUS, DEPTH = 0.1, 0.02, 2e-3  # m: half a side of the room, the spheres, and how far they are pressed
 CORNERS = [(x, y, z) for z in (-1.0, 1.0) for x in (-1.0, 1.0) for y in (-1.0, 1.0)]
 
@@ -58,31 +56,13 @@ def measure(spheres: int) -> dict[str, float]:
     core = EnforcedCore(law, np.eye(12) / 900.0, np.zeros((12, 12)), T, True, stored=scene.energy_at_start)
     corners = np.array(CORNERS[:4]).ravel()
     pressed = np.repeat(np.arange(4) < spheres, 3) * DEPTH * corners
-    touching, react, settle, wall = [], [], [], []
-    for k in range(WARM + TICKS):
-        p = (pressed + 1e-3 * np.sin(2.0 * np.pi * 2.0 * k * T + np.arange(12))).tolist()
-        clock, begin = time.perf_counter(), time.thread_time()
-        core.react(p)
-        sent = time.thread_time()
-        core.settle()
-        end, passed = time.thread_time(), time.perf_counter() - clock
-        if k >= WARM:
-            react.append(sent - begin)
-            settle.append(end - sent)
-            wall.append(passed)
-            touching.append(law.touching)
-    step = 1e6 * (np.array(react) + np.array(settle))
-    return {
-        "contacts": round(float(np.mean(touching)), 1),
-        "p50": round(float(np.median(step)), 1),
-        "p99": round(float(np.percentile(step, 99)), 1),
-        "wall_p99": round(1e6 * float(np.percentile(wall, 99)), 1),
-        "before_sending_p50": round(1e6 * float(np.median(react)), 1),
-        "before_sending_p99": round(1e6 * float(np.percentile(react, 99)), 1),
-        "newton_steps": round(law.steps / (WARM + TICKS), 2),
-        "unfinished": law.unfinished,
-        "kept_back": core.controller.ticks if core.controller is not None else 0,
-    }
+
+    def place(k: int) -> list[float]:
+        moved: list[float] = (pressed + 1e-3 * np.sin(2.0 * np.pi * 2.0 * k * T + np.arange(12))).tolist()
+        return moved
+
+    found = step_times(core, TICKS, place, lambda f: law.touching)
+    return {**found, "newton_steps": round(law.steps / (WARM + TICKS), 2), "unfinished": law.unfinished}
 
 
 def main() -> None:
