@@ -97,7 +97,7 @@ def _keys_by_shape(shapes: Collection[str], default: str = "", optional_keys: Co
             {
                 "if": where("shape", shape)
                 if shape != default
-                else {"not": where("shape", *(named.keys() - {default}))},
+                else {"not": where("shape", *(other for other in named if other != default))},
                 "then": {
                     "required": [key for key in keys if shape != default or key not in optional_keys],
                     "properties": {key: False for others in named.values() for key in others if key not in keys},

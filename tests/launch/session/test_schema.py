@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -269,3 +272,17 @@ def test_the_first_line_for_editors_leads_to_it(tmp_path: Path, monkeypatch: pyt
     file.write_text(f"{line[0]}\n{file.read_text()}")
     load_session(file)
     assert Draft7Validator(json.loads((file.parent / line[1]).read_text())).is_valid(read_tree(file).data)
+
+
+def test_the_schema_is_the_same_text_in_every_process() -> None:
+    """No part of it stands in the order of a set, which differs from process to process."""
+    command = (
+        "import json; from manyhands.launch.session.schema import session_schema; print(json.dumps(session_schema()))"
+    )
+    texts = {
+        subprocess.run(
+            [sys.executable, "-c", command], env={**os.environ, "PYTHONHASHSEED": seed}, capture_output=True, check=True
+        ).stdout
+        for seed in "12"
+    }
+    assert len(texts) == 1
