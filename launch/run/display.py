@@ -132,9 +132,13 @@ def chatter_line(figures: Mapping[str, float]) -> str:
     if not found:
         return ""
     most = ", ".join(f"{name} up to {n:.0f} times a second" for name, n in sorted(found.items()))
-    proxies = any(key.startswith(names.HELD) for key in figures)
-    remedy = "its proxies jump, or ticks are late" if proxies else "use a proxy, or a softer model (docs/models.md)"
-    return f"the model's force chatters: {most}; {remedy}"
+    if names.UNFINISHED in figures:
+        whose, remedy = "scene", "ticks are late, or a contact opens and closes"
+    elif any(key.startswith(names.HELD) for key in figures):
+        whose, remedy = "model", "its proxies jump, or ticks are late"
+    else:
+        whose, remedy = "model", "use a proxy, or a softer model (docs/models.md)"
+    return f"the {whose}'s force chatters: {most}; {remedy}"
 
 
 def held_line(figures: Mapping[str, float]) -> str:

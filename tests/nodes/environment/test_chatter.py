@@ -60,6 +60,10 @@ def test_what_is_reported_and_what_to_do() -> None:
     )
     with_proxies = contact_figures([0, 7], counted(f), ("left", "right"))
     assert chatter_line(with_proxies).endswith("its proxies jump, or ticks are late")
+    of_a_scene = chatter_line({"unfinished": 0.0, **figures})
+    assert of_a_scene == (
+        "the scene's force chatters: right up to 199 times a second; ticks are late, or a contact opens and closes"
+    )
     assert held_line(with_proxies) == "proxies held: right in 7 ticks"
     assert len(world_lines(with_proxies)) == 2
     assert world_lines({"chatter_left": MOST - 1.0, "held_left": 0.0}) == []
