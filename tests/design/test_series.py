@@ -254,7 +254,7 @@ def test_the_file_is_read_back_as_it_was_written(stiff: Certificate, tmp_path: P
 def test_a_certificate_that_counts_is_not_one_of_a_session_that_does_not(stiff: Certificate) -> None:
     assert differences(stiff, stiff.loop, STIFFEST) == []
     assert differences(stiff, replace(stiff.loop, series=()), STIFFEST) == [
-        "the part of the world's links that is counted in series differs"
+        "the compliance of the world that is counted in series differs"
     ]
     assert differences(stiff, replace(stiff.loop, series=(0.999, 0.999, 0.5)), STIFFEST)
 

@@ -78,7 +78,7 @@ def test_a_certificate_is_for_the_session_that_counts(counted: Prepared, tmp_pat
     counted.certificate.save(tmp_path / "c.json")
     again = prepare(counted.session, tmp_path / "c.json")
     assert again.loop.environment == counted.loop.environment
-    with pytest.raises(NotCertified, match="the part of the world's links that is counted in series differs"):
+    with pytest.raises(NotCertified, match="the compliance of the world that is counted in series differs"):
         prepare(load_named("example1", ["design.objective=stiffest"]), tmp_path / "c.json")
 
 
