@@ -113,8 +113,6 @@ def _greatest_compliance(
     nothing = np.zeros(len(limits))
     try:
         split = environment.split(T)
-        if lack_of_passivity(split, T, Delta_D).multiple > _PASSIVE:
-            return nothing
         dissipation = Dissipation(split, T)
     except (Infeasible, SolverFailure):
         return nothing  # the design refuses this world, with the reason
@@ -125,7 +123,7 @@ def _greatest_compliance(
     for _ in range(_MOST_CUTS):
         try:
             greatest = _greatest_at(np.array(H), np.array(E_z), T, limits)
-        except np.linalg.LinAlgError:  # as above
+        except np.linalg.LinAlgError:  # E itself is not passive there
             return nothing
         left = StiffenedEnvironment(environment, tuple((MOST * greatest).tolist()))
         try:
@@ -159,11 +157,16 @@ def _greatest_at(H: NDArray[np.complex128], E: NDArray[np.complex128], T: float,
 
     Returns:
         The diagonal of C, m/N; zeros if no part of the limits is possible.
+
+    Raises:
+        LinAlgError: H >= 0 fails at an angle.
     """
     E = np.sqrt(T / 2.0 * limits)[:, np.newaxis] * E  # C in parts of the limits
     adjoint = np.conj(np.swapaxes(E, 1, 2))
     scale = np.max(np.abs(np.diagonal(H, axis1=1, axis2=2)), axis=0)
     H = H + np.diag(_SINGULAR * np.where(scale > 0.0, scale, 1.0))  # where a direction of H is 0, that of E is too
+
+    np.linalg.cholesky(H)
 
     def answers(parts: Matrix) -> NDArray[np.complex128]:
         X = E @ np.linalg.solve(H - adjoint @ (parts[:, np.newaxis] * E), adjoint)

@@ -119,7 +119,8 @@ def _compliance(claim: Claim) -> fmpq_mat:
 def counted(claim: Claim) -> Realisation:
     """C in balls, m x m.
 
-    Of a network it has one state for each port where something is counted, in the order of the ports. A port's state is that of a spring-damper block (K + B s)^-1 with K = k/p and B = b/p; of an interval, the middle.
+    Of a network it has one state for each port where something is counted, in the order of the ports. A port's state is
+    that of a spring-damper block (K + B s)^-1 with K = k/p and B = b/p; of an interval, the middle.
 
     Raises:
         ZeroDivisionError: a link has neither stiffness nor damping.
