@@ -546,7 +546,7 @@ def content(certificate: Certificate) -> dict[str, Any]:
             name: [ports[p] for p in block] for name, block in zip(partition.names, partition.blocks, strict=True)
         },
         "environment": describe_environment(loop.environment),
-        **({"series": loop.parts} if loop.series else {}),
+        **({"series": describe_series(loop)} if loop.series else {}),
         **({} if certificate.asked is None else {"asked": dict(certificate.asked)}),
         "coupling": describe_coupling(partition.names, certificate.coupling),
         "levels": {
@@ -680,7 +680,7 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
         raise ValueError("expected session to be a text, and every value of method a text or a whole number")
     ports = tuple(str(p) for p in data["ports"])
     index = {port: i for i, port in enumerate(ports)}
-    structure = data["structure"]
+    structure, environment = data["structure"], environment_of(data["environment"], ports)
     m = len(ports)
     loop = HapticLoop(
         session=str(data["session"]),
@@ -691,10 +691,10 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
             for name, device in data["devices"].items()
         ),
         partition=Partition(tuple(structure), tuple(tuple(index[p] for p in block) for block in structure.values())),
-        environment=environment_of(data["environment"], ports),
+        environment=environment,
         tau=float(data["tau"]),
         period_tolerance=period_tolerance,
-        series=_series(data["series"], ports) if version == WITH_SERIES else (),
+        series=_series(data["series"], ports, environment) if version == WITH_SERIES else (),
     )
     partition, levels, storage = loop.partition, data["levels"], data["storage"]
     Phi_E = levels["Phi_E"]
@@ -723,11 +723,20 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
     )
 
 
-def _series(data: Mapping[str, Any], ports: tuple[str, ...]) -> tuple[float, ...]:
-    """By port, the part of the world's own link that is counted; a port that is not named counts nothing."""
-    found = {str(port): float(part) for port, part in data.items()}
+def describe_series(loop: HapticLoop) -> dict[str, Any]:
+    """What is counted in series, by port: a part of a network's link, or {"compliance": m/N} of any other world."""
+    of_links = isinstance(loop.environment, Network | NetworkBox)
+    return {port: value if of_links else {"compliance": value} for port, value in loop.parts.items()}
+
+
+def _series(data: Mapping[str, Any], ports: tuple[str, ...], environment: Environment) -> tuple[float, ...]:
+    """What :func:`describe_series` wrote; a port that is not named counts nothing."""
+    of_links = isinstance(environment, Network | NetworkBox)
+    if not of_links and any(set(value) != {"compliance"} for value in data.values()):
+        raise ValueError("series: expected the one key compliance for each port")
+    found = {str(port): float(value if of_links else value["compliance"]) for port, value in data.items()}
     if not set(found) <= set(ports) or not all(found.values()):
-        raise ValueError(f"series: found {sorted(found)}, expected ports of the loop with parts greater than 0")
+        raise ValueError(f"series: found {sorted(found)}, expected ports of the loop with a number that is not 0")
     return tuple(found.get(port, 0.0) for port in ports)
 
 
@@ -798,7 +807,7 @@ def differences(certificate: Certificate, loop: HapticLoop, wanted: CouplingRequ
         for what, mine, theirs in (
             ("block structure", own.partition, loop.partition),
             ("environment", own.environment, loop.environment),
-            ("part of the world's links that is counted in series", own.series, loop.series),
+            ("compliance of the world that is counted in series", own.series, loop.series),
             ("level or order of devices", [_level(d) for d in own.devices], [_level(d) for d in loop.devices]),
         )
         if mine != theirs

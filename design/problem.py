@@ -15,7 +15,15 @@ import numpy as np
 from manyhands.design.levels.contract import NO_DELAY_GAIN
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import Partition, SpringDamper, loop_gain
-from manyhands.design.models.environment import DeclaredEnvironment, DeclaredScene, Environment, NetworkBox
+from manyhands.design.models.environment import (
+    DeclaredEnvironment,
+    DeclaredScene,
+    Environment,
+    NetworkBox,
+    StateSpaceEnvironment,
+    StiffenedEnvironment,
+    TransferEnvironment,
+)
 from manyhands.design.models.integrators import Split
 from manyhands.design.models.network import Network
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix, symmetric_part
@@ -154,8 +162,9 @@ class HapticLoop:
         environment: the environment, with the same ports in the same order.
         tau: longest delay inside the tick to be certified, from the sample of x(k) until f_v(k) acts, s, at most T.
         period_tolerance: rho; the periods to be certified are at most (1 + rho) T; dimensionless, 0 ... 1.
-        series: by port, the part of the compliance of the world's own link there that is counted in series with the
-            coupling, 0 ... 1; empty if nothing is counted (docs/decisions/0045-series-compliance.md).
+        series: by port, what of the world's compliance is counted in series with the coupling; empty if nothing is
+            counted (docs/decisions/0045-series-compliance.md). Of a network it is the part of the compliance of the
+            port's own link, 0 ... 1; of a state space or rational functions it is a compliance, m/N.
     """
 
     session: str
@@ -189,12 +198,19 @@ class HapticLoop:
 
     def _check_series(self) -> None:
         environment = self.environment
+        if isinstance(environment, StateSpaceEnvironment | TransferEnvironment) and not environment.delay:
+            if len(self.series) != len(self.ports) or not all(0.0 <= c < np.inf for c in self.series):
+                raise ValueError(f"series: expected a compliance of 0 or more for each port, found {self.series}")
+            if not any(self.series):
+                raise ValueError("series: expected a compliance greater than 0 for some port, or no series at all")
+            return
         if len(self.series) != len(self.ports) or not all(0.0 <= part < 1.0 for part in self.series):
             raise ValueError(f"series: expected a number from 0 to less than 1 for each port, found {self.series}")
         if not any(self.series):
             raise ValueError("series: expected a part greater than 0 for some port, or no series at all")
         if not isinstance(environment, Network | NetworkBox):
-            raise ValueError("series: expected an environment that is a network without delay")
+            expected = "an environment without delay that is a network, a state space or rational functions"
+            raise ValueError(f"series: expected {expected}")
         contacts = environment.contacts()
         missing = [port for port, part in zip(self.ports, self.series, strict=True) if part and port not in contacts]
         if missing:
@@ -209,25 +225,30 @@ class HapticLoop:
 
     @cached_property
     def cut(self) -> HapticLoop:
-        """The same loop, cut inside the world's links that are counted: Theorem 3 is applied to it, and it is run.
+        """The same loop, cut inside the world's compliance that is counted: Theorem 3 is applied to it, and it is run.
 
-        Its environment is the world with stiffer links, and its coupling contains what the links gave up. It is the
-        loop itself if nothing is counted.
+        Its environment is the world without that compliance, and its coupling contains it. It is the loop itself if
+        nothing is counted.
         """
         environment = self.environment
+        if self.series and isinstance(environment, StateSpaceEnvironment | TransferEnvironment):
+            return replace(self, environment=StiffenedEnvironment(environment, self.series), series=())
         if not self.series or not isinstance(environment, Network | NetworkBox):
             return self
         return replace(self, environment=environment.stiffened(self.parts), series=())
 
     @cached_property
     def counted(self) -> StateSpace:
-        """C = diag(part/(k + b s)), what is counted of the world's links, from force (N) to displacement (m), m x m.
+        """C, what is counted of the world's compliance, from force (N) to displacement (m), m x m.
 
-        By backward Euler, one state for each port where something is counted; of a network known up to intervals, in
-        their middle.
+        Of a network C = diag(part/(k + b s)), by backward Euler, with one state for each port where something is
+        counted; of a network known up to intervals, in their middle. Of a state space or rational functions it is
+        diag(series), without states.
         """
         environment, T, m = self.environment, self.period, len(self.ports)
         network = environment.nominal if isinstance(environment, NetworkBox) else environment
+        if self.series and isinstance(environment, StateSpaceEnvironment | TransferEnvironment):
+            return StateSpace.static(np.diag(self.series))
         if not self.series or not isinstance(network, Network):
             return StateSpace.static(np.zeros((m, m)))
         contacts = network.contacts()

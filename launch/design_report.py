@@ -258,17 +258,21 @@ def _coupling_rows(table: Table, coupling: SpringDamper, of_run: bool) -> None:
 
 
 def series_rows(certificate: Certificate) -> dict[str, dict[str, float]]:
-    """Of each port where the world's spring is counted in series: whose stiffness the hand feels at rest, N/m.
+    """Of each port where compliance of the world is counted in series: whose stiffness the hand feels at rest, N/m.
 
-    ``part`` of the spring's compliance is counted; ``coupling`` is the coupling itself, ``contact`` the world's spring,
-    and ``together`` both in series, all other ports free of force.
+    ``part`` of the compliance of a network's spring is counted; ``coupling`` is the coupling itself, ``contact`` the
+    world's spring, and ``together`` both in series, all other ports free of force. Of a world without springs of its
+    own it is ``compliance`` (m/N) that is counted, and ``coupling`` is the coupling itself.
     """
     loop = certificate.loop
     environment = loop.environment.nominal if isinstance(loop.environment, NetworkBox) else loop.environment
-    if not loop.series or not isinstance(environment, Network):
+    if not loop.series:
         return {}
-    contacts, compliance = environment.contacts(), np.diag(np.linalg.inv(certificate.stiffness))
-    out = {}
+    compliance = np.diag(np.linalg.inv(certificate.stiffness))
+    if not isinstance(environment, Network):
+        found = zip(loop.ports, loop.series, compliance, strict=True)
+        return {port: {"compliance": c, "coupling": float(1.0 / own)} for port, c, own in found if c}
+    contacts, out = environment.contacts(), {}
     for port, part, own in zip(loop.ports, loop.series, compliance, strict=True):
         if part:
             k = contacts[port].stiffness
@@ -284,6 +288,11 @@ def _series_rows(table: Table, certificate: Certificate) -> None:
         return
     few = list(rows.items())[:_LARGEST_SHOWN]
     more = [f"and {len(rows) - len(few)} more"] if len(rows) > len(few) else []
+    if any("compliance" in row for row in rows.values()):
+        springs = [f"{port} {1e3 * row['compliance']:g} mm/N of the world" for port, row in few]
+        table.add_row("counted in series", "\n".join([*springs, *more]))
+        table.add_row("coupling at rest", "\n".join([*(f"{p} {row['coupling']:.0f} N/m" for p, row in few), *more]))
+        return
     counted = [f"{port} {row['part']:g} of {row['contact']:.6g} N/m" for port, row in few]
     felt = [f"{port} {row['coupling']:.0f}, {row['contact']:.0f}, {row['together']:.0f} N/m" for port, row in few]
     table.add_row("counted in series", "\n".join([*counted, *more]))

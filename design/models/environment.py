@@ -274,6 +274,49 @@ class TransferEnvironment(_Discretised):
         return realise(tuple(tuple(substitute(entry, self.method, T) for entry in row) for row in self.entries))
 
 
+@dataclass(frozen=True)
+class StiffenedEnvironment(_Discretised):
+    """E' = E (I - C E)^-1: the world of which the compliance C = diag(c_i) of plain springs is taken out.
+
+    With f = -E x and x = x' - C f it is f = -E' x' (docs/decisions/0045-series-compliance.md). E' has the states of E,
+    under a static feedback of its force.
+
+    Attributes:
+        world: E, without delay.
+        compliance: c_i by port, m/N.
+    """
+
+    world: StateSpaceEnvironment | TransferEnvironment
+    compliance: tuple[float, ...]
+    delay: int = field(init=False, default=0)
+
+    __repr__ = brief_repr
+
+    @property
+    def ports(self) -> tuple[str, ...]:
+        """Names of the m ports."""
+        return self.world.ports
+
+    @property
+    def order(self) -> int:
+        """The order of the world's Rest."""
+        return self.world.order
+
+    def discrete(self, T: float) -> StateSpace:
+        """E', discrete with period T (s).
+
+        Raises:
+            Infeasible: I - D_E C is singular, so that a displacement x' has no force.
+        """
+        E, C = self.world.discrete(T), np.diag(self.compliance)
+        try:
+            N = np.linalg.inv(np.eye(len(C)) - E.D @ C)
+        except np.linalg.LinAlgError:
+            raise Infeasible("I - D_E C is singular for the compliance that is counted in series", ()) from None
+        leaving = N @ E.C
+        return StateSpace(E.A + E.B @ C @ leaving, E.B @ (np.eye(len(C)) + C @ N @ E.D), leaving, N @ E.D)
+
+
 @dataclass(frozen=True, eq=False)
 class DeclaredEnvironment(WithoutEnergy):
     """An environment of which only its declared level is known.

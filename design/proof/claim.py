@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from flint import fmpq
+from flint import fmpq, fmpq_mat
 
 from manyhands.design.proof.exact import (
     MAX_DEGREE,
@@ -122,6 +122,21 @@ class TransferData:
 
 
 @dataclass(frozen=True, eq=False)
+class StiffenedData:
+    """E' = E (I - C E)^-1, what is left of E without the compliance C that is counted in series; no file states it.
+
+    Attributes:
+        world: E, without delay.
+        compliance: C, m x m diagonal, m/N.
+        delay: 0.
+    """
+
+    world: SystemData | TransferData
+    compliance: fmpq_mat
+    delay: int = 0
+
+
+@dataclass(frozen=True, eq=False)
 class DeclaredData:
     """An environment of which only the level is stated.
 
@@ -217,7 +232,7 @@ class SceneData(DeclaredData):
     tank: Number
 
 
-DynamicsData = NetworkData | SystemData | TransferData
+DynamicsData = NetworkData | SystemData | TransferData | StiffenedData
 EnvironmentData = DynamicsData | DeclaredData
 
 
@@ -541,7 +556,8 @@ class Claim:
         osp: the promised level of each device, N*s/m.
         blocks: name and ports of each block of V.
         environment: the physical data of E.
-        series: by port, the part of the compliance of the world's own link that V contains; 0 for all others.
+        series: by port, what of the world's compliance V contains: the part of that of a network's own link, or a
+            compliance of its own, m/N; 0 for all others.
         coupling: the blocks of V, in order.
         kappa, share, c: the loop gain K = kappa T Delta_D^-1, the part of the device's level that remains, and the
             storage's weight that proves it.
@@ -628,7 +644,7 @@ def read(data: Mapping[str, Any]) -> Claim:
         osp=tuple(osp),
         blocks=blocks,
         environment=environment,
-        series=_series(fields[_SERIES], index) if _SERIES in fields else {},
+        series=_series(fields[_SERIES], index, environment) if _SERIES in fields else {},
         coupling=_coupling(fields["coupling"], storage["V_hat"], blocks),
         kappa=exact_decimal(levels["kappa"].number()),
         share=exact_decimal(levels["share"].number()),
@@ -642,11 +658,13 @@ def read(data: Mapping[str, Any]) -> Claim:
     )
 
 
-def _series(item: Item, index: dict[str, int]) -> dict[int, fmpq]:
-    """The parts that are counted, by port."""
+def _series(item: Item, index: dict[str, int], environment: EnvironmentData) -> dict[int, fmpq]:
+    """What is counted, by port: a compliance where the environment has no links, and else a part of a link."""
     found = item.entries(MAX_PORTS)
     if not found or not set(found) <= set(index):
-        raise item.refusal("a part for at least one of the certificate's ports, and for no other name")
+        raise item.refusal("an entry for at least one of the certificate's ports, and for no other name")
+    if isinstance(environment, SystemData | TransferData):
+        found = {port: entry.fields(("compliance",))["compliance"] for port, entry in found.items()}
     return {index[port]: exact_decimal(part.number()) for port, part in found.items()}
 
 

@@ -25,6 +25,8 @@ T/(z-1) E1 with E1 = E1' >= 0 is lossless except for -T/2 E1. So E_hat is (-Phi_
     M_E = [ A'PA - P   A'PB - C'/2                                ]
           [ .          B'PB - (D + D')/2 - Phi_E + (T/2) E1       ]  < 0,     P > 0,     E1 >= 0.
 
+Without the compliance C that is counted in series it is E (I - C E)^-1 (:mod:`manyhands.design.proof.series`).
+
 A delay of d ticks makes it E_hat z^-d = T/(z-1) E1 + [z^-d Rest - T E1 (z^-1 + ... + z^-d)]. Whether E1 is symmetric
 and >= 0 is decided exactly, in rationals (:mod:`manyhands.design.proof.statics`).
 """
@@ -47,14 +49,16 @@ from manyhands.design.proof.claim import (
     ProxyData,
     SceneData,
     Span,
+    StiffenedData,
     SystemData,
+    TransferData,
     WaveLinkData,
 )
 from manyhands.design.proof.exact import MAX_DENSE, Sparse, StatedMatrix, exact_decimal
 from manyhands.design.proof.finding import Finding, Verdict, weakest
 from manyhands.design.proof.rational import assembled, diagonal_blocks, identity
 from manyhands.design.proof.statics import Undecided
-from manyhands.design.proof.system import NotDiscretised, discrete, realised, transfer_order
+from manyhands.design.proof.system import NotDiscretised, Realisation, discrete, realised, transfer_order
 
 
 @dataclass(frozen=True, eq=False)
@@ -350,6 +354,8 @@ def order(data: DynamicsData, m: int) -> int:
             own = network_order(data)
         case SystemData():
             own = data.A.rows
+        case StiffenedData():
+            own = order(data.world, m)
         case _:
             own = transfer_order(data)
     return own + m * data.delay
@@ -366,11 +372,28 @@ def split(data: DynamicsData, T: fmpq) -> EnclosedSplit:
     match data:
         case NetworkData():
             own = network_split(data, T)
-        case SystemData():
-            own = split_system(*discrete(data, T), arb_mat(statics.of_environment(data)), T)
+        case StiffenedData():
+            E = stiffened(_discrete(data.world, T), arb_mat(data.compliance))
+            own = split_system(*E, arb_mat(statics.of_environment(data)), T)
         case _:
-            own = split_system(*realised(data, T), arb_mat(statics.of_environment(data)), T)
+            own = split_system(*_discrete(data, T), arb_mat(statics.of_environment(data)), T)
     return delayed(own, data.delay, T)
+
+
+def _discrete(data: SystemData | TransferData, T: fmpq) -> Realisation:
+    return discrete(data, T) if isinstance(data, SystemData) else realised(data, T)
+
+
+def stiffened(E: Realisation, C: arb_mat) -> Realisation:
+    """E (I - C E)^-1 for a static C, m x m (:mod:`manyhands.design.proof.series`).
+
+    Raises:
+        ZeroDivisionError: I - D C is not proved regular.
+    """
+    A, B, leaving, D = E
+    unit = identity(arb_mat, D.nrows())
+    N = (unit - D * C).inv()
+    return A + B * C * N * leaving, B * (unit + C * N * D), N * leaving, N * D
 
 
 def findings(data: EnvironmentData, P: StatedMatrix | None, Phi_E: Sparse, m: int, T: fmpq) -> list[Finding]:

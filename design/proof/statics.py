@@ -7,7 +7,8 @@ hand. So both conditions are decided in rationals, from the decimals of the file
 - network: E(1) is a Schur complement of the stiffness matrix, symmetric and >= 0 by the links' signs alone;
 - rational function of s: num(0)/den(0), entry by entry;
 - continuous state space: D - C A^-1 B, which backward Euler, Tustin and a zero-order hold all keep;
-- discrete state space: D + C (I - A)^-1 B.
+- discrete state space: D + C (I - A)^-1 B;
+- a world without the compliance C that is counted in series: E(1) (I - C E(1))^-1.
 
 A state space may state its static gain instead of D, and D follows from it. So the gain can be exactly symmetric even
 if D has no finite decimals.
@@ -18,7 +19,7 @@ from __future__ import annotations
 from flint import arb_mat, fmpq_mat
 
 from manyhands.design.proof import exact, rational
-from manyhands.design.proof.claim import SystemData, TransferData
+from manyhands.design.proof.claim import StiffenedData, SystemData, TransferData
 from manyhands.design.proof.exact import MAX_STATIC, Sparse, StatedMatrix, exact_decimal
 from manyhands.design.proof.finding import Verdict
 
@@ -82,12 +83,14 @@ def _carried(A: StatedMatrix, B: StatedMatrix, C: StatedMatrix, discrete: bool) 
         raise Undecided(f"there is a pole at {'z = 1' if discrete else 's = 0'}, and so no static gain") from None
 
 
-def of_environment(data: SystemData | TransferData) -> fmpq_mat:
+def of_environment(data: SystemData | TransferData | StiffenedData) -> fmpq_mat:
     """E(1), N/m, of an environment given by matrices or by rational functions.
 
     Raises:
         Undecided: the environment has a pole at z = 1 or s = 0, or too many states.
     """
+    if isinstance(data, StiffenedData):
+        return _stiffened(of_environment(data.world), data.compliance)
     if isinstance(data, SystemData):
         return of_system(data.A, data.B, data.C, data.D, data.static, data.method is None)
     m = len(data.entries)
@@ -97,6 +100,27 @@ def of_environment(data: SystemData | TransferData) -> fmpq_mat:
             if den[-1] == 0:
                 raise Undecided(f"entry ({i + 1}, {j + 1}) has a pole at s = 0, and so no static gain")
             out[i, j] = exact_decimal(num[-1]) / exact_decimal(den[-1])
+    return out
+
+
+def _stiffened(E1: fmpq_mat, C: fmpq_mat) -> fmpq_mat:
+    """E1 (I - C E1)^-1, as (I - E1 C)^-1 E1."""
+    m = E1.nrows()
+    if m > MAX_STATIC:
+        raise Undecided(f"found {m} ports, expected at most {MAX_STATIC}: statics are decided exactly")
+    out = fmpq_mat(m, m)
+    entries: Sparse = {(i, j): E1[i, j] for i in range(m) for j in range(m) if E1[i, j] != 0}
+    for group in exact.groups(m, [entries]):
+        own, taken = exact.dense(entries, group), fmpq_mat(len(group), len(group))
+        for k, port in enumerate(group):
+            taken[k, k] = C[port, port]
+        try:
+            part = (rational.identity(fmpq_mat, len(group)) - own * taken).solve(own)
+        except ZeroDivisionError:
+            raise Undecided("E(1) C has the eigenvalue 1, so that nothing holds the world that is left") from None
+        for k, i in enumerate(group):
+            for n, j in enumerate(group):
+                out[i, j] = part[k, n]
     return out
 
 

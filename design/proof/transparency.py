@@ -12,8 +12,9 @@ these four systems, with m inputs and m outputs each:
   = kron(e_1, I_m), C = kron((b_1 - a_1 b_0, ..., b_n - a_n b_0), I_m), D = b_0 I_m.
 - V: its blocks, states stacked in the order of "structure", inputs and outputs at their ports. A spring-damper block
   has C_V = (T K + B)^-1, A_V = B C_V, B_V = T A_V, D_V = T C_V, one state per port.
-- Where a part of the world's links is counted in series, V above is the blocks less C, and E is the world as it is
-  (:mod:`manyhands.design.proof.series`): states of the blocks, then one for each port where something is counted.
+- Where compliance of the world is counted in series, V above is the blocks less C, and E is the world as it is
+  (:mod:`manyhands.design.proof.series`): states of the blocks, then, of a network, one for each port where something is
+  counted.
 - E: from E1 and Rest = (A_r, B_r, C_r, D_r), for every kind of environment, delayed ones too (Rest with its chain),
   and a network in the middle of its intervals; state (eta, u-), u- the displacement of the tick before:
 
@@ -106,7 +107,7 @@ def order(claim: Claim, data: DynamicsData, stated: StatedTransparency) -> int:
     n_E = environment.order(data, m) + m
     n_V = sum(V.stiffness.rows if isinstance(V, StatedSpringDamper) else V.A.rows for V in claim.coupling)
     n_W = m * (len(stated.W1.den) + len(stated.W2.den) - 2)
-    n_V += len(claim.series)
+    n_V += len(claim.series) if isinstance(data, NetworkData) else 0
     return n_W + n_V + n_E * (2 if stated.objective == "closed-loop" else 1)
 
 

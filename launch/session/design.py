@@ -278,7 +278,7 @@ def _delay(value: object) -> object:
 
 
 def _series(value: object) -> object:
-    """Whether compliance of the world is counted in series; or the greatest part of a link's that is counted."""
+    """Whether compliance of the world is counted in series; or the greatest part of it that is counted."""
     if isinstance(value, bool):
         return value
     try:
@@ -371,7 +371,8 @@ class Design(SessionModel):
     series: Annotated[bool | float, BeforeValidator(Described(_series, _SERIES_FORM))] = Field(
         default=False,
         description="whether the spring by which a port meets the world is counted in series with its coupling; or the "
-        "greatest part of it that is counted",
+        "greatest part of it that is counted; of a world given by matrices or rational functions, the greatest springs "
+        "that leave it passive",
     )
     ladder: Annotated[tuple[float, ...] | None, BeforeValidator(optional(_DELAYS))] = Field(
         default=None, description="longer delays, growing, for each of which a softer coupling is held ready, in s"
@@ -407,7 +408,7 @@ class Design(SessionModel):
 
     @property
     def counted(self) -> float | None:
-        """The greatest part of a port's own link that is counted in series; ``None`` where nothing is counted."""
+        """The greatest part of the world's compliance that is counted in series; ``None`` where nothing is counted."""
         if isinstance(self.series, bool):
             return MOST if self.series else None
         return self.series

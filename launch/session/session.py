@@ -35,6 +35,8 @@ from manyhands.launch.session.environment import (
     AskedEnvironment,
     Environment,
     NetworkEnvironment,
+    StateSpaceEnvironment,
+    TransferFunctionEnvironment,
     environment_of_its_type,
 )
 from manyhands.launch.session.errors import SessionError, listed, one_of, show
@@ -381,14 +383,19 @@ class Session(SessionModel):
                 yield Problem(("colocate",), found, "couplings of one device each, or false")
 
     def _series_problems(self) -> Iterator[Problem]:
-        """A problem where a world that has no springs to be counted is to be counted in series."""
+        """A problem where compliance of a world that has none to be counted is to be counted in series."""
         if self.design.counted is None:
             return
-        at, network = ("design", "series"), self.environment
-        if not isinstance(network, NetworkEnvironment) or network.delay:
-            late = " with a delay" if isinstance(network, NetworkEnvironment) else ""
-            found = f"{show(self.design.series)} with an environment of type {network.type}{late}"
-            yield Problem(at, found, "an environment of type network without delay, or series: false")
+        at, world = ("design", "series"), self.environment
+        fault = f" with an environment of type {world.type}"
+        match world:
+            case NetworkEnvironment() | StateSpaceEnvironment() | TransferFunctionEnvironment():
+                fault = f"{fault} with a delay" if world.delay else ""
+        if fault:
+            expected = (
+                "an environment of type network, state-space or transfer-function without delay, or series: false"
+            )
+            yield Problem(at, show(self.design.series) + fault, expected)
         elif self.wave_links:
             found = f"{show(self.design.series)} with the wave link of {next(iter(self.wave_links))!r}"
             yield Problem(at, found, "no wave link, or series: false: the spring of a world is not there across a link")

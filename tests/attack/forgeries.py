@@ -135,9 +135,15 @@ def _period_tolerance(rng: Generator, data: Data) -> None:
 
 
 def _series(rng: Generator, data: Data) -> None:
-    """Another part of a port's link, a part that is none, another port; or the key in a version without it."""
+    """Another part or compliance, one that is none, another port; or the key in a version without it."""
     parts = data.setdefault("series", {})
     port = str(rng.choice(data["ports"]))
+    if data["environment"]["type"] in ("state-space", "transfer-function"):
+        stated = parts.get(port, {}).get("compliance", data["period"])
+        found = [stated * factor(rng), stated * (1.0 + 1e-3 * rng.random()), 10.0 * stated, 0.0, -stated]
+        parts[port] = {"compliance": float(rng.choice(found))}
+        data["version"] = 5
+        return
     parts[port] = float(rng.choice([rng.random(), parts.get(port, 0.5) * factor(rng), 1.0, 0.0, 1.5, -0.5]))
     if rng.random() < 0.2:
         parts.pop(_block(rng, parts))
@@ -277,7 +283,7 @@ def applies(change: str, data: Data) -> bool:
     needs = {
         "gamma": data["transparency"] is not None,
         "delay": E != "declared",
-        "series": "series" in data or (E == "network" and data["version"] == 3),
+        "series": "series" in data or (E in ("network", "state-space", "transfer-function") and data["version"] == 3),
         "intervals": E == "network" and data["environment"]["delay"] == 0,
     }
     return needs.get(change, True)

@@ -221,7 +221,8 @@ def at_level(rng: np.random.Generator, data: Mapping[str, Any]) -> dict[str, Any
     C[:, :m] = -D
     E = {"type": "state-space", "time": "discrete", "delay": 0}
     E |= {key: M.tolist() for key, M in zip("ABCD", (A, B, C, D), strict=True)}
-    return {**data, "environment": E}
+    kept = {key: value for key, value in data.items() if key != "series"}  # the level is that of what is left
+    return {**kept, "environment": E}
 
 
 def _exactly(M: Array) -> Array:

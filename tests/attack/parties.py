@@ -118,7 +118,27 @@ class Reader:
         """E as a discrete state space, with its delay."""
         E = self.data["environment"]
         own = {"network": self._network, "state-space": self._system, "transfer-function": self._transfer}[E["type"]]()
+        if E["type"] != "network" and "series" in self.data:
+            own = self._pushed(own)
         return self._late(own, E["delay"])
+
+    def _pushed(self, system: Realisation) -> Realisation:
+        """E (I - c E)^-1: the force f of the displacement x' + c f."""
+        A, B, C, D = system
+        c = self.springs
+        n, m = B.shape
+        f = self.arithmetic.solve(self.eye(m) - D @ c, np.hstack([C, D]))  # of the states and x'
+        moved = c @ f + np.hstack([self.arithmetic.zeros(m, n), self.eye(m)])
+        after = np.hstack([A, self.arithmetic.zeros(n, m)]) + B @ moved
+        return after[:, :n], after[:, n:], f[:, :n], f[:, n:]
+
+    @property
+    def springs(self) -> Array:
+        """diag(c) of the compliances that are counted of a world that is no network."""
+        out = self.arithmetic.zeros(len(self.ports), len(self.ports))
+        for port, entry in self.data["series"].items():
+            out[self.ports.index(port), self.ports.index(port)] = self.arithmetic.number(entry["compliance"])
+        return out
 
     def eye(self, n: int) -> Array:
         """The identity."""
@@ -301,6 +321,8 @@ class Reader:
                     num, den = (self.polynomial(trimmed(entry[key]), s) for key in ("num", "den"))
                     value = num / den
                     out[..., i, j] = value[..., 0, 0] if isinstance(value, np.ndarray) else value
+        if E["type"] != "network" and "series" in self.data:
+            out = self.arithmetic.solve(self.eye(m) - out @ self.springs, out)
         return out * z ** (-E["delay"])
 
     @property
@@ -309,10 +331,12 @@ class Reader:
         return replace(self, data={key: value for key, value in self.data.items() if key != "series"})
 
     def counted_at(self, z: Any) -> list[Any]:
-        """What is counted of each port's own links, p/(k + b s), at z; 0 where nothing is."""
+        """What is counted at each port, of a network p/(k + b s), at z; 0 where nothing is."""
         parts, number = self.data.get("series", {}), self.arithmetic.number
         if not parts:
             return [0 * z for _ in self.ports]
+        if self.data["environment"]["type"] != "network":
+            return [self.springs[i, i] + 0 * z for i in range(len(self.ports))]
         _, B, K = self.world.network  # a port's own links are all that its row has
         s = (z - 1) / (z * self.T)
         return [
@@ -372,7 +396,21 @@ def _divided(num: list[Any], den: list[Any]) -> tuple[list[Any], list[Any]]:
 
 
 def static_stiffness(data: Data) -> list[list[fmpq]] | None:
-    """E(1) by the decimals of the file, exactly; None where a pole at z = 1 leaves none."""
+    """E(1) by the decimals of the file, exactly, behind what is counted; None where a pole at z = 1 leaves none."""
+    out = _stated_stiffness(data)
+    if out is None or "series" not in data:
+        return out
+    m = len(out)
+    c = [decimal(data["series"][port]["compliance"]) if port in data["series"] else fmpq(0) for port in data["ports"]]
+    left = fmpq_mat([[fmpq(int(i == j)) - out[i][j] * c[j] for j in range(m)] for i in range(m)])
+    try:
+        behind = left.solve(fmpq_mat(out))
+    except ZeroDivisionError:
+        return None
+    return [[behind[i, j] for j in range(m)] for i in range(m)]
+
+
+def _stated_stiffness(data: Data) -> list[list[fmpq]] | None:
     E = data["environment"]
     if E["type"] == "transfer-function":
         rows = []

@@ -50,7 +50,7 @@ def statics(data: Data) -> list[str]:
             out.append("a network's parts are positive")
         elif not _counted(data):
             out.append("what is counted in series is the world's own")
-    elif "series" in data:
+    elif "series" in data and not _counted_springs(data):
         out.append("what is counted in series is the world's own")
     elif E["type"] != "declared":
         E1 = static_stiffness(data)
@@ -77,6 +77,12 @@ def _counted(data: Data) -> bool:
         if late or len(others) != 1 or others & set(data["ports"]) or not stiff or not 0 < decimal(part) < 1:
             return False
     return True
+
+
+def _counted_springs(data: Data) -> bool:
+    """Whether each compliance is above 0, of a world of matrices or rational functions that is not late."""
+    known = data["environment"]["type"] in ("state-space", "transfer-function") and not data["environment"]["delay"]
+    return known and all(decimal(entry["compliance"]) > 0 for entry in data["series"].values())
 
 
 def _ends(span: Any) -> list[float]:

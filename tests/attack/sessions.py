@@ -36,6 +36,7 @@ from manyhands.design.problem import (
     SpringDamperWanted,
     Wish,
 )
+from manyhands.design.series import counted_parts
 from manyhands.design.synthesis import design
 
 Data = dict[str, Any]
@@ -324,7 +325,10 @@ def of_linear(rng: Generator) -> Data | None:
 
 
 def of_series(rng: Generator) -> Data | None:
-    """A network that some ports meet by one spring of their own, of which a part is counted in series."""
+    """A network that some ports meet by one spring of their own, of which a part is counted in series; or a state space
+    or rational functions, of which as much is counted as leaves them passive, or less, or too much."""
+    if rng.random() < 0.4:
+        return _of_counted_springs(rng)
     T, osp, _ = _scales(rng)
     m = int(rng.integers(1, 7))
     ports, n = tuple(f"p{i}" for i in range(m)), int(rng.integers(0, 3))
@@ -352,10 +356,27 @@ def of_series(rng: Generator) -> Data | None:
     if any(counted):
         loop = replace(loop, series=tuple(counted))
     if rng.random() < 0.3 and loop.punctual and isinstance(world, Network):
-        p = float(np.exp(-spread(rng, -2.0, -0.5)))
-        objective = "loop-shaping" if rng.random() < 0.5 else "closed-loop"
-        aim = Transparency(objective, Filter((1.0 - p,), (1.0, -p)), Filter((1.0,), (1.0,)))  # type: ignore[arg-type]
+        aim = _some_aim(rng)
     return designed(loop, spring_damper(rng, loop, aim))
+
+
+def _of_counted_springs(rng: Generator) -> Data | None:
+    T, osp, m = _scales(rng)
+    size = osp / T * spread(rng, -1.0, 1.5)
+    world: Any = replace((system if rng.random() < 0.5 else transfer)(rng, m, size, T), delay=0)
+    loop = loop_of(rng, world, T, osp, late(rng, T))
+    most = counted_parts(loop)
+    if not most or rng.random() < 0.1:
+        most = tuple(float(c) for c in 0.5 / size * rng.random(m))
+    by = float(rng.choice([1.0, rng.random(), 1.0 + spread(rng, -4.0, 0.0)]))
+    loop = replace(loop, series=tuple(by * c for c in most))
+    return designed(loop, spring_damper(rng, loop, _some_aim(rng) if rng.random() < 0.3 and loop.punctual else None))
+
+
+def _some_aim(rng: Generator) -> Transparency:
+    p = float(np.exp(-spread(rng, -2.0, -0.5)))
+    objective = "loop-shaping" if rng.random() < 0.5 else "closed-loop"
+    return Transparency(objective, Filter((1.0 - p,), (1.0, -p)), Filter((1.0,), (1.0,)))  # type: ignore[arg-type]
 
 
 def of_transparency(rng: Generator) -> Data | None:

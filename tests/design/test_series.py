@@ -10,15 +10,42 @@ from typing import Any
 
 import numpy as np
 import pytest
+from flint import fmpq_mat
 
-from manyhands.design.certificate import Certificate, content, differences, identity, load
+from manyhands.design.certificate import (
+    Certificate,
+    content,
+    describe_environment,
+    differences,
+    from_content,
+    identity,
+    load,
+)
 from manyhands.design.ladder import automatic_delays, design_ladder
 from manyhands.design.models.coupling import Partition, SpringDamper, realisations
-from manyhands.design.models.environment import DelayedNetwork, NetworkBox
-from manyhands.design.models.network import GROUND, Network, NetworkLink
-from manyhands.design.models.statespace import StateSpace
-from manyhands.design.problem import DeviceLevel, HapticLoop, LinearWanted, SpringDamperWanted, Wish
+from manyhands.design.models.environment import (
+    DelayedNetwork,
+    NetworkBox,
+    StateSpaceEnvironment,
+    StiffenedEnvironment,
+    TransferEnvironment,
+)
+from manyhands.design.models.network import GROUND, Method, Network, NetworkLink
+from manyhands.design.models.statespace import Matrix, StateSpace
+from manyhands.design.models.weights import Filter, Transparency
+from manyhands.design.problem import (
+    DeviceLevel,
+    HapticLoop,
+    LinearWanted,
+    SpringDamperGiven,
+    SpringDamperWanted,
+    Wish,
+)
 from manyhands.design.proof import ProofInputError, prove
+from manyhands.design.proof.claim import StiffenedData, read_environment
+from manyhands.design.proof.environment import environment as environment_of_proof
+from manyhands.design.proof.environment import split as split_of_proof
+from manyhands.design.proof.exact import Item, exact_decimal
 from manyhands.design.proof.ladder import prove_ladder
 from manyhands.design.series import counted_parts
 from manyhands.design.synthesis import design
@@ -254,7 +281,7 @@ def test_the_file_is_read_back_as_it_was_written(stiff: Certificate, tmp_path: P
 def test_a_certificate_that_counts_is_not_one_of_a_session_that_does_not(stiff: Certificate) -> None:
     assert differences(stiff, stiff.loop, STIFFEST) == []
     assert differences(stiff, replace(stiff.loop, series=()), STIFFEST) == [
-        "the part of the world's links that is counted in series differs"
+        "the compliance of the world that is counted in series differs"
     ]
     assert differences(stiff, replace(stiff.loop, series=(0.999, 0.999, 0.5)), STIFFEST)
 
@@ -289,7 +316,7 @@ FALSE: dict[str, tuple[tuple[Any, ...], Any, str]] = {
     "no end": (("environment", "links", 0, "between"), ["hub", "ground"], "lead to 0 ends"),
     "another port": (("environment", "links", 0, "between"), ["dx", "dy"], "leads to another port"),
     "a damper alone": (("environment", "links", 0, "stiffness"), 0.0, "has no stiffness"),
-    "a late world": (("environment", "delay"), 1, "no network without delay"),
+    "a late world": (("environment", "delay"), 1, "without delay"),
 }
 
 
@@ -385,3 +412,274 @@ def test_the_damper_of_a_contact_lowers_the_limit_of_a_plain_spring(counted: Hap
     bare = plain(some) | {"series": {}}
     bare["coupling"]["blocks"]["cz"] = {"stiffness": own[0].stiffness.tolist(), "damping": own[0].damping.tolist()}
     assert growth([precise(bare)], light) > 0.05
+
+
+# --- worlds without links: plain springs
+
+
+def given(E: StateSpace, ports: tuple[str, ...]) -> StateSpaceEnvironment:
+    """E as matrices, with a static gain that is symmetric to the last digit."""
+    gain = E.response(1.0).real
+    return StateSpaceEnvironment(ports, StateSpace.with_static_gain(E.A, E.B, E.C, (gain + gain.T) / 2.0))
+
+
+def springs(K: Matrix, B: Matrix) -> TransferEnvironment:
+    """K + B s as rational functions."""
+    m = len(K)
+    rows = [[((float(B[i, j]), float(K[i, j])), (1.0,)) for j in range(m)] for i in range(m)]
+    return TransferEnvironment(tuple(f"p{i}" for i in range(m)), tuple(map(tuple, rows)))
+
+
+def of_world(world: StateSpaceEnvironment | TransferEnvironment) -> HapticLoop:
+    devices = tuple(DeviceLevel(p, (i,), np.array([[1.37]])) for i, p in enumerate(world.ports))
+    blocks = Partition(world.ports, tuple((i,) for i in range(len(world.ports))))
+    return HapticLoop("given", T, world.ports, devices, blocks, world)
+
+
+ANGLES = np.concatenate([np.geomspace(1e-4, np.pi, 2000), np.linspace(0.01, np.pi, 2000)])  # rad a tick
+
+
+def least_part(E: StateSpace, angles: Matrix = ANGLES) -> float:
+    """The least eigenvalue of He E_hat over ``angles``, N*s/m."""
+    z = np.exp(1j * angles)
+    hats = [E.response(point) * (T * point / (point - 1.0)) for point in z]
+    return min(float(np.linalg.eigvalsh((hat + hat.conj().T) / 2.0)[0]) for hat in hats)
+
+
+@pytest.fixture(scope="module")
+def matrices(counted: HapticLoop) -> HapticLoop:
+    """Example 1 with its world as matrices, with as much counted as the design would."""
+    loop = replace(counted, environment=given(counted.environment.environment(T), counted.ports), series=())
+    return replace(loop, series=counted_parts(loop))
+
+
+@pytest.fixture(scope="module")
+def stiff_matrices(matrices: HapticLoop) -> Certificate:
+    """Its stiffest coupling."""
+    return design(matrices, STIFFEST).certificate
+
+
+@pytest.mark.parametrize(("k", "b"), [(3300.0, 0.3), (3300.0, 0.0), (9000.0, 2.0), (1000.0, 20.0)])
+def test_a_spring_gives_up_what_its_stiffness_at_the_nyquist_frequency_leaves(k: float, b: float) -> None:
+    (found,) = counted_parts(of_world(springs(np.array([[k]]), np.array([[b]]))))
+    assert found == pytest.approx(0.999 / (k + 2.0 * b / T), rel=1e-3)
+    assert found <= 0.999 / (k + 2.0 * b / T)
+    assert f"{found:.3e}" == f"{found:.8e}".replace("00000e", "e")  # four figures, on every machine
+
+
+def test_no_more_is_counted_than_the_coupling_keeps_and_no_more_than_is_asked() -> None:
+    soft = of_world(springs(np.array([[100.0]]), np.array([[0.0]])))
+    assert counted_parts(soft)[0] == pytest.approx(0.999 * 0.9 * T / 2.0 / 1.37, rel=1e-3)
+    world = of_world(springs(np.array([[3300.0]]), np.array([[0.3]])))
+    assert counted_parts(world, 0.5)[0] == pytest.approx(0.5 / 0.999 * counted_parts(world)[0], rel=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_greatest_springs_leave_a_passive_world_and_none_can_grow_alone(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    m = int(rng.integers(1, 4))
+    X = rng.normal(size=(m, m))
+    network = Network(
+        tuple(f"p{i}" for i in range(m)),
+        (("a", 0.05),),
+        (
+            *(NetworkLink((f"p{i}", "a"), *(10.0 ** rng.uniform((3, -2), (4, 0)))) for i in range(m)),
+            NetworkLink(("a", GROUND), 2000.0, 0.5),
+        ),
+    )
+    K = X @ X.T * 3000.0 + 500.0 * np.eye(m)
+    world = springs((K + K.T) / 2.0, 0.2 * np.eye(m)) if seed % 2 else given(network.environment(T), network.ports)
+    loop = of_world(world)
+    found = np.array(counted_parts(loop)) / 0.999
+    assert np.all(found > 0.0)
+    size = float(np.abs(world.environment(T).response(-1.0)).max()) * T
+    assert least_part(StiffenedEnvironment(world, tuple(0.999 * found)).discrete(T)) >= -1e-9 * size
+    at_limit = 0.9 * T / 2.0 / 1.37
+    for i in range(m):
+        more = found.copy()
+        more[i] *= 1.005
+        if more[i] < at_limit:
+            assert least_part(StiffenedEnvironment(world, tuple(more)).discrete(T)) < 0.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_hands_feel_the_same_where_plain_springs_are_counted(matrices: HapticLoop, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    loop = replace(matrices, series=tuple(float(c) for c in rng.random(3) * matrices.series))
+    run = loop.partition.join(realisations((SpringDamper([[900.0]], [[0.2]]),) * 3, T))
+    own = loop.without_counted(run)
+    assert own.order == run.order
+    left = loop.cut.environment.environment(T)
+    assert left.order == loop.environment.environment(T).order
+    for z in np.exp(1j * np.array([1e-3, 0.02, 0.3, 1.5, np.pi])):
+        felt = []
+        for V, E in ((own, loop.environment.environment(T)), (run, left)):
+            E_z = E.response(z)
+            felt.append(np.linalg.solve(np.eye(3) + E_z @ V.response(z), E_z))
+        np.testing.assert_allclose(felt[0], felt[1], rtol=1e-6, atol=1e-7 * np.abs(felt[0]).max())
+
+
+def test_worlds_that_lack_passivity_or_are_late_count_nothing() -> None:
+    active = StateSpaceEnvironment(("p",), StateSpace([[-3000.0]], [[3000.0]], [[900.0]], [[100.0]]), "zoh")
+    late = replace(springs(np.array([[3300.0]]), np.array([[0.3]])), delay=1)
+    unstable = StateSpaceEnvironment(("p",), StateSpace([[1.1]], [[1.0]], [[-1.0]], [[100.0]]))
+    for world in (active, late, unstable):
+        assert counted_parts(of_world(world)) == ()
+    with pytest.raises(ValueError, match="an environment without delay"):
+        replace(of_world(late), series=(1e-4,))
+    with pytest.raises(ValueError, match="a compliance of 0 or more"):
+        replace(of_world(springs(np.array([[3300.0]]), np.array([[0.3]]))), series=(-1e-4,))
+
+
+def test_matrices_of_example_1_become_nearly_as_stiff_as_its_network(stiff_matrices: Certificate) -> None:
+    """c = 0.999/(k + 2 b/T), and 1/K + c > T/(2 Delta_D)."""
+    b = np.array([0.1, 0.2, 0.3])
+    limits = 1.0 / (T / 2.0 / 1.37 - 0.999 / (CONTACTS + 2.0 * b / T))
+    assert np.diag(stiff_matrices.stiffness) == pytest.approx(limits, rel=0.01)
+    assert all(finding.holds for finding in prove(plain(stiff_matrices)))
+    assert judge(plain(stiff_matrices), np.random.default_rng(5), draws=20, steps=20).findings == []
+
+
+def test_with_a_delay_and_rungs_too(matrices: HapticLoop, stiff_matrices: Certificate) -> None:
+    found = design_ladder(stiff_matrices, STIFFEST, automatic_delays(matrices)).ladder
+    assert found is not None
+    assert all(finding.holds for rung in found.rungs for finding in prove(plain(rung)))
+    plainly = design(replace(matrices, tau=3e-4, series=()), STIFFEST).certificate
+    late = design(replace(matrices, tau=3e-4), STIFFEST).certificate
+    assert np.all(np.diag(late.stiffness) > 1.5 * np.diag(plainly.stiffness))
+    assert all(finding.holds for finding in prove(plain(late)))
+
+
+def test_plain_springs_stand_in_the_file_in_metres_by_newton(stiff_matrices: Certificate, tmp_path: Path) -> None:
+    stiff_matrices.save(tmp_path / "c.json")
+    again, data = load(tmp_path / "c.json")
+    loop = stiff_matrices.loop
+    assert data["series"] == {p: {"compliance": c} for p, c in zip(loop.ports, loop.series, strict=True)}
+    assert (data["version"], again.id) == (5, stiff_matrices.id)
+    assert content(again) == content(stiff_matrices)
+    assert differences(again, loop, STIFFEST) == []
+    assert differences(again, replace(loop, series=(1e-4, *loop.series[1:])), STIFFEST) == [
+        "the compliance of the world that is counted in series differs"
+    ]
+
+
+@pytest.mark.parametrize("kind", ["matrices", "functions"])
+def test_transparency_is_about_the_coupling_less_the_springs(matrices: HapticLoop, kind: str) -> None:
+    loop = matrices
+    if kind == "functions":
+        loop = of_world(springs(np.array([[3300.0]]), np.array([[0.3]])))
+        loop = replace(loop, series=counted_parts(loop))
+    aim = Transparency("closed-loop", Filter((0.1,), (1.0, -0.9)), Filter((1.0,), (1.0,)))
+    m = len(loop.ports)
+    coupling = SpringDamper(1000.0 * np.eye(m), 0.1 * np.eye(m))
+    found = design(loop, SpringDamperGiven(coupling, aim)).certificate
+    data, claim = plain(found), found.transparency
+    assert claim is not None
+    assert all(finding.holds for finding in prove(data))
+    E, V = (StateSpace(*system[:4]) for system in (found.E, found.V))
+    peak = 0.0
+    for z in np.exp(1j * np.concatenate([[1e-6], np.geomspace(1e-3, np.pi, 3000)])):
+        E_z, W = E.response(z), claim.aim.W1.response(np.array([z]))[0]
+        error = np.linalg.solve(np.eye(m) + E_z @ V.response(z), E_z) - E_z
+        peak = max(peak, float(np.linalg.norm(W * error, 2)))
+    assert peak < claim.gamma < peak * 1.01
+    port = loop.ports[0]
+    other = changed(data, ("series", port, "compliance"), 0.9 * data["series"][port]["compliance"])
+    assert any("transparency" in finding.condition and not finding.holds for finding in prove(other))
+
+
+FALSE_SPRINGS: dict[str, tuple[tuple[Any, ...], Any, str, str]] = {
+    "none": (("series", "dx", "compliance"), 0, "the world's own", "not greater than 0"),
+    "negative": (("series", "dx", "compliance"), -1e-4, "the world's own", "not greater than 0"),
+    "a late world": (("environment", "delay"), 1, "the world's own", "without delay"),
+    "more": (("series", "dx", "compliance"), 2.75e-4, "(14)", ""),
+    "less": (("series", "dx", "compliance"), 1.2e-4, "(14)", ""),
+    "all": (("series", "dx", "compliance"), 1e-2, "E(1) is symmetric and >= 0", ""),
+    "another world": (("environment", "C", 0, 0), 17.0, "(14)", ""),
+}
+
+
+@pytest.mark.parametrize("name", FALSE_SPRINGS)
+def test_other_springs_are_not_proved(stiff_matrices: Certificate, name: str) -> None:
+    path, value, condition, text = FALSE_SPRINGS[name]
+    failing = [finding for finding in prove(changed(plain(stiff_matrices), path, value)) if not finding.holds]
+    assert condition in failing[0].condition
+    assert text in failing[0].argument
+
+
+def test_a_spring_that_takes_the_whole_stiffness_leaves_no_world() -> None:
+    """I - E(1) C is singular at c = 1/k, and just above it E'(1) is negative."""
+    world = of_world(springs(np.array([[4096.0]]), np.array([[0.0]])))
+    data = plain(design(replace(world, series=counted_parts(world)), STIFFEST).certificate)
+    for compliance, text in ((1.0 / 4096.0, "eigenvalue 1"), (1.0 / 4095.0, "")):
+        failing = [f for f in prove(changed(data, ("series", "p0", "compliance"), compliance)) if not f.holds]
+        assert failing[0].condition == "the static stiffness E1 = E(1) is symmetric and >= 0"
+        assert text in failing[0].argument
+
+
+@pytest.mark.parametrize("value", [2e-4, {}, {"part": 0.5}, {"compliance": "all"}, {"compliance": 1e-4, "part": 0.5}])
+def test_hostile_springs_are_refused(stiff_matrices: Certificate, stiff: Certificate, value: Any) -> None:
+    with pytest.raises(ProofInputError, match="series"):
+        prove(changed(plain(stiff_matrices), ("series", "dx"), value))
+    if isinstance(value, dict):
+        with pytest.raises(ProofInputError, match="series"):
+            prove(changed(plain(stiff), ("series", "dx"), value))
+    with pytest.raises((ValueError, TypeError)):
+        from_content(changed(plain(stiff_matrices), ("series", "dx"), value))
+
+
+def test_hands_shake_a_coupling_beyond_the_plain_springs(stiff_matrices: Certificate) -> None:
+    """The oracle knows E': with V at 1.5 times its limit it finds hands that shake the loop."""
+    data = plain(stiff_matrices)
+    for name in data["coupling"]["blocks"]:
+        data["coupling"]["blocks"][name] = {"stiffness": [[1.5 * 2740.0]], "damping": [[0.0]]}
+    found = judge(sealed({**data, "margins": {}}), np.random.default_rng(5), draws=20, steps=40)
+    assert any(finding.startswith("shaken") for finding in found.findings)
+
+
+@pytest.mark.parametrize(
+    ("A", "gain", "D", "method"),
+    [
+        ([[0.0, 1.0], [-1.5e6, -40.0]], 6.4e3, 3000.0, "zoh"),
+        ([[0.0, 1.0], [-5.38e6, -151.5]], 1.1197e4, 3023.3, "tustin"),
+    ],
+    ids=["E' unstable at first", "E' not passive at first"],
+)
+def test_a_resonance_between_the_angles_of_the_program_is_found(
+    A: list[list[float]], gain: float, D: float, method: Method
+) -> None:
+    """A mass on a spring, sampled: its own angle is in the program from the start; the one that decides is not."""
+    world = StateSpaceEnvironment(("p",), StateSpace(A, [[0.0], [-gain]], [[gain, 0.0]], [[D]]), method)
+    (found,) = counted_parts(of_world(world))
+    left, more = (StiffenedEnvironment(world, (c,)).discrete(T) for c in (found, 1.005 * found))
+    assert np.max(np.abs(np.linalg.eigvals(left.A))) < 1.0
+    angles = np.linspace(0.5, np.pi, 20_000)
+    assert least_part(left, angles) >= 0.0
+    assert least_part(more, angles) < 0.0 or np.max(np.abs(np.linalg.eigvals(more.A))) >= 1.0
+
+
+@pytest.mark.parametrize("kind", ["matrices", "functions"])
+def test_the_proof_rebuilds_the_world_that_is_left(matrices: HapticLoop, kind: str) -> None:
+    """The prover's E', in balls, has the response E (I - C E)^-1, and E'(1) exactly."""
+    loop = matrices
+    if kind == "functions":
+        K = np.array([[3300.0, -700.0], [-700.0, 2500.0]])
+        loop = replace(of_world(springs(K, 0.3 * np.eye(2))), series=(2e-4, 1e-4))
+    m = len(loop.ports)
+    data = StiffenedData(
+        read_environment(Item(describe_environment(loop.environment), "environment"), loop.ports),  # type: ignore[arg-type]
+        fmpq_mat(m, m, [exact_decimal(c) if i == j else 0 for i, c in enumerate(loop.series) for j in range(m)]),
+    )
+    rest = split_of_proof(data, exact_decimal(T))
+    A, B, C, D = (
+        np.array([[float(entry) for entry in row] for row in M.tolist()]).reshape(M.nrows(), M.ncols())
+        for M in environment_of_proof(rest, exact_decimal(T))
+    )
+    E = loop.environment.environment(T)
+    for z in np.exp(1j * np.array([1e-4, 0.02, 0.3, 1.5, np.pi])):
+        expected = E.response(z) @ np.linalg.inv(np.eye(m) - np.diag(loop.series) @ E.response(z))
+        np.testing.assert_allclose(StateSpace(A, B, C, D).response(z), expected, rtol=1e-6, atol=1e-6)
+    steady = E.response(1.0).real
+    left = steady @ np.linalg.inv(np.eye(m) - np.diag(loop.series) @ steady)
+    found = [[float(entry) for entry in row] for row in rest.stiffness.tolist()]
+    np.testing.assert_allclose(found, left, rtol=1e-9, atol=1e-9)
