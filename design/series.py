@@ -123,14 +123,14 @@ def _greatest_compliance(
     for _ in range(_MOST_CUTS):
         try:
             greatest = _greatest_at(np.array(H), np.array(E_z), T, limits)
-        except np.linalg.LinAlgError:  # E itself is not passive there
+            left = StiffenedEnvironment(environment, tuple((MOST * greatest).tolist()))
+            poles = np.linalg.eigvals(left.discrete(T).A)
+        except (Infeasible, np.linalg.LinAlgError):  # E itself is not passive at one of the angles
             return nothing
-        left = StiffenedEnvironment(environment, tuple((MOST * greatest).tolist()))
         try:
             lacking = lack_of_passivity(left.split(T), T, Delta_D)
         except (Infeasible, SolverFailure):  # E' has a pole outside: the circle is crossed at its angle
-            poles = np.linalg.eigvals(left.discrete(T).A)
-            worst = float(np.abs(np.angle(poles[np.argmax(np.abs(poles))])))
+            worst = float(np.abs(np.angle(poles[np.argmax(np.abs(poles))]))) if len(poles) else 0.0
         else:
             if lacking.multiple <= _PASSIVE:
                 return greatest
@@ -165,8 +165,7 @@ def _greatest_at(H: NDArray[np.complex128], E: NDArray[np.complex128], T: float,
     adjoint = np.conj(np.swapaxes(E, 1, 2))
     scale = np.max(np.abs(np.diagonal(H, axis1=1, axis2=2)), axis=0)
     H = H + np.diag(_SINGULAR * np.where(scale > 0.0, scale, 1.0))  # where a direction of H is 0, that of E is too
-
-    np.linalg.cholesky(H)
+    np.linalg.cholesky(H)  # for its error
 
     def answers(parts: Matrix) -> NDArray[np.complex128]:
         X = E @ np.linalg.solve(H - adjoint @ (parts[:, np.newaxis] * E), adjoint)

@@ -519,6 +519,18 @@ def test_hands_feel_the_same_where_plain_springs_are_counted(matrices: HapticLoo
         np.testing.assert_allclose(felt[0], felt[1], rtol=1e-6, atol=1e-7 * np.abs(felt[0]).max())
 
 
+def test_static_worlds_give_up_what_their_stiffness_leaves() -> None:
+    """Without states E' = K (I - C K)^-1, for a singular K and a port that touches nothing too."""
+    K = np.array([[3000.0, -3000.0, 0.0], [-3000.0, 3000.0, 0.0], [0.0, 0.0, 0.0]])
+    world = of_world(StateSpaceEnvironment(("a", "b", "c"), StateSpace.static(K)))
+    a, b, c = counted_parts(world)
+    assert a + b == pytest.approx(0.999 / 3000.0, rel=1e-3)  # two ports share a spring, and each gives up half of it
+    assert a == pytest.approx(b, rel=1e-3)
+    assert c == pytest.approx(0.999 * 0.9 * T / 2.0 / 1.37, rel=1e-3)
+    found = design(replace(world, series=(a, b, c)), STIFFEST).certificate
+    assert all(finding.holds for finding in prove(plain(found)))
+
+
 def test_worlds_that_lack_passivity_or_are_late_count_nothing() -> None:
     active = StateSpaceEnvironment(("p",), StateSpace([[-3000.0]], [[3000.0]], [[900.0]], [[100.0]]), "zoh")
     late = replace(springs(np.array([[3300.0]]), np.array([[0.3]])), delay=1)
