@@ -247,7 +247,9 @@ def test_two_guests_come_and_go_by_their_invitations_alone(tmp_path: Path) -> No
         asked = Said(stack.enter_context(command("join", path.name, cwd=here, answer="yes\n")))
         right = stack.enter_context(guest("right_seat", home, there))
         host.joined(*SEATS)
-        host.go_on(2100)  # more than one line of progress
+        for one in (asked, right):
+            one.until(": in, ")
+        host.go_on(3100)  # more than one line of progress, of which the last before may be a second old
         assert asked.end(signal.SIGINT) == 130
         host.left("left_seat")
         assert host.end(signal.SIGINT) == 130
