@@ -41,12 +41,11 @@ from tests.deterministic.touch import (
     scene,
     touch,
 )
-from tests.deterministic.touch_peers import IMPEDANCE, WELD, GodObject, MocapWeld, Penalty
+from tests.deterministic.touch_peers import IMPEDANCE, STATED, WELD, GodObject, MocapWeld, Penalty
 
 MARK, REST_MARK = "peers", "rest"
 SECONDS = 5.0
 REST_SECONDS = 20.0  # of which the last one counts
-STATED = 2400.0  # N/m: 0.8 of the 3000 N/m that CHAI3D states for a Novint Falcon
 STIFFNESS = {"wall": 50e3, "stones": 2000.0}  # N/m, of the worlds of ours
 SPRINGS = (500.0, 2000.0)  # N/m, between tool and avatar
 SWEEP = (200.0, 300.0, 400.0, 450.0, 500.0, 550.0, 600.0, 700.0, 800.0, 1000.0, 1400.0, 2000.0, 2400.0, 3500.0, 50e3)

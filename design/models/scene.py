@@ -293,9 +293,8 @@ class ContactScene:
             if len(set(tool.axes)) < len(tool.axes) or len(tool.axes) != len(tool.ports) or not set(tool.axes) <= _XYZ:
                 yield f"tool {tool.name}: found the axes {tool.axes} for {len(tool.ports)} ports; expected one each"
         for body in self.bodies:
-            if body.shape not in BODY_SHAPES or {"sphere": any(body.half), "box": min(body.half) <= 0.0}.get(
-                body.shape
-            ):
+            extended, flat = body.shape == "sphere" and any(body.half), body.shape == "box" and min(body.half) <= 0.0
+            if body.shape not in BODY_SHAPES or extended or flat:
                 yield f"body {body.name}: found the shape {body.shape!r} with the half extent {body.half}"
         for obstacle in self.obstacles:
             expected = {"wall": 2, "room": 2, "box": 2, "capsule": 2, "sphere": 1}.get(obstacle.shape)

@@ -251,7 +251,7 @@ class SceneLaw:
     def _touched(self, free: Vector) -> tuple[Vector, Vector]:
         """The positions and the contacts' forces on all points, from the positions ``free`` without contacts."""
         z, force = self._solved(free)
-        while 4.0 * (moved := float(np.abs(z - self._z).max(initial=0.0))) > self._reach < _EVERYWHERE:
+        while 4.0 * (moved := float(np.abs(z - self._z).max(initial=0.0))) > self._reach and self._reach < _EVERYWHERE:
             # far motion: the pairs within 8 times of it take part, at least twice as far as before
             self._reach = 8.0 * moved
             near = np.flatnonzero(self._gap < self._reach)

@@ -22,11 +22,10 @@ from tests.deterministic.touch import (
     scene,
     touch,
 )
-from tests.deterministic.touch_peers import GodObject, MocapWeld, Penalty
+from tests.deterministic.touch_peers import STATED, GodObject, MocapWeld, Penalty
 
 STIFF = 50e3  # N/m
 LOOSE = Grip(100.0, 0.0)  # a hand that burns nothing
-STATED = 2400.0  # N/m: 0.8 of what CHAI3D states for a Novint Falcon
 
 
 @pytest.mark.parametrize("kind", [scene, proxies])

@@ -53,6 +53,9 @@ class GodObject:
         return [self._K * (to - at) for to, at in zip(nearest(self._world, x), x, strict=True)]
 
 
+STATED: Final = 2400.0
+"""N/m; the stiffness of a penalty as documented: 0.8 of the 3000 N/m that CHAI3D states for a Novint Falcon."""
+
 WELD: Final = 0.02
 """s; the time constant of a constraint where a model states none [MuJoCo2026]_."""
 
