@@ -32,6 +32,7 @@ from manyhands.design.models.statespace import Matrix, StateSpace, matrix
 from manyhands.nodes.device.specification import NO_DELAY, DeviceTiming
 from manyhands.nodes.environment.energy import EnergyBudget
 from manyhands.nodes.factory import FactoryName
+from manyhands.nodes.wave_link.bounds import SiteBounds
 from manyhands.protocol.clock import from_seconds
 from manyhands.protocol.messages import Role, Start
 
@@ -495,9 +496,10 @@ class WaveEnd:
         every: this end sends a wave in one of so many of its ticks.
         peer_every: the other end sends a wave in one of so many of its ticks.
         turn: the link's number: links with different numbers send in different ticks where that is possible.
+        bounds: what its site can do at most; None for no bounds.
 
     Raises:
-        ValueError: a number is out of its range, or b is not symmetric positive definite.
+        ValueError: a number is out of its range, b is not symmetric positive definite, or the bounds do not fit it.
     """
 
     b: Matrix
@@ -508,6 +510,7 @@ class WaveEnd:
     every: int = 1
     peer_every: int = 1
     turn: int = 0
+    bounds: SiteBounds | None = None
 
     def __post_init__(self) -> None:
         if min(self.every, self.peer_every) < 1 or self.turn < 0:
@@ -523,6 +526,8 @@ class WaveEnd:
             )
         if self.depth is not None and not 0.0 <= self.depth < math.inf:
             raise ValueError(f"found a depth of {self.depth} ticks; expected a finite number, at least 0")
+        if self.bounds is not None and len(self.bounds.wave) != len(self.b):
+            raise ValueError(f"found bounds of {len(self.bounds.wave)} ports; expected {len(self.b)}, as b has")
 
 
 def own_start(common: Common, start: Start) -> Start:
@@ -593,6 +598,7 @@ class EnvironmentBundle:
         model: the model in place of E; None for E.
         scene: the scene in place of E; None for E.
         stiffness: K of the springs to the model's proxies, m x m, N/m; None for a model that is asked for forces.
+        tank: what a model with proxies may give out beyond what it has received, J; 0 for other kinds.
         masses: the masses whose positions are entries of E's state, from the m-th on, or the bodies of a scene or an
             engine, one for each coordinate; none for other kinds.
         longest_tau: the longest delay that the session can cover, s: that of the ladder's last rung where a breach
@@ -623,6 +629,12 @@ class EnvironmentBundle:
     budgets: tuple[EnergyBudget, ...] = ()
     storage: Matrix | None = None
     waves: Mapping[str, WaveEnd] = field(default_factory=dict)
+    tank: float = 0.0
+
+    @property
+    def energy_at_start(self) -> float:
+        """What the environment may give out from its start on, J, with which its ledger begins."""
+        return self.tank if self.scene is None else self.scene.energy_at_start
 
     def __post_init__(self) -> None:
         kinds = sum(kind is not None for kind in (self.E, self.model, self.scene))
@@ -630,6 +642,8 @@ class EnvironmentBundle:
             raise ValueError(f"found {kinds} of an environment's matrices, model and scene; expected one of them")
         if self.stiffness is not None and (self.model is None or self.stiffness.shape != (len(self.common.ports),) * 2):
             raise ValueError(f"found a stiffness of shape {self.stiffness.shape}; expected m x m, and a model")
+        if not (0.0 <= self.tank < math.inf) or (self.tank and self.stiffness is None):
+            raise ValueError(f"found a tank of {self.tank} J; expected at least 0, and above 0 only with proxies")
         needs = self.E is None and self.stiffness is None
         if self.enforce != (self.Phi_E is not None) and (self.enforce or needs):
             raise ValueError(
@@ -730,7 +744,8 @@ def decoded(data: Any, kind: type[_B], path: Path) -> _B:
         BundleError: the object is no bundle of that kind.
     """
     try:
-        return kind(**{field.name: _READ[field.name](data[field.name]) for field in dataclasses.fields(kind)})
+        given = {**_BEFORE.get(kind, {}), **data}
+        return kind(**{field.name: _READ[field.name](given[field.name]) for field in dataclasses.fields(kind)})
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise _no_bundle(path, kind, error) from error
 
@@ -785,7 +800,9 @@ def _wave_end(data: Any) -> WaveEnd:
     depth = None if data["depth"] is None else float(data["depth"])
     theta = _optional_array(data["theta"])
     thinning = (int(data["every"]), int(data["peer_every"]), int(data["turn"]))
-    return WaveEnd(array(data["b"]), theta, float(data["tank"]), float(data["peer_period"]), depth, *thinning)
+    found = data["bounds"]
+    bounds = None if found is None else SiteBounds(floats(found["wave"]), floats(found["place"]))
+    return WaveEnd(array(data["b"]), theta, float(data["tank"]), float(data["peer_period"]), depth, *thinning, bounds)
 
 
 def _is_time(value: Any) -> bool:
@@ -851,3 +868,6 @@ _READ: dict[str, Any] = {
     "waves": lambda all_: {str(name): _wave_end(data) for name, data in all_.items()},
     "feedthrough_rungs": lambda all_: {name: tuple(array(D) for D in rungs) for name, rungs in all_.items()},
 }
+
+_BEFORE: dict[type, dict[str, Any]] = {EnvironmentBundle: {"tank": 0.0}}
+"""What bundles of recordings have that were written before an entry was there."""

@@ -39,6 +39,7 @@ class Received(Enum):
     NOTHING = "nothing of use in the time allowed"
     DECLINED = "the listener no longer awaits this tick"
     RECONNECTED = "the peer is back, and has shaken hands on a new link"
+    FLOODED = "more stray frames than any honest peer sends, so that the link was closed"
 
 
 class Listener(Protocol):
@@ -271,6 +272,12 @@ class PeerLink:
         if self.link is not None:
             self.link.close()
         self.link, self.handshake = None, None
+
+    def refuse(self, refusal: Refusal) -> None:
+        """Tell a peer that has shaken hands why it stays absent, and close the link."""
+        if (link := self._open) is not None:
+            link.send(encode(refusal))
+        self.lose()
 
     def greet(self, link: Link, handshake: LinkHandshake) -> None:
         """Begin the handshake with a peer that comes back on ``link``; :meth:`hear` continues it."""

@@ -56,6 +56,8 @@ DRIFT: Final = 1e-3
 MOST_DELAY: Final = from_seconds(10.0)
 """How much longer the first wave of a life may have been on its way than a later one, ns."""
 
+_ULPS: Final = 4.0 * sys.float_info.epsilon  # of two sums, by which their difference may be off
+
 _HEAD: Final = struct.Struct(">3sQBQ3s")  # as USUAL, its constant bytes in groups
 _TYPES: Final = {number for number, _ in LAYOUTS.values()}
 
@@ -252,6 +254,25 @@ class Gate:
         return None if len(frame) == size + self._floats.size else "wrong_width", tick, stamp, size
 
 
+@dataclass(frozen=True, slots=True)
+class WaveBounds:
+    """What an honest face sends at most, by port of the link.
+
+    Attributes:
+        step: the greatest |U_i(n) - U_i(n-1)|, T times the greatest wave, W^(1/2)*s.
+        first: the greatest |U_i| of a life's first wave, W^(1/2)*s.
+        lent: E_0, J.
+        gain: the greatest energy of a tick's wave, J.
+        delay: the ticks by which the first wave admitted may be later than the first that was sent.
+    """
+
+    step: tuple[float, ...]
+    first: tuple[float, ...]
+    lent: float
+    gain: float
+    delay: float
+
+
 class WaveGate:
     """Admits the waves of one end of a wave link in one life of the link: the newest only, whatever carried it.
 
@@ -260,15 +281,22 @@ class WaveGate:
 
         n <= n₀ + (1 + DRIFT) t / T + MOST_DELAY / T.
 
+    With bounds, an honest face moreover has sent, since the wave admitted before, at n', and with H what the receiver
+    has shipped to it in this life,
+
+        |U_i - U_i'| <= (n - n') step_i,      G <= lent + H + (n - n₀ + delay) gain.
+
     A wave that is lost is none that is missing, so no wave is awaited, and every later one is admitted.
 
     Attributes:
         dropped: frames not admitted, by reason; the keys are always all of :data:`DROP_REASONS`. A wave whose energy
-            falls is ``out_of_range``.
+            falls, or that is beyond its bounds, is ``out_of_range``.
         newest: the latest wave admitted; None before the first.
+        granted: H, J; the receiver sets it with each wave that it sends.
     """
 
     __slots__ = (
+        "_bounds",
         "_clock",
         "_first",
         "_floats",
@@ -278,20 +306,30 @@ class WaveGate:
         "_since",
         "_start",
         "dropped",
+        "granted",
         "newest",
     )
 
-    def __init__(self, width: int, period: Duration | None = None, clock: Clock | None = None) -> None:
+    def __init__(
+        self,
+        width: int,
+        period: Duration | None = None,
+        clock: Clock | None = None,
+        bounds: WaveBounds | None = None,
+    ) -> None:
         """Admit waves of ``width`` sums.
 
         Args:
             width: the number of ports of the link.
             period: T of the sender, ns; None where its ticks take no time that a clock shows.
             clock: the receiver's clock, which a period needs.
+            bounds: of the waves; None where they need only be finite.
 
         Raises:
-            ValueError: there is a period without a clock.
+            ValueError: there is a period without a clock, or the bounds have a different width.
         """
+        if bounds is not None and not len(bounds.step) == len(bounds.first) == width:
+            raise ValueError(f"found bounds of {len(bounds.step)} and {len(bounds.first)} sums; expected {width}")
         if period is not None and clock is None:
             raise ValueError("found a period and no clock; expected the receiver's clock")
         size = 8 * width
@@ -299,8 +337,9 @@ class WaveGate:
         self._layout = struct.Struct(f">3sQ3s{size}s{WAVE_TAIL.format[1:]}")
         self._longest = LONGEST + size + WAVE_TAIL.size
         self._start = (bytes((ARRAY_OF_4, WAVE_ID, UINT64)), struct.pack(">BH", BIN16, size), FLOAT64)
-        self._period, self._clock = period, clock
+        self._period, self._clock, self._bounds = period, clock, bounds
         self._first, self._since = 0, Instant(0)
+        self.granted = 0.0
         self.dropped: dict[str, int] = dict.fromkeys(DROP_REASONS, 0)
         self.newest: Wave | None = None
 
@@ -327,18 +366,35 @@ class WaveGate:
         if clock is not None and period is not None:
             now = clock.now()
             if newest is None:
-                self._first, self._since = tick, now
+                self._since = now
             elif (tick - self._first) * period > (1.0 + DRIFT) * (now - self._since) + MOST_DELAY:
                 self.dropped["future_tick"] += 1
                 return None
         if not (math.isfinite(shipped) and all(map(math.isfinite, sums))):
             self.dropped["not_finite"] += 1
             return None
-        if shipped < (0.0 if newest is None else newest.shipped):
+        fell = shipped < (0.0 if newest is None else newest.shipped)
+        if fell or (self._bounds is not None and not self._possible(self._bounds, newest, tick, sums, shipped)):
             self.dropped["out_of_range"] += 1
             return None
+        if newest is None:
+            self._first = tick
         self.newest = Wave(tick, sums, shipped)
         return self.newest
+
+    def _possible(
+        self, bounds: WaveBounds, newest: Wave | None, tick: int, sums: tuple[float, ...], shipped: float
+    ) -> bool:
+        """Whether an honest face can have sent this wave after ``newest``."""
+        ticks = 0.0 if newest is None else float(tick - newest.tick)
+        since = 0.0 if newest is None else float(tick - self._first)
+        if shipped > (bounds.lent + self.granted + (since + bounds.delay) * bounds.gain) * (1.0 + ROUNDING):
+            return False
+        for i in range(len(sums)):
+            at, most = (0.0, bounds.first[i]) if newest is None else (newest.sums[i], ticks * bounds.step[i])
+            if abs(sums[i] - at) > most * (1.0 + ROUNDING) + _ULPS * (abs(sums[i]) + abs(at)):
+                return False
+        return True
 
     def _other(self, frame: bytes) -> tuple[str | None, int, bytes, float]:
         """Read a frame that is not in the usual layout: the reason to refuse it or None, tick, sums, energy."""

@@ -65,6 +65,7 @@ from manyhands.nodes.bundle import (
 )
 from manyhands.nodes.environment.energy import EnergyBudget
 from manyhands.nodes.factory import FactoryName
+from manyhands.nodes.wave_link.bounds import SiteBounds, site_bounds
 from manyhands.nodes.wave_link.faces import wave_feedthrough
 from manyhands.protocol.channels import links_at, topics_of
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
@@ -178,23 +179,27 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         osp = matrix(session.osp_level(name))
         time = WALL if session.in_wall_time(name, run.clock) else OWN
         bundles[name] = DeviceBundle(commons[name], osp, of_device, _source(session, name), limits, time, tank)
+    tools = _widest(
+        [tool_bounds(session, [rung.block for rung in of_one]) for of_one in zip(*rungs.values(), strict=True)]
+    )
+    bounds = _site_bounds(session, tools[0], {name: own.block.D for name, (own, *_) in rungs.items()})
     for name in session.couplings:
         own, *softer = (CouplingRung(rung.block, rung.K, rung.level) for rung in rungs[name])
         limits = limits_at(session, commons[name].ports)
         link = session.wave_links.get(name)
-        wave = None if link is None else _wave_end(session, name, link, at_user=True)
+        wave = None if link is None else _wave_end(session, name, link, bounds[name], at_user=True)
         bundles[name] = CouplingBundle(commons[name], own.block, own.K, own.level, limits, tuple(softer), wave)
     E, Phi_E, model = _environment(prepared)
     given, environment = session.environment, prepared.loop.environment
     scene = environment.scene if isinstance(environment, DeclaredScene) else None
-    waves = {name: _wave_end(session, name, link, at_user=False) for name, link in session.wave_links.items()}
+    waves = {
+        name: _wave_end(session, name, link, bounds[name], at_user=False) for name, link in session.wave_links.items()
+    }
     bundles[ENVIRONMENT] = EnvironmentBundle(
         commons[ENVIRONMENT],
         E,
         Phi_E,
-        *_widest(
-            [tool_bounds(session, [rung.block for rung in of_one]) for of_one in zip(*rungs.values(), strict=True)]
-        ),
+        *tools,
         {
             name: feedthrough_digest(wave_feedthrough(waves[name].b, session.period) if name in waves else block.D)
             for name, block in zip(session.couplings, prepared.blocks, strict=True)
@@ -210,6 +215,7 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         budgets=budgets(session),
         storage=_storage(prepared),
         waves=waves,
+        tank=prepared.loop.environment.tank if isinstance(prepared.loop.environment, ProxyEnvironment) else 0.0,
     )
     return bundles if prepared.world is None else _with_part_ids(prepared, bundles)
 
@@ -251,7 +257,26 @@ def part_id(certificate: str, bundles: Sequence[Bundle]) -> str:
 _OF_A_PART = ("session", "name", "role", "period", "clock", "ports", "rate")
 
 
-def _wave_end(session: Session, name: str, link: WaveLink, at_user: bool) -> WaveEnd:
+def _site_bounds(session: Session, tools: PortBounds, feedthrough: Mapping[str, Matrix]) -> dict[str, SiteBounds]:
+    """By coupling with a wave link: the greatest wave of its site, and the furthest place of its tool.
+
+    Args:
+        session: the session.
+        tools: the greatest |p| of each port, m; None where there is no bound.
+        feedthrough: by coupling, D_V, m/N: the tool is at p + D_V f.
+    """
+    furthest = {port: math.inf if most is None else most for port, most in zip(session.ports, tools, strict=True)}
+    of_budget = dict(zip(session.couplings, budgets(session), strict=True))
+    out = {}
+    for name, link in session.wave_links.items():
+        ports = session.blocks_by_name[name]
+        limits, b = limits_at(session, ports), link.impedance(len(ports))
+        tool = np.array([furthest[port] for port in ports]) + np.abs(feedthrough[name]) @ np.array(limits.force)
+        out[name] = site_bounds(b, limits.force, limits.speed, tool.tolist(), of_budget[name].energy, session.period)
+    return out
+
+
+def _wave_end(session: Session, name: str, link: WaveLink, bounds: SiteBounds, at_user: bool) -> WaveEnd:
     """One end of a wave link; the user's end alone harvests, from what its site's certificate leaves."""
     ports = len(session.blocks_by_name[name])
     harvest = link.harvest_of(ports)
@@ -262,8 +287,9 @@ def _wave_end(session: Session, name: str, link: WaveLink, at_user: bool) -> Wav
     every, peer_every = link.every(own), link.every(peer)
     turn = list(session.wave_links).index(name) % max(every, peer_every)
     return WaveEnd(
-        matrix(link.impedance(ports)), theta, link.tank, peer, link.depth, every=every, peer_every=peer_every, turn=turn
-    )
+        matrix(link.impedance(ports)), theta, link.tank, peer, link.depth,
+        every=every, peer_every=peer_every, turn=turn, bounds=bounds,
+    )  # fmt: skip
 
 
 def _storage(prepared: Prepared) -> Matrix | None:

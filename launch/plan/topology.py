@@ -57,6 +57,11 @@ class Topology:
         """The links that end at ``node``, in the session's order."""
         return tuple(link for link in self.links if node in (link.binder, link.connector))
 
+    def couplings_of(self, device: str) -> tuple[str, ...]:
+        """The couplings of a device, in its own process or in another."""
+        linked = [link.binder for link in self.links_of(device)]
+        return (*linked, *(name for name, carrier in self.carriers.items() if carrier == device))
+
     def together(self, node: str) -> tuple[str, ...]:
         """The nodes of the process in which ``node`` runs: first the device that carries the others."""
         leader = self.carriers.get(node, node)

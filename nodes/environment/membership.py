@@ -31,7 +31,7 @@ from manyhands.nodes.relink import follow
 from manyhands.nodes.supervisor_line import ControlLine, Word
 from manyhands.nodes.tick_events import TickEvents
 from manyhands.protocol.clock import Duration, Instant
-from manyhands.protocol.messages import Absent, Reaction, Rung, Shift, Values
+from manyhands.protocol.messages import Absent, Reaction, Refusal, RefusalCode, Rung, Shift, Values
 
 
 class Membership(StrEnum):
@@ -53,6 +53,7 @@ class MembershipEvent(StrEnum):
     LATE = "its signal, after all others again and again"
     PAUSES = "that it has lost a device"
     LOST = "that its process is gone"
+    FLOODED = "more stray frames than any honest peer sends"
     RECONNECTED = "that it is back"
 
 
@@ -63,12 +64,14 @@ TRANSITIONS: Final[Mapping[tuple[Membership, MembershipEvent], Membership]] = {
     (Membership.ACTIVE, MembershipEvent.LATE): Membership.FROZEN,
     (Membership.ACTIVE, MembershipEvent.PAUSES): Membership.FROZEN,
     (Membership.ACTIVE, MembershipEvent.LOST): Membership.GONE,
+    (Membership.ACTIVE, MembershipEvent.FLOODED): Membership.GONE,
     (Membership.REJOINING, MembershipEvent.SIGNAL): Membership.ACTIVE,
     (Membership.REJOINING, MembershipEvent.BEHIND): Membership.REJOINING,
     (Membership.REJOINING, MembershipEvent.AHEAD): Membership.REJOINING,
     (Membership.REJOINING, MembershipEvent.SILENT): Membership.FROZEN,
     (Membership.REJOINING, MembershipEvent.PAUSES): Membership.FROZEN,
     (Membership.REJOINING, MembershipEvent.LOST): Membership.GONE,
+    (Membership.REJOINING, MembershipEvent.FLOODED): Membership.GONE,
     (Membership.FROZEN, MembershipEvent.SIGNAL): Membership.ACTIVE,
     (Membership.FROZEN, MembershipEvent.BEHIND): Membership.REJOINING,
     # it is awaited at that tick, where this environment process or the one before it sent the coupling
@@ -76,6 +79,7 @@ TRANSITIONS: Final[Mapping[tuple[Membership, MembershipEvent], Membership]] = {
     (Membership.FROZEN, MembershipEvent.SILENT): Membership.FROZEN,
     (Membership.FROZEN, MembershipEvent.PAUSES): Membership.FROZEN,
     (Membership.FROZEN, MembershipEvent.LOST): Membership.GONE,
+    (Membership.FROZEN, MembershipEvent.FLOODED): Membership.GONE,
     (Membership.GONE, MembershipEvent.LOST): Membership.GONE,
     (Membership.GONE, MembershipEvent.PAUSES): Membership.GONE,
     (Membership.GONE, MembershipEvent.RECONNECTED): Membership.FROZEN,
@@ -290,6 +294,8 @@ class Members:
                 received = Received.NOTHING
         elif received is Received.RECONNECTED:
             self._welcome_back(member, tick)
+        elif received is Received.FLOODED:
+            self._event(member, MembershipEvent.FLOODED, tick)
         return received
 
     def give_up(self, member: Member, tick: int) -> None:
@@ -412,7 +418,10 @@ class Members:
         return False
 
     def flooded(self, text: str) -> None:
-        """End the node: a coupling floods its link, and its signals cannot be found among other frames in time."""
+        """End the node: a coupling floods its link, and its signals cannot be found among other frames in time.
+
+        Behind a wave link nobody waits for it, so there its link is closed instead (``Received.FLOODED``).
+        """
         self._life.fail(text)
 
     def soonest(self, tick: int) -> int:
@@ -462,8 +471,13 @@ class Members:
         """A coupling has shaken hands again: it begins at rung 0, whether its process is a new one or the old one."""
         hello = member.peer_link.hello
         name = member.peer_link.peer.name
-        if hello is None or feedthrough_digest(hello.feedthrough or ()) != self._digests.get(name):
-            member.peer_link.lose()
+        found, expected = "" if hello is None else feedthrough_digest(hello.feedthrough or ()), self._digests.get(name)
+        if hello is None or found != expected:
+            text = (
+                f"the environment refused {name}: found a feedthrough D_V with the digest {found[:16]}; expected "
+                f"{(expected or '')[:16]}, that of this session; start {name} with the bundle that was cut for it"
+            )
+            member.peer_link.refuse(Refusal(RefusalCode.FEEDTHROUGH, text))
             return
         self._event(member, MembershipEvent.RECONNECTED, tick)
         self._core.clutches.freeze(member.index)

@@ -38,8 +38,8 @@ from manyhands.nodes.wave_link.faces import UserFace, WorldFace, wave_feedthroug
 from manyhands.nodes.wave_link.play_out import DEAF
 from manyhands.nodes.wave_link.thinning import Turns
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
-from manyhands.protocol.codec import LAYOUTS, WaveWriter, decode, encode, type_of
-from manyhands.protocol.gate import WaveGate
+from manyhands.protocol.codec import LAYOUTS, WAVE_ID, WaveWriter, decode, encode, type_of
+from manyhands.protocol.gate import MOST_DELAY, WaveBounds, WaveGate
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_STRAY_FRAMES
 from manyhands.protocol.messages import Absent, PathKey, Role, Rung, SignalMessage, Tool, Values, Wave
 from manyhands.protocol.transport import Link, TransportError
@@ -101,6 +101,7 @@ class _End(PeerLink):
         self._ratio = common.period / wave.peer_period
         self._sends, self._hears = turns(wave)
         self._following = 1  # the tick of the next wave that is sent
+        self._honest = wave_bounds(wave)
         self._gate = self._new_gate()
         self._waves = WaveWriter(len(peer.ports))
         # ticks for which this end measures how late waves come, at first; 0 where its depth is given
@@ -184,8 +185,10 @@ class _End(PeerLink):
         self._ticks, self._born, self.tick, self._following = 0, 0, -1, 1
 
     def _new_gate(self) -> WaveGate:
-        width = len(self.peer.ports)
-        return WaveGate(width) if self._waits else WaveGate(width, self._peer_period, self._clock)
+        width, bounds = len(self.peer.ports), self._honest
+        if self._waits:
+            return WaveGate(width, bounds=bounds)
+        return WaveGate(width, self._peer_period, self._clock, bounds)
 
     def _note_silence(self) -> None:
         """Count a silence when it begins."""
@@ -235,7 +238,7 @@ class _End(PeerLink):
         if wave is not None:
             self._strays = 0
             self.face.hear(wave.tick, wave.sums, wave.shipped)
-        else:
+        elif type_of(frame) != WAVE_ID:  # a wave that is refused is no stray: no more of them are read in a tick
             self._strays += 1
         return False
 
@@ -271,6 +274,7 @@ class _End(PeerLink):
             return True
         self._following = self._sends.after(n)
         message = self.face.message()
+        self._gate.granted = message.G
         if self._path is not None:
             return self._path.send(Wave(message.n, message.U, message.G))
         return link.send(self._waves.frame(message.n, message.U, message.G))
@@ -358,8 +362,7 @@ class UserEnd(_End):
             self._path = self._datagrams.take_up(key, link.host, link, width, self._peer_period)
         except TransportError:  # no datagrams from here: the waves stay with ZeroMQ
             return True
-        self._path.gate.dropped.update(self._gate.dropped)
-        self._gate = self._path.gate
+        self._path.gate = self._gate
         return True
 
 
@@ -388,7 +391,11 @@ class WorldEnd(_End):
 
         A second call in a tick does nothing more.
         """
-        if self._flooded(listener) or self._asked == tick:
+        if self._strays > MAX_STRAY_FRAMES:  # nobody waits for this user, so nobody else is to end for it
+            self._strays = 0
+            self.lose()
+            return Received.FLOODED
+        if self._asked == tick:
             return Received.NOTHING
         if self._waits:
             n = math.floor(self._face.n * self._ratio + ROUNDING) + 1
@@ -456,8 +463,8 @@ class WorldEnd(_End):
         except TransportError:  # too many ports for a datagram: the waves stay with ZeroMQ
             self._datagrams = None
             return
-        path.gate.dropped.update(self._gate.dropped)
-        self._path, self._gate = path, path.gate
+        path.gate = self._gate
+        self._path = path
         link.send(encode(path.key))
 
 
@@ -531,13 +538,24 @@ def datagram_socket(bundle: EnvironmentBundle, clock: Clock) -> DatagramSocket |
 def user_face(common: Common, wave: WaveEnd, D_V: Values) -> UserFace:
     """The face of a coupling's end at the start of a session; ``D_V`` is the block's feedthrough, m x m, m/N."""
     depth = _first_depth(common, wave)
-    return UserFace(wave.b, D_V, common.period, wave.peer_period, depth, E_0=wave.tank, theta=wave.theta)
+    E_0, theta, bounds = wave.tank, wave.theta, wave.bounds
+    return UserFace(wave.b, D_V, common.period, wave.peer_period, depth, E_0=E_0, theta=theta, bounds=bounds)
 
 
 def world_face(common: Common, wave: WaveEnd) -> WorldFace:
     """The face of an environment's end at the start of a session."""
     depth = _first_depth(common, wave)
-    return WorldFace(wave.b, common.period, wave.peer_period, depth, E_0=wave.tank, theta=wave.theta)
+    E_0, theta, bounds = wave.tank, wave.theta, wave.bounds
+    return WorldFace(wave.b, common.period, wave.peer_period, depth, E_0=E_0, theta=theta, bounds=bounds)
+
+
+def wave_bounds(wave: WaveEnd) -> WaveBounds | None:
+    """What the other end's face sends at most; None where the site has no bounds."""
+    bounds, T = wave.bounds, wave.peer_period
+    if bounds is None:
+        return None
+    step, first = tuple(T * one for one in bounds.wave), bounds.first_sum(wave.b)
+    return WaveBounds(step, first, wave.tank, T * bounds.power, MOST_DELAY / from_seconds(T))
 
 
 def turns(wave: WaveEnd) -> tuple[Turns, Turns]:

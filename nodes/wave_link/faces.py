@@ -42,6 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.nodes.arithmetic import Floats, dot, linear_map, minus, plus
+from manyhands.nodes.wave_link.bounds import SiteBounds
 from manyhands.nodes.wave_link.play_out import PlayOut
 from manyhands.nodes.wave_link.tank import Tank
 
@@ -62,6 +63,7 @@ _SPARE: Final = 1.0  # time constant with which spare energy goes to the other f
 _RESERVE: Final = 0.25  # part of E_0 that is no spare energy
 _GREATEST: Final = 1e12  # of G, and of the length of U
 _SQUARE: Final = _GREATEST * _GREATEST
+_NOTHING: Final[Floats] = []
 
 
 class Sums(NamedTuple):
@@ -103,6 +105,7 @@ class _Face(ABC):
         theta: Vector | None = None,
         smoothing: float | None = None,
         life: int = 0,
+        bounds: SiteBounds | None = None,
     ) -> None:
         """Start a life at rest.
 
@@ -115,12 +118,15 @@ class _Face(ABC):
             theta: the level that the certificate leaves to this face, m x m, N*s/m; None for 0.
             smoothing: time constant of the incoming wave, ticks of this face, 1 or more; None for what fits the depth.
             life: the number of the life.
+            bounds: what the site can do at most, to which the face keeps; None for no bounds.
 
         Raises:
             ValueError: a matrix or a number is not as described.
         """
         b = np.array(b, dtype=np.float64)
         _check(b, T, peer_T, depth, E_0, theta)
+        if bounds is not None and len(bounds.wave) != len(b):
+            raise ValueError(f"found bounds of {len(bounds.wave)} ports; expected {len(b)}, as b has")
         eigenvalues, Q = np.linalg.eigh(b)
         roots = np.sqrt(2.0 * eigenvalues)
         self._h: Vector = (Q * roots) @ Q.T
@@ -139,6 +145,10 @@ class _Face(ABC):
         self.tank = Tank(T, E_0)
         self.ledger = 0.0
         self.refused = 0
+        self._bounds, self._lent = bounds, E_0
+        self._steps = [] if bounds is None else [T * one for one in bounds.wave]  # the greatest of U in a tick
+        self._firsts = [] if bounds is None else list(bounds.first_sum(b))  # the greatest U of a first message
+        self._power = math.inf if bounds is None else T * bounds.power  # the greatest energy of a tick's wave, J
         self._hold = 0.0  # how far the idle wave of a user's face holds the tool; at 0 it leaves the tool free
         self._zero: Floats = [0.0] * len(b)
         self._x = self._f = self._c = self._before = self._slope = self._zero
@@ -160,6 +170,8 @@ class _Face(ABC):
         self._away = True  # whether the time line is taken up anew
         self._follows = False  # whether c(k) is the time line's own wave
         self.aligned = False
+        self._told, self._told_at = _NOTHING, 0  # U of the last message within the bounds, and its n
+        self._joined = 0  # the tick in which the face was aligned
 
     def hear(self, n: int, U: Sequence[float], G: float, life: int = 0) -> bool:
         """Take a message of the other face; returns whether it is the newest of this life.
@@ -214,15 +226,40 @@ class _Face(ABC):
             return
         self._played = [at + T * wave for at, wave in zip(self._played, c, strict=True)]
         self._U = [at - T * wave for at, wave in zip(self._U, c, strict=True)]
-        tank.ship(min(cost, max(0.0, tank.level - self._reserve)))
+        self._ship(min(cost, max(0.0, tank.level - self._reserve)))
+
+    def _ship(self, s: float) -> None:
+        """Ship the energy s, J, as far as the other face can know that this one has it: G <= E_0 + H + n T P."""
+        tank = self.tank
+        if self._bounds is not None:
+            s = min(s, self._lent + tank.heard + self._power * (self.n - self._joined) - tank.shipped)
+        tank.ship(s)
 
     @abstractmethod
     def _holding(self) -> Floats:
         """The wave that holds the tool under the last force, W^(1/2)."""
 
     def message(self) -> Sums:
-        """The sums up to the tick that was stepped last."""
-        return Sums(self.n, tuple(self._U), self.tank.shipped, self.life)
+        """The sums up to the tick that was stepped last.
+
+        With bounds, what is told of U follows U by no more than the greatest wave in a tick, for the other face admits
+        nothing beyond it. What is left is told later.
+        """
+        U = self._U if self._bounds is None else self._within_reach(self._U)
+        return Sums(self.n, tuple(U), self.tank.shipped, self.life)
+
+    def _within_reach(self, U: Floats) -> Floats:
+        before, ticks = self._told, self.n - self._told_at
+        if before:
+            most = [ticks * step for step in self._steps]
+        else:
+            before, most = self._zero, self._firsts
+        for i in range(len(U)):
+            if not -most[i] <= U[i] - before[i] <= most[i]:
+                U = [at + max(-by, min(by, to - at)) for at, to, by in zip(before, U, most, strict=True)]
+                break
+        self._told, self._told_at = U, self.n
+        return U
 
     @property
     def wave(self) -> Floats:
@@ -307,12 +344,20 @@ class _Face(ABC):
             gain, late, P = self._gain, self._arrears, self._played
             c = [gain * (line[i] - late[i] - P[i]) for i in range(len(P))]
         self._line = line
-        self._c = paid = self.tank.pay(c)
+        self._c = paid = self.tank.pay(c if self._bounds is None else self._possible(c, self._bounds))
         if paid is not c and self._follows:
-            # what the tank did not pay for comes later, and not at once: a longer wave costs more than two short ones
+            # what the tank did not pay for, or the site cannot do, comes later, and not at once: a longer wave costs
+            # more than two short ones
             missing = self._smoothing * self._T
             self._arrears = [late + missing * (to - at) for late, to, at in zip(self._arrears, c, paid, strict=True)]
         return paid
+
+    def _possible(self, c: Floats, bounds: SiteBounds) -> Floats:
+        """c(k) itself, or the longest wave in its direction within the bounds of the site."""
+        beyond = 1.0
+        for i in range(len(c)):
+            beyond = max(beyond, abs(c[i]) / bounds.wave[i])
+        return c if beyond == 1.0 else [along / beyond for along in c]
 
     def _go_deaf(self) -> None:
         """Hold the tool from the next wave on, where this face does not do so already."""
@@ -384,7 +429,9 @@ class _Face(ABC):
                 own = max(0.0, own - (1.0 - _eased(self._along)) * 0.5 * T * dot(self._before, self._before))
             s = min(own, max(0.0, tank.level - self._reserve))
             spare = tank.level - s - self._reserve - self._play.owed
-            tank.ship(s if spare <= 0.0 else s + self._spare * spare)
+            if spare > 0.0:
+                s += self._spare * spare
+            self._ship(s)
 
     def _reckon(self, moved: Floats, deaf: bool) -> None:
         """Keep P and U in a tick of a face that holds the tool, or did so a moment ago: h (P + U) = 2 b x, of any F.
@@ -410,6 +457,7 @@ class UserFace(_Face):
 
     Attributes:
         aligned: whether a message of this life was played; before that the face is free.
+        free: whether the tick that was stepped last was a free end's, f_c = 0 and a = c, without energy or harvest.
     """
 
     def __init__(
@@ -424,6 +472,7 @@ class UserFace(_Face):
         theta: Vector | None = None,
         smoothing: float | None = None,
         life: int = 0,
+        bounds: SiteBounds | None = None,
     ) -> None:
         """Start a life, free.
 
@@ -437,32 +486,37 @@ class UserFace(_Face):
             theta: theta_c, m x m, N*s/m; None for 0.
             smoothing: time constant of the incoming wave, ticks of the coupling, 1 or more; None for what fits.
             life: the number of the life.
+            bounds: what the site can do at most, to which the face keeps; None for no bounds.
 
         Raises:
             ValueError: a matrix or a number is not as described.
         """
-        super().__init__(b, T, peer_T, depth, E_0=E_0, theta=theta, smoothing=smoothing, life=life)
+        super().__init__(b, T, peer_T, depth, E_0=E_0, theta=theta, smoothing=smoothing, life=life, bounds=bounds)
         self._started = False
+        self.free = True
+        self._loose = 0  # ticks in which the face is still a free end, after a skip beyond LONGEST_SKIP
         self._let_go = self._zero  # the force from which a new life's ramp to 0 begins
-        self.change(D_V)
-
-    def renew(self, life: int) -> None:
-        """Begin a new life with the energy of this tank; the force goes to 0 by a ramp, unless a message comes."""
-        self._let_go, self._hold = self._f, 1.0 if any(self._f) else 0.0
-        super().renew(life)
-
-    def change(self, D_V: Vector) -> None:
-        """Take a different feedthrough from the next tick on, m/N.
-
-        Raises:
-            ValueError: its shape is wrong.
-        """
         D_V = np.array(D_V, dtype=np.float64)
         if D_V.shape != self._b.shape:
             raise ValueError(f"found a feedthrough of shape {D_V.shape}; expected {self._b.shape}")
         closed = np.linalg.inv(np.eye(len(D_V)) + self._b @ D_V / self._T)
         self._driven, self._damped = linear_map(closed @ self._h), linear_map(closed @ self._b / self._T)
         self._deflection = linear_map(D_V)
+
+    def renew(self, life: int) -> None:
+        """Begin a new life with the energy of this tank; the force goes to 0 by a ramp, unless a message comes."""
+        self._let_go, self._hold = self._f, 1.0 if any(self._f) else 0.0
+        super().renew(life)
+
+    def skip(self, ticks: int) -> None:
+        """As for any face; after more than :data:`LONGEST_SKIP` it is a free end for :data:`RAMP`, before the ramp.
+
+        A hand may have moved by any way meanwhile, for the device let go. Taken for the motion of one tick, that way
+        would be a blow. The first samples may still be those of before.
+        """
+        super().skip(ticks)
+        if self.aligned and ticks > self._longest_skip:
+            self._loose = math.ceil(RAMP / self._T)
 
     def step(self, p: Floats) -> Floats:
         """f_c(k), N, for the block's free tool position p(k), m.
@@ -474,10 +528,10 @@ class UserFace(_Face):
         before = self._x
         if not self.aligned:
             if self._play.newest >= 0:
-                self.aligned = True
+                self.aligned, self._joined = True, self.n
                 self._played = self._U = self._sum_at(before)
             elif self._hold == 0.0:  # a free end: both waves are h^-1 b w_c, and no energy passes
-                self._x, self._U, self._f = p, self._sum_at(p), self._zero
+                self._x, self._U, self._f, self.free = p, self._sum_at(p), self._zero, True
                 self._c = self.free_wave([to - at for to, at in zip(p, before, strict=True)])
                 self.n += 1
                 self.silent += 1
@@ -485,6 +539,9 @@ class UserFace(_Face):
             else:
                 self._hold = max(0.0, self._hold - self._T / RAMP)
         moved = minus(p, before)
+        if self._loose:
+            return self._follow_freely(p, moved)
+        self.free = False
         c = self._incoming(moved)
         self._f = f = self.force(c, moved)
         self._x = x = self.position(p, f)
@@ -492,6 +549,19 @@ class UserFace(_Face):
         if not self.aligned:
             self._U = self._sum_at(x)
         return f
+
+    def _follow_freely(self, p: Floats, moved: Floats) -> Floats:
+        """A tick as a free end, f_c = 0 and x_c = p: a = c, so that no energy passes. A ramp follows."""
+        self._loose, self.free = self._loose - 1, True
+        self._x, self._f, self._c = p, self._zero, self.free_wave(moved)
+        self._line, self._reckoned, way = self._play.advance(), self._played, self._sum_at(moved)
+        self._played, self._U = plus(self._played, way), plus(self._U, way)
+        self._let_go = self._before = self._slope = self._zero
+        self._hold = self._along = self._voice = 0.0
+        self._away, self._follows = True, False
+        self.n += 1
+        self.silent += 1
+        return self._zero
 
     def _idle(self, moved: Floats) -> Floats:
         """h^-1 f_c(k-1), which holds the tool; at the beginning of a life that of a force that goes to 0."""
@@ -541,6 +611,7 @@ class WorldFace(_Face):
         theta: Vector | None = None,
         smoothing: float | None = None,
         life: int = 0,
+        bounds: SiteBounds | None = None,
     ) -> None:
         """Start a life at rest.
 
@@ -553,21 +624,23 @@ class WorldFace(_Face):
             theta: theta_e, m x m, N*s/m; None for 0.
             smoothing: time constant of the incoming wave, ticks of the environment, 1 or more; None for what fits.
             life: the number of the life.
+            bounds: what the site can do at most, to which the face keeps; None for no bounds.
 
         Raises:
             ValueError: a matrix or a number is not as described.
         """
-        super().__init__(b, T, peer_T, depth, E_0=E_0, theta=theta, smoothing=smoothing, life=life)
+        super().__init__(b, T, peer_T, depth, E_0=E_0, theta=theta, smoothing=smoothing, life=life, bounds=bounds)
         self._hold = 1.0
         self.D_V = wave_feedthrough(self._b, T)
         self._deflection, self._driven = linear_map(self.D_V), linear_map(self.D_V @ self._h)
         self._place = linear_map(np.linalg.inv(self._b) @ self._h)  # x of a face without force, from U
+        self._towards = linear_map(self._h_inverse @ self._b / T)  # the wave of a motion without force
         self._p = self._zero
 
     def tool(self) -> Floats:
         """p(k), m: the position that the tool takes without force."""
         if not self.aligned and self._play.newest >= 0:
-            self.aligned = True
+            self.aligned, self._joined = True, self.n
             self._played = self._U = self._play.first
             self._x, self._f = self._place(self._U), self._zero
         self._p = self.free_position(self._x, self._incoming(self._zero))
@@ -600,6 +673,16 @@ class WorldFace(_Face):
     def _idle(self, moved: Floats) -> Floats:
         """-h^-1 f_e(k-1), which holds the tool."""
         return self._holding()
+
+    def _possible(self, c: Floats, bounds: SiteBounds) -> Floats:
+        """The same within the bounds, and with p(k) no further than the tool of the site can be."""
+        place, p = bounds.place, self.free_position(self._x, c)
+        for i in range(len(p)):
+            if abs(p[i]) > place[i]:
+                p = [max(-most, min(most, at)) for at, most in zip(p, place, strict=True)]
+                c = self._towards(minus(p, self._x))
+                break
+        return super()._possible(c, bounds)
 
     def _holding(self) -> Floats:
         """-h^-1 f_e(k-1)."""

@@ -42,7 +42,6 @@ class PlayOut:
         deaf: whether nothing can be played: nothing was heard yet, or for too long.
         first: U of the first message, W^(1/2)*s; empty before it.
         jumped: whether the last :meth:`advance` moved nu by a jump.
-        owed: what the waves cost that were heard and not played yet, J.
         newest: n of the newest message; -1 before the first.
     """
 
@@ -70,7 +69,6 @@ class PlayOut:
         "first",
         "jumped",
         "newest",
-        "owed",
     )
 
     def __init__(self, T: float, sender_T: float, depth: float) -> None:
@@ -93,7 +91,7 @@ class PlayOut:
     def renew(self) -> None:
         """Forget all that was heard; a new life begins."""
         self.newest, self.first = -1, _NOTHING
-        self.deaf, self.jumped, self.owed = True, False, 0.0
+        self.deaf, self.jumped = True, False
         self._fresh = self._misplaced = False  # whether a message came, or place was called, since the last advance
         self._nu = self._mean = 0.0
         self._passed: _Known = (0, _NOTHING, 0.0)  # the last message before nu
@@ -117,7 +115,6 @@ class PlayOut:
             cost = dot(way, way) / (2.0 * (n - last) * self._period)
             known = (n, U, cost)
             self._ahead.append(known)
-            self.owed += cost
             if n - self._recent[0] >= self._span:
                 self._since, self._recent = self._recent, known
         self.newest = n
@@ -158,6 +155,18 @@ class PlayOut:
         """Change the depth wanted; nu jumps there."""
         self.depth, self._misplaced = depth, True
 
+    @property
+    def owed(self) -> float:
+        """What the waves cost that were heard and not played yet, J: the sum over the queue, made anew each time.
+
+        A running sum would keep the rounding of waves that have long been played, and theirs may be greater than
+        anything that waits now.
+        """
+        owed = 0.0
+        for _, _, cost in self._ahead:
+            owed += cost
+        return owed
+
     def lag(self) -> float:
         """How far nu is behind the newest message, ticks of the sender."""
         return self.newest - self._nu
@@ -186,12 +195,10 @@ class PlayOut:
         ahead = self._ahead
         while ahead and ahead[0][0] <= nu:
             self._passed = ahead.popleft()
-            self.owed -= self._passed[2]
         n, U, _ = self._passed
         if ahead:
             part = max(0.0, (nu - n) / (ahead[0][0] - n))
             return [at + part * (to - at) for at, to in zip(U, ahead[0][1], strict=True)]
-        self.owed = 0.0
         start, before, _ = self._since
         if n == start:
             return U

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from manyhands.protocol.clock import Duration, Instant, SimulatedClock, from_seconds
 from manyhands.protocol.codec import decode, encode, read_wave
-from manyhands.protocol.gate import DRIFT, DROP_REASONS, MOST_DELAY, WaveGate
+from manyhands.protocol.gate import DRIFT, DROP_REASONS, MOST_DELAY, WaveBounds, WaveGate
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_COUNT
 from manyhands.protocol.messages import Ready, Sample, Wave
 
@@ -165,3 +165,44 @@ def test_the_quick_reader_agrees_with_the_codec(frame: bytes) -> None:
         )  # fmt: skip
     elif read is not None:
         assert not all(map(math.isfinite, (read.shipped, *np.frombuffer(read.sums, "<f8"))))
+
+
+BOUNDS = WaveBounds(step=(0.01, 0.02), first=(0.5, 0.5), lent=0.005, gain=0.001, delay=10.0)
+
+
+def bounded() -> WaveGate:
+    gate = WaveGate(2, bounds=BOUNDS)
+    assert gate.admitted(encode(Wave(100, (0.5, -0.5), 0.0))) is not None
+    return gate
+
+
+@pytest.mark.parametrize(
+    ("wave", "admitted"),
+    [
+        (Wave(101, (0.51, -0.52), 0.0), True),
+        (Wave(101, (0.5101, -0.5), 0.0), False),
+        (Wave(101, (0.5, -0.5201), 0.0), False),
+        (Wave(200, (1.5, 1.5), 0.0), True),  # those between are lost, and their steps with them
+        (Wave(200, (1.51, 1.5), 0.0), False),
+        (Wave(101, (0.5, -0.5), 0.016), True),  # lent, 10 ticks of delay, one tick
+        (Wave(101, (0.5, -0.5), 0.0161), False),
+        (Wave(201, (0.5, -0.5), 0.116), True),
+        (Wave(101, (9e11, -9e11), 0.0), False),
+        (Wave(101, (0.5, -0.5), 1e12), False),
+        (Wave(101, (5e-324, 1e-300), 5e-324), False),
+    ],
+)
+def test_a_wave_that_no_honest_site_can_send_is_out_of_range(wave: Wave, admitted: bool) -> None:
+    gate = bounded()
+    assert (gate.admitted(encode(wave)) is not None) == admitted
+    assert gate.dropped["out_of_range"] == (not admitted)
+
+
+def test_a_lifes_first_wave_has_a_place_and_energy_that_was_granted_may_come_back() -> None:
+    gate = WaveGate(2, bounds=BOUNDS)
+    assert gate.admitted(encode(Wave(3, (0.51, 0.0), 0.0))) is None
+    assert gate.admitted(encode(Wave(3, (0.5, 0.0), 0.02))) is None
+    assert gate.admitted(encode(Wave(3, (0.5, 0.0), 0.015))) is not None
+    assert gate.admitted(encode(Wave(4, (0.5, 0.0), 2.0))) is None
+    gate.granted = 2.0
+    assert gate.admitted(encode(Wave(5, (0.5, 0.0), 2.0))) is not None

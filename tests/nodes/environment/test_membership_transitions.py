@@ -58,6 +58,7 @@ def test_only_active_or_awaited_members_are_missed_only_gone_ones_return() -> No
         (Membership.REJOINING, MembershipEvent.LATE),  # with a signal of the tick it is active
         (Membership.FROZEN, MembershipEvent.LATE),
         (Membership.GONE, MembershipEvent.LATE),
+        (Membership.GONE, MembershipEvent.FLOODED),
     }
 
 

@@ -109,9 +109,6 @@ class HostileLine:
     def tick_user(self) -> None:
         """One tick at the user: p at random, or along the last force, where motion takes energy out."""
         rng, T = self.rng, self.T[0]
-        if rng.random() < 0.02:
-            self.D_V = self.feedthrough()
-            self.user.change(self.D_V)
         at = np.zeros(self.m) if self.x_c is None else self.x_c
         kind = rng.integers(0, 4)
         if kind == 0:
@@ -125,7 +122,7 @@ class HostileLine:
         self.f_c = f = np.array(self.user.step(p.tolist()))
         x = p + self.D_V @ f
         # a free face has no force, and leaves the harvest
-        self.enter(-f, x - (p if self.x_c is None else self.x_c), 0, self.user.aligned or bool(np.any(f)))
+        self.enter(-f, x - (p if self.x_c is None else self.x_c), 0, not self.user.free)
         self.x_c = x
         self.sent[0].append(self.user.message())
 
@@ -158,7 +155,7 @@ class HostileLine:
     def skip(self, site: int) -> None:
         """The process of ``site`` does not run for a while: nothing moves, and no energy passes."""
         face = self.faces[site]
-        face.skip(int(self.rng.choice([1, 2, 5, 200])))
+        face.skip(int(self.rng.choice([1, 2, 5, 400])))
         if self.rng.random() < 0.5:
             self.sent[site].append(face.message())
 
