@@ -3,14 +3,18 @@
 Beyond a LAN, ZeroMQ's TCP delivers a wave late wherever an earlier packet was lost, though a wave needs no earlier one.
 So the two ends of a wave link also exchange datagrams, each of which holds one wave:
 
-    heard, 1 byte | connection, 8 bytes | n, 8 bytes | the wave's frame, sealed
+    heard, 1 byte | connection, 8 bytes | n, 8 bytes | token, 8 bytes | the wave's frame, sealed
 
 The seal is ChaCha20-Poly1305 [Nir2018]_ with the key that the two ends share for one life of their link (a
 :class:`~manyhands.protocol.messages.PathKey`). Its nonce is the direction (4 bytes) and n, its additional data are the
-first 17 bytes. So no datagram opens at another path, in the other direction, or in another life.
+first 25 bytes. So no datagram opens at another path, in the other direction, or in another life.
 
 **Replay.** Of a wave link only the newest wave counts. So the window is that number alone: a datagram whose n is not
 above that of the latest one that has opened is refused, before any cryptography.
+
+**Addresses.** The sender of a datagram chooses the address that it seems to come from. So the environment answers an
+address with no more bytes than came from it until the address is proved, as QUIC validates a path [Iyengar2021]_: its
+datagrams to that address have a random token, and one that comes from there has the same. :class:`Replies` keeps this.
 
 **State.** Datagrams may come through one way and not the other way. Each datagram states whether its sender has heard
 one in the last :data:`SILENCE`; from that, either end knows the state of the path as in BFD [Katz2010]_. While the path
@@ -18,11 +22,12 @@ is not UP, the waves go over the ZeroMQ link that the two ends have anyway. A re
 way it came, so a change of state is no event for the link.
 """
 
+import secrets
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from enum import IntEnum, StrEnum
 from types import MappingProxyType
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives.ciphers.aead import ChaCha20Poly1305
@@ -44,7 +49,13 @@ KEEP_ALIVE: Final = from_seconds(15.0)
 A network address translator forgets an address that is silent, some after 30 s (RFC 4787 asks for two minutes).
 """
 
-_HEADER: Final = struct.Struct(f">B{CONNECTION_BYTES}sQ")
+TOKEN_BYTES: Final = 8
+"""Length of a token, bytes, as that of QUIC's challenges [Iyengar2021]_."""
+
+NO_TOKEN: Final = bytes(TOKEN_BYTES)
+"""What a coupling sends before it has heard the environment, and proves nothing."""
+
+_HEADER: Final = struct.Struct(f">B{CONNECTION_BYTES}sQ{TOKEN_BYTES}s")
 _NONCE: Final = struct.Struct(">IQ")
 _TAG_BYTES: Final = 16
 
@@ -144,10 +155,69 @@ def connection_of(datagram: bytes) -> bytes | None:
     return datagram[1 : 1 + CONNECTION_BYTES]
 
 
+Address = tuple[Any, ...]
+"""Of the system's calls: host and port, and for IPv6 flow and scope."""
+
+
+class Replies:
+    """Where the environment's end sends, and how much: to the newest address, which has to be proved.
+
+    An address is proved by a datagram that opens, comes from it, and has the token that was sent there and nowhere
+    else. Until then it gets no more bytes than came from it [Iyengar2021]_, and the waves go over ZeroMQ as well.
+    A datagram from the proved address ends the doubt: a copy that somebody sent from elsewhere moves nothing.
+
+    Attributes:
+        proved: the latest address that was proved; None before.
+        token: for the next datagram, of the address that it would go to.
+    """
+
+    __slots__ = ("_credit", "_proved_token", "_random", "_tried", "proved", "token")
+
+    def __init__(self, random: Callable[[int], bytes] = secrets.token_bytes) -> None:
+        """Know no address yet; ``random`` makes tokens."""
+        self._random = random
+        self.proved: Address | None = None
+        self.token = self._proved_token = NO_TOKEN
+        self._tried: Address | None = None  # from which the latest datagram came, where it is not the proved one
+        self._credit = 0  # bytes that came from there, less those that went there
+
+    @property
+    def certain(self) -> bool:
+        """Whether the newest address is the proved one."""
+        return self.proved is not None and self._tried is None
+
+    @property
+    def address(self) -> Address | None:
+        """The newest address, proved or not; None before the first datagram."""
+        return self.proved if self._tried is None else self._tried
+
+    def arrived(self, source: Address, length: int, token: bytes) -> None:
+        """A datagram of this many bytes has opened, which came from ``source`` with this token."""
+        if source == self.proved:
+            self._tried, self.token = None, self._proved_token
+            return
+        if source != self._tried:
+            self._tried, self._credit = source, 0
+            self.token = self._random(TOKEN_BYTES)
+        self._credit += length
+        if token == self.token:
+            self.proved, self._tried, self._proved_token = source, None, token
+
+    def departs(self, length: int) -> Address | None:
+        """Where a datagram of this many bytes may go now; None where it may not. It counts as sent."""
+        if self._tried is None:
+            return self.proved
+        if self._credit < length:
+            return None
+        self._credit -= length
+        return self._tried
+
+
 class PathEnd:
     """One end of a path in one life of its link.
 
     Attributes:
+        token: of the latest datagram that was opened.
         refused: datagrams that were not opened, by reason; the keys are all of :class:`NotOpened`.
         opened: datagrams that were opened.
         changes: changes of the state so far.
@@ -155,7 +225,7 @@ class PathEnd:
 
     __slots__ = (
         "_aead", "_connection", "_heard_at", "_newest", "_probes", "_receives", "_sealed", "_sealed_tick", "_sends",
-        "_sent_at", "_state", "changes", "opened", "refused",
+        "_sent_at", "_state", "changes", "opened", "refused", "token",
     )  # fmt: skip
 
     def __init__(self, key: PathKey, sends: Direction, now: Instant) -> None:
@@ -175,6 +245,7 @@ class PathEnd:
         self._sealed: bytes | None = None  # the latest datagram
         self._sent_at: Instant = Instant(now - max(PROBE, KEEP_ALIVE))  # a first probe is due at once
         self._heard_at = now
+        self.token = NO_TOKEN
         self.refused: dict[NotOpened, int] = dict.fromkeys(NotOpened, 0)
         self.opened = self.changes = 0
 
@@ -184,8 +255,8 @@ class PathEnd:
             self._learn(PathEvent.SILENCE)
         return self._state
 
-    def outgoing(self, tick: int, frame: bytes, now: Instant) -> Outgoing:
-        """How the wave of ``tick`` in ``frame`` leaves.
+    def outgoing(self, tick: int, frame: bytes, now: Instant, token: bytes = NO_TOKEN) -> Outgoing:
+        """How the wave of ``tick`` in ``frame`` leaves, with a token in its datagram.
 
         Raises:
             ValueError: the tick is not above that of the wave before, so that a nonce would be used twice; or the frame
@@ -200,7 +271,7 @@ class PathEnd:
         # an environment does not send to an address from which nothing comes any more
         if not every and (now - self._sent_at < PROBE or (state is PathState.DOWN and not self._probes)):
             return Outgoing(None, link)
-        header = _HEADER.pack(state is not PathState.DOWN, self._connection, tick)
+        header = _HEADER.pack(state is not PathState.DOWN, self._connection, tick, token)
         datagram = header + self._aead.encrypt(_NONCE.pack(self._sends, tick), frame, header)
         self._sealed_tick, self._sealed, self._sent_at = tick, datagram, now
         return Outgoing(datagram, link)
@@ -220,7 +291,7 @@ class PathEnd:
         if connection_of(datagram) is None:
             self.refused[NotOpened.NO_DATAGRAM] += 1
             return None
-        heard, connection, tick = _HEADER.unpack_from(datagram)
+        heard, connection, tick, token = _HEADER.unpack_from(datagram)
         if connection != self._connection:
             self.refused[NotOpened.UNKNOWN_PATH] += 1
             return None
@@ -234,7 +305,7 @@ class PathEnd:
         except InvalidTag:
             self.refused[NotOpened.FORGED] += 1
             return None
-        self._newest, self._heard_at = tick, now
+        self._newest, self._heard_at, self.token = tick, now, token
         self.opened += 1
         self._learn(PathEvent.HEARD if heard else PathEvent.DEAF)
         return frame

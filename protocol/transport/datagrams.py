@@ -5,9 +5,10 @@ The environment binds one port and has a path for each linked coupling on it; a 
 the ZeroMQ link. What is sealed, opened and refused, and what state a path is in, is decided in
 :mod:`manyhands.protocol.path`; here are sockets and addresses.
 
-**Addresses.** The environment answers to the address that the latest datagram came from that opened. So a coupling
-behind a translator of addresses may change its address at any time. The coupling sends to the host at which it has
-reached the environment, in turn to all addresses of that name until one answers.
+**Addresses.** The environment answers to the address that the latest datagram came from that opened, once it is proved
+(:class:`manyhands.protocol.path.Replies`). So a coupling behind a translator of addresses may change its address at any
+time. ZeroMQ carries the waves as well until the new one is proved, a round trip later. The coupling sends to the host
+at which it has reached the environment, in turn to all addresses of that name until one answers.
 
 **Strangers.** A packet filter on the socket has the kernel drop every datagram that names none of the socket's
 connections, which are random numbers. Such a datagram does not even wake the process. What passes is opened or refused
@@ -23,17 +24,24 @@ import socket
 import struct
 from collections.abc import Collection, Sequence
 from contextlib import suppress
-from typing import Any, Final
+from typing import Final
 
 from manyhands.protocol.clock import Clock, Duration, Instant
 from manyhands.protocol.codec import CONNECTION_BYTES, SECRET_BYTES, WAVE_ID, WaveWriter, type_of
 from manyhands.protocol.gate import WaveGate
 from manyhands.protocol.limits import MAX_DATAGRAM_BYTES
 from manyhands.protocol.messages import PathKey, Wave
-from manyhands.protocol.path import MOST_PORTS, Direction, NotOpened, PathEnd, PathState, connection_of
+from manyhands.protocol.path import (
+    MOST_PORTS,
+    Address,
+    Direction,
+    NotOpened,
+    PathEnd,
+    PathState,
+    Replies,
+    connection_of,
+)
 from manyhands.protocol.transport import Link, TransportError
-
-_Address = tuple[Any, ...]  # of the system's calls: host and port, and for IPv6 flow and scope
 
 _READ_AT_ONCE: Final = 64
 """Datagrams read in one call, beyond four for each path: a flood must not keep the loop from its other work."""
@@ -183,7 +191,7 @@ class DatagramSocket:
         self._socket.close()
 
     def _path(
-        self, key: PathKey, sends: Direction, link: Link, width: int, period: Duration | None, to: Sequence[_Address]
+        self, key: PathKey, sends: Direction, link: Link, width: int, period: Duration | None, to: Sequence[Address]
     ) -> "DatagramPath":
         if width > MOST_PORTS:
             raise TransportError(f"found a link of {width} ports; expected at most {MOST_PORTS} for datagrams")
@@ -195,7 +203,7 @@ class DatagramSocket:
         self._filter()
         return path
 
-    def _send(self, datagram: bytes, address: _Address) -> None:
+    def _send(self, datagram: bytes, address: Address) -> None:
         try:
             self._socket.sendto(datagram, address)
         except OSError as error:
@@ -226,7 +234,6 @@ class DatagramPath:
         key: of this life. The environment sends it to the coupling over their link.
         gate: admits the waves, whatever carries them, and counts the others.
         end: seals and opens the datagrams, and counts those that it refuses.
-        address: where its datagrams go; None while the environment has learnt none.
         undelivered: waves that the ZeroMQ link was to carry and did not take.
     """
 
@@ -238,14 +245,15 @@ class DatagramPath:
         link: Link,
         gate: WaveGate,
         writer: WaveWriter,
-        addresses: Sequence[_Address],
+        addresses: Sequence[Address],
     ) -> None:
         """As :meth:`DatagramSocket.offer` and :meth:`DatagramSocket.take_up` make it."""
         self.key, self.end, self.gate = key, end, gate
         self.undelivered = 0
         self._datagrams, self._link, self._writer = datagrams, link, writer
         self._candidates = addresses  # none at the environment, which learns the address
-        self.address: _Address | None = addresses[0] if addresses else None
+        self._to = addresses[0] if addresses else None  # a coupling's, among these
+        self._replies = None if addresses else Replies()
         self._probed = 0
         self._new: Wave | None = None
 
@@ -253,6 +261,11 @@ class DatagramPath:
     def state(self) -> PathState:
         """The state of the path."""
         return self.end.state(self._datagrams._clock.now())
+
+    @property
+    def address(self) -> Address | None:
+        """Where its datagrams go, as far as they may; None while the environment has learnt none."""
+        return self._to if self._replies is None else self._replies.address
 
     def fileno(self) -> int:
         """The descriptor of the socket; see :meth:`DatagramSocket.fileno`."""
@@ -267,12 +280,18 @@ class DatagramPath:
         """
         frame = self._writer.frame(wave.tick, wave.sums, wave.shipped)
         now = self._datagrams._clock.now()
-        datagram, over_link = self.end.outgoing(wave.tick, frame, now)
-        if datagram is not None and self.address is not None:
-            self._datagrams._send(datagram, self.address)
+        replies = self._replies
+        token = self.end.token if replies is None else replies.token
+        datagram, over_link = self.end.outgoing(wave.tick, frame, now, token)
+        if replies is not None:
+            over_link = over_link or not replies.certain
+        if datagram is not None:
+            to = self._to if replies is None else replies.departs(len(datagram))
+            if to is not None:
+                self._datagrams._send(datagram, to)
             if over_link and self._candidates and self.end.state(now) is PathState.DOWN:
                 self._probed += 1
-                self.address = self._candidates[self._probed % len(self._candidates)]
+                self._to = self._candidates[self._probed % len(self._candidates)]
         if over_link and not self._link.send(frame):
             self.undelivered += 1
             return False
@@ -287,8 +306,8 @@ class DatagramPath:
         if self._candidates:
             self._datagrams.read()
             repeated = self.end.repeated(self._datagrams._clock.now())
-            if repeated is not None and self.address is not None:
-                self._datagrams._send(repeated, self.address)
+            if repeated is not None and self._to is not None:
+                self._datagrams._send(repeated, self._to)
         wave, self._new = self._new, None
         return wave
 
@@ -303,12 +322,14 @@ class DatagramPath:
         """End the path, so that nothing opens any more; the socket stays open. A second call does nothing."""
         self._datagrams._forget(self.key.connection)
 
-    def _arrived(self, datagram: bytes, source: _Address, now: Instant) -> None:
+    def _arrived(self, datagram: bytes, source: Address, now: Instant) -> None:
         frame = self.end.opens(datagram, now)
         if frame is None:
             return
-        if not self._candidates or source in self._candidates:
-            self.address = source
+        if self._replies is not None:
+            self._replies.arrived(source, len(datagram), self.end.token)
+        elif source in self._candidates:
+            self._to = source
         self._new = self.gate.admitted(frame) or self._new
 
 

@@ -1,6 +1,7 @@
 """The pure part of a datagram path: what opens, what is refused and why, and what carries the waves."""
 
 import random
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
@@ -18,15 +19,18 @@ from manyhands.protocol.path import (
     CARRIERS,
     KEEP_ALIVE,
     MOST_PORTS,
+    NO_TOKEN,
     OVERHEAD,
     PROBE,
     SILENCE,
     TRANSITIONS,
+    Address,
     Direction,
     NotOpened,
     PathEnd,
     PathEvent,
     PathState,
+    Replies,
     connection_of,
 )
 
@@ -78,7 +82,7 @@ def test_a_datagram_opens_once_at_the_other_end_alone() -> None:
 def test_the_seal_is_that_of_rfc_8439() -> None:
     """Nonce and additional data as SPEC.md has them, by hand."""
     coupling, environment = ends()
-    header = b"\x00" + KEY.connection + (258).to_bytes(8, "big")
+    header = b"\x00" + KEY.connection + (258).to_bytes(8, "big") + NO_TOKEN
     seal = ChaCha20Poly1305(KEY.secret)
     assert sealed(coupling, 258) == header + seal.encrypt(bytes(4) + (258).to_bytes(8, "big"), frame_of(258), header)
     back = b"\x01" + header[1:]
@@ -162,7 +166,7 @@ def test_the_widest_link_fits_and_a_wider_one_is_refused() -> None:
     assert datagram is not None
     assert MAX_DATAGRAM_BYTES - 8 < len(datagram) <= MAX_DATAGRAM_BYTES
     assert environment.opens(datagram, START) == frame_of(0, MOST_PORTS)
-    with pytest.raises(ValueError, match="found a frame of 1175 bytes; expected at most 1167"):
+    with pytest.raises(ValueError, match="found a frame of 1167 bytes; expected at most 1159"):
         coupling.outgoing(1, frame_of(1, MOST_PORTS + 1), after(1000))
 
 
@@ -271,3 +275,50 @@ def test_half_of_the_datagrams_is_enough_to_stay_up() -> None:
     converse(both, 0, 300)
     over = converse(both, 300, 10_000, up=lambda _: chance.random() < 0.5, down=lambda _: chance.random() < 0.5)
     assert not any(any(links) for links in over)
+
+
+HERE, THERE, ELSEWHERE = ("192.0.2.1", 7), ("192.0.2.2", 7), ("192.0.2.3", 7)
+
+
+def replies() -> Replies:
+    """Tokens 1, 2, ...: none of them NO_TOKEN."""
+    made = iter(range(1, 1000))
+    return Replies(lambda length: next(made).to_bytes(length, "big"))
+
+
+def test_an_address_gets_no_more_than_came_from_it_until_it_has_proved_itself() -> None:
+    known = replies()
+    assert (known.departs(90), known.certain) == (None, False)
+    known.arrived(HERE, 100, NO_TOKEN)
+    assert known.departs(60) == HERE
+    assert (known.departs(60), known.certain) == (None, False)
+    known.arrived(HERE, 20, known.token)
+    assert known.certain
+    assert [known.departs(1200) for _ in range(100)] == [HERE] * 100
+
+
+def test_a_token_proves_the_address_that_it_was_sent_to_and_no_other() -> None:
+    known = replies()
+    known.arrived(HERE, 100, NO_TOKEN)
+    first = known.token
+    known.arrived(HERE, 100, first)
+    known.arrived(THERE, 100, first)  # the proof of another address
+    assert (known.address, known.certain, known.proved) == (THERE, False, HERE)
+    second = known.token
+    known.arrived(ELSEWHERE, 100, second)
+    assert not known.certain
+    assert len({first, second, known.token}) == 3
+    known.arrived(HERE, 1, NO_TOKEN)  # the proved one again: what came between was a copy from elsewhere
+    assert (known.address, known.certain, known.token) == (HERE, True, first)
+
+
+@given(st.lists(st.tuples(st.sampled_from([HERE, THERE, ELSEWHERE]), st.integers(1, 1200), st.integers(1, 1200))))
+def test_whoever_cannot_read_the_tokens_gets_back_at_most_what_it_sent(moves: list[tuple[Address, int, int]]) -> None:
+    known, came, went = Replies(), Counter[Address](), Counter[Address]()
+    for source, length, answer in moves:
+        known.arrived(source, length, NO_TOKEN)
+        came[source] += length
+        for _ in range(3):
+            if (to := known.departs(answer)) is not None:
+                went[to] += answer
+    assert all(went[address] <= came[address] for address in went)

@@ -195,7 +195,7 @@ FORGERIES: dict[str, tuple[Callable[[Stage, int, Direction], bytes], NotOpened]]
     "a copy": (lambda stage, _tick, _: stage.victim.relay.seen[0][-1], NotOpened.REPLAYED),
     "a copy of its first": (lambda stage, _tick, _: stage.victim.relay.seen[0][0], NotOpened.REPLAYED),
     "a copy that breaks off": (
-        lambda stage, tick, _: _with_n(stage.victim.relay.seen[0][-1], tick + 5)[:40],
+        lambda stage, tick, _: _with_n(stage.victim.relay.seen[0][-1], tick + 5)[: OVERHEAD + 1],
         NotOpened.FORGED,
     ),
     "a copy with n beyond the protocol": (

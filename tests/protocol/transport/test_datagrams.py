@@ -4,7 +4,7 @@ import errno
 import os
 import socket
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,7 +14,7 @@ import zmq
 from manyhands.protocol.clock import Duration, Instant, SimulatedClock
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Ready, Wave
-from manyhands.protocol.path import KEEP_ALIVE, MOST_PORTS, PROBE, SILENCE, PathState
+from manyhands.protocol.path import KEEP_ALIVE, MOST_PORTS, NO_TOKEN, PROBE, SILENCE, PathState
 from manyhands.protocol.transport import Link, Transport, TransportError
 from manyhands.protocol.transport.datagrams import DatagramPath, DatagramSocket
 from manyhands.protocol.transport.zeromq import ZmqTransport
@@ -417,3 +417,40 @@ def test_no_datagram_is_cut_up_on_its_way(make: Maker) -> None:
     for one in (pair.server._socket, pair.client._socket):
         assert one.getsockopt(socket.IPPROTO_IP, 10) == 3  # IP_MTU_DISCOVER: IP_PMTUDISC_PROBE
         assert one.getsockopt(socket.IPPROTO_IPV6, 23) == 3
+
+
+def test_a_seat_has_nothing_sent_to_an_address_that_is_not_its_own(make: Maker) -> None:
+    """Its key seals datagrams, which come from elsewhere. Over loopback; before, 32,960 B went there for 512 B."""
+    pair = make()
+    tick = pair.open()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as victim:
+        victim.bind(("127.0.0.1", 0))
+        victim.setblocking(False)
+        sent = got = 0
+        for k in range(tick, tick + 2000):
+            if (k - tick) % 250 == 0:
+                datagram, _ = pair.coupling.end.outgoing(k, encode(wave(k)), pair.clock.now(), NO_TOKEN)
+                assert datagram is not None
+                sent += victim.sendto(datagram, ("127.0.0.1", pair.server.port))
+            pair.server.read()
+            assert pair.environment.send(wave(k))  # over ZeroMQ where not as a datagram
+            pair.listen()
+            pair.pass_ms(1)
+            with suppress(BlockingIOError):
+                got += len(victim.recv(2000))
+    assert 0 < got <= sent
+
+
+def test_a_new_address_of_an_honest_coupling_misses_no_wave_and_is_proved_at_once(make: Maker) -> None:
+    """Its translator gives it another port: each wave of these ticks arrives, the first ones over ZeroMQ."""
+    pair = make()
+    tick = pair.open()
+    before = pair.environment.address
+    pair.client._socket.close()
+    pair.client._socket = DatagramSocket.unbound(pair.clock)._socket
+    pair.client._filter()
+    for k in range(tick, tick + 20):
+        assert [None if one is None else one.tick for one in pair.exchange(k)] == [k, k]
+    assert pair.environment.address != before
+    assert pair.environment._replies is not None
+    assert pair.environment._replies.certain
