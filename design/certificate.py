@@ -30,14 +30,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from manyhands.design.errors import CertificateError
 from manyhands.design.files import read_regular, replacing
-from manyhands.design.levels.contract import ENERGY, ENFORCED, DeviceShare, Levels
+from manyhands.design.levels.contract import ENERGY, ENFORCED, DeviceShare, Levels, Storage
 from manyhands.design.models.brief import brief, brief_names, brief_repr
 from manyhands.design.models.coupling import CouplingBlock, Partition, SpringDamper, realisations, spring_damper_of
 from manyhands.design.models.environment import (
@@ -53,6 +53,7 @@ from manyhands.design.models.environment import (
 from manyhands.design.models.network import METHODS, Network, NetworkLink
 from manyhands.design.models.scene import scene_of
 from manyhands.design.models.statespace import LinearSystem, Matrix, Rational, StateSpace, matrix
+from manyhands.design.models.transfer import InDifferences
 from manyhands.design.models.weights import Filter, Transparency
 from manyhands.design.problem import (
     CouplingRequest,
@@ -126,7 +127,8 @@ def describe_environment(environment: Environment) -> dict[str, Any]:
         case ProxyEnvironment():
             level, K = environment.level.tolist(), environment.stiffness.tolist()
             content = {} if environment.content is None else {"content": environment.content}
-            return {"type": "proxy", "level": level, "stiffness": K, **content}
+            tank = {"tank": environment.tank} if environment.tank else {}
+            return {"type": "proxy", "level": level, "stiffness": K, **content, **tank}
         case DeclaredEnvironment():
             return {"type": "declared", "level": environment.promised().tolist()}
     raise TypeError(f"expected an environment of a known kind, found {type(environment).__name__}")
@@ -166,7 +168,8 @@ def environment_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> Environme
         return DeclaredScene(scene_of(data, ports))
     if kind == "proxy":
         content = str(data["content"]) if "content" in data else None
-        return ProxyEnvironment(ports, matrix(data["level"], m, m), matrix(data["stiffness"], m, m), content)
+        level, K = matrix(data["level"], m, m), matrix(data["stiffness"], m, m)
+        return ProxyEnvironment(ports, level, K, content, float(data.get("tank", 0.0)))
     if kind == "wave-link":
         return face_of(data, ports)
     if kind == "world":
@@ -258,7 +261,14 @@ def coupling_of(data: Mapping[str, Any], partition: Partition) -> tuple[Coupling
     return systems
 
 
-def storage_of(value: Any, environment: Environment) -> Matrix | Literal["energy", "enforced"]:
+def describe_storage(storage: Storage) -> Any:
+    """A storage as JSON values: rows, {"differences": rows}, or the word that stands in its place."""
+    if isinstance(storage, InDifferences):
+        return {"differences": storage.P.tolist()}
+    return storage if isinstance(storage, str) else storage.tolist()
+
+
+def storage_of(value: Any, environment: Environment) -> Storage:
     """E_hat's storage: a matrix, or the word that stands in its place. Only a declared environment has none.
 
     Raises:
@@ -272,7 +282,16 @@ def storage_of(value: Any, environment: Environment) -> Matrix | Literal["energy
         if value != ENERGY:
             raise ValueError(f"storage.E_hat: found {value[:40]!r}, expected {ENERGY!r} or a matrix")
         return ENERGY
-    return square(value)
+    return _matrix_or_differences(value)
+
+
+def _matrix_or_differences(value: Any) -> Matrix | InDifferences:
+    """A storage matrix that states of E belong to, in either of its forms."""
+    if not isinstance(value, Mapping):
+        return square(value)
+    if set(value) != {"differences"}:
+        raise ValueError(f"storage matrix: found the keys {sorted(value)}, expected rows or the one key differences")
+    return InDifferences(square(value["differences"]))
 
 
 def matrices_by_block(data: Mapping[str, Any], partition: Partition) -> tuple[Matrix, ...]:
@@ -362,12 +381,12 @@ class TransparencyClaim:
         gamma: the weighted norm is below it; dimensionless for (24), N/m for (23).
         P: storage matrix of the bounded real lemma, in the realisation that
             :func:`manyhands.design.models.weights.weighted` builds of
-            :meth:`manyhands.design.models.integrators.Split.environment`.
+            :meth:`manyhands.design.models.integrators.Split.environment`; of rational functions in their differences.
     """
 
     aim: Transparency
     gamma: float
-    P: Matrix
+    P: Matrix | InDifferences
 
     __repr__ = brief_repr
 
@@ -558,12 +577,12 @@ def content(certificate: Certificate) -> dict[str, Any]:
             "Phi_E": Phi_E,
         },
         "storage": {
-            "E_hat": levels.P_E if isinstance(levels.P_E, str) else levels.P_E.tolist(),
+            "E_hat": describe_storage(levels.P_E),
             "V_hat": {name: P.tolist() for name, P in zip(partition.names, levels.P_V, strict=True) if P is not None},
         },
         "transparency": None
         if claim is None
-        else describe_aim(claim.aim) | {"gamma": claim.gamma, "P": claim.P.tolist()},
+        else describe_aim(claim.aim) | {"gamma": claim.gamma, "P": describe_storage(claim.P)},
         "margins": dict(certificate.margins),
         "method": dict(certificate.method),
     }
@@ -715,7 +734,7 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
         ),
         transparency=None
         if claim is None
-        else TransparencyClaim(aim_of(claim), float(claim["gamma"]), square(claim["P"])),
+        else TransparencyClaim(aim_of(claim), float(claim["gamma"]), _matrix_or_differences(claim["P"])),
         margins={str(k): float(v) for k, v in data["margins"].items()},
         method={str(k): v for k, v in data["method"].items()},
         asked=asked,
@@ -840,18 +859,28 @@ def differences(certificate: Certificate, loop: HapticLoop, wanted: CouplingRequ
     return out
 
 
+_ALWAYS_ASKED = ("coupling", "objective")
+"""The keys that every request has, of whatever class of coupling."""
+
+
 def _other_wishes(asked: Mapping[str, Any], wish: Mapping[str, Any]) -> list[str]:
     """A sentence for each key of ``design:`` whose value differs between the certificate and the session.
 
-    If the class of coupling differs, keys that only one of the classes has are left out.
+    A key that only one of the two has differs, too. If both name a class of coupling and the classes differ, keys that
+    only one of the classes has are left out.
     """
-    one_class = asked.get("coupling") == wish["coupling"]
+    compared = dict.fromkeys((*wish, *asked))
+    if asked.get("coupling", wish["coupling"]) != wish["coupling"]:
+        compared = dict.fromkeys(key for key in compared if key in _ALWAYS_ASKED or (key in asked and key in wish))
     return [
-        f"design.{key} differs: the certificate has {_shown(asked.get(key, 'none'))}, "
-        f"the session asks for {_shown(wish.get(key, 'none'))}"
-        for key in dict.fromkeys((*wish, *asked))
-        if asked.get(key) != wish.get(key) and (one_class or (key in asked and key in wish))
+        f"design.{key} differs: the certificate has {_at(asked, key)}, the session asks for {_at(wish, key)}"
+        for key in compared
+        if (key in asked) != (key in wish) or asked.get(key) != wish.get(key)
     ]
+
+
+def _at(values: Mapping[str, Any], key: str) -> str:
+    return _shown(values[key]) if key in values else "nothing"
 
 
 def _shown(value: object) -> str:

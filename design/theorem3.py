@@ -45,13 +45,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from manyhands.design import convex as cp
+from manyhands.design import limits
 from manyhands.design.errors import Infeasible, SolverFailure
-from manyhands.design.levels.contract import ENERGY, ENFORCED, NO_DELAY_GAIN, DeviceShare, Levels, margin
+from manyhands.design.levels.contract import ENERGY, ENFORCED, NO_DELAY_GAIN, DeviceShare, Levels, Storage, margin
 from manyhands.design.levels.device import device_share, least_gain
 from manyhands.design.levels.environment import level_and_storage
 from manyhands.design.levels.network import physical_level
@@ -99,27 +100,35 @@ def check_spring_damper(name: str, coupling: SpringDamper, Lambda: Matrix, T: fl
         )
     inverse = np.linalg.inv(np.linalg.cholesky(Lambda))
     limit = 2.0 / T * float(np.linalg.eigvalsh(Lambda)[0])
-    for part, meaning in (
-        (T / 2.0 * coupling.stiffness, "stiffness"),
-        (T / 2.0 * coupling.stiffness + coupling.damping, "stiffness plus 2/T times its damping"),
+    for part, damped in (
+        (T / 2.0 * coupling.stiffness, False),
+        (T / 2.0 * coupling.stiffness + coupling.damping, True),
     ):
         used = float(np.linalg.eigvalsh(symmetric_part(inverse @ part @ inverse.T))[-1])
         if not used < 1.0 - _EDGE:
-            raise _too_stiff(name, meaning, used * limit, limit, T, kappa, period=meaning == "stiffness")
+            raise TooStiff(name, used, limit, T, kappa, damped)
 
 
-def _too_stiff(name: str, meaning: str, found: float, limit: float, T: float, kappa: float, period: bool) -> Infeasible:
-    formula = "2 Delta_D / T" if kappa == NO_DELAY_GAIN else f"Delta_D / ({kappa:.4g} T)"
-    return Infeasible(
-        f"coupling {name}: its {meaning}, {found:.4g} N/m, is not below {formula} = {limit:.4g} N/m, so that "
-        "V_hat is output strictly passive at no level",
-        (
-            f"a {meaning} below {limit:.4g} N/m",
-            f"devices with an osp above {found * kappa * T:.4g} N*s/m",
-            *((f"a period below {T * limit / found * 1e3:.3g} ms",) if period else ()),
-            *(("a shorter delay inside the tick",) if kappa != NO_DELAY_GAIN else ()),
-        ),
-    )
+class TooStiff(Infeasible):
+    """A block of V is beyond the limit of its stiffness at one gain kappa.
+
+    Attributes:
+        name: of the block.
+        limit: N/m.
+        over: what the block has, in units of the limit.
+        osp: of devices whose limit would be what the block has, N*s/m.
+        damped: whether the limit is that of stiffness plus 2/T times the damping.
+    """
+
+    def __init__(self, name: str, over: float, limit: float, T: float, kappa: float, damped: bool) -> None:
+        formula = "2 Delta_D / T" if kappa == NO_DELAY_GAIN else f"Delta_D / ({kappa:.4g} T)"
+        meaning = "stiffness plus 2/T times its damping" if damped else "stiffness"
+        self.name, self.limit, self.over, self.osp, self.damped = name, limit, over, over * limit * kappa * T, damped
+        super().__init__(
+            f"coupling {name}: its {meaning}, {over * limit:.4g} N/m, is not below {formula} = {limit:.4g} N/m, so "
+            "that V_hat is output strictly passive at no level",
+            (),
+        )
 
 
 def check_block(name: str, block: StateSpace, K: Matrix, T: float, kappa: float = NO_DELAY_GAIN) -> None:
@@ -141,7 +150,7 @@ def check_block(name: str, block: StateSpace, K: Matrix, T: float, kappa: float 
             ("give every mode of the coupling some damping, and every direction a spring of positive stiffness",),
         )
     limit = 1.0 / float(np.linalg.eigvalsh(K)[-1])
-    for point, meaning in ((1.0, "stiffness"), (-1.0, "stiffness plus 2/T times its damping")):
+    for point in (1.0, -1.0):
         compliance = block.response(point).real
         # (z-1)/(Tz) vanishes at z = 1, so that a skew part, however small, outweighs the symmetric part there
         if point == 1.0 and np.max(np.abs(compliance - compliance.T)) > _ROUNDING * np.max(
@@ -160,7 +169,7 @@ def check_block(name: str, block: StateSpace, K: Matrix, T: float, kappa: float 
                 f"coupling {name}: V({point:g}) is not positive, so that V_hat is output strictly passive at no level",
                 ("put a spring of positive stiffness between hand and tool in every direction",),
             )
-        raise _too_stiff(name, meaning, 1.0 / softest, limit, T, kappa, period=point == 1.0)
+        raise TooStiff(name, 1.0 / (softest * limit), limit, T, kappa, point == -1.0)
     V_hat = transformed_coupling(block, K, T)
     for angle in np.linspace(np.pi / _FREQUENCIES, np.pi, _FREQUENCIES):
         response = V_hat.response(np.exp(1j * angle))
@@ -474,6 +483,67 @@ def certify_given(
         Infeasible: no levels exist; the coupling is not certified.
         SolverFailure: a solver gave no usable answer.
     """
+    try:
+        return _certified(loop, coupling, progress, hint, known)
+    except TooStiff as error:
+        raise Infeasible(error.condition, _what_helps(loop, coupling)) from error
+
+
+def _what_helps(loop: HapticLoop, coupling: tuple[CouplingBlock, ...]) -> tuple[str, ...]:
+    """What would help a coupling that is too stiff at every gain; each change was tried."""
+    kappa = min(device.kappa for device in devices(loop))
+    excesses = []
+    for index, error in enumerate(_beyond(loop, coupling, kappa)):
+        if isinstance(error, TooStiff):
+            excesses.append(limits.Excess(index, error.limit, error.over, error.osp, error.damped))
+
+    return tuple(limits.what_helps(loop, coupling, excesses, _certifies)) if excesses else ()
+
+
+def _certifies(loop: HapticLoop, coupling: tuple[CouplingBlock, ...]) -> bool:
+    """Whether :func:`certify_given` finds levels; the gain that allows the stiffest coupling is tried first."""
+    for most in _caps(coupling):
+        for device in reversed(devices(loop)):
+            try:
+                _levels(
+                    loop, device, _promises(loop, coupling, realisations(coupling, loop.period), device, most), None
+                )
+            except (Infeasible, SolverFailure, ValueError, np.linalg.LinAlgError):
+                continue
+            return True
+    return False
+
+
+def _beyond(loop: HapticLoop, coupling: tuple[CouplingBlock, ...], kappa: float) -> list[Infeasible | None]:
+    """By block, why it is refused at this gain by itself, before any solver; None if it is not."""
+    out: list[Infeasible | None] = []
+    blocks = realisations(coupling, loop.period)
+    parts = zip(loop.partition.names, coupling, blocks, loop.loop_gain(kappa), loop.Delta_D_blocks, strict=True)
+    for name, part, block, K, Delta_D in parts:
+        try:
+            if isinstance(part, SpringDamper):
+                check_spring_damper(name, part, Delta_D / (2.0 * kappa), loop.period, kappa)
+            else:
+                check_block(name, block, K, loop.period, kappa)
+            out.append(None)
+        except Infeasible as error:
+            out.append(error)
+    return out
+
+
+def _certified(
+    loop: HapticLoop,
+    coupling: tuple[CouplingBlock, ...],
+    progress: Progress | None = None,
+    hint: DeviceShare | None = None,
+    known: tuple[BlockLevel, ...] = (),
+) -> Levels:
+    """As :func:`certify_given`; a coupling that is too stiff at every gain is refused at the gain that allows most.
+
+    Raises:
+        Infeasible, SolverFailure: as there; of several reasons the first that is no limit of stiffness, because a
+            different gain has mended that.
+    """
     blocks = realisations(coupling, loop.period)
     best: Levels | None = None
     greatest = 0.0
@@ -483,7 +553,7 @@ def certify_given(
             try:
                 found = _levels(loop, device, _promises(loop, coupling, blocks, device, most), progress)
             except (Infeasible, SolverFailure) as error:
-                first = first or error
+                first = _more_telling(first, error)
                 continue
             reached = margin(loop.partition, found)
             if best is None or reached > greatest:
@@ -494,6 +564,15 @@ def certify_given(
         with suppress(Infeasible, SolverFailure):  # the first failure is more useful: it is about the greatest levels
             return _levels(loop, hint, known, progress)
     raise first or Infeasible("no levels satisfy Theorem 3 with this coupling", RELAX)
+
+
+def _more_telling(
+    first: Infeasible | SolverFailure | None, other: Infeasible | SolverFailure
+) -> Infeasible | SolverFailure:
+    """Of the reasons at several gains: the first that is no limit of stiffness, or else the greatest limit."""
+    if first is None or not isinstance(first, TooStiff):
+        return first or other
+    return first if isinstance(other, TooStiff) and other.over >= first.over else other
 
 
 def certify_beside(
@@ -608,7 +687,7 @@ def _closed_form(name: str, coupling: SpringDamper, Lambda: Matrix, T: float) ->
 
 def _environment(
     loop: HapticLoop, device: DeviceShare, Delta_V: tuple[Matrix, ...], progress: Progress | None
-) -> tuple[Matrix, Matrix | Literal["energy", "enforced"]]:
+) -> tuple[Matrix, Storage]:
     """Phi_E, m x m, and its storage matrix; or the word for what proves or enforces it instead."""
     environment, T, partition = loop.environment, loop.period, loop.partition
     if isinstance(environment, DeclaredEnvironment):
@@ -617,15 +696,16 @@ def _environment(
     network = environment.passive_network
     if network is not None and (isinstance(environment, NetworkBox) or environment.order > MOST_SEARCHED):
         return physical_level(network, T, Delta_G, Delta_V, partition), ENERGY
-    split = loop.split
-    if network is not None and split.rest.order < environment.order:  # no storage matrix of drifting masses is definite
-        return physical_level(network, T, Delta_G, Delta_V, partition), ENERGY
     try:
-        found, P_E = level_and_storage(
-            split, T, partition.embed(Delta_G), partition.embed(Delta_V), partition, progress
-        )
+        split = loop.split
+        if network is not None and split.rest.order < environment.order:
+            # no storage matrix of drifting masses is definite
+            return physical_level(network, T, Delta_G, Delta_V, partition), ENERGY
+        levels = partition.embed(Delta_G), partition.embed(Delta_V), partition
+        # a network has its energy where its states show no room
+        found, P_E = level_and_storage(split, T, *levels, progress, changed=network is None)
         return found.Phi_E, P_E
-    except (Infeasible, SolverFailure):
+    except (Infeasible, SolverFailure, np.linalg.LinAlgError):
         if network is None:
             raise
         return physical_level(network, T, Delta_G, Delta_V, partition), ENERGY

@@ -23,12 +23,20 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from manyhands.design.certificate import describe_environment, identity, matrices_by_block, pretty, storage_of
+from manyhands.design.certificate import (
+    describe_environment,
+    describe_storage,
+    identity,
+    matrices_by_block,
+    pretty,
+    storage_of,
+)
 from manyhands.design.files import replacing
+from manyhands.design.levels.contract import Storage
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import Partition
 from manyhands.design.models.environment import Environment
@@ -112,7 +120,7 @@ class WorldTerms:
     def kept(
         self,
         Phi_E: Matrix,
-        P_E: Matrix | Literal["energy", "enforced"],
+        P_E: Storage,
         margins: Mapping[str, float],
         method: Mapping[str, str | int],
     ) -> World:
@@ -135,7 +143,7 @@ class World(WorldTerms):
     """
 
     Phi_E: Matrix
-    P_E: Matrix | Literal["energy", "enforced"]
+    P_E: Storage
     margins: Mapping[str, float]
     method: Mapping[str, str | int]
     id: str = ""
@@ -231,7 +239,7 @@ def world_content(world: World) -> dict[str, Any]:
         "version": VERSION,
         **_terms_content(world),
         "levels": {"Phi_E": Phi_E},
-        "storage": {"E_hat": world.P_E if isinstance(world.P_E, str) else world.P_E.tolist()},
+        "storage": {"E_hat": describe_storage(world.P_E)},
         "margins": dict(world.margins),
         "method": dict(world.method),
     }

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
-from typing import Literal
 
 import numpy as np
 
 from manyhands.design.errors import Infeasible, SolverFailure
-from manyhands.design.levels.contract import ENERGY, ENFORCED
+from manyhands.design.levels.contract import ENERGY, ENFORCED, Storage
 from manyhands.design.levels.environment import RESERVES, lack_of_passivity, storage
+from manyhands.design.levels.floats import within_floats
 from manyhands.design.levels.network import diagonal_level
 from manyhands.design.models.environment import (
     DeclaredEnvironment,
@@ -44,7 +44,18 @@ def design_world(terms: WorldTerms, progress: Progress | None = None) -> World:
         SolverFailure: the level does not survive the proof.
     """
     check_environment(terms.environment)
-    Phi_E, P_E, method = _level(terms.environment, terms.period, progress)
+    with within_floats(terms.environment):
+        Phi_E, P_E, method = _level(terms.environment, terms.period, progress)
+    try:
+        return _proved(terms, Phi_E, P_E, method, progress)
+    except SolverFailure:
+        if terms.environment.passive_network is None or not np.any(Phi_E):
+            raise
+        return _proved(terms, np.zeros_like(Phi_E), ENERGY, method, progress)  # which needs no arithmetic
+
+
+def _proved(terms: WorldTerms, Phi_E: Matrix, P_E: Storage, method: str, progress: Progress | None) -> World:
+    """The world with this level, proved."""
     margin = float(np.linalg.eigvalsh(terms.promised() - Phi_E)[0])
     if margin < -_ROUNDING * float(np.max(np.abs(Phi_E))):
         raise _lacking(-margin, "so its declared level says", "a declared level of 0 or less at every such port")
@@ -60,9 +71,7 @@ def design_world(terms: WorldTerms, progress: Progress | None = None) -> World:
     return found
 
 
-def _level(
-    environment: Environment, T: float, progress: Progress | None
-) -> tuple[Matrix, Matrix | Literal["energy", "enforced"], str]:
+def _level(environment: Environment, T: float, progress: Progress | None) -> tuple[Matrix, Storage, str]:
     """Phi_E <= 0 with what proves it, and the method; or the declared level."""
     if isinstance(environment, DeclaredEnvironment):
         return environment.promised(), ENFORCED, "declared"
@@ -80,7 +89,8 @@ def _level(
     for reserve in RESERVES:
         Phi_E = (1.0 - reserve) * found.multiple * I
         with contextlib.suppress(SolverFailure):  # the next level leaves its storage function more room
-            return Phi_E, storage(split, T, Phi_E, progress, found.frequency), "greatest multiple of the identity"
+            P = storage(split, T, Phi_E, progress, found.frequency)
+            return Phi_E, split.stated(P), "greatest multiple of the identity"
     raise SolverFailure("the environment is passive, but no storage function with room for a proof was found")
 
 

@@ -142,7 +142,9 @@ def print_certificate(console: Console, certificate: Certificate) -> None:
             "environment", "a scene, level 0: by its contacts' energy, and enforced at run time by a controller"
         )
     elif isinstance(loop.environment, ProxyEnvironment):
-        table.add_row("environment", "springs to proxies: their level is kept by the proxy test at every tick")
+        tank = loop.environment.tank
+        gives = f"; they give out at most the {tank:g} J of their tank" if tank else ""
+        table.add_row("environment", f"springs to proxies: their level is kept by the proxy test at every tick{gives}")
     elif loop.enforced:
         table.add_row("environment", "enforced: not proved, its declared level is kept at run time by a controller")
     else:
@@ -442,7 +444,7 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
         print_json(object_ | {"failing": [finding.condition for finding in failing]})
     else:
         print_findings(out, proof.findings)
-        _print_request(out, file, certificate, session)
+        print_request(out, file, certificate, session)
     for finding in failing:
         because = f" ({finding.argument})" if finding.argument else ""
         say(err, f"{file}: not proved: {finding.condition}: found {finding.value:.6g}{because}")
@@ -453,6 +455,8 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
         proved = f"proved, where the level of the {enforced} is enforced at run time" if enforced else "proved"
         if isinstance(certificate.loop.environment, ProxyEnvironment):
             proved = "proved, where the level of the environment is kept by the proxy test at every tick"
+            if tank := certificate.loop.environment.tank:
+                proved += f", and the world gives out at most the {tank:g} J of its tank"
         elif isinstance(certificate.loop.environment, WaveLinkFace):
             proved = f"{certificate.loop.partition.names[0]}: proved, whatever is behind its wave link"
         elif isinstance(certificate.loop.environment, WorldPromise):
@@ -461,7 +465,7 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
     return EXIT_OK
 
 
-def _print_request(out: Console, file: Path, certificate: Certificate, session: Session | None) -> None:
+def print_request(out: Console, file: Path, certificate: Certificate, session: Session | None) -> None:
     """Print what the certificate records of the request; this is not proved, and may be absent."""
     if certificate.asked is not None:
         say(out, f"{file}: recorded as asked for, which is no claim and not proved: {asked_text(certificate.asked)}")

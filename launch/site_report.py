@@ -12,7 +12,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from manyhands.design.certificate import Certificate, read_plain, save
+from manyhands.design.certificate import Certificate, certificate_of, read_plain, save
 from manyhands.design.errors import CertificateError, DesignError, Infeasible
 from manyhands.design.world import CONDITION_A, World, save_world
 from manyhands.launch.design_report import (
@@ -23,6 +23,7 @@ from manyhands.launch.design_report import (
     print_certificate,
     print_findings,
     print_json,
+    print_request,
     progress_on,
 )
 from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK, TargetError, require_target
@@ -159,7 +160,7 @@ def run_verify_world(
         file: of the world, for messages.
         data: its plain data.
         together: files of certificates of sites and of the users in the tick; each is proved, too.
-        session: a session whose world it is to be; None for none.
+        session: the session that the world and each part are to be of; None for none.
         out: for results.
         err: for progress and messages.
         as_json: print one JSON object instead of tables.
@@ -188,6 +189,8 @@ def run_verify_world(
         print_json(object_ | {"together": len(others), "failing": [finding.condition for _, finding in failing]})
     else:
         print_findings(out, proof.findings)
+        for name, other in others.items():
+            print_request(out, Path(name), certificate_of(other, Path(name)), session)
     for path, finding in failing:
         because = f" ({finding.argument})" if finding.argument else ""
         say(err, f"{path}: not proved: {finding.condition}: found {finding.value:.6g}{because}")

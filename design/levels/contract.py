@@ -15,6 +15,7 @@ import numpy as np
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import Partition
 from manyhands.design.models.statespace import Matrix, symmetric_part
+from manyhands.design.models.transfer import InDifferences
 
 NO_DELAY_GAIN: Final = 0.5
 """kappa of (8), K = kappa T Delta_D^{-1}, if the force acts at the instant of its sample."""
@@ -71,6 +72,10 @@ class DeviceShare:
         return 1.0 / self.weight - t * t / room if room > 0.0 else 0.0
 
 
+Storage = Matrix | InDifferences | Literal["energy", "enforced"]
+"""What stands for E_hat's storage: a matrix, in Rest's states or in differences; or a word."""
+
+
 @dataclass(frozen=True, eq=False)
 class Levels:
     """Levels and storage matrices that are claimed to satisfy Theorem 3, in physical units.
@@ -81,7 +86,7 @@ class Levels:
         Delta_V: by block of V, m_i x m_i, N*s/m: V_hat,i is Delta_V,i-OSP.
         Phi_E: m x m, N*s/m: E_hat is (-Phi_E)-ISP.
         P_E: storage matrix of Rest (:mod:`manyhands.design.models.integrators`), n x n, N*s/m in the units of its
-            states; or "energy"; or "enforced", where nothing is proved.
+            states; of rational functions in their differences; or "energy"; or "enforced", where nothing is proved.
         P_V: storage matrix of each linear block, n_i x n_i, in the state zeta = (xi - xi_)/T; None for springs and
             dampers, whose level is in closed form.
     """
@@ -90,7 +95,7 @@ class Levels:
     Delta_D: tuple[Matrix, ...]
     Delta_V: tuple[Matrix, ...]
     Phi_E: Matrix
-    P_E: Matrix | Literal["energy", "enforced"]
+    P_E: Storage
     P_V: tuple[Matrix | None, ...]
 
     __repr__ = brief_repr

@@ -46,23 +46,41 @@ Then P = (tight P)/(1 - eps) has M(P) <= -eps blockdiag(P + I, 0). This is room 
 solution of the tight equation is strict in the inputs already. Doubling [Chu2004]_ solves the equation. Its k-th
 iterate is the energy that can be drawn in 2^k ticks: it grows, and it converges exactly when the tight problem has a
 solution.
+
+Room is a question of coordinates. In states that nearly agree, such as those of poles beside each other, every P is
+near to singular, and rounding hides the room that it has. Where the given states show none, the equation is solved
+again in states that are as controllable as observable. P is then brought to the given states in long arithmetic and
+rounded to floats, and *that* P has to show its room in the balanced ones. Where it shows none, the loss is spent on
+states that hardly move while the inputs dissipate something. With P the inputs that dissipate one unit at every
+frequency are known, w = n - K psi for white n; the next states are those that such inputs reach equally.
 """
 
 from __future__ import annotations
 
+import contextlib
+import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
+from flint import arb_mat, ctx
 from numpy.typing import NDArray
-from scipy.linalg import schur, solve_triangular
+from scipy.linalg import LinAlgWarning, schur, solve_triangular
 
 from manyhands.design.errors import Infeasible, SolverFailure
 from manyhands.design.models.coupling import Partition
 from manyhands.design.models.integrators import Split
-from manyhands.design.models.statespace import Matrix, axis_image, crossing_angles, gaps, symmetric_part
-from manyhands.design.solver import reachability
+from manyhands.design.models.statespace import (
+    Matrix,
+    StateSpace,
+    axis_image,
+    crossing_angles,
+    gaps,
+    symmetric_part,
+)
+from manyhands.design.models.transfer import InDifferences
+from manyhands.design.solver import balancing, reachability
 
 Angles = NDArray[np.float64]
 
@@ -406,10 +424,15 @@ def _refined(limit: Callable[[float], float], low: float, high: float, t: float,
 MOST_TIGHTENED = 5e-4  # the first eps
 LEAST_TIGHTENED = 1e-12  # the last eps: below it, rounding is as large
 ENOUGH_ROOM = 1e-10  # least eigenvalue of -M and of P, scaled to unit diagonal: a million times double precision's
+ENOUGH_LONG_ROOM = 1e-12  # the same where they are computed in long arithmetic: ten thousand times double precision's
 RESERVES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1)  # parts of the best margin given up; the first that leaves enough room
 _STEP = 0.3  # factor from one eps to the next
 _MOST_DOUBLINGS = 60  # 2^60 ticks
 _CONVERGED = 1e-14  # relative change of the storage in one doubling
+_CHANGES = 2  # of states: balanced, then evenly reached; further ones gain nothing, as they grow worse conditioned
+MOST_CHANGED = 100  # states of Rest: long arithmetic then takes a second for each eps and each level
+_HARDLY = 1e-8  # of the largest variance: what a direction counts as reached at least, which bounds X's condition
+_LONG = 256  # bits, for a P in states that are 1e20 times better reached in some directions than in others
 _UNREACHED = 1e-12  # of the largest variance: a state that the inputs reach less is scaled as if they reached it so far
 
 
@@ -420,27 +443,28 @@ def level_and_storage(
     Delta_V: Matrix,
     partition: Partition | None = None,
     progress: Callable[[str], None] | None = None,
-) -> tuple[LevelFound, Matrix]:
+    changed: bool = True,
+) -> tuple[LevelFound, Matrix | InDifferences]:
     """The environment's best level with a storage function that proves it; it gives up as little margin as it can.
 
     Slow modes of large environments dissipate very little in a tick. Floating point cannot distinguish a level on the
     very edge of what is possible from a level beyond it.
 
-    Arguments and errors are those of :func:`best_level`.
+    Arguments and errors are those of :func:`best_level` and :func:`storage`.
 
     Returns:
-        The level, and P in the coordinates of Rest.
+        The level, and P as a certificate states it (:meth:`.Split.stated`).
     """
     best = best_level(split, T, Delta_G, Delta_V, partition, RESERVES[0], progress)
     for reserve in RESERVES[:-1]:
         found = best.eased(reserve)
         try:
-            return found, storage(split, T, found.Phi_E, progress, found.frequency)
+            return found, split.stated(storage(split, T, found.Phi_E, progress, found.frequency, changed))
         except SolverFailure as error:
             if progress is not None:
                 progress(f"environment: {error}; giving up more of the margin")
     found = best.eased(RESERVES[-1])
-    return found, storage(split, T, found.Phi_E, progress, found.frequency)
+    return found, split.stated(storage(split, T, found.Phi_E, progress, found.frequency, changed))
 
 
 def storage(
@@ -449,6 +473,7 @@ def storage(
     Phi_E: Matrix,
     progress: Callable[[str], None] | None = None,
     frequency: float | None = None,
+    changed: bool = True,
 ) -> Matrix:
     """Find P > 0 with M(P) < 0, with room for a proof in floating point or ball arithmetic.
 
@@ -459,6 +484,7 @@ def storage(
         progress: called with a line of text for every eps tried.
         frequency: where the environment needs Phi_E most, rad/s, as :func:`best_level` returns it: a hint for the first
             eps. Without it a grid of frequencies is searched.
+        changed: whether other states are tried where the given ones show no room.
 
     Returns:
         P, n x n, in the coordinates of Rest. psi^T P psi is an energy over T; the entries are N*s/m over the squares
@@ -482,22 +508,96 @@ def storage(
     reached = np.diag(reachability(A, B))
     most = float(np.max(reached, initial=0.0))
     unit = np.sqrt(np.where(reached > _UNREACHED * most, reached, most if most > 0.0 else 1.0))
-    A, B, C = A / unit[:, None] * unit, B / unit[:, None], C * unit
     angle = _tightest_angle(split, T, Phi_E, ports) if frequency is None else frequency * T
-    eps = _first_tightened(A, B, C, np.exp(1j * angle), min(MOST_TIGHTENED, (1.0 - radius**2) / 4.0))
+    point, most = np.exp(1j * angle), min(MOST_TIGHTENED, (1.0 - radius**2) / 4.0)
+    P = _tight_storage(A / unit[:, None] * unit, B / unit[:, None], C * unit, point, most, progress)
+    if P is not None:
+        P = symmetric_part(P / unit[:, None] / unit)
+        if room(split, T, Phi_E, P) >= ENOUGH_ROOM:
+            return P
+    # numbers for which there are no such states
+    nowhere = contextlib.suppress(np.linalg.LinAlgError, LinAlgWarning, ZeroDivisionError)
+    with nowhere, warnings.catch_warnings():
+        warnings.simplefilter("error", LinAlgWarning)
+        X = balancing(StateSpace(A, B, C, np.zeros((len(values), len(values)))))
+        for _ in range(_CHANGES if changed and n <= MOST_CHANGED else 0):
+            back = np.linalg.inv(X)
+            system = X @ A @ back, X @ B, C @ back
+            P = _tight_storage(*system, point, most, progress)
+            if P is None or not np.all(np.isfinite(P)):
+                break
+            given, least = _in_given_states(split, T, Phi_E, P, X)
+            if least >= ENOUGH_LONG_ROOM:
+                return given
+            X = _evenly_reached(*system, P) @ X
+    raise SolverFailure(
+        "no storage function with room to verify it: Phi_E is too close to what the environment needs, or below"
+    )
+
+
+def _tight_storage(
+    A: Matrix, B: Matrix, C: Matrix, point: complex, most: float, progress: Callable[[str], None] | None
+) -> Matrix | None:
+    """P of the tight problem with the first eps, from ``most`` downwards, that has a solution; None if none has."""
+    eps = _first_tightened(A, B, C, point, most)
     while eps >= LEAST_TIGHTENED:
         if progress is not None:
             progress(f"storage function of the environment: tightened by {eps:.2g}")
         P = _available_storage(A / np.sqrt(1.0 - eps), B / np.sqrt(1.0 - eps), C, eps)
         if P is not None:
-            P = symmetric_part(P / (1.0 - eps) / unit[:, None] / unit)
-            if room(split, T, Phi_E, P) >= ENOUGH_ROOM:
-                return P
-            break  # a smaller eps leaves less room
+            return P / (1.0 - eps)  # a smaller eps leaves less room
         eps *= _STEP
-    raise SolverFailure(
-        "no storage function with room to verify it: Phi_E is too close to what the environment needs, or below"
-    )
+    return None
+
+
+def _evenly_reached(A: Matrix, B: Matrix, C: Matrix, P: Matrix) -> Matrix:
+    """X, n x n: in the states X psi, inputs that dissipate equally at every frequency reach all directions equally.
+
+    With the storage P these are w = W^{-1/2} n - K psi, n white, W = I - B^T P B, K = W^{-1} (C/2 - B^T P A).
+    """
+    W = np.eye(B.shape[1]) - B.T @ P @ B
+    held = A - B @ np.linalg.solve(W, C / 2.0 - B.T @ P @ A)
+    values, vectors = np.linalg.eigh(symmetric_part(reachability(held, B @ np.linalg.inv(np.linalg.cholesky(W)).T)))
+    values = np.maximum(values, _HARDLY * values[-1])
+    return np.asarray((vectors / np.sqrt(values)).T)
+
+
+def _in_given_states(split: Split, T: float, Phi_E: Matrix, P: Matrix, X: Matrix) -> tuple[Matrix, float]:
+    """A storage matrix in the states X psi brought to psi, in floats, and the room that it has there, seen in X psi."""
+    rest, m = split.rest, split.rest.inputs
+    with ctx.workprec(_LONG):
+        long = _balls(X)
+        given = long.transpose() * _balls(P) * long
+        rounded = symmetric_part(_floats(given))
+        stored, moved = _balls(rounded), _balls(np.hstack([rest.A, rest.B]))
+        inverse = long.inv()
+        R = symmetric_part(rest.D) + Phi_E - T / 2.0 * split.stiffness
+        M = _balls(np.block([[np.zeros_like(rounded), rest.C.T / 2.0], [rest.C / 2.0, R]]))
+        M = M + _bordered(stored, m, 0) - moved.transpose() * stored * moved
+        whole = _bordered(inverse, m, 1)
+        seen = [_floats(N.transpose() * K * N) for N, K in ((inverse, stored), (whole, M))]
+    return rounded, min(_scaled_least(symmetric_part(N)) for N in seen)
+
+
+def _balls(M: Matrix) -> arb_mat:
+    rows, columns = M.shape
+    return arb_mat(rows, columns, M.ravel().tolist())
+
+
+def _floats(M: arb_mat) -> Matrix:
+    return np.array([float(entry) for entry in M.entries()]).reshape(M.nrows(), M.ncols())
+
+
+def _bordered(M: arb_mat, m: int, corner: int) -> arb_mat:
+    """blockdiag(M, corner I) with I of m rows."""
+    n = M.nrows()
+    out = arb_mat(n + m, n + m)
+    for i in range(n):
+        for j in range(n):
+            out[i, j] = M[i, j]
+    for i in range(n, n + m):
+        out[i, i] = corner
+    return out
 
 
 def _tightest_angle(split: Split, T: float, Phi_E: Matrix, ports: Matrix) -> float:

@@ -16,14 +16,16 @@ y > 0 has Z y >= 0 in every row [Berman1994]_. One sparse solve finds y, and one
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
+from manyhands.design.errors import SolverFailure
 from manyhands.design.levels.environment import LoopMargins
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import Partition
@@ -83,12 +85,15 @@ def port_dissipation(Z: csc_array, m: int) -> Matrix:
     Args:
         Z: :func:`dissipation_matrix` of the network.
         m: number of ports.
+
+    Raises:
+        SolverFailure: links are so far apart that Z_qq is singular in floats.
     """
     tied = _tied_masses(Z, m)
     S = Z[:m, :m].toarray()
     if len(tied):
         Z_qu = csc_array(Z[tied][:, :m])
-        solver = splu(csc_array(Z[tied][:, tied]))
+        solver = _factored(csc_array(Z[tied][:, tied]))
         for first in range(0, m, _COLUMNS):
             chosen = slice(first, first + _COLUMNS)
             S[:, chosen] -= Z_qu.T @ solver.solve(Z_qu[:, chosen].toarray())
@@ -102,7 +107,8 @@ def physical_level(
 
     With Z in place of E_hat, S takes the place of H(w) in :mod:`manyhands.design.levels.environment`, and no search
     over the frequency is necessary. Each group of ports that links or blocks of V connect gets its own part of Phi_E.
-    A group of more than :data:`MOST_EXACT` ports and masses gets Phi_E = 0, which needs no further proof.
+    A group of more than :data:`MOST_EXACT` ports and masses gets Phi_E = 0, which needs no further proof. So does a
+    group whose links are too far apart for floats.
 
     Args:
         network: the network; of a network known up to intervals, the one at all lower ends.
@@ -134,7 +140,10 @@ def physical_level(
             continue
         ports = [port for number in numbers for port in partition.blocks[number]]
         order = [*ports, *nodes[nodes >= m]]
-        S = port_dissipation(csc_array(Z[order][:, order]), len(ports))
+        try:
+            S = port_dissipation(csc_array(Z[order][:, order]), len(ports))
+        except SolverFailure:
+            continue
         at = iter(range(len(ports)))
         blocks = tuple(tuple(next(at) for _ in partition.blocks[number]) for number in numbers)
         own = Partition(tuple(partition.names[number] for number in numbers), blocks)
@@ -168,7 +177,10 @@ def diagonal_level(network: Network, T: float) -> Matrix:
             singles = Partition(tuple(map(str, ports)), tuple((i,) for i in range(len(ports))))
             kept[ports] = [float(block[0, 0]) for block in structured_level(own, singles).blocks]
             continue
-        values = np.linalg.eigvalsh(port_dissipation(own, len(ports)))
+        try:
+            values = np.linalg.eigvalsh(port_dissipation(own, len(ports)))
+        except SolverFailure:
+            continue  # its ports keep nothing, which needs no proof
         if values[0] > _RESERVE * values[-1]:  # less may be rounding
             kept[ports] = (1.0 - _RESERVE) * values[0]
     return np.diag(-kept)
@@ -216,8 +228,10 @@ def structured_level(Z: csc_array, partition: Partition, weights: Matrix | None 
     load = np.concatenate([np.ones(m) if weights is None else weights, np.zeros(size - m)])
     solved = np.flatnonzero(np.isin(component, component[_grounded(Z)]))
     y, kept = np.ones(size), np.zeros(m)
-    if len(solved):
-        solver = splu(csc_array(Z[solved][:, solved]))
+    solver = None
+    with suppress(SolverFailure):  # then the network keeps nothing
+        solver = _factored(csc_array(Z[solved][:, solved])) if len(solved) else None
+    if solver is not None:
         for _ in range(_ITERATIONS):
             y[solved] = solver.solve(((load + inner) * y)[solved])
             greatest = np.zeros(int(component.max()) + 1)
@@ -235,6 +249,13 @@ def structured_level(Z: csc_array, partition: Partition, weights: Matrix | None 
         np.fill_diagonal(inside, 0.0)
         blocks.append(np.diag(kept[ports] - inside @ y[ports] / y[ports]) + inside)
     return StructuredLevel(tuple(blocks), y)
+
+
+def _factored(Z: csc_array) -> SuperLU:
+    try:
+        return splu(Z)
+    except RuntimeError as error:  # how scipy says that a factor is singular
+        raise SolverFailure(f"the network's links are too far apart for floating point: {error}") from error
 
 
 def _grounded(Z: csc_array) -> NDArray[np.bool_]:

@@ -2,7 +2,8 @@
 
 Every gap is a *convex* function of the positions. The signed distance to a convex set is convex everywhere, inside it
 as well, and so is the distance of two centres. Therefore the tangent plane at any position is a lower bound
-of the gap. The proof of a scene (docs/decisions/0041-scenes.md) rests on that bound alone.
+of the gap. The proof of a scene (docs/decisions/0041-scenes.md) rests on that bound alone. Where a centre is on an
+axis, an edge or a corner, there are many tangent planes, and the gradient is that of one of them.
 
 | pair | gap |
 |---|---|
@@ -22,6 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
@@ -44,12 +46,12 @@ def coordinates(body: str) -> tuple[str, ...]:
     return tuple(f"{body}.{axis}" for axis in AXES)
 
 
-_PARALLEL: Final = 1e-14
-"""The square of a sine below which two axes are parallel: either way the nearest point is then exact to 1e-7."""
+_SMALL: Final = 1e-140  # m; the squares of shorter vectors have few digits, or none
 
-_LEAST: Final = 1e-300  # m^2, of the square of an axis: no division by 0
+_GREATER: Final = 2.0**700
+"""A power of two, so that a short vector times this has the same digits."""
 
-_UP = np.array([0.0, 0.0, 1.0])  # the gradient where a centre is on an axis or on the other centre: one of many
+_UP = np.array([0.0, 0.0, 1.0])  # a direction where any is as good
 
 
 class Surface(NamedTuple):
@@ -151,7 +153,7 @@ class ContactPair(NamedTuple):
 
 
 _ORDER: Final = ("spheres", "capsule", "parallelogram", "plane", "box")
-"""The order of the rows by their kinds; the first three are distances from sets without an inside."""
+"""The order of the rows by their kinds."""
 
 
 class Contacts:
@@ -182,22 +184,14 @@ class Contacts:
         self.stiffness, self.damping, self.friction = np.ascontiguousarray(surfaces.T)
         self._reach = np.array([pair.reach for pair in rows])
         kinds = [pair.kind for pair in rows]
-        spheres, capsules, pairs_of_axes, planes = (kinds.count(kind) for kind in _ORDER[:-1])
-        round_ = spheres + capsules + pairs_of_axes
-        self._capsules = slice(spheres, spheres + capsules)
-        self._parallelograms = slice(spheres + capsules, round_)
-        self._round = slice(0, round_)
-        self._planes = slice(round_, round_ + planes)
-        self._boxes = slice(round_ + planes, count)
-        ends, axes, sides, corners = (
+        ends = np.cumsum([kinds.count(kind) for kind in _ORDER]).tolist()
+        self._spheres, *parts = (slice(begin, end) for begin, end in pairwise([0, *ends]))
+        self._capsules, self._parallelograms, self._planes, self._boxes = parts
+        axes, sheets, sides, corners = (
             np.array([pair.shape for pair in rows[part]], dtype=np.float64).reshape(-1, size, 3)
-            for part, size in zip(self._parts(), (2, 3, 2, 2), strict=True)
+            for part, size in zip(parts, (2, 3, 2, 2), strict=True)
         )
-        self._middles, self._across = axes[:, :2].sum(axis=1) / 2.0, (axes[:, 1] - axes[:, 0]) / 2.0
-        self._along_other = axes[:, 2]
-        self._start, self._axis = ends[:, 0], ends[:, 1] - ends[:, 0]
-        square = (self._axis * self._axis).sum(axis=1)
-        self._along = self._axis / np.where(square > 0.0, square, 1.0)[:, None]
+        self._from_axes, self._from_sheets = _Distances(axes), _Distances(sheets)
         lengths = np.sqrt((sides[:, 1] * sides[:, 1]).sum(axis=1))
         if not np.all(lengths > 0.0):
             raise ValueError("found a wall with the normal [0, 0, 0]; expected a direction")
@@ -208,9 +202,6 @@ class Contacts:
     def __len__(self) -> int:
         """C, the number of pairs."""
         return len(self.stiffness)
-
-    def _parts(self) -> tuple[slice, slice, slice, slice]:
-        return self._capsules, self._parallelograms, self._planes, self._boxes
 
     def gaps(self, z: Matrix) -> tuple[NDArray[np.float64], Matrix]:
         """The gaps and their gradients.
@@ -224,21 +215,13 @@ class Contacts:
         """
         u = self.incidence @ z
         gap = np.empty(len(u))
-        capsules, parallelograms, planes, boxes = self._parts()
-        if len(self._start):
-            relative = u[capsules] - self._start
-            at = np.minimum(np.maximum((relative * self._along).sum(axis=1), 0.0), 1.0)
-            u[capsules] = relative - at[:, None] * self._axis
-        if len(self._middles):
-            u[parallelograms] = _from_parallelograms(u[parallelograms] - self._middles, self._across, self._along_other)
-        if self._round.stop:
-            across = u[self._round]
-            distance = np.sqrt((across * across).sum(axis=1))
-            gap[self._round] = distance
-            centred = distance == 0.0
-            if centred.any():
-                across[centred], distance[centred] = _UP, 1.0
-            across /= distance[:, None]
+        spheres, planes, boxes = self._spheres, self._planes, self._boxes
+        if spheres.stop:
+            u[spheres], gap[spheres] = _units(u[spheres])
+            u[: spheres.stop][gap[spheres] == 0.0] = _UP
+        for part, distances in ((self._capsules, self._from_axes), (self._parallelograms, self._from_sheets)):
+            if part.start < part.stop:
+                gap[part], u[part] = distances.to(u[part])
         if len(self._normals):
             gap[planes] = (u[planes] * self._normals).sum(axis=1) - self._heights
             u[planes] = self._normals
@@ -252,34 +235,80 @@ class Contacts:
         return 0.5 * float(self.stiffness @ (depth * depth))
 
 
-def _from_parallelograms(relative: Matrix, a: Matrix, b: Matrix) -> Matrix:
-    """The vectors from the nearest points s a + t b, -1 <= s, t <= 1, m.
+class _Distances:
+    """Distances from segments, or from parallelograms: the sets {c + s a + t b, -1 <= s, t <= 1}, b = 0 for segments.
 
-    The s of the nearest point of the plane, within its bounds; the best t for that s; and the best s for that t. Where
-    a and b are parallel to rounding, the best s for t = 0 begins, which ends at a nearest point as well.
+    The distance of x from a convex closed set is the greatest of n^T x - h(n) over unit vectors n, h being the support
+    function: here n^T c + |n^T a| + |n^T b|. It is attained where n leads to x from the nearest point: from a corner;
+    from an edge, across it; or along the normal of the sheet. So each of these directions is a *candidate*, and the
+    greatest value is the distance. The plane of every candidate is below the distance everywhere, whatever rounding has
+    made of its direction. Where x is on the set to rounding, the way to x is noise; then the candidates win that are
+    across an axis, or normal to the sheet, to the last bit.
     """
-    aa, bb = (np.maximum((side * side).sum(axis=1), _LEAST) for side in (a, b))
-    ab = (a * b).sum(axis=1)
-    ua, ub = (relative * a).sum(axis=1), (relative * b).sum(axis=1)
-    determinant = aa * bb - ab * ab
-    parallel = determinant <= _PARALLEL * aa * bb
-    s = np.where(parallel, ua / aa, (ua * bb - ub * ab) / np.where(parallel, 1.0, determinant))
-    t = np.clip((ub - np.clip(s, -1.0, 1.0) * ab) / bb, -1.0, 1.0)
-    s = np.clip((ua - t * ab) / aa, -1.0, 1.0)
-    return np.asarray(relative - s[:, None] * a - t[:, None] * b)
+
+    def __init__(self, shapes: NDArray[np.float64]) -> None:
+        """The sets between two ends (R x 2 x 3), or with half of the other side as a third row (R x 3 x 3), m."""
+        self._centres = shapes[:, :2].sum(axis=1) / 2.0
+        a = (shapes[:, 1] - shapes[:, 0]) / 2.0
+        none = np.zeros_like(a)
+        up = np.broadcast_to(_UP, a.shape)
+        along_a = _units(a)[0]
+        across_a = _across(np.eye(3)[np.abs(a).argmin(axis=1)], along_a, up)
+        if shapes.shape[1] == 2:
+            b, self._normals = none, none[:, None][:, :0]
+            feet, rails, spare = [a, -a, none], [none, none, along_a], across_a
+        else:
+            b = shapes[:, 2]
+            along_b = _units(b)[0]
+            spare = _across(np.cross(along_a, _across(b, along_a, across_a)), along_a, up)
+            self._normals = np.stack([spare, -spare], axis=1)
+            feet = [a + b, a - b, b - a, -a - b, b, -b, a, -a]
+            rails = [none] * 4 + [along_a] * 2 + [along_b] * 2
+        self._feet, self._rails = np.stack(feet, axis=1), np.stack(rails, axis=1)
+        self._spare = np.repeat(spare[:, None], len(feet), axis=1)
+        self._sides = np.stack([a, b], axis=2)
+
+    def to(self, x: Matrix) -> tuple[NDArray[np.float64], Matrix]:
+        """The distances to places ``x``, R x 3, m, and their gradients."""
+        x = x - self._centres
+        found = _across(x[:, None] - self._feet, self._rails, self._spare)
+        candidates = np.concatenate([found, self._normals], axis=1)
+        values = (candidates @ x[:, :, None])[:, :, 0] - np.abs(candidates @ self._sides).sum(axis=2)
+        rows, best = np.arange(len(x)), values.argmax(axis=1)
+        return values[rows, best], candidates[rows, best]
+
+
+def _units(v: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The unit vectors along v, over the last axis, and the lengths of v; 0 for 0."""
+    length = np.sqrt((v * v).sum(axis=-1))
+    small = length < _SMALL
+    if not small.any():
+        return v / length[..., None], length
+    greater = np.where(small[..., None], _GREATER * v, v)
+    length = np.sqrt((greater * greater).sum(axis=-1))
+    units = greater / np.where(length > 0.0, length, 1.0)[..., None]
+    return units, np.where(small, length / _GREATER, length)
+
+
+def _across(v: NDArray[np.float64], along: NDArray[np.float64], spare: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit vectors along v, over the last axis, less what they have along the unit vectors ``along``.
+
+    The second projection takes away what rounding has left of the first. Where little remains after it, v was along
+    ``along`` to rounding, or 0: the direction is then ``spare``.
+    """
+    n = _units(v - (v * along).sum(axis=-1)[..., None] * along)[0]
+    n = n - (n * along).sum(axis=-1)[..., None] * along
+    n, length = _units(n)
+    return np.where((length < 0.5)[..., None], spare, n)
 
 
 def _from_boxes(relative: Matrix, halves: Matrix) -> tuple[NDArray[np.float64], Matrix]:
     """Signed distance from boxes around 0, m, and its gradient; inside a box that of the nearest face."""
     beyond = np.abs(relative) - halves
     sides = np.copysign(1.0, relative)
-    outside = np.maximum(beyond, 0.0)
-    distance = np.sqrt((outside * outside).sum(axis=1))
-    gradient = sides * outside
+    gradient, distance = _units(sides * np.maximum(beyond, 0.0))
     for row in np.flatnonzero(distance == 0.0):
         face = int(np.argmax(beyond[row]))
         distance[row] = beyond[row, face]
         gradient[row, face] = sides[row, face]
-    away = distance > 0.0
-    gradient[away] /= distance[away, None]
     return distance, gradient

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, NoReturn, Protocol
 
 import numpy as np
@@ -26,9 +26,10 @@ import numpy as np
 from manyhands.design.errors import Infeasible
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.integrators import Split, delayed_split, delayed_system, split_system
-from manyhands.design.models.network import Method, Network, NetworkLink, discretise, realise, substitute
-from manyhands.design.models.scene import ContactScene
+from manyhands.design.models.network import Method, Network, NetworkLink, discretise
+from manyhands.design.models.scene import MOST_DRIVE, ContactScene
 from manyhands.design.models.statespace import Matrix, Rational, StateSpace, matrix
+from manyhands.design.models.transfer import realise
 
 
 class Environment(Protocol):
@@ -71,13 +72,17 @@ class _Discretised(WithoutEnergy, ABC):
     def discrete(self, T: float) -> StateSpace:
         """E without its delay, discrete with period T (s)."""
 
+    def units(self, T: float) -> Matrix | None:
+        """The units of :meth:`discrete`'s states, where these are differences (:class:`.Split`); else None."""
+        return None
+
     def environment(self, T: float) -> StateSpace:
         """E z^-d, discrete with period T (s)."""
         return delayed_system(self.discrete(T), self.delay)
 
     def split(self, T: float) -> Split:
         """E_hat z^-d without its integrators."""
-        return delayed_split(split_system(self.discrete(T), T), self.delay, T)
+        return delayed_split(replace(split_system(self.discrete(T), T), units=self.units(T)), self.delay, T)
 
 
 @dataclass(frozen=True)
@@ -270,8 +275,12 @@ class TransferEnvironment(_Discretised):
         return sum(degrees) + self.delay * len(self.ports)
 
     def discrete(self, T: float) -> StateSpace:
-        """E without its delay, one companion form per entry."""
-        return realise(tuple(tuple(substitute(entry, self.method, T) for entry in row) for row in self.entries))
+        """E without its delay, one companion form per entry, in differences."""
+        return realise(self.entries, self.method, T)[0]
+
+    def units(self, T: float) -> Matrix:
+        """The unit of each state, a power of two (:mod:`manyhands.design.models.transfer`)."""
+        return realise(self.entries, self.method, T)[1]
 
 
 @dataclass(frozen=True)
@@ -313,8 +322,12 @@ class StiffenedEnvironment(_Discretised):
             N = np.linalg.inv(np.eye(len(C)) - E.D @ C)
         except np.linalg.LinAlgError:
             raise Infeasible("I - D_E C is singular for the compliance that is counted in series", ()) from None
-        leaving = N @ E.C
+        leaving = N @ E.C  # the states stay those of the world
         return StateSpace(E.A + E.B @ C @ leaving, E.B @ (np.eye(len(C)) + C @ N @ E.D), leaving, N @ E.D)
+
+    def units(self, T: float) -> Matrix | None:
+        """Those of the world's states."""
+        return self.world.units(T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -431,14 +444,16 @@ class ProxyEnvironment(DeclaredEnvironment):
         stiffness: K, m x m symmetric positive definite, N/m.
         content: the digest of what proposes the proxies, where it is data, as of a mesh; None for code. Nothing is
             proved of it; it makes the certificate of another mesh another one.
+        tank: what the world may give out beyond what it has received, J. It counts as stored at the start.
 
     Raises:
-        ValueError: K is not symmetric positive definite, or the level has a negative eigenvalue.
+        ValueError: K is not symmetric positive definite, the level has a negative eigenvalue, or the tank is negative.
     """
 
     enforced: bool = field(init=False, default=True)
     stiffness: Matrix = field(default_factory=lambda: np.zeros((0, 0)))
     content: str | None = None
+    tank: float = 0.0
 
     __repr__ = brief_repr
 
@@ -451,12 +466,14 @@ class ProxyEnvironment(DeclaredEnvironment):
         values = np.linalg.eigvalsh(self.level)
         if values[0] < -1e-12 * max(abs(values[-1]), 1.0):
             raise ValueError("environment.level: expected no negative eigenvalue, for a held proxy costs no energy")
+        if not 0.0 <= self.tank <= MOST_DRIVE:
+            raise ValueError(f"environment.tank: found {self.tank} J; expected 0 to {MOST_DRIVE:g} J")
 
     def __eq__(self, other: object) -> bool:
         """Equal when every number is."""
         if not isinstance(other, ProxyEnvironment):
             return NotImplemented
-        same = super().__eq__(other) and self.content == other.content
+        same = super().__eq__(other) and (self.content, self.tank) == (other.content, other.tank)
         return same and np.array_equal(self.stiffness, other.stiffness)
 
     __hash__ = None  # matrices have none

@@ -23,6 +23,7 @@ import numpy as np
 from manyhands.design.errors import Infeasible
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix, symmetric_part
+from manyhands.design.models.transfer import InDifferences, stated
 from manyhands.design.passivity.storage import storage_inequality
 
 _ASYMMETRY = 1e-9  # of E1, relative: a greater one is not the rounding of the given matrices
@@ -35,10 +36,13 @@ class Split:
     Attributes:
         stiffness: E1, the static stiffness, m x m symmetric, N/m.
         rest: Rest, from velocity (m/s) to force (N), of order n, stable.
+        units: of Rest's states, n powers of two, where they are the differences of rational functions divided by these
+            (:mod:`manyhands.design.models.transfer`); None for all other states, which have none.
     """
 
     stiffness: Matrix
     rest: StateSpace
+    units: Matrix | None = None
 
     __repr__ = brief_repr
 
@@ -54,6 +58,14 @@ class Split:
             np.hstack([rest.C, self.stiffness - rest.D / T]),
             rest.D / T,
         )
+
+    def stated(self, P: Matrix) -> Matrix | InDifferences:
+        """A storage matrix of Rest as a certificate states it.
+
+        Raises:
+            SolverFailure: an entry leaves the floats.
+        """
+        return P if self.units is None else stated(P, self.units)
 
     def dissipation(self, P: Matrix, Phi_E: Matrix, T: float) -> Matrix:
         """The matrix of the module's inequality, (n+m) x (n+m); E_hat is (-Phi_E)-ISP when it is <= 0."""
@@ -107,7 +119,8 @@ def delayed_split(split: Split, ticks: int, T: float) -> Split:
     late = delayed_system(split.rest, ticks)
     C = np.array(late.C)
     C[:, split.rest.order :] -= T * np.tile(split.stiffness, ticks)
-    return Split(split.stiffness, StateSpace(late.A, late.B, C, late.D))
+    units = None if split.units is None else np.concatenate([split.units, np.ones(ticks * split.rest.inputs)])
+    return Split(split.stiffness, StateSpace(late.A, late.B, C, late.D), units)
 
 
 def delayed_system(E: StateSpace, ticks: int) -> StateSpace:

@@ -39,7 +39,7 @@ from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.contacts import GROUND as GROUND
 from manyhands.design.models.device import zero_order_hold
 from manyhands.design.models.integrators import Split
-from manyhands.design.models.statespace import Matrix, Rational, StateSpace, companion_forms, matrix, symmetric_part
+from manyhands.design.models.statespace import Matrix, StateSpace, matrix, symmetric_part
 
 _RANK_TOLERANCE = 1e-12  # relative pivot below which a direction of K stores no energy (double precision: 2e-16 * size)
 
@@ -367,55 +367,3 @@ def discretise(system: StateSpace, method: Method, T: float) -> StateSpace:
     if method == "backward-euler":
         return StateSpace(R, T * R @ B, C @ R, D + T * C @ R @ B)
     return StateSpace(R @ (np.eye(n) + step * A), T * R @ B, C @ R, D + step * C @ R @ B)
-
-
-def substitute(entry: Rational, method: Literal["backward-euler", "tustin"], T: float) -> Rational:
-    """Numerator and denominator in z, descending, of an entry in s with s = (z-1)/(Tz) or 2(z-1)/(T(z+1)).
-
-    Both are multiplied by the method's denominator to the power of the entry's degree: the larger degree of numerator
-    and denominator without leading zeros. Improper entries are allowed.
-    """
-    entry = (_trimmed(entry[0]), _trimmed(entry[1]))
-    below = np.array([T, 0.0]) if method == "backward-euler" else np.array([T, T])
-    above = np.array([1.0, -1.0]) if method == "backward-euler" else np.array([2.0, -2.0])
-    degree = max(len(part) for part in entry) - 1
-    out = []
-    for part in entry:
-        total = np.zeros(degree + 1)
-        for power, coefficient in enumerate(reversed(part)):
-            term = np.array([coefficient])
-            for factor in [above] * power + [below] * (degree - power):
-                term = np.convolve(term, factor)
-            total += term
-        out.append(tuple(float(c) for c in total))
-    return out[0], out[1]
-
-
-def realise(entries: tuple[tuple[Rational, ...], ...]) -> StateSpace:
-    """A discrete state space of a matrix of rational functions of z, in the companion forms of its entries.
-
-    Every entry keeps its states, also an entry that is a plain gain. A proof that rebuilds the system exactly then does
-    not have to decide which numbers are zero.
-
-    Args:
-        entries: rows of (numerator, denominator) of equal length, as :func:`substitute` gives them.
-
-    Raises:
-        Infeasible: an entry is improper in z, so that its output would need a future input.
-    """
-    for i, row in enumerate(entries):
-        for j, (_, den) in enumerate(row):
-            if den[0] == 0.0:
-                raise Infeasible(
-                    f"the environment's entry ({i + 1}, {j + 1}) is not causal after discretisation",
-                    ("use backward Euler", "lower the numerator's degree"),
-                )
-    return companion_forms(entries, idle=True)
-
-
-def _trimmed(coefficients: tuple[float, ...]) -> tuple[float, ...]:
-    """The coefficients without leading zeros; the zero polynomial keeps one."""
-    for i, c in enumerate(coefficients):
-        if c != 0.0:
-            return coefficients[i:]
-    return (0.0,)

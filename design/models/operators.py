@@ -91,7 +91,7 @@ class RationalMatrix:
 
     def realisation(self) -> StateSpace:
         """A continuous state space of H(s): one companion form for each entry, not minimal in general."""
-        return companion_forms(self.entries, idle=False)
+        return companion_forms(self.entries)
 
     def passivity(self) -> PassivityFinding:
         """Check passivity by the module's equation."""

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import cached_property
 from itertools import combinations
 from typing import Any, Final
@@ -50,7 +51,7 @@ MOST_SAMPLES: Final = 10_000
 """Samples of a driven body's recorded motion along one axis: the certificate and the environment's bundle have them."""
 
 MOST_DRIVE: Final = 1000.0
-"""J, of the tank of the driven bodies."""
+"""J, of the tank of the driven bodies, or of a world of proxies."""
 
 SHAPES: Final[Mapping[str, tuple[str, ...]]] = {
     "wall": ("at", "normal"),
@@ -83,10 +84,20 @@ class SceneError(ValueError):
 class Falling(SceneError):
     """Gravity would move a body down without end, so that the scene could give out energy without end."""
 
-    def __init__(self, body: str) -> None:
-        """The error about this body."""
-        expected = "a room, a wall whose normal points against gravity, or a spring to the ground"
-        super().__init__(body, "gravity, and nothing that holds the body for good", expected)
+    def __init__(self, body: str, nearly: str = "", normal: Point = (0.0, 0.0, 0.0)) -> None:
+        """The error about this body.
+
+        Args:
+            body: its name.
+            nearly: the wall whose normal is nearly against gravity; empty where there is none.
+            normal: the direction against gravity.
+        """
+        found, expected = "gravity, and nothing that holds the body for good", "a wall whose normal points"
+        if nearly:
+            found += f": gravity has a small component along the wall {nearly}"
+            x, y, z = normal
+            expected = f"the wall {nearly} with the normal [{x!r}, {y!r}, {z!r}],"
+        super().__init__(body, found, f"a room, {expected} exactly against gravity, or a spring to the ground")
 
 
 class UnknownGap(SceneError):
@@ -257,7 +268,8 @@ class ContactScene:
             raise ValueError(f"environment: {problem}")
         for body in self.bodies:
             if self.lowest_energy(body) == -math.inf:
-                raise Falling(body.name)
+                x, y, z = (0.0 - g for g in self.gravity)
+                raise Falling(body.name, self._nearly_holding(body), (x, y, z))
         count = sum(1 for _ in self.pairs())
         if count > MOST_PAIRS:
             expected = f"at most {MOST_PAIRS}; a contact of stiffness 0 takes its pair away"
@@ -460,6 +472,9 @@ class ContactScene:
 
             -W^T q + k/2 |q - q0|^2 >= -W^T q0 - |W|^2/(2 k).
 
+        A wall alone holds a body only if its normal is exactly against gravity. That is decided with the decimals that
+        both are written with, as the proof decides it.
+
         Returns:
             The greatest of these bounds; minus infinity where gravity acts on the body, and none holds it.
         """
@@ -475,8 +490,8 @@ class ContactScene:
             k = self.surface_of(body.name, obstacle.name).stiffness
             if k == 0.0 or not obstacle.faces:
                 continue
-            pressed = [(at, n) for at, n in obstacle.faces if float(W @ np.array(n)) < 0.0]
-            if obstacle.shape == "wall" and pressed and np.cross(W, pressed[0][1]).any():
+            pressed = [(at, n) for at, n in obstacle.faces if _along(self.gravity, n) < 0]
+            if obstacle.shape == "wall" and pressed and any(_across(self.gravity, pressed[0][1])):
                 continue  # gravity has a component along the wall
             total = 0.0 if pressed else -math.inf
             for at, n in pressed:
@@ -487,6 +502,17 @@ class ContactScene:
                 )
             found.append(total)
         return max(found)
+
+    def _nearly_holding(self, body: Body) -> str:
+        """The wall that would hold the body, were its normal against gravity to the last digit; empty without one."""
+        size = math.hypot(*self.gravity)
+        for obstacle in self.obstacles:
+            if obstacle.shape == "wall" and self.surface_of(body.name, obstacle.name).stiffness > 0.0:
+                n = obstacle.points[1]
+                along, length = _along(self.gravity, n), size * math.hypot(*n)
+                if along < 0 and math.hypot(*map(float, _across(self.gravity, n))) < _NEARLY * length:
+                    return obstacle.name
+        return ""
 
     @cached_property
     def energy_at_start(self) -> float:
@@ -555,6 +581,25 @@ class ContactScene:
         """Tools, bodies, obstacles and how they touch, as JSON values, with the names of the ports."""
         terms = self.terms()
         return {"ports": list(self.ports), **{key: terms[key] for key in _GEOMETRY}}
+
+
+_NEARLY: Final = 1e-3  # rad: a wall that is turned by less was meant to be against gravity
+
+
+def _exactly(vector: Point) -> tuple[Fraction, Fraction, Fraction]:
+    """The decimals that the numbers are written with."""
+    x, y, z = (Fraction(repr(float(value))) for value in vector)
+    return x, y, z
+
+
+def _along(a: Point, b: Point) -> Fraction:
+    return sum((p * q for p, q in zip(_exactly(a), _exactly(b), strict=True)), Fraction(0))
+
+
+def _across(a: Point, b: Point) -> tuple[Fraction, Fraction, Fraction]:
+    """The cross product."""
+    (p, q, r), (x, y, z) = _exactly(a), _exactly(b)
+    return q * z - r * y, r * x - p * z, p * y - q * x
 
 
 _XYZ: Final = {0, 1, 2}

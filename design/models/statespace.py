@@ -164,7 +164,7 @@ class StateSpace:
         num, den = system.num, system.den
         if isinstance(num[0], int | float | np.number):  # SciPy's, with one input and one output
             num, den = [[num]], [[den]]
-        return companion_forms(proper_entries(num, den), idle=False)
+        return companion_forms(proper_entries(num, den))
 
     @property
     def order(self) -> int:
@@ -471,7 +471,7 @@ def proper(entry: Rational, place: str, instead: str) -> Rational:
     return num, den
 
 
-def companion_forms(entries: tuple[tuple[Rational, ...], ...], *, idle: bool) -> StateSpace:
+def companion_forms(entries: tuple[tuple[Rational, ...], ...]) -> StateSpace:
     """A state space of a matrix of proper rational functions of s or of z: one companion form per entry, row by row.
 
     Entry (i, j) with den of degree n has n states, xi' = A xi + b u_j, in the controllable form: ones above the
@@ -480,7 +480,6 @@ def companion_forms(entries: tuple[tuple[Rational, ...], ...], *, idle: bool) ->
 
     Args:
         entries: m rows of p (numerator, denominator), descending powers, proper, no leading zero in the denominator.
-        idle: whether an entry whose output is a plain gain keeps its idle states.
     """
     m, p = len(entries), len(entries[0])
     A_parts: list[Matrix] = []
@@ -489,7 +488,7 @@ def companion_forms(entries: tuple[tuple[Rational, ...], ...], *, idle: bool) ->
         for j, (num, den) in enumerate(row):
             A_entry, C_entry, D[i, j] = _companion(num, den)
             order = A_entry.shape[0]
-            if order == 0 or not (idle or np.any(C_entry)):
+            if order == 0 or not np.any(C_entry):
                 continue
             A_parts.append(A_entry)
             B_entry, C_wide = np.zeros((order, p)), np.zeros((m, order))

@@ -200,6 +200,14 @@ def weighted(loop_E: StateSpace, V: StateSpace, aim: Transparency) -> StateSpace
     return _series(before, loop_E, _lost(loop_E, V), after)
 
 
+def states_of_E(loop_E: StateSpace, V: StateSpace, aim: Transparency) -> tuple[int, ...]:
+    """Where the states of E, and of its second copy, begin among those of :func:`weighted`."""
+    before = aim.W2.realisation(loop_E.inputs).order
+    if aim.objective == "loop-shaping":
+        return (before + V.order,)
+    return before, before + loop_E.order + V.order
+
+
 def _lost(E: StateSpace, V: StateSpace) -> StateSpace:
     """L = (I + E V)^{-1} - I."""
     m, n_V, n_E = E.inputs, V.order, E.order

@@ -25,6 +25,7 @@ from manyhands.design.proof.exact import (
     Item,
     Number,
     Sparse,
+    StatedDifferences,
     StatedMatrix,
     block_diagonal,
     exact_decimal,
@@ -153,9 +154,11 @@ class ProxyData(DeclaredData):
 
     Attributes:
         stiffness: K, m x m, N/m.
+        tank: what the world may give out beyond what it has received, J.
     """
 
     stiffness: StatedMatrix
+    tank: Number
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,10 +254,12 @@ def read_environment(item: Item, ports: tuple[str, ...]) -> EnvironmentData:
         case "declared":
             return DeclaredData(item.fields(("type", "level"))["level"].symmetric(len(ports)))
         case "proxy":
-            parts = item.fields(("type", "level", "stiffness"), optional=("content",))
+            parts = item.fields(("type", "level", "stiffness"), optional=("content", "tank"))
             if "content" in parts:
                 parts["content"].text()  # which mesh it is: nothing of it is proved
-            return ProxyData(*(parts[name].symmetric(len(ports)) for name in ("level", "stiffness")))
+            tank = parts["tank"].number() if "tank" in parts else 0
+            level, stiffness = (parts[name].symmetric(len(ports)) for name in ("level", "stiffness"))
+            return ProxyData(level, stiffness, tank)
         case "wave-link":
             return _wave_link(item, len(ports))
         case "world":
@@ -738,12 +743,23 @@ def storage_matrix(item: Item, word: str) -> StatedMatrix | None:
     """E_hat's storage matrix; None if the file has ``word`` in its place, as it must without a matrix.
 
     Raises:
-        ProofInputError: there is neither the word nor a square matrix of bounded size.
+        ProofInputError: there is neither the word nor a square matrix of bounded size, in either form.
     """
     if isinstance(item.value, str) or word == "enforced":
         item.text(word)
         return None
-    return _square(item)
+    return _storage(item)
+
+
+def _storage(item: Item) -> StatedMatrix:
+    """A storage matrix that states of E belong to: in those states, or as {"differences": rows} in their differences.
+
+    A reader that does not know the second form finds no list, and refuses the file.
+    """
+    if not isinstance(item.value, Mapping):
+        return _square(item)
+    found = _square(item.fields(("differences",))["differences"])
+    return StatedDifferences(found.rows, found.columns, found.values)
 
 
 def _square(item: Item) -> StatedMatrix:
@@ -787,7 +803,7 @@ def _transparency(item: Item) -> StatedTransparency | None:
         _filter(parts["W1"]),
         _filter(parts["W2"]),
         parts["gamma"].number(),
-        _square(parts["P"]),
+        _storage(parts["P"]),
     )
 
 

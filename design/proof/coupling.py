@@ -46,33 +46,39 @@ from manyhands.design.proof.finding import Verdict, weakest
 from manyhands.design.proof.rational import Kind, assembled, diagonal_blocks, identity, zeros
 
 _SPRING_DAMPER_EXACT_ROWS = 32
+_BALLS_FIRST = 4  # rows above which balls are quicker
 _EXACT_BITS = 300  # numbers of unusual length go to balls, which carry a fixed number of bits
 
 
 def spring_damper(V: StatedSpringDamper, Delta_D: StatedMatrix, Delta_V: StatedMatrix, kappa: fmpq, T: fmpq) -> Verdict:
     """Whether V_hat of the block is Delta_V-OSP, given Delta_V > 0, kappa > 0, T > 0.
 
-    Small blocks are decided exactly in rationals, where equality is allowed. Large blocks are decided in balls, which
-    need room in the inequalities.
+    Small blocks are decided exactly in rationals, where equality is allowed. Larger blocks are first tried in balls,
+    which are quicker and need room in the inequalities.
     """
     K_s, B, D, level = V.stiffness, V.damping, Delta_D, Delta_V
-    if exactly_quick(K_s, B, D, level):
-        try:
-            found = _spring_damper_conditions(K_s.rational(), B.rational(), D.rational(), level.rational(), kappa, T)
-        except ZeroDivisionError:
-            return Verdict(False, 0.0, "J is singular")
-        return weakest({name: rational.definite(M, strict) for name, (M, strict) in found.items()})
 
     def by_balls() -> Verdict:
         found = _spring_damper_conditions(K_s.balls(), B.balls(), D.balls(), level.balls(), kappa, T)
         return weakest({name: rational.definite_in_balls(rational.symmetrised(M)) for name, (M, _) in found.items()})
 
-    return rational.decided(D.rows, by_balls)
+    quick = exactly_quick(K_s, B, D, level, scalars=(kappa, T))
+    if D.rows > _BALLS_FIRST or not quick:
+        verdict = rational.decided(D.rows, by_balls)
+        if verdict.holds or not quick:
+            return verdict
+    try:
+        found = _spring_damper_conditions(K_s.rational(), B.rational(), D.rational(), level.rational(), kappa, T)
+    except ZeroDivisionError:
+        return Verdict(False, 0.0, "J is singular")
+    return weakest({name: rational.definite(M, strict) for name, (M, strict) in found.items()})
 
 
-def exactly_quick(*tables: StatedMatrix) -> bool:
-    """Whether exact inverses of matrices like these are quick."""
-    return max(t.rows for t in tables) <= _SPRING_DAMPER_EXACT_ROWS and max(t.bits() for t in tables) <= _EXACT_BITS
+def exactly_quick(*tables: StatedMatrix, scalars: tuple[fmpq, ...] = ()) -> bool:
+    """Whether exact inverses of matrices like these, times such scalars, are quick."""
+    if max(t.rows for t in tables) > _SPRING_DAMPER_EXACT_ROWS:
+        return False
+    return max(*(t.bits() for t in tables), *(int(x.height_bits()) for x in scalars)) <= _EXACT_BITS
 
 
 def loop_stiffness_limit(V: StatedSpringDamper, Delta_D: StatedMatrix, kappa: fmpq, T: fmpq) -> fmpq_mat:
@@ -112,22 +118,26 @@ def linear(V: Linear, Delta_D: StatedMatrix, Delta_V: StatedMatrix, kappa: fmpq,
         return Verdict(False, float("nan"), f"V(1) is not symmetric: {unequal}")
     stated = V.static if V.D is None else V.D
     assert stated is not None  # noqa: S101  # for the type checker: a reader takes one of the two
-    if n + m <= _LINEAR_EXACT_ROWS and exactly_quick(V.A, V.B, V.C, stated, V.P, Delta_D, Delta_V):
-        A, B, C, P, D_D, D_V = (table.rational() for table in (V.A, V.B, V.C, V.P, Delta_D, Delta_V))
-        try:
-            found = _linear_conditions(fmpq_mat, A, B, C, D, V_1, P, D_D, D_V, kappa, T)
-        except ZeroDivisionError:
-            return Verdict(False, float("nan"), "Delta_D is singular")
-        # a block without states cannot be unstable, so <= is enough
-        strict = {name: n > 0 or name != _DISSIPATION for name in found}
-        return weakest({name: rational.definite(M, strict[name]) for name, M in found.items()})
 
     def by_balls() -> Verdict:
         A, B, C, D_D, D_V = (table.balls() for table in (V.A, V.B, V.C, Delta_D, Delta_V))
         found = _linear_conditions(arb_mat, A, B, C, arb_mat(D), arb_mat(V_1), V.P.witness(), D_D, D_V, kappa, T)
         return weakest({name: rational.definite_in_balls(rational.symmetrised(M)) for name, M in found.items()})
 
-    return rational.decided(n + m, by_balls)
+    tables = (V.A, V.B, V.C, stated, V.P, Delta_D, Delta_V)
+    quick = n + m <= _LINEAR_EXACT_ROWS and exactly_quick(*tables, scalars=(kappa, T))
+    if n + m > _BALLS_FIRST or not quick:
+        verdict = rational.decided(n + m, by_balls)
+        if verdict.holds or not quick:
+            return verdict
+    A, B, C, P, D_D, D_V = (table.rational() for table in (V.A, V.B, V.C, V.P, Delta_D, Delta_V))
+    try:
+        found = _linear_conditions(fmpq_mat, A, B, C, D, V_1, P, D_D, D_V, kappa, T)
+    except ZeroDivisionError:
+        return Verdict(False, float("nan"), "Delta_D is singular")
+    # a block without states cannot be unstable, so <= is enough
+    strict = {name: n > 0 or name != _DISSIPATION for name in found}
+    return weakest({name: rational.definite(M, strict[name]) for name, M in found.items()})
 
 
 def _linear_conditions(

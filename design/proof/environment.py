@@ -27,6 +27,9 @@ T/(z-1) E1 with E1 = E1' >= 0 is lossless except for -T/2 E1. So E_hat is (-Phi_
 
 Without the compliance C that is counted in series it is E (I - C E)^-1 (:mod:`manyhands.design.proof.series`).
 
+The states of rational functions may be their differences instead (:mod:`manyhands.design.proof.system`): the storage
+matrix says of which of the two it is.
+
 A delay of d ticks makes it E_hat z^-d = T/(z-1) E1 + [z^-d Rest - T E1 (z^-1 + ... + z^-d)]. Whether E1 is symmetric
 and >= 0 is decided exactly, in rationals (:mod:`manyhands.design.proof.statics`).
 """
@@ -54,7 +57,7 @@ from manyhands.design.proof.claim import (
     TransferData,
     WaveLinkData,
 )
-from manyhands.design.proof.exact import MAX_DENSE, Sparse, StatedMatrix, exact_decimal
+from manyhands.design.proof.exact import MAX_DENSE, Sparse, StatedDifferences, StatedMatrix, exact_decimal
 from manyhands.design.proof.finding import Finding, Verdict, weakest
 from manyhands.design.proof.rational import assembled, diagonal_blocks, identity
 from manyhands.design.proof.statics import Undecided
@@ -129,8 +132,9 @@ def environment(rest: EnclosedSplit, T: fmpq) -> tuple[arb_mat, arb_mat, arb_mat
     )
 
 
-_STEPS = 4_000  # of conjugate gradients; each costs a few products with the matrix's entries
-_MOST_DENSE = 700  # rows of B + TK/2 up to which balls are tried, if no structure helps
+STEPS = 4_000  # of conjugate gradients; each costs a few products with the matrix's entries
+MOST_DENSE = 400  # rows of B + TK/2 up to which balls are tried, if no structure helps
+MOST_SEARCHED = 200  # the same, where dominance is equivalent
 
 
 def laplacian(links: tuple[LinkData, ...], weights: list[fmpq]) -> Sparse:
@@ -193,9 +197,20 @@ def _group(total: Sparse, group: list[int]) -> Verdict:
     if len(group) <= exact.MOST_EXACT:
         return exact.definite(exact.dense(total, group), strict=False)
     verdict = dominant(total, group)
-    if not verdict.holds and len(group) <= _MOST_DENSE:
+    if not verdict.holds and len(group) <= most_dense(total, group):
         return rational.decided(len(group), lambda: rational.definite_in_balls(arb_mat(exact.dense(total, group))))
     return verdict
+
+
+def most_dense(total: Sparse, group: list[int]) -> int:
+    """Rows up to which balls are tried after diagonal dominance.
+
+    Where no entry beside the diagonal is positive, the matrix is >= 0 exactly if such weights exist. Then balls only
+    help where the weights are not found, and they are tried for small groups alone.
+    """
+    inside = set(group)
+    joined = any(value > 0 for (i, j), value in total.items() if i != j and i in inside)
+    return MOST_DENSE if joined else MOST_SEARCHED
 
 
 def dominant(matrix: Sparse, group: list[int]) -> Verdict:
@@ -221,7 +236,7 @@ def dominant(matrix: Sparse, group: list[int]) -> Verdict:
     x = np.zeros(n)
     residual = np.ones(n)  # of the right-hand side 1: weights with every entry of the residual below 1 are enough
     direction, square = residual.copy(), float(n)
-    for _ in range(_STEPS):
+    for _ in range(STEPS):
         product = np.bincount(rows, values * direction[columns], minlength=n)
         curvature = float(direction @ product)
         if not curvature > 0.0:
@@ -361,8 +376,10 @@ def order(data: DynamicsData, m: int) -> int:
     return own + m * data.delay
 
 
-def split(data: DynamicsData, T: fmpq) -> EnclosedSplit:
+def split(data: DynamicsData, T: fmpq, differences: bool = False) -> EnclosedSplit:
     """E_hat without its integrators and with its delay; of a network, in the middle of its intervals.
+
+    The states of rational functions are their ``differences``, or those of the form in z.
 
     Raises:
         ZeroDivisionError: a matrix is not proved regular.
@@ -373,15 +390,20 @@ def split(data: DynamicsData, T: fmpq) -> EnclosedSplit:
         case NetworkData():
             own = network_split(data, T)
         case StiffenedData():
-            E = stiffened(_discrete(data.world, T), arb_mat(data.compliance))
+            E = stiffened(_discrete(data.world, T, differences), arb_mat(data.compliance))
             own = split_system(*E, arb_mat(statics.of_environment(data)), T)
         case _:
-            own = split_system(*_discrete(data, T), arb_mat(statics.of_environment(data)), T)
+            own = split_system(*_discrete(data, T, differences), arb_mat(statics.of_environment(data)), T)
     return delayed(own, data.delay, T)
 
 
-def _discrete(data: SystemData | TransferData, T: fmpq) -> Realisation:
-    return discrete(data, T) if isinstance(data, SystemData) else realised(data, T)
+def _discrete(data: SystemData | TransferData, T: fmpq, differences: bool) -> Realisation:
+    return discrete(data, T) if isinstance(data, SystemData) else realised(data, T, differences)
+
+
+def has_differences(data: DynamicsData) -> bool:
+    """Whether the states have differences to speak of: those of rational functions do."""
+    return isinstance(data.world if isinstance(data, StiffenedData) else data, TransferData)
 
 
 def stiffened(E: Realisation, C: arb_mat) -> Realisation:
@@ -423,6 +445,8 @@ def findings(data: EnvironmentData, P: StatedMatrix | None, Phi_E: Sparse, m: in
         return [*out, _refused(f"{size} states and {m} ports are too many for a dense proof (at most {MAX_DENSE})")]
     if P.rows != size:
         return [*out, _refused(f"the storage matrix has {P.rows} rows, Rest has {size} states")]
+    if isinstance(P, StatedDifferences) and not has_differences(data):
+        return [*out, _refused("a storage matrix in differences is for rational functions alone")]
     return [*out, *_matrix_findings(data, P, Phi_E, m, T)]
 
 
@@ -436,6 +460,8 @@ def _declared(data: DeclaredData, Phi_E: Sparse, m: int) -> Finding:
     match data:
         case ProxyData():
             argument = "kept by the proxy test at every tick, whatever positions are proposed"
+            if data.tank > 0:
+                argument += f"; gives out at most the {float(data.tank):g} J of its tank, which counts as stored"
             return Finding(_ISP, True, 0.0, 0.0, argument=argument, enforced=True)
         case WaveLinkData():
             argument = "by the rules of the wave link's face, whatever arrives; not proved here"
@@ -457,6 +483,11 @@ def _proxy_findings(data: ProxyData, Phi_E: Sparse, m: int) -> list[Finding]:
     found = [
         exact.definite_by_groups(stiffness, m).finding("the stiffness K of the proxies' springs is symmetric and > 0"),
         exact.definite_by_groups(level, m, strict=False).finding("the declared level of the proxies is >= 0"),
+        *(
+            [Finding("the tank of the world is not negative", data.tank >= 0, float(data.tank), 0.0)]
+            if data.tank
+            else []
+        ),
     ]
     return [*found, _declared(data, Phi_E, m)] if all(one.holds for one in found) else found
 
@@ -480,7 +511,7 @@ def _matrix_findings(data: DynamicsData, stated: StatedMatrix, Phi_E: Sparse, m:
 
     def test() -> dict[str, Verdict]:
         try:
-            rest = split(data, T)
+            rest = split(data, T, isinstance(stated, StatedDifferences))
         except (NotDiscretised, Undecided) as error:
             return {"": Verdict(False, float("nan"), str(error))}
         P = rational.symmetrised(stated.witness())

@@ -76,6 +76,10 @@ class StatedMatrix:
         return max((max(abs(p).bit_length(), q.bit_length()) for p, q in pairs), default=0)
 
 
+class StatedDifferences(StatedMatrix):
+    """A storage matrix in differences of the states of rational functions (:mod:`manyhands.design.proof.system`)."""
+
+
 @dataclass(frozen=True)
 class Item:
     """A value of the data and its place.
@@ -219,8 +223,7 @@ def _shown(value: object) -> str:
 Sparse = dict[tuple[int, int], fmpq]
 """The entries that are not zero, both triangles."""
 
-MOST_EXACT = 64  # rows for which the exact test is quicker than balls
-_MOST_BITS = 2_000  # of an entry: numbers of unusual length go to balls, which carry a fixed number of bits
+MOST_EXACT = 64  # rows up to which balls may be followed by the exact test
 
 
 def add(into: Sparse, indices: Sequence[int], table: StatedMatrix) -> None:
@@ -282,13 +285,17 @@ def dense(matrix: Sparse, indices: Sequence[int]) -> fmpq_mat:
 
 
 def definite(M: fmpq_mat, strict: bool = True) -> Verdict:
-    """Whether M > 0, or M >= 0: exactly if that is quick, otherwise in balls, which can only prove M > 0."""
+    """Whether M > 0, or M >= 0: exactly if that may be quick, otherwise in balls, which can only prove M > 0."""
     n = M.nrows()
-    if n <= MOST_EXACT and (n <= 2 or _bits(M) <= _MOST_BITS):
+    if n <= MOST_EXACT:
         return rational.definite(M, strict)
-    if n > MAX_DENSE:
-        return Verdict(False, float("nan"), f"{n} rows are too many for a dense proof (at most {MAX_DENSE})")
-    return rational.decided(n, lambda: rational.definite_in_balls(arb_mat(M)))
+    return _too_large(n) or rational.decided(n, lambda: rational.definite_in_balls(arb_mat(M)))
+
+
+def _too_large(n: int) -> Verdict | None:
+    if n <= MAX_DENSE:
+        return None
+    return Verdict(False, float("nan"), f"{n} rows are too many for a dense proof (at most {MAX_DENSE})")
 
 
 def definite_by_groups(matrix: Sparse, size: int, strict: bool = True, name: str = "ports") -> Verdict:
@@ -300,7 +307,8 @@ def definite_by_groups(matrix: Sparse, size: int, strict: bool = True, name: str
     for group in groups(size, [matrix]):
         if not strict and len(group) == 1 and (group[0], group[0]) not in matrix:
             continue
-        parts[f"{name} {_shown_rows(group)}"] = definite(dense(matrix, group), strict)
+        too_large = _too_large(len(group))  # before it is written out
+        parts[f"{name} {_shown_rows(group)}"] = too_large or definite(dense(matrix, group), strict)
     return weakest(parts) if parts else Verdict(True, 0.0, "exactly: the matrix is zero")
 
 
@@ -316,10 +324,6 @@ def least_eigenvalue(matrix: Sparse, size: int) -> float:
             found = rational.least_eigenvalue(dense(matrix, group))
         least = min(least, found)
     return least
-
-
-def _bits(M: fmpq_mat) -> int:
-    return max((int(entry.height_bits()) for entry in M.entries()), default=0)
 
 
 def _shown_rows(group: list[int]) -> str:

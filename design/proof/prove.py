@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from manyhands.design.proof import contract, environment, series, transparency, wave_link
+from manyhands.design.proof import contract, environment, series, transparency, wave_link, work
 from manyhands.design.proof.claim import WITHOUT_ASKED, Claim, ProxyData, StatedSpringDamper, read
 from manyhands.design.proof.coupling import linear, spring_damper
 from manyhands.design.proof.device import device_form
@@ -29,11 +29,13 @@ def prove(data: Mapping[str, Any], progress: Progress | None = None) -> tuple[Fi
         The key ``asked`` claims nothing and has no finding.
 
     Raises:
-        ProofInputError: the data are no certificate of a known version; the message names the key.
+        ProofInputError: the data are no certificate of a known version, or their proof may take more work than is done
+            for a file of their size; the message names the key.
     """
     report = progress if progress is not None else _silent
     report("reading the certificate")
     claim = read(data)
+    work.require_bounded(data, lambda: work.parts_of(claim))
     findings = [_identity(claim), contract.one_party_each(claim), contract.times(claim)]
     if not all(finding.holds for finding in findings[1:]):
         return tuple(findings)

@@ -20,9 +20,10 @@ from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
-from flint import arb, arb_mat, ctx, fmpq, fmpq_mat
+from flint import arb, arb_mat, ctx, fmpq, fmpq_mat, fmpz
 from numpy.typing import NDArray
 
+from manyhands.design.proof import cost
 from manyhands.design.proof.finding import Verdict
 
 _ARGUMENT = "exactly, in rationals"
@@ -45,7 +46,11 @@ def _half_log2(value: fmpq) -> int:
 
 
 def definite(M: fmpq_mat, strict: bool = True) -> Verdict:
-    """Whether the symmetric M is positive definite; without ``strict``, whether it is semidefinite."""
+    """Whether the symmetric M is positive definite; without ``strict``, whether it is semidefinite.
+
+    Where the numbers are long, balls are tried first, which are quicker and can only prove M > 0. What they do not
+    decide is decided exactly, unless that would take more than :data:`.cost.MOST_EXACT` operations.
+    """
     n = M.nrows()
     if n == 0:
         return Verdict(True, 1.0, _ARGUMENT)
@@ -55,13 +60,39 @@ def definite(M: fmpq_mat, strict: bool = True) -> Verdict:
         return Verdict(holds, float((entry > 0) - (entry < 0)), _ARGUMENT)
     if M.transpose() != M:
         return Verdict(False, float("-inf"), "the matrix is not symmetric")
+    if cost.charpoly(n, _height(M)) > cost.EXACT_FIRST:
+        verdict = decided(n, lambda: definite_in_balls(arb_mat(M)))
+        if verdict.holds:
+            return verdict
     N = scaled(M)
+    bits = _common_bits(N)
+    if cost.charpoly(n, bits) > cost.MOST_EXACT:
+        argument = f"not proved in balls, and its numbers of more than {min(bits, _LONGEST):.0f} bits are too long"
+        return Verdict(False, least_eigenvalue(N), f"{argument} to be decided exactly")
     numerators, _ = N.numer_denom()
     coefficients = numerators.charpoly()
     # starting with x^n, the sign of the coefficient of x^(n-k) must be (-1)^k
     signed = [coefficients[n - k] * (-1) ** k for k in range(1, n + 1)]
     holds = all(e > 0 for e in signed) if strict else all(e >= 0 for e in signed)
     return Verdict.of(holds, least_eigenvalue(N), _ARGUMENT)
+
+
+_LONGEST = 100_000  # bits of a common denominator that is still computed
+
+
+def _height(M: fmpq_mat) -> int:
+    """The longest numerator or denominator of an entry, bits."""
+    return max((int(entry.height_bits()) for entry in M.entries()), default=0)
+
+
+def _common_bits(M: fmpq_mat) -> float:
+    """A bound of the numerators over the common denominator, bits; infinite where that is longer than is computed."""
+    common = fmpz(1)
+    for q in {int(entry.q) for entry in M.entries()}:
+        common = common.lcm(q)
+        if common.bit_length() > _LONGEST:
+            return float("inf")
+    return float(common.bit_length() + _height(M))
 
 
 def least_eigenvalue(M: fmpq_mat) -> float:
@@ -89,9 +120,7 @@ def rounded(value: fmpq) -> float:
         return float("inf") if value > 0 else float("-inf")
 
 
-PRECISIONS = (128, 384)  # bits; the second is tried if the first does not decide and the matrix is small
-_QUICK = 200  # rows
-_STEPS = 5  # repeated factorisations; each gains about 13 digits of condition
+_STEPS = 5  # at a precision that a caller has set
 _EPSILON = float(np.finfo(np.float64).eps)
 
 Kind = TypeVar("Kind", fmpq_mat, arb_mat)
@@ -111,7 +140,7 @@ def decided(order: int, test: Callable[[], Verdict]) -> Verdict:
 def all_decided(order: int, test: Callable[[], dict[str, Verdict]]) -> dict[str, Verdict]:
     """Like :func:`decided`, for several verdicts by name; a division by zero leaves one, under an empty name."""
     found: dict[str, Verdict] = {}
-    for precision in PRECISIONS[: 2 if order <= _QUICK else 1]:
+    for precision in cost.precisions(order):
         with ctx.workprec(precision):
             try:
                 found = test()
@@ -140,7 +169,7 @@ def definite_in_balls(M: arb_mat) -> Verdict:
         return Verdict(False, float("nan"), f"{argument}: the matrix is not finite")
     least = float_least(middle.tolist())
     S, X = N, None
-    for _ in range(_STEPS):
+    for _ in range(cost.STEPS.get(ctx.prec, _STEPS)):
         factor = _inverse_factor(middle)
         if factor is None:
             break
@@ -256,7 +285,7 @@ def _distance_from_identity(N: arb_mat) -> arb:
     most = arb(0)
     for i, row in enumerate(N.tolist()):
         row[i] = row[i] - 1
-        total = sum((abs(entry) for entry in row), arb(0)).upper()
+        total = sum(map(abs, row), arb(0)).upper()
         if not total.is_finite():
             return arb.pos_inf()
         most = most.max(total)

@@ -72,11 +72,12 @@ def _fault(claim: Claim) -> str:
     network = claim.environment
     if not isinstance(network, NetworkData) or network.delay:
         return "the environment is no network, state space or matrix of rational functions without delay"
+    links = _links_of(network)
     for port, part in claim.series.items():
         name = claim.ports[port]
         if not 0 < part < 1:
             return f"the part of {name} is not between 0 and 1"
-        own = _own_links(network, port)
+        own = links.get(port, [])
         ends = {end for link in own for end in link.ends if end != port}
         if len(ends) != 1:
             return f"the links of {name} lead to {len(ends)} ends, and not to one"
@@ -88,8 +89,13 @@ def _fault(claim: Claim) -> str:
     return ""
 
 
-def _own_links(network: NetworkData, port: int) -> list[LinkData]:
-    return [link for link in network.links if port in link.ends]
+def _links_of(network: NetworkData) -> dict[int | None, list[LinkData]]:
+    """The links at every end."""
+    out: dict[int | None, list[LinkData]] = {}
+    for link in network.links:
+        for end in link.ends:
+            out.setdefault(end, []).append(link)
+    return out
 
 
 def cut(claim: Claim) -> Claim:
@@ -129,11 +135,10 @@ def counted(claim: Claim) -> Realisation:
     network = claim.environment
     if not isinstance(network, NetworkData):
         return arb_mat(0, 0), arb_mat(0, m), arb_mat(m, 0), arb_mat(_compliance(claim))
-    n = len(ports)
+    n, links = len(ports), _links_of(network)
     A, B, C, D = arb_mat(n, n), arb_mat(n, m), arb_mat(m, n), arb_mat(m, m)
     for at, port in enumerate(ports):
-        own = _own_links(network, port)
-        part = claim.series[port]
+        own, part = links[port], claim.series[port]
         k = sum((_middle(link.stiffness) for link in own), fmpq(0)) / part
         b = sum((_middle(link.damping) for link in own), fmpq(0)) / part
         compliance = 1 / (T * k + b)

@@ -16,14 +16,14 @@ if D has no finite decimals.
 
 from __future__ import annotations
 
-from flint import arb_mat, fmpq_mat
+from functools import lru_cache
+
+from flint import fmpq_mat
 
 from manyhands.design.proof import exact, rational
 from manyhands.design.proof.claim import StiffenedData, SystemData, TransferData
 from manyhands.design.proof.exact import MAX_STATIC, Sparse, StatedMatrix, exact_decimal
 from manyhands.design.proof.finding import Verdict
-
-_MOST_BITS = 2_000  # of an entry: longer ones are tried in balls first, which have a fixed number of bits
 
 
 class Undecided(ValueError):
@@ -67,8 +67,12 @@ def _stated(table: StatedMatrix | None) -> fmpq_mat:
     return table.rational()
 
 
+@lru_cache(maxsize=8)
 def _carried(A: StatedMatrix, B: StatedMatrix, C: StatedMatrix, discrete: bool) -> fmpq_mat:
-    """The states' part of the static gain: C (I - A)^-1 B, or -C A^-1 B of a continuous system."""
+    """The states' part of the static gain: C (I - A)^-1 B, or -C A^-1 B of a continuous system.
+
+    A proof asks for it several times, of the same tables; they are compared by identity, and nothing may change them.
+    """
     n = A.rows
     if n == 0:
         return fmpq_mat(C.rows, B.columns)
@@ -146,19 +150,10 @@ def semidefinite(M: fmpq_mat) -> Verdict:
         part = exact.dense(entries, group)
         if len(group) == 1 and part[0, 0] == 0:
             continue
-        verdict = _definite(part)
+        verdict = exact.definite(part, strict=False)
         if not verdict.holds:
             ports = ", ".join(str(i + 1) for i in group[:6])
             return Verdict(False, verdict.least, f"ports {ports}: {verdict.argument}")
         if verdict.least < least:
             least, argument = verdict.least, verdict.argument
     return Verdict(True, least if least < float("inf") else 0.0, argument)
-
-
-def _definite(M: fmpq_mat) -> Verdict:
-    long = M.nrows() > 2 and max(int(entry.height_bits()) for entry in M.entries()) > _MOST_BITS
-    if long or M.nrows() > exact.MOST_EXACT:
-        verdict = rational.decided(M.nrows(), lambda: rational.definite_in_balls(arb_mat(M)))
-        if verdict.holds or M.nrows() > exact.MOST_EXACT:
-            return verdict
-    return rational.definite(M, strict=False)

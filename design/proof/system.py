@@ -10,6 +10,11 @@ A rational function of s becomes a rational function of z, exactly, by s = (z-1)
 row, each entry has the controllable companion form of its degree n, the larger degree of numerator and denominator,
 whether common factors cancel or not: ones above the diagonal of A, -(a_n, ..., a_1) in its last row, B the last unit
 vector, C = (b_n - a_n b_0, ..., b_1 - a_1 b_0), D = b_0.
+
+**In differences.** The same form of a polynomial in z - 1 instead of z has A = I + that companion matrix; B, C and D
+follow as above. Its states are a state of the entry and its differences from tick to tick, xi, (z-1) xi, (z-1)^2 xi and
+so on. The states of the form in z are later and later values of xi, which for a slow pole hardly differ: a storage
+matrix of floats in them loses its digits.
 """
 
 from __future__ import annotations
@@ -107,8 +112,8 @@ def transfer_order(transfer: TransferData) -> int:
     return sum(max(len(num), len(den)) - 1 for row in transfer.entries for num, den in row)
 
 
-def realised(transfer: TransferData, T: fmpq) -> Realisation:
-    """E, discrete, without its delay, from exact coefficients.
+def realised(transfer: TransferData, T: fmpq, differences: bool = False) -> Realisation:
+    """E, discrete, without its delay, from exact coefficients; with states in ``differences`` or of the form in z.
 
     Raises:
         NotDiscretised: an entry is not causal.
@@ -119,7 +124,7 @@ def realised(transfer: TransferData, T: fmpq) -> Realisation:
     for i, row in enumerate(transfer.entries):
         for j, (num, den) in enumerate(row):
             degree = max(len(num), len(den)) - 1
-            above, below = (_substituted(part, degree, transfer.method, T) for part in (num, den))
+            above, below = (_substituted(part, degree, transfer.method, T, differences) for part in (num, den))
             if below[0] == 0:
                 raise NotDiscretised(f"entry ({i + 1}, {j + 1}) is not causal after discretisation")
             b, a = [x / below[0] for x in above], [x / below[0] for x in below]
@@ -130,17 +135,20 @@ def realised(transfer: TransferData, T: fmpq) -> Realisation:
                 C[i, at + degree - 1 - k] = b[k + 1] - a[k + 1] * b[0]
             for k in range(degree):
                 A[at + degree - 1, at + degree - 1 - k] = -a[k + 1]
+            for k in range(degree if differences else 0):
+                A[at + k, at + k] = (1 - a[1]) if k == degree - 1 else 1
             if degree:
                 B[at + degree - 1, j] = 1
             at += degree
     return A, B, C, D
 
 
-def _substituted(coefficients: tuple[Number, ...], degree: int, method: str, T: fmpq) -> list[fmpq]:
-    """Coefficients in z, descending, of a polynomial in s times (Tz)^degree, or (T (z+1))^degree."""
+def _substituted(coefficients: tuple[Number, ...], degree: int, method: str, T: fmpq, differences: bool) -> list[fmpq]:
+    """Coefficients in z, or in z - 1, descending, of a polynomial in s times (Tz)^degree, or (T (z+1))^degree."""
     euler = method == "backward-euler"
-    above = fmpq_poly([-1, 1]) if euler else fmpq_poly([-2, 2])
-    below = fmpq_poly([0, T]) if euler else fmpq_poly([T, T])
+    z = fmpq_poly([1, 1]) if differences else fmpq_poly([0, 1])
+    above = (z - 1) * (1 if euler else 2)
+    below = z * T if euler else (z + 1) * T
     total = fmpq_poly([0])
     for power, c in enumerate(reversed(coefficients)):
         total += fmpq_poly([exact_decimal(c)]) * above**power * below ** (degree - power)

@@ -16,7 +16,8 @@ these four systems, with m inputs and m outputs each:
   (:mod:`manyhands.design.proof.series`): states of the blocks, then, of a network, one for each port where something is
   counted.
 - E: from E1 and Rest = (A_r, B_r, C_r, D_r), for every kind of environment, delayed ones too (Rest with its chain),
-  and a network in the middle of its intervals; state (eta, u-), u- the displacement of the tick before:
+  and a network in the middle of its intervals, in the states that P is stated in; state (eta, u-), u- the displacement
+  of the tick before:
 
       A_E = [ A_r  -B_r/T ]    B_E = [ B_r/T ]    C_E = [ C_r   E1 - D_r/T ]    D_E = D_r/T.
             [ 0     0     ]          [ I     ]
@@ -56,7 +57,7 @@ from manyhands.design.proof.claim import (
     StatedTransparency,
 )
 from manyhands.design.proof.environment import environment as environment_of
-from manyhands.design.proof.exact import MAX_DENSE, exact_decimal
+from manyhands.design.proof.exact import MAX_DENSE, StatedDifferences, exact_decimal
 from manyhands.design.proof.finding import Finding, Verdict, weakest
 from manyhands.design.proof.rational import assembled, diagonal_blocks, identity
 from manyhands.design.proof.statics import Undecided, feedthrough
@@ -79,6 +80,8 @@ def finding(claim: Claim, stated: StatedTransparency) -> Finding:
         problem = f"{size} states and {m} ports are too many for a dense proof (at most {MAX_DENSE})"
     elif stated.P.rows != size:
         problem = f"the storage matrix has {stated.P.rows} rows, the realisation {size} states"
+    elif isinstance(stated.P, StatedDifferences) and not environment.has_differences(E):
+        problem = "a storage matrix in differences is for rational functions alone"
     if problem:
         return Finding(condition, False, float("nan"), 0.0, argument=problem)
 
@@ -123,7 +126,7 @@ def weighted(claim: Claim, data: DynamicsData, stated: StatedTransparency) -> Re
     V = coupling(claim)
     if claim.series:
         V = less(V, series_of_world.counted(claim))
-    E = environment_of(environment.split(data, claim.period), claim.period)
+    E = environment_of(environment.split(data, claim.period, isinstance(stated.P, StatedDifferences)), claim.period)
     if stated.objective == "loop-shaping":
         return series(W2, V, E, W1)
     return series(W2, E, loop(V, E), W1)

@@ -29,7 +29,7 @@ from typing import Any
 
 from flint import fmpq
 
-from manyhands.design.proof import contract, environment, exact, rational, wave_link
+from manyhands.design.proof import contract, environment, exact, rational, wave_link, work
 from manyhands.design.proof.claim import (
     DeclaredData,
     EnvironmentData,
@@ -186,11 +186,13 @@ def prove_world(data: Mapping[str, Any], progress: Progress | None = None) -> tu
         Every finding; the world is proved if all of them hold. A finding marked ``enforced`` is kept at run time.
 
     Raises:
-        ProofInputError: the data are no world of a known version; the message names the key.
+        ProofInputError: the data are no world of a known version, or their proof may take more work than is done for a
+            file of their size; the message names the key.
     """
     if progress is not None:
         progress("reading the world")
     claim = read_world(data)
+    work.require_bounded(data, lambda: work.parts_of_world(claim, condition_A(claim)))
     findings = [_identity(claim), _parties(claim), _period(claim)]
     if not all(finding.holds for finding in findings[1:]):
         return tuple(findings)

@@ -82,7 +82,7 @@ def check_driver(
             say(err, "no force is exerted")
             push = False
         own = AxisMap(tuple(range(dof)), (1.0,) * dof)
-        plugin = PluginDriver(name.factory, made, own, stated.timing.latency)
+        plugin = PluginDriver(name.factory, made, own, stated, period)
         bench = Bench(plugin, period, clock_for(stated, RealtimeClock()))
         pushes = Push(force, travel) if push else None
         found = checked_apart(bench, lambda: list(tried(bench, stated, pushes)))

@@ -94,7 +94,8 @@ def verify_command(
 ) -> None:
     """Prove a certificate again, from its physical data in exact and ball arithmetic. Exit code 3: not proved.
 
-    For a world, --with also proves that the certificates of sites, or of the users in the tick, meet it.
+    For a world, --with also proves that the certificates of sites, or of the users in the tick, meet it. With
+    --session, the world and each of them is compared with its part of the session.
     """
     with errors("design"):
         from manyhands.design.certificate import read_plain

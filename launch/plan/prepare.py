@@ -117,7 +117,7 @@ def session_environment(session: Session) -> Environment:
     if isinstance(given, AskedEnvironment):
         level, stiffness = given.level_matrix(len(ports)), given.stiffness_matrix(len(ports))
         if stiffness is not None:
-            return ProxyEnvironment(ports, level, stiffness, given.content(ports))
+            return ProxyEnvironment(ports, level, stiffness, given.content(ports), given.tank)
         return DeclaredEnvironment(ports, level, given.enforce)
     if isinstance(given, NetworkEnvironment):
         low = _network(given, ports, high=False)

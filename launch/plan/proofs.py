@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
-from manyhands.design.certificate import Certificate
+from manyhands.design.certificate import Certificate, certificate_of
 from manyhands.design.proof import Finding, Proof, prove, prove_together, prove_world
 from manyhands.design.world import world_differences
 from manyhands.launch.plan.prepare import with_delay_of
@@ -31,9 +32,7 @@ def prove_loop(
     Raises:
         ProofInputError: the data are no certificate.
     """
-    found = prove(data, progress)
-    if session is not None:
-        found += _foreign(differences_from(certificate, with_delay_of(certificate, session)))
+    found = prove(data, progress) + _of_session(certificate, session)
     return Proof(certificate.loop.session, found)
 
 
@@ -45,22 +44,30 @@ def prove_parts(
     Args:
         data: the plain data of the world's file.
         others: those of sites and of the users in the tick, by a name for messages.
-        session: the session whose world it should be; None for any.
+        session: the session that the world and each part should be of; None for any.
         progress: called with the name of each part of the proof.
 
     Returns:
         The proof of the world and of its contracts, and the proof of each other certificate.
 
     Raises:
-        ProofInputError: some data are no certificate.
+        ProofInputError, CertificateError: some data are no certificate.
     """
-    found = prove_world(data, progress)
-    meetings = prove_together(data, [*others.values()])
-    parts = {name: Proof(name, prove(other, progress)) for name, other in others.items()}
-    found += meetings
+    found = prove_world(data, progress) + prove_together(data, [*others.values()])
+    parts = {}
+    for name, other in others.items():
+        own = prove(other, progress) + _of_session(certificate_of(other, Path(name)), session)
+        parts[name] = Proof(name, own)
     if session is not None:
         found += _foreign(world_differences(data, terms_of_world(session)))
     return Proof(str(data["session"]), found), parts
+
+
+def _of_session(certificate: Certificate, session: Session | None) -> tuple[Finding, ...]:
+    """How the certificate of a loop differs from its part of the session, where one is given."""
+    if session is None:
+        return ()
+    return _foreign(differences_from(certificate, with_delay_of(certificate, session)))
 
 
 def _foreign(texts: Sequence[str]) -> tuple[Finding, ...]:

@@ -115,6 +115,9 @@ def _storage(rng: Generator, data: Data) -> None:
     if names and rng.random() < 0.5:
         name = str(rng.choice(names))
         stored["V_hat"][name] = touched(rng, stored["V_hat"][name], True)
+    elif isinstance(stored["E_hat"], dict) and rng.random() < 0.9:
+        rows = stored["E_hat"]["differences"]  # now and then read as in the form in z
+        stored["E_hat"] = rows if rng.random() < 0.1 else {"differences": touched(rng, rows, True)}
     elif isinstance(stored["E_hat"], list):
         stored["E_hat"] = touched(rng, stored["E_hat"], True)
     else:
@@ -222,6 +225,8 @@ def _magnified(rng: Generator, data: Data) -> None:
     data["levels"]["Phi_E"] = scaled(data["levels"]["Phi_E"], by)
     if isinstance(data["storage"]["E_hat"], list):
         data["storage"]["E_hat"] = scaled(data["storage"]["E_hat"], by)
+    elif isinstance(data["storage"]["E_hat"], dict):
+        data["storage"]["E_hat"] = {"differences": scaled(data["storage"]["E_hat"]["differences"], by)}
 
 
 def _margins(rng: Generator, data: Data) -> None:

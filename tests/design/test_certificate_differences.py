@@ -122,6 +122,26 @@ def test_every_key_that_was_asked_counts(problems, linear: Certificate, asked, w
     assert same == []
 
 
+def test_what_a_certificate_leaves_unsaid_is_named(problems) -> None:
+    """Whoever takes words out of ``asked`` and makes a new id has a certificate that fits no session."""
+    loop, wanted = problems.example_1(), SpringDamperWanted(Wish("stiffest"))
+    found = design(loop, SpringDamperWanted()).certificate
+    for asked, keys in (
+        ({}, ["algorithm", "coupling", "objective"]),
+        ({"coupling": "spring-damper"}, ["algorithm", "objective"]),
+        ({"objective": "stiffest"}, ["algorithm", "coupling"]),
+        ({"coupling": "linear"}, ["coupling", "objective"]),  # what only one class may have is left out
+        ({"coupling": "linear", "objective": None}, ["coupling", "objective"]),
+    ):
+        texts = differences(dataclasses.replace(found, asked=asked), loop, wanted)
+        assert sorted(text.split()[0].removeprefix("design.") for text in texts) == keys, asked
+    assert texts[-1] == "design.objective differs: the certificate has null, the session asks for stiffest"
+    (text,) = differences(
+        dataclasses.replace(found, asked={"coupling": "spring-damper", "algorithm": "convex"}), loop, wanted
+    )
+    assert text == "design.objective differs: the certificate has nothing, the session asks for stiffest"
+
+
 def test_messages_quote_foreign_files_shortly_and_plainly(problems, proved: Certificate) -> None:
     asked = {"coupling": "\x1b[2J", "objective": "x" * 1000, "order": [0] * 10_000}
     foreign = dataclasses.replace(proved, asked=asked)

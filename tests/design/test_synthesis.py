@@ -288,15 +288,26 @@ def test_a_norm_that_lies_is_not_believed(problems, monkeypatch: pytest.MonkeyPa
         design(problems.example_1(), SpringDamperGiven(problems.C26, aim(problems)))
 
 
-def test_levels_that_are_no_numbers_are_not_believed(problems, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("by_energy", [False, True])
+def test_levels_that_are_no_numbers_are_not_believed(
+    problems, by_energy: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A network's energy proves Phi_E = 0 instead; where that is claimed already, nothing is left to try."""
     honest = synthesis.certify_given
 
     def broken(*arguments) -> Levels:
-        return dataclasses.replace(honest(*arguments), P_E=np.full((3, 3), 1e308))
+        found = honest(*arguments)
+        Phi_E = found.Phi_E if by_energy else np.zeros((3, 3))
+        return dataclasses.replace(found, Phi_E=Phi_E, P_E=np.full((3, 3), 1e308))
 
     monkeypatch.setattr(synthesis, "certify_given", broken)
-    with pytest.raises(SolverFailure, match=r"does not survive the proof|cannot be proved"):
-        design(problems.example_1(), SpringDamperGiven(problems.C26))
+    if by_energy:
+        levels = design(problems.example_1(), SpringDamperGiven(problems.C26)).certificate.levels
+        assert isinstance(levels.P_E, str)
+        assert not levels.Phi_E.any()
+    else:
+        with pytest.raises(SolverFailure, match=r"does not survive the proof|cannot be proved"):
+            design(problems.example_1(), SpringDamperGiven(problems.C26))
 
 
 # --- scale

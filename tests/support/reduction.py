@@ -27,13 +27,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 from flint import fmpq
 
 from manyhands.design.certificate import Certificate, seal
-from manyhands.design.levels.contract import Levels, margin
+from manyhands.design.levels.contract import Levels, Storage, margin
 from manyhands.design.models.coupling import Partition
 from manyhands.design.models.environment import (
     DeclaredEnvironment,
@@ -45,13 +44,12 @@ from manyhands.design.models.environment import (
 )
 from manyhands.design.models.network import GROUND, Network, NetworkLink
 from manyhands.design.models.statespace import Matrix, Rational, StateSpace, matrix, symmetric_part
+from manyhands.design.models.transfer import InDifferences
 from manyhands.design.problem import DeviceLevel, HapticLoop
 from manyhands.design.proof import contract, exact
 from manyhands.design.proof.claim import Claim
 from manyhands.design.proof.exact import Sparse
 from manyhands.design.proof.finding import Finding
-
-Storage = Matrix | Literal["energy", "enforced"]
 
 
 def reduced(certificate: Certificate, frozen: Collection[str]) -> Certificate:
@@ -143,8 +141,11 @@ def _held(environment: Environment, P: Storage, ports: Sequence[int]) -> tuple[E
             return StateSpaceEnvironment(names, system, method, delay), late
         case TransferEnvironment(_, entries, method, delay):
             rows = tuple(tuple(entries[i][j] for j in ports) for i in ports)
-            late = _without_late(P, len(environment.ports), ports, delay)
-            return TransferEnvironment(names, rows, method, delay), _of_entries(late, environment, ports)
+            late = _without_late(P.P if isinstance(P, InDifferences) else P, len(environment.ports), ports, delay)
+            kept = _of_entries(late, environment, ports)
+            if isinstance(P, InDifferences) and not isinstance(kept, str | InDifferences):
+                kept = InDifferences(kept)
+            return TransferEnvironment(names, rows, method, delay), kept
         case DeclaredEnvironment():
             return replace(environment, ports=names, level=environment.level[np.ix_(ports, ports)]), P
     raise TypeError(f"expected an environment of a known kind, found {type(environment).__name__}")

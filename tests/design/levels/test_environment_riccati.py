@@ -178,5 +178,6 @@ def test_progress_names_the_tightening(problems, late: Split) -> None:
 
 def test_a_storage_function_without_room_is_not_returned(late: Split, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(environment, "ENOUGH_ROOM", 0.5)
+    monkeypatch.setattr(environment, "ENOUGH_LONG_ROOM", 0.5)
     with pytest.raises(SolverFailure, match="with room to verify it"):
         storage(late, T, 2.1 * np.eye(3))

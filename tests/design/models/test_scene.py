@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from itertools import combinations_with_replacement, product
 from typing import Any
@@ -219,6 +220,37 @@ def test_no_position_has_less_energy_than_the_lowest(seed: int) -> None:
         else:
             energy -= scene.contacts.energy(np.array([[100.0, 0.0, 0.0], 1e3 * -np.array([x, y, z])]))
         assert energy >= lowest - 1e-9
+
+
+def test_a_wall_holds_a_body_against_an_oblique_gravity() -> None:
+    """200 walls whose normals are multiples of minus gravity as decimals, and the same with one last digit changed."""
+    rng = np.random.default_rng(7)
+    for pair in range(200):
+        digits = rng.integers(-99, 100, 3)
+        digits[0] = digits[0] or 1
+        factor = int(rng.integers(1, 30)) if pair else 1
+        gravity = (3.6, 2.7, -5.6) if pair == 0 else tuple(float(f"{d}e-1") for d in digits.tolist())
+        normal = tuple(float(f"{round(-10.0 * g) * factor}e-{pair % 3}") for g in gravity)
+        wall = Obstacle("floor", "wall", ((0.0, 0.0, 0.0), normal))
+        apart = ((("p", "floor"), Surface(0.0)),)
+        scene = scene_of(bodies=(BALL,), obstacles=(wall,), gravity=gravity, surfaces=apart)
+        weight = 0.5 * math.hypot(*gravity)
+        sunk = weight**2 / (2.0 * SURFACE.stiffness)
+        assert scene.lowest_energy(BALL) == pytest.approx(weight * BALL.radius - sunk, rel=1e-12)
+        turned = (normal[0], normal[1] + 1e-13 * (abs(normal[1]) + 1.0), normal[2])
+        with pytest.raises(Falling):
+            scene_of(bodies=(BALL,), obstacles=(replace(wall, points=((0.0, 0.0, 0.0), turned)),), gravity=gravity)
+
+
+def test_a_wall_that_is_nearly_against_gravity_is_named() -> None:
+    """A normal that was rounded: the body would slide off, and the error says by how much, and what to write."""
+    gravity = (0.0, 9.81 * math.sin(0.3), -9.81 * math.cos(0.3))
+    wall = Obstacle("ramp", "wall", ((0.0, 0.0, 0.0), (0.0, round(-math.sin(0.3), 6), round(math.cos(0.3), 6))))
+    with pytest.raises(Falling) as error:
+        scene_of(bodies=(BALL,), obstacles=(wall,), gravity=gravity)
+    x, y, z = (0.0 - g for g in gravity)
+    assert f"the wall ramp with the normal [{x!r}, {y!r}, {z!r}], exactly against gravity" in str(error.value)
+    scene_of(bodies=(BALL,), obstacles=(replace(wall, points=((0.0, 0.0, 0.0), (x, y, z))),), gravity=gravity)
 
 
 @pytest.mark.parametrize(

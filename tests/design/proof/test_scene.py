@@ -77,6 +77,14 @@ def setter(*path: Any, to: Any) -> Callable[[dict[str, Any]], None]:
     return change
 
 
+def oblique(gravity: list[float], normal: list[float]) -> Callable[[dict[str, Any]], None]:
+    def change(environment: dict[str, Any]) -> None:
+        environment["gravity"] = gravity
+        environment["obstacles"]["floor"]["points"] = [[0, 0, 0], normal]
+
+    return change
+
+
 BODIES, FALLS = "masses are positive", "no body falls"
 
 
@@ -103,6 +111,9 @@ BODIES, FALLS = "masses are positive", "no body falls"
         (setter("obstacles", "floor", "points", to=[[0, 0, 0], [0, 0, -1]]), FALLS),
         (setter("obstacles", "floor", "points", to=[[0, 0, 0], [1e-300, 0, 1]]), FALLS),
         (setter("obstacles", "floor", "points", to=[[0, 0, 0], [0, 0, 7]]), ""),
+        (oblique([3.6, 2.7, -5.6], [-3.6, -2.7, 5.6]), ""),
+        (oblique([0.36, 0.27, -0.56], [-10.8, -8.1, 16.8]), ""),
+        (oblique([3.6, 2.7, -5.6], [-3.6, -2.7, 5.600000000000001]), FALLS),
         (setter("gravity", to=[0, 1e-200, -9.81]), FALLS),
         (setter("contact", "stiffness", to=0.0), FALLS),
         (setter("contacts", 0, "between", to=["ball", "floor"]), FALLS),

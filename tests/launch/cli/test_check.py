@@ -99,7 +99,7 @@ def test_a_model_is_tried_with_named_ports_and_named_where_it_is_broken() -> Non
 
 def test_a_suite_that_is_interrupted_closes_its_driver() -> None:
     driver = Counterpart(("d",), 1e-3, {})
-    plugin = PluginDriver("some:driver", driver, AxisMap((0,), (1.0,)), 0.0)
+    plugin = PluginDriver("some:driver", driver, AxisMap((0,), (1.0,)), driver.specification(), 1e-3)
     bench = Bench(plugin, 1e-3, SimulatedClock())
     bench.stopping = True
 

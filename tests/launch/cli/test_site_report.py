@@ -6,8 +6,11 @@ import json
 from pathlib import Path
 
 import pytest
+import yaml
 
 from manyhands.design.certificate import identity
+from manyhands.launch.api import verify
+from manyhands.launch.files import load_named
 
 from ...support.commands import manyhands_command
 
@@ -144,6 +147,51 @@ def test_a_world_and_a_part_are_compared_with_a_session(written: Path, tmp_path:
     assert "it is the session's: the environment differs" in result.stderr
     result = manyhands_command("verify", tmp_path / "one.cy.cert.json", "--session", "example1")
     assert result.exit_code == 3
+
+
+def test_every_part_is_compared_with_the_session(written: Path, tmp_path: Path) -> None:
+    """The world of a session may be proved together with sites of another wish, period or hand: each is compared."""
+    session = load_named("example1", [item for item in LINKED if item != "--set"])
+    names = ("one.cx.cert.json", "one.cy.cert.json", "one.in-tick.cert.json")
+    path = tmp_path / "session.yaml"
+    path.write_text(yaml.safe_dump(session.as_plain(), sort_keys=False))
+    together = [option for name in names for option in ("--with", tmp_path / name)]
+    done = manyhands_command("verify", written, *together, "--session", path)
+    assert done.exit_code == 0, done.stderr
+
+    softer = manyhands_command(
+        "design", "example1", "-o", tmp_path / "soft.cert.json", *LINKED[:-1], "design.objective=feasible"
+    )
+    assert softer.exit_code == 0, softer.stderr
+    for name, words in (
+        ("soft.cx.cert.json", "design.objective differs: the certificate has feasible, the session asks for stiffest"),
+        ("soft.in-tick.cert.json", "design.objective differs: the certificate has feasible"),
+    ):
+        assert manyhands_command("verify", written, "--with", tmp_path / name).exit_code == 0  # of no session
+        done = manyhands_command("verify", written, "--with", tmp_path / name, "--session", path)
+        assert done.exit_code == 3
+        assert f"{tmp_path / name}: not proved: it is the session's: {words}" in done.stderr
+        assert not verify(written, path, [tmp_path / name])
+
+    data = json.loads((tmp_path / "soft.cx.cert.json").read_text())
+    data["asked"] = {}
+    data["id"] = identity(data)
+    forged = tmp_path / "unsaid.json"
+    forged.write_text(json.dumps(data))
+    done = manyhands_command("verify", written, "--with", forged, "--session", path)
+    assert done.exit_code == 3
+    assert "design.objective differs: the certificate has nothing, the session asks for stiffest" in done.stderr
+
+    del data["asked"]
+    data["version"] = 2
+    data["id"] = identity(data)
+    forged.write_text(json.dumps(data))
+    done = manyhands_command("verify", written, "--with", forged, "--session", path)
+    assert done.exit_code == 0, done.stderr
+    assert f"{forged}: format version 2 does not record what was asked of the coupling" in done.stdout
+    assert (
+        f"{forged}: not compared with the session's design.objective=stiffest: its own is not recorded" in done.stdout
+    )
 
 
 def test_a_simulation_in_one_process_has_one_period() -> None:
