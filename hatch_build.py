@@ -50,6 +50,7 @@ MODULES = [
     "nodes/environment/node",
     "nodes/environment/pace",
     "nodes/environment/scene",
+    "nodes/wave_link/bounds",
     "nodes/wave_link/ends",
     "nodes/wave_link/faces",
     "nodes/wave_link/play_out",

@@ -92,8 +92,8 @@ def made_by(name: FactoryName, what: str, ports: tuple[str, ...], T: float) -> A
     try:
         factory = getattr(importlib.import_module(module), function)
         return factory(ports, T, dict(name.parameters))
-    except Stopped:
-        raise  # the process is to end; this is no failure of the factory
+    except (Stopped, FactoryError):
+        raise  # the process is to end, which is no failure of the factory; or a shipped one has said what is wrong
     except (Exception, SystemExit) as error:  # foreign code: every exception is reported with the factory's name
         where = f" or in {name.folder}" if name.folder else ""
         raise FactoryError(

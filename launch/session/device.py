@@ -86,7 +86,7 @@ from manyhands.launch.session.matrices import Entry, Rational
 from manyhands.launch.session.motion import MOTION_FORM, Motion, TraceData, motion_of, read_trace, trace_from_numbers
 from manyhands.nodes.bundle import TIMES, WALL
 from manyhands.nodes.device.intent import ALLOWED, Formula, FormulaError
-from manyhands.nodes.device.specification import DeviceTiming
+from manyhands.nodes.device.specification import DeviceTiming, DriverWord
 from manyhands.nodes.factory import DRIVERS
 
 DEFAULT_HAND: Final[Mapping[str, object]] = {
@@ -417,6 +417,15 @@ class Device(SessionModel):
     def timing(self) -> DeviceTiming:
         """The age of its samples and the delay of its forces."""
         return DeviceTiming(self.sample_age or 0.0, self.age_jitter, self.actuation_delay or 0.0)
+
+    @property
+    def word(self) -> DriverWord | None:
+        """What rests on the word of a driver of another package; None where this package moves the device.
+
+        Only in the latter case is the work of the hand known, and a part of the device's ledger.
+        """
+        timing = self.timing
+        return None if self.factory is None else DriverWord(self.factory, timing.sample_age, timing.actuation_delay)
 
     @property
     def osp_low(self) -> Rows:

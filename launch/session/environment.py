@@ -30,7 +30,8 @@ from pydantic import (
 from manyhands.design.files import read_regular
 from manyhands.design.models.contacts import coordinates
 from manyhands.design.models.distance_grid import grid_of_text
-from manyhands.design.models.scene import MOST_POINTS, ContactScene, Obstacle
+from manyhands.design.models.scene import MOST_DRIVE, MOST_POINTS, ContactScene, Obstacle
+from manyhands.launch.session.assets import ASSETS, model_assets, model_text
 from manyhands.launch.session.design import OneOrMany, full_matrix, one_or_many
 from manyhands.launch.session.device import ports_by_device
 from manyhands.launch.session.errors import listed, one_of, show
@@ -88,6 +89,7 @@ from manyhands.nodes.factory import ENGINES, MESH, MODELS
 _LEVEL: Final = Quantity("a level", "N·s/m")
 _STIFFNESS: Final = Quantity("a stiffness", "N/m", magnitude=MAX_STIFFNESS)
 _SPRING: Final = Quantity("a stiffness", "N/m", above=0.0, most=MAX_STIFFNESS)
+_TANK: Final = Quantity("a tank", "J", least=0.0, most=MOST_DRIVE)
 _STIFFNESS_MEANING: Final = (
     "the stiffness of the springs to the model's proxies in N/m: a number, one for each port, or a matrix"
 )
@@ -105,6 +107,9 @@ class AskedEnvironment(SessionModel):
     type: str
     model: str
     stiffness: OneOrMany | None = None
+    tank: Annotated[float, BeforeValidator(_TANK)] = Field(
+        default=0.0, description="the energy in J that a world with proxies may give out beyond what it has received"
+    )
     level: Annotated[OneOrMany, one_or_many(_LEVEL)] = Field(
         default=0.0,
         description="the declared level Phi_E in N·s/m: a number, one for each port, or a matrix; 0 with a stiffness",
@@ -116,6 +121,10 @@ class AskedEnvironment(SessionModel):
         level_problems = [*_size_problems("level", self.level, ports)]
         yield from level_problems
         if self.stiffness is None:
+            if self.tank:
+                yield Problem(
+                    ("tank",), f"{self.tank:g}", "0 for a model that returns forces, or a stiffness of proxies"
+                )
             return
         stiffness_problems = [*_size_problems("stiffness", self.stiffness, ports)]
         yield from stiffness_problems
@@ -179,13 +188,8 @@ class PythonEnvironment(AskedEnvironment):
         return self.model, self.parameters
 
 
-def _model_text(value: object, info: ValidationInfo) -> str:
-    """The text of a model's file, from a path relative to the session file; or the text itself, with line ends."""
-    return _text(value, info, "the path of the model's file, or its text")
-
-
 def _grid_text(value: object, info: ValidationInfo) -> str:
-    """The text of a distance grid, as :func:`_model_text`, and checked."""
+    """The text of a distance grid, from a path relative to the session file; or the text itself, with line ends."""
     text = _text(value, info, "the path of a distance grid, as manyhands mesh writes it, or its text")
     try:
         grid_of_text(text)
@@ -242,8 +246,8 @@ class EngineEnvironment(AskedEnvironment):
     type: Annotated[Literal["engine"], BeforeValidator(Choice(("engine",)))] = Field(
         description="the kind of environment: engine"
     )
-    model: Annotated[str, BeforeValidator(_model_text), WithJsonSchema({"type": "string"})] = Field(
-        description="the model's file, relative to the session file, or its text"
+    model: Annotated[str, BeforeValidator(model_text), WithJsonSchema({"type": "string"})] = Field(
+        description="the model's file, by its name in the session file's folder, or its text"
     )
     stiffness: Annotated[OneOrMany, one_or_many(_STIFFNESS)] = Field(description=_STIFFNESS_MEANING)
     engine: Annotated[str, BeforeValidator(Factory(ENGINES))] = Field(
@@ -256,6 +260,9 @@ class EngineEnvironment(AskedEnvironment):
     bodies: Annotated[
         tuple[str, ...], BeforeValidator(Described(_bodies, list_of({"type": "string"}, MAX_BODIES, 0)))
     ] = Field(default=(), description="the bodies of the model whose positions are reported")
+    assets: Annotated[dict[str, str], BeforeValidator(model_assets), WithJsonSchema(ASSETS)] = Field(
+        default={}, description="the files that the model names, by their names in the session file's folder"
+    )
 
     def problems(self, ports: tuple[str, ...]) -> Iterator[Problem]:
         """The problems of level, stiffness and tools in a session with these ports."""
@@ -280,6 +287,7 @@ class EngineEnvironment(AskedEnvironment):
         K = np.abs(full_matrix(self.stiffness, len(ports))).sum(axis=1)
         return self.engine, {
             "model": self.model,
+            "assets": self.assets,
             "tools": [by_port[port] for port in ports],
             "bodies": [*self.bodies],
             "stiffness": K.tolist(),

@@ -26,6 +26,9 @@ MAX_LINKS: Final = 16_384
 MAX_BODIES: Final = 32
 MAX_MODEL_BYTES: Final = 1 << 20
 """An engine's model file: it is part of every bundle and recording."""
+MAX_ASSETS: Final = 32
+MAX_ASSET_BYTES: Final = 1 << 22
+"""The files of an engine's model together: in base64, with its text, they fit into the session that a run keeps."""
 MAX_MESH_BYTES: Final = 1 << 25
 """A mesh file: 50,000 triangles are 13 MB of text in an STL file."""
 MAX_ORDER: Final = 256

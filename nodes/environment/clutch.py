@@ -433,5 +433,18 @@ def ports_of_blocks(blocks: Blocks | None, m: int) -> list[list[int]]:
     return parts
 
 
+def require_within(D_V: Vector, parts: Sequence[Sequence[int]]) -> None:
+    """Refuse a feedthrough D_V (m x m, m/N) that joins ports of two blocks.
+
+    Raises:
+        ValueError: it does.
+    """
+    inside = np.zeros(np.shape(D_V), dtype=np.bool_)
+    for part in parts:
+        inside[np.ix_(part, part)] = True
+    if np.any(np.asarray(D_V)[~inside]):
+        raise ValueError("found a feedthrough D_V between ports of two blocks; expected one within each block")
+
+
 def _difference(a: Floats, b: Floats) -> Floats:
     return list(map(sub, a, b))

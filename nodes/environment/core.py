@@ -42,7 +42,16 @@ from manyhands.design.models.statespace import StateSpace
 from manyhands.nodes.arithmetic import FEW, Floats, LinearMap, Rows, dot, linear_map, minus, solve
 from manyhands.nodes.bundle import EnvironmentBundle
 from manyhands.nodes.environment.chatter import Chatter
-from manyhands.nodes.environment.clutch import RAMP, Blocks, Clutch, Clutches, ClutchEvent, ports_of, ports_of_blocks
+from manyhands.nodes.environment.clutch import (
+    RAMP,
+    Blocks,
+    Clutch,
+    Clutches,
+    ClutchEvent,
+    ports_of,
+    ports_of_blocks,
+    require_within,
+)
 from manyhands.nodes.environment.energy import BOUND_TICKS, Energy, EnergyBudget
 from manyhands.nodes.environment.enforced import BlackBox, EnforcedCore, ForceLaw, LinearLaw
 from manyhands.nodes.environment.model import PROXY, REACT, AskedModel, make_model
@@ -107,11 +116,7 @@ class EnvironmentCore:
         """
         n, m = E.order, E.inputs
         parts = ports_of_blocks(blocks, m)
-        inside = np.zeros((m, m), dtype=np.bool_)
-        for part in parts:
-            inside[np.ix_(part, part)] = True
-        if np.any(np.asarray(D_V)[~inside]):
-            raise ValueError("found a feedthrough D_V between ports of two blocks; expected one within each block")
+        require_within(D_V, parts)
         self._E, self._T, self._m, self._n = E, T, m, n
         self._positions = slice(m, m + masses)
         self._Phi = None if Phi_E is None else linear_map(Phi_E)
@@ -352,7 +357,7 @@ def environment_core(bundle: EnvironmentBundle, D_V: Vector, blocks: Blocks | No
         FactoryError: the model cannot be made.
         ValueError: the bundle has neither matrices nor a model nor a scene, or the core cannot be made with this D_V.
     """
-    common, E, stored = bundle.common, bundle.E, 0.0
+    common, E = bundle.common, bundle.E
     law: ForceLaw
     if bundle.model is not None:
         K = bundle.stiffness
@@ -362,9 +367,9 @@ def environment_core(bundle: EnvironmentBundle, D_V: Vector, blocks: Blocks | No
             law = BlackBox(asked)
         else:
             parties = ports_of_blocks(blocks, len(common.ports))
-            law = ProxyLaw(asked, K, bundle.Phi_E, common.period, parties, len(bundle.masses) // 3)
+            law = ProxyLaw(asked, K, bundle.Phi_E, common.period, parties, len(bundle.masses) // 3, bundle.tank)
     elif bundle.scene is not None:
-        law, stored = SceneLaw(bundle.scene, common.period), bundle.scene.energy_at_start
+        law = SceneLaw(bundle.scene, common.period)
     elif E is None:
         raise ValueError("found an environment without matrices, a model and a scene; expected one of them")
     elif bundle.enforce:
@@ -381,5 +386,12 @@ def environment_core(bundle: EnvironmentBundle, D_V: Vector, blocks: Blocks | No
             storage=bundle.storage,
         )
     return EnforcedCore(
-        law, D_V, bundle.Phi_E, common.period, bundle.enforce, blocks, budgets=bundle.budgets, stored=stored
+        law,
+        D_V,
+        bundle.Phi_E,
+        common.period,
+        bundle.enforce,
+        blocks,
+        budgets=bundle.budgets,
+        stored=bundle.energy_at_start,
     )

@@ -7,8 +7,9 @@ its supplier. Of the energy that receivers take together, every owner's part is 
 it. Energy of i that j takes is charged to i; energy of its own that j takes is its own again.
 
 A receiver may give back energy that it has received. That is neither its own supply nor charged a second time: it is
-``returned``, and has no owner. A party may give back at most as much as a passive hand can store. So a hand that only
-yields is never charged, however often the energy goes to and fro, and however late it comes back.
+``returned``, and has no owner. A party may give back at most as much as a passive hand can store, however late, and
+besides what it received lately: beyond a hand's store its memory fades with :data:`MEMORY`. So neither a hand that only
+yields is charged, however often the energy goes to and fro, nor one through whom a blow of others passes.
 
 The environment dissipates some of the energy that it holds, of each owner's in proportion. Where the energy that it
 stores is known (:meth:`Energy.bound`), the store holds no more than that. Otherwise the store forgets energy with the
@@ -37,7 +38,10 @@ from typing import Final
 from manyhands.nodes.arithmetic import Floats
 
 MEMORY: Final = 0.5
-"""Time constant of forgetting, s: longer than the period of a hand that shakes an object at 3 Hz."""
+"""Time constant of forgetting, s: longer than the period of a hand that shakes an object at 3 Hz.
+
+What an environment of unknown inside stores is forgotten with it, and what a party received beyond a hand's store.
+"""
 
 BOUND_TICKS: Final = 16
 """Ticks between two calls of :meth:`Energy.bound`."""
@@ -62,7 +66,7 @@ class EnergyBudget:
     Attributes:
         power: P, the power without an end, W.
         energy: E, the energy at once, J.
-        store: the energy that it may give back uncharged of what it has received, J.
+        store: the energy that it may give back uncharged of what it has received, however long ago, J.
 
     Raises:
         ValueError: an entry is not a finite number greater than 0.
@@ -86,6 +90,7 @@ class Energy:
         received: by party, the others' energy that it has received, J, without the environment's own and without
             returned energy.
         moved: by supplier and receiver, J; empty where there are more than :data:`MOST_PAIRS` parties.
+        supplied: by party, the energy of its own that it has put into the environment, J, without what it gave back.
         unowned: the energy that receivers took beyond what the store held, J: the environment's own.
         restrained: whether the ratio of any party is below 1, or was in the tick before.
         scaled: by party, the number of ticks in which its ratio was below 1.
@@ -109,6 +114,7 @@ class Energy:
         self._plain = self._blocks == [(i,) for i in range(n)]
         keep = 1.0 if known else 1.0 - T / MEMORY
         self._keep = [keep**ticks for ticks in range(POSTING + 1)]
+        self._fade = [(1.0 - T / MEMORY) ** ticks for ticks in range(POSTING + 1)]
         self._waiting, self._ticks = [0.0] * sum(len(block) for block in self._blocks), 0
         self._own, self._held, self._returned = [0.0] * n, [0.0] * n, 0.0
         self._fixed = [
@@ -119,7 +125,7 @@ class Energy:
         self._soon = SOON * min(self._bucket, default=0.0)
         self._ratio = [1.0] * n
         self._stopped = [False] * n
-        self.given, self.received = [0.0] * n, [0.0] * n
+        self.given, self.received, self.supplied = [0.0] * n, [0.0] * n, [0.0] * n
         self.moved = [[0.0] * n for _ in range(n)] if n <= MOST_PAIRS else []
         self.unowned = 0.0
         self.restrained = False
@@ -158,6 +164,7 @@ class Energy:
                     self._returned += held[i]
                     held[i] = 0.0
                     own[i] -= left
+                    self.supplied[i] -= left
             elif energy < 0.0:
                 takers.append((i, -energy))
         if takers:
@@ -166,14 +173,14 @@ class Energy:
         if keep < 1.0:
             self._returned *= keep
             self._own = own = [keep * energy for energy in own]
-        restrained = False
+        restrained, fade = False, self._fade[ticks]
         for i, filling, size, half, store in self._fixed:
             level = bucket[i] + ticks * filling
             if level > size:
                 level = size
             bucket[i] = level
             if held[i] > store:
-                held[i] = store
+                held[i] = store + fade * (held[i] - store)
             if level - own[i] < half or ratio[i] < 1.0:
                 restrained = True
                 self._restrain(i, level - own[i])

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from manyhands.design.models.statespace import StateSpace
 from manyhands.nodes.arithmetic import Floats
 from manyhands.nodes.environment.chatter import Chatter
-from manyhands.nodes.environment.clutch import RAMP, Blocks, Clutch, Clutches, ports_of_blocks
+from manyhands.nodes.environment.clutch import RAMP, Blocks, Clutch, Clutches, ports_of_blocks, require_within
 from manyhands.nodes.environment.energy import Energy, EnergyBudget
 from manyhands.nodes.environment.model import AskedModel
 from manyhands.nodes.passivity import Ledger, PassivityController
@@ -188,8 +188,8 @@ class EnforcedCore:
             stored: the energy that the law stores at the start, with which its ledger begins, J.
 
         Raises:
-            ValueError: there is no level to enforce; or the symmetric part of D_V is not positive definite, so that
-                possibly no force holds a tool.
+            ValueError: there is no level to enforce; or D_V joins ports of two blocks; or its symmetric part is not
+                positive definite, so that possibly no force holds a tool.
         """
         m = len(D_V)
         if enforce and Phi_E is None:
@@ -197,6 +197,7 @@ class EnforcedCore:
         self._law, self._Phi, self._T = law, Phi_E, T
         self._D_V = np.array(D_V, dtype=np.float64)
         parts = ports_of_blocks(blocks, m)
+        require_within(self._D_V, parts)
         self.energy = Energy(parts, budgets, T)
         self.clutches = Clutches(parts, ramp, self.energy)
         self._unsettled = self.clutches.unsettled

@@ -59,8 +59,9 @@ class Engine(Protocol):
     """The interface of a physics engine, whose tools are avatars: bodies of its own, joined to the tools by springs.
 
     It is made by a factory of (ports, period, parameters), as every model. Where ``type: engine`` names it, the
-    parameters are ``model`` (the text of the model's file), ``tools`` (a name in the model for each port), ``bodies``
-    (those whose positions are reported) and ``stiffness`` (the largest K at each port, N/m).
+    parameters are ``model`` (the text of the model's file), ``assets`` (the files that it names, by name, in base64),
+    ``tools`` (a name in the model for each port), ``bodies`` (those whose positions are reported) and ``stiffness``
+    (the largest K at each port, N/m).
     """
 
     def step(self, x: Vector, f: Vector) -> Any:
@@ -68,7 +69,8 @@ class Engine(Protocol):
 
         Args:
             x: where the tools of this tick would be without any force of the engine, r(k), m.
-            f: the forces that the springs exerted on the tools in the tick before, N; the avatars feel -f.
+            f: the forces of the springs on the tools in the tick before, N, from where the avatars were; the avatars
+                feel -f. While the proxy test holds a proxy, the tool feels less.
         """
         ...
 
@@ -154,7 +156,8 @@ class AskedModel:
 
         Args:
             x: r(k), m; the model may keep the array.
-            f: the forces of the tick before, N, for an engine, which may keep the array.
+            f: the springs' forces on the tools from where the avatars are, in the tick before, N, for an engine, which
+                may keep the array.
             k: the tick.
         """
         model: Any = self._model

@@ -7,17 +7,23 @@ to what the motion costs.
 
 The engine has no state but MuJoCo's, and gives the same numbers again for the same motion. It needs the extra
 ``mujoco``. A model that MuJoCo warns about, as for numbers that grow without bound, ends the session.
+
+A model may come from a stranger, so it is compiled elsewhere (:mod:`manyhands.nodes.environment.mujoco_compiler`).
 """
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.extras import explained
+from manyhands.nodes.environment.mjcf import ModelRefused, steps_of
+from manyhands.nodes.environment.mujoco_compiler import compiled
+from manyhands.nodes.environment.mujoco_library import import_mujoco
+from manyhands.nodes.factory import FactoryError
 
 Vector = NDArray[np.float64]
 
@@ -38,27 +44,34 @@ class MujocoEngine:
             ports: of the session.
             period: T, s; MuJoCo takes whole steps of at most the model's own timestep in it.
             parameters: ``model``, the XML; ``tools``, the slide joint of each port; ``bodies``, the names of the bodies
-                whose positions are reported; ``stiffness``, the largest K at each port, N/m.
+                whose positions are reported; ``stiffness``, the largest K at each port, N/m; ``assets``, the files
+                that the model names, by name, in base64; none by default.
 
         Raises:
-            ValueError: MuJoCo refuses the model, or a joint, a body or an avatar's mass is not as expected.
-            MissingExtra: MuJoCo is not installed.
+            FactoryError: the model is refused; a joint, a body or an avatar's mass is not as expected; or MuJoCo is not
+                installed, or not as expected.
         """
-        with explained():
-            import mujoco
+        try:
+            mujoco = import_mujoco()
+        except ImportError as error:
+            raise FactoryError(str(error)) from error
         self._mujoco: Any = mujoco
         self._warnings: list[str] = []
         # without it MuJoCo writes a file into the current folder
         mujoco.set_mju_user_warning(self._warnings.append)
-        self._model: Any = mujoco.MjModel.from_xml_string(parameters["model"])
+        assets = {name: base64.b64decode(file) for name, file in parameters.get("assets", {}).items()}
+        try:
+            self._model: Any = compiled(parameters["model"], assets, period)
+        except ModelRefused as error:
+            raise FactoryError(f"environment.model: {error}") from error
         model = self._model
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        self._steps = max(1, int(np.ceil(period / model.opt.timestep - 1e-9)))
+        self._steps = steps_of(float(model.opt.timestep), period)
         model.opt.timestep = period / self._steps
         joints = [self._id("JOINT", name) for name in parameters["tools"]]
         for joint, name in zip(joints, parameters["tools"], strict=True):
             if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_SLIDE:
-                raise ValueError(
+                raise FactoryError(
                     f"found a joint {name!r} of another type; expected a slide joint for an axis of a tool"
                 )
         self._bodies = [self._id("BODY", name) for name in parameters["bodies"]]
@@ -72,7 +85,7 @@ class MujocoEngine:
     def _id(self, kind: str, name: str) -> int:
         found: int = self._mujoco.mj_name2id(self._model, getattr(self._mujoco.mjtObj, f"mjOBJ_{kind}"), name)
         if found < 0:
-            raise ValueError(f"found no {kind.lower()} {name!r} in the model; expected the names of the session")
+            raise FactoryError(f"found no {kind.lower()} {name!r} in the model; expected the names of the session")
         return found
 
     def _require_masses(self, names: Sequence[str], stiffness: Sequence[float], period: float) -> None:
@@ -84,7 +97,7 @@ class MujocoEngine:
             self._mujoco.mj_solveM(self._model, self._data, inverse, unit)
             mass, least = 1.0 / inverse[0, dof], LIGHTEST * K * period**2
             if not mass >= least:
-                raise ValueError(
+                raise FactoryError(
                     f"found an avatar of {mass:.3g} kg at the joint {name!r}; expected at least {least:.3g} kg for a "
                     f"stiffness of {K:g} N/m"
                 )

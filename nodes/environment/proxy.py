@@ -20,8 +20,14 @@ So the world promises the level Phi if B(k) = sum of b + T w^T Phi w, w = (x(k) 
 the proposed q would make it, a part s of the step is taken instead. With s = 0 the proxy is held, and b is at least 0.
 So a part always exists, and the greatest is a root in closed form. Nothing is assumed of the positions proposed.
 
-**Who is held.** With K and Phi block-diagonal in the parties (the couplings), b is a sum over the parties. Only the
+**The tank.** A world that may give out energy of its own, as one with a load on it, has a tank of so many joules: B
+begins there in place of 0. It counts as energy that is stored at the start, and the same test keeps it.
+
+**Who is held.** With K, Phi and D block-diagonal in the parties (the couplings), b is a sum over the parties. Only the
 proxies of parties whose own term is below 0 are held; the other parties' tools stay free. Otherwise all are held.
+
+**What an engine feels.** An engine's avatar is at the proposed position, also while its proxy is held. So it is given
+the force of the spring *there*, -f = K (x - q) at its own q, which leads it back to its tool.
 """
 
 from __future__ import annotations
@@ -54,6 +60,7 @@ class ProxyLaw:
         T: float,
         parties: Sequence[Sequence[int]],
         bodies: int = 0,
+        tank: float = 0.0,
     ) -> None:
         """Start at rest, with every tool and every proxy at 0.
 
@@ -64,6 +71,7 @@ class ProxyLaw:
             T: period, s.
             parties: the ports of each coupling.
             bodies: the number of bodies whose positions the model, an engine, reports.
+            tank: what the world may give out beyond what it has received, at least 0, J.
 
         Raises:
             ValueError: K is not symmetric positive definite, or Phi not symmetric positive semidefinite.
@@ -76,18 +84,19 @@ class ProxyLaw:
         if not _definite(self._Phi, strict=False):
             raise ValueError("found a level with a negative eigenvalue; expected one of at least 0 for proxies")
         self._model, self._k, self._T, self._bodies = model, 0, T, bodies
-        self._f = np.zeros(m)
         self._parties = [np.array(ports, dtype=np.intp) for ports in parties]
         owner = np.empty(m, dtype=np.intp)
         for party, ports in enumerate(self._parties):
             owner[ports] = party
-        between = owner[:, None] != owner[None, :]
-        self._separate = not (np.any(self._K[between]) or np.any(self._Phi[between]))
+        self._between = owner[:, None] != owner[None, :]
+        self._apart = not (np.any(self._K[self._between]) or np.any(self._Phi[self._between]))
+        self._separate = self._apart  # and D joins no parties either
         self._x, self._q, self._e = np.zeros(m), np.zeros(m), np.zeros(m)  # of the tick before
         self._next = self._q  # q of this tick
         self._proposed: Vector | None = None  # by the model for this tick, which is asked once
         self._shortened: list[int] = []  # the parties held in this tick
-        self._total = self._budget = 0.0  # the energy received, and B, J
+        self._total = self._budget = tank  # the tank with the energy received, and B, J
+        self._felt = np.zeros(m)  # the force on the tools at the proposed positions, N, of the tick before
         self._compliance: Vector | None = None
         self._M, self._DK = self._K, self._K  # made with the first compliance
         self.held = [0] * len(self._parties)
@@ -108,8 +117,9 @@ class ProxyLaw:
         if compliance is not self._compliance:
             self._compliance, self._DK = compliance, compliance @ self._K
             self._M = np.asarray(np.linalg.inv(np.eye(len(r)) + self._DK), dtype=np.float64)
+            self._separate = self._apart and not np.any(compliance[self._between])
         if self._proposed is None:
-            found = self._model.proxies(r.copy(), self._f.copy(), self._k)
+            found = self._model.proxies(r.copy(), self._felt.copy(), self._k)
             self._proposed = self._q if found is None else found
         q = self._proposed
         e = self._M @ (r - q)
@@ -132,7 +142,11 @@ class ProxyLaw:
         self._budget = self._total - 0.5 * float(e @ self._K @ e)
         for party in self._shortened:
             self.held[party] += 1
-        self._x, self._q, self._e, self._f = x_e, self._next, e, f
+        # while nothing is held, the avatar is at the proxy, and feels f to the last bit
+        self._felt = f
+        if self._shortened and self._proposed is not None:
+            self._felt = f + self._K @ (self._proposed - self._next)
+        self._x, self._q, self._e = x_e, self._next, e
         self._proposed, self._shortened = None, []
         self._k += 1
 

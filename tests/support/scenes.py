@@ -9,6 +9,8 @@ import numpy as np
 
 from manyhands.design.models.contacts import Surface
 from manyhands.design.models.scene import Body, ContactScene, Obstacle, Point, SceneLink, ToolSphere
+from manyhands.nodes.environment.enforced import EnforcedCore
+from manyhands.nodes.environment.scene import SceneLaw
 
 HALF = 0.08  # m, of the room's sides
 OBSTACLES = (
@@ -71,6 +73,43 @@ def random_compliance(rng: np.random.Generator, m: int) -> np.ndarray:
     """D_V, m x m, m/N: any matrix whose symmetric part is positive definite."""
     A = rng.normal(size=(m, m))
     return np.asarray((np.eye(m) + 0.1 * (A - A.T) + 0.3 * A @ A.T / m) / 10.0 ** rng.uniform(2.0, 3.5))
+
+
+class Stored:
+    """The energy of height, motion, springs and contacts of a scene, above the scene's own lowest bound, J."""
+
+    def __init__(self, scene: ContactScene, law: SceneLaw | None = None, T: float = 1e-3) -> None:
+        """At the start of a scene.
+
+        Args:
+            scene: the scene.
+            law: where it is given, what the bristles of its contacts store is counted, too.
+            T: period, s.
+        """
+        self._scene, self._law, self._T = scene, law, T
+        self._lowest = sum(scene.lowest_energy(body) for body in scene.bodies)
+        self._before = scene.points
+
+    def at(self, core: EnforcedCore) -> float:
+        """What is stored after the core's last tick; it is asked once a tick."""
+        scene = self._scene
+        z = scene.points.copy()
+        for i, tool in enumerate(scene.tools):
+            for port, axis in zip(tool.ports, tool.axes, strict=True):
+                z[i, axis] += core.tools[port]
+        if core.masses:
+            z[len(scene.tools) :] += np.reshape(core.masses, (-1, 3))
+        v, self._before = (z - self._before) / self._T, z
+        total = scene.contacts.energy(z) - self._lowest
+        for i, body in enumerate(scene.bodies, len(scene.tools)):
+            total += 0.5 * body.mass * float(v[i] @ v[i]) - body.mass * float(np.dot(scene.gravity, z[i]))
+        for link in scene.links:
+            strained = scene.span_of(link, z) - scene.rest_of(link)
+            total += 0.5 * link.stiffness * float(strained @ strained)
+        if self._law is not None:
+            bristles = self._law._bristles
+            total += 0.5 * float(scene.contacts.stiffness @ (bristles * bristles).sum(axis=1))
+        return total
 
 
 def scene_session(

@@ -237,3 +237,25 @@ def test_a_budget_is_a_positive_number(found: float) -> None:
         EnergyBudget(found, 1.0, STORE)
     with pytest.raises(ValueError, match="expected a finite number greater than 0"):
         EnergyBudget(1.0, found, STORE)
+
+
+def test_a_blow_that_only_passes_through_a_party_is_not_its_own() -> None:
+    """It receives 30 J of the other within a tick, six times a hand's store, and gives all back in 20 ticks.
+
+    Beyond the store it was charged with all of that: it was stopped for what the other had done.
+    """
+    energy = Energy([[0], [1]], [EnergyBudget(100.0, 1000.0, 5.0), EnergyBudget(1.0, 1.0, 5.0)], 1e-3, known=True)
+    energy.supply([30.0, -30.0])
+    given = 0.0
+    for _ in range(20):
+        energy.supply([-1.2, 1.2])
+        given += 1.2
+    assert given < 30.0
+    assert energy.stops == [0, 0]
+    assert energy.given[1] == 0.0
+    # what was received longer ago than that is a hand's store and no more
+    for _ in range(5000):
+        energy.supply([0.0, 0.0])
+    for _ in range(4):
+        energy.supply([-5.0, 5.0])
+    assert energy.given[1] > 9.0

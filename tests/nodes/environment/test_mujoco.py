@@ -159,3 +159,57 @@ def test_a_model_file_is_found_beside_the_session_and_kept_as_text(tmp_path: Pat
 def test_errors_are_reported_at_their_place(override: str, error: str) -> None:
     with pytest.raises(SessionError, match=error):
         load_session(SHIPPED, [override])
+
+
+class Loaded:
+    """An avatar of 50 g on a line, pushed by a constant force of 2 N, as by gravity or by a door with a spring."""
+
+    def __init__(self) -> None:
+        self.q, self.v = 0.0, 0.0
+
+    def step(self, x: np.ndarray, f: np.ndarray) -> np.ndarray:
+        for _ in range(4):
+            self.v += 0.25 * T * (2.0 - f[0] - 2.0 * self.v) / 0.05
+            self.q += 0.25 * T * self.v
+        return np.array([self.q])
+
+    def positions(self) -> list[float]:
+        return []
+
+
+def loaded(tank: float = 0.0) -> tuple[EnforcedCore, Loaded]:
+    engine = Loaded()
+    law = ProxyLaw(AskedModel("some:engine", engine, ("p",)), 2000.0 * np.eye(1), None, T, [[0]], tank=tank)
+    return EnforcedCore(law, np.eye(1) / 800.0, np.zeros((1, 1)), T, False, stored=tank), engine
+
+
+def test_a_held_avatar_is_pulled_back_to_its_tool() -> None:
+    """The engine is given the force of the spring where the avatar is, not of the proxy that is held."""
+    core, engine = loaded()
+    for _ in range(3000):
+        core.react([0.0])
+        core.settle()
+        assert abs(engine.q) < 8e-3  # 2 N stretch spring and coupling by 3.5 mm, and a blow twice as far
+    assert core.held[0] > 2000
+    assert core.failure is None
+    assert core.ledger is not None
+    assert core.ledger.minimum >= 0.0
+
+
+def test_a_tank_lets_a_load_be_felt_from_the_start() -> None:
+    """What the load may give out is stated, and bounded by the test; then nothing is held, and the hand feels 2 N."""
+    core, _ = loaded(0.05)
+    for _ in range(3000):
+        (f,) = core.react([0.0])
+        core.settle()
+    assert core.held == [0]
+    assert f == pytest.approx(2.0, abs=1e-6)
+    assert core.ledger is not None
+    assert 0.0 <= core.ledger.minimum < 0.05
+    core, _ = loaded(1e-4)
+    for k in range(3000):  # a hand that gives way takes out all that is there, and no more
+        (f,) = core.react([1e-5 * k])
+        core.settle()
+    assert core.held[0] > 1000
+    assert core.ledger is not None
+    assert -1e-15 <= core.ledger.minimum < 1e-5

@@ -275,3 +275,32 @@ def test_the_greatest_part_keeps_the_quadratic_and_little_more_does_not(a: float
     assert c + a * s - b * s * s >= -1e-12
     beyond = min(1.0, s + 1e-4)
     assert c + a * beyond - b * beyond * beyond < 0.0 or beyond >= 1.0 or c < 1e-6
+
+
+def test_a_compliance_that_joins_two_couplings_is_refused() -> None:
+    """Point 2 of decision 42 and the clutches need D within the couplings."""
+    asked = AskedModel("some:model", Model(lambda x, k: x), PORTS)
+    law = ProxyLaw(asked, np.eye(3), None, T, BLOCKS)
+    joined = D_V + 1e-4 * np.eye(3)[::-1] + 1e-6 * (np.eye(3)[[1, 2, 0]])
+    with pytest.raises(ValueError, match="feedthrough D_V between ports of two blocks; expected one within each block"):
+        EnforcedCore(law, joined, np.zeros((3, 3)), T, False, BLOCKS)
+
+
+@pytest.mark.parametrize("seed", range(cases(12, 200)))
+def test_a_law_whose_parties_the_compliance_joins_holds_them_all(seed: int) -> None:
+    """The law by itself, under a D that no core passes on: who is held alone depends on D as well."""
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(3, 3))
+    D = 1e-3 * (A @ A.T + (A - A.T) + 0.1 * np.eye(3))
+    K = 10.0 ** rng.uniform(2.0, 4.0, 3) * np.eye(3)
+    answer = hostile(("ahead", "jumps", "shaker")[seed % 3], rng)
+    law = ProxyLaw(AskedModel("some:model", Model(answer), PORTS), K, None, T, [[0], [1], [2]])
+    x, total, passed = np.zeros(3), 0.0, 0.0
+    for r in hands(rng, 200):
+        f = law.propose(r, D, r)
+        after = r + D @ f
+        total -= float((after - x) @ f)
+        passed += float(np.abs(after - x) @ np.abs(f))
+        x = after
+        law.advance(x, f)
+        assert total >= -1e-9 * passed
