@@ -11,7 +11,8 @@ moves its device.
 **What is judged, and from what.** With x(t) the displacement and F the force on axis i:
 
 - *exception*, *wrong answer*: every call returns what :class:`manyhands.nodes.device.plugin.DeviceDriver` asks for.
-- *blocking call*: the median of a call's durations is at most T/2, and its p95 at most T.
+- *blocking call*: the median of a call's durations is at most T/2, and the greatest at most T. Fewer than
+  :data:`AGAIN` longer calls are not judged.
 - *swapped axes*, *wrong sign*: of all axes, axis i answers F most, and in its direction. The answer is a in the fit
   x(t) = x0 + v0 t + a t^2 / 2 over the push, half the difference between both ways.
 - *stale sample*: the delay L of the best fit x(t) = x0 + v0 t + g t^2 + W(t - L)/m - b/m int x dt, with W the double
@@ -19,7 +20,10 @@ moves its device.
   longer than the stated age, and then jump, are stale as well.
 - *wrong unit*: the mass m of that fit, or F/a, is one that a hand can move, and near the stated one. No sample is
   beyond the stated reach.
-- *no release*: after ``release`` less than half of a is left.
+- *wrong force*: the gain, stated mass over the mass of the fit, is within :data:`GAIN` of 1. Of hardware it is not
+  judged by the mass, which friction and pose change. Where the driver measures the force that it exerts, that is one it
+  was given, within :data:`manyhands.nodes.device.plugin.PART` of its stated limit, in every tick.
+- *no release*: after ``release`` less than :data:`LEFT` of a is left.
 - *force kept on silence*: a force that was applied until an instant ends there, though no call follows.
 
 The suite can judge what it moves: a hand that holds the device, or much dry friction, leaves checks open. It proves
@@ -39,7 +43,7 @@ from numpy.typing import NDArray
 from manyhands.launch.conformance.judgement import Conformance, Judgement, broken
 from manyhands.launch.conformance.timing import CallTimer
 from manyhands.nodes.device.drivers import Driver
-from manyhands.nodes.device.plugin import DriverFailure
+from manyhands.nodes.device.plugin import PART, DriverFailure, PluginDriver
 from manyhands.nodes.device.specification import DeviceSpecification
 from manyhands.protocol.clock import Clock, Instant, SimulatedClock, from_seconds
 
@@ -53,6 +57,7 @@ STALE: Final = "stale sample"
 SWAPPED: Final = "swapped axes"
 SIGN: Final = "wrong sign"
 UNIT: Final = "wrong unit"
+FORCE: Final = "wrong force"
 RELEASE: Final = "no release"
 SILENCE: Final = "force kept on silence"
 CLOSE: Final = "close"
@@ -77,6 +82,15 @@ GRACE: Final = 1.5
 
 LONGEST_DELAY: Final = 40
 """Ticks; the longest delay that is looked for."""
+
+GAIN: Final = 0.05
+"""The part by which an exerted force may differ from the one that was given."""
+
+AGAIN: Final = 3
+"""Calls longer than a period that no busy machine explains: what waits for its device does so again and again."""
+
+LEFT: Final = 0.1
+"""The part of a push that may be left after its release: what the steps of an encoder may look like."""
 
 MASSES: Final = (0.005, 50.0)
 """kg; the masses that a hand can move, where a driver states none."""
@@ -130,6 +144,7 @@ class Bench:
     """A driver in a loop of its own, whose calls are timed.
 
     Attributes:
+        driver: the driver.
         durations: of the calls, by method, ns.
         inside: the call that has not returned yet, and its number; None between calls.
         stopping: set from outside, ends the suite at the next tick.
@@ -144,9 +159,11 @@ class Bench:
             clock: paces the ticks: a :class:`SimulatedClock` for a counterpart that moves by the instants of the calls.
             timer: what the calls are timed by.
         """
-        self._driver, self.T, self._clock, self._timer = driver, T, clock, timer or CallTimer()
+        self.driver = self._driver = driver
+        self.T, self._clock, self._timer = T, clock, timer or CallTimer()
         self._period, self._epoch = from_seconds(T), clock.now()
         self._turn = self._slot = self._calls = 0
+        self._timed = True
         self.durations: dict[str, list[int]] = {}
         self.inside: tuple[str, int] | None = None
         self.stopping = False
@@ -168,7 +185,9 @@ class Bench:
         self._call("apply", lambda: self._driver.apply(f, now, until))
         record = _Record(self.samples.at[-1:], self.samples.x[-1:])
         self._slot += ticks - 1
+        self._timed = False  # a counterpart makes up for all of the silence in the next call
         self._tick(None)
+        self._timed = True
         record.at.append(self.samples.at[-1])
         record.x.append(self.samples.x[-1])
         return record
@@ -208,6 +227,8 @@ class Bench:
             self._call("apply", lambda: driver.apply(f, at, until))
         self._slot = max(self._slot + 1, -((self._epoch - self._clock.now()) // self._period))
         self._turn += 1
+        if isinstance(driver, PluginDriver):
+            self._call("exerted", lambda: driver.exerted(f or [0.0] * driver.axes))
         due = Instant(self._slot * self._period)
         self._call("idle", lambda: driver.idle(due))
 
@@ -221,7 +242,9 @@ class Bench:
         try:
             return call()
         finally:
-            self.durations.setdefault(method, []).append(self._timer.end())
+            took = self._timer.end()
+            if self._timed:
+                self.durations.setdefault(method, []).append(took)
             self.inside = None
 
 
@@ -269,6 +292,8 @@ def check_driver(bench: Bench, stated: DeviceSpecification, push: Push | None) -
         for check in (STALE, SWAPPED, SIGN, RELEASE, SILENCE):
             yield Judgement(check, Conformance.OPEN, unpushed)
     yield from judged
+    if not broken(judged):  # what a push has found says more
+        yield from _measured(bench)
     yield closing
 
 
@@ -294,16 +319,35 @@ def _closed(bench: Bench) -> Judgement:
 def _times(bench: Bench) -> Iterator[Judgement]:
     """The durations of the calls of the loop."""
     T, texts = bench.T * 1e6, []
-    for method in ("sample", "apply", "release", "idle"):
+    for method in ("sample", "apply", "release", "exerted", "idle"):
         if method not in bench.durations:
             continue
-        p50, p95 = (float(value) / 1e3 for value in np.percentile(bench.durations[method], (50, 95)))
-        texts.append(f"{method} p50 {p50:.3g} µs, p95 {p95:.3g} µs")
-        if p50 > T / 2 or p95 > T:
-            expected = f"a median of at most {T / 2:g} µs and a p95 of at most {T:g} µs, with a period of {T:g} µs"
+        p50, most = (float(value) / 1e3 for value in np.percentile(bench.durations[method], (50, 100)))
+        texts.append(f"{method} p50 {p50:.3g} µs, at most {most:.3g} µs")
+        longer = sum(value > 1e3 * T for value in bench.durations[method])
+        if p50 > T / 2 or longer:
+            expected = f"a median of at most {T / 2:g} µs and never more than {T:g} µs, the period"
+            if p50 <= T / 2 and longer < AGAIN:
+                text = f"found {texts[-1]}, longer than the period {longer} times, as on a busy machine: check it again"
+                yield Judgement(BLOCKING, Conformance.OPEN, text)
+                return
             yield Judgement(BLOCKING, Conformance.BROKEN, f"found {texts[-1]}; expected {expected}")
             return
     yield Judgement(BLOCKING, Conformance.KEPT, "; ".join(texts))
+
+
+def _measured(bench: Bench) -> Iterator[Judgement]:
+    """The forces that the driver itself has measured; nothing where it measures none."""
+    driver = bench.driver
+    if not isinstance(driver, PluginDriver) or not driver.measures:
+        return
+    if driver.untrue is None:
+        yield Judgement(FORCE, Conformance.KEPT, "every force that it measured is one that it was given")
+        return
+    ticks, most = driver.untrue
+    found = f"measured forces that it had not been given, in {ticks} ticks, by up to {most:.3g} N"
+    expected = f"each within {PART:.0%} of its stated limit of one that it was given, within its stated delay"
+    yield Judgement(FORCE, Conformance.BROKEN, f"found {found}; expected {expected}")
 
 
 def _reach(bench: Bench, stated: DeviceSpecification) -> Judgement:
@@ -414,10 +458,17 @@ def _judged(pushed: _Pushed, T: float, stated: DeviceSpecification) -> Iterator[
         return
     yield Judgement(UNIT, Conformance.KEPT, f"{pushed.force:g} N move {mass:.3g} kg {of}")
     left = float((_acceleration(pushed.after) - _acceleration(pushed.after_back))[axis] / 2.0 / a[axis])
-    if left > 0.5:
+    if left > LEFT:
         found = f"{left:.0%} of a push {of} after its release"
         yield Judgement(RELEASE, Conformance.BROKEN, f"found {found}; expected none")
         return
+    if fits and stated.mass is not None and not stated.hardware:
+        gain = stated.mass[axis] / mass
+        if abs(gain - 1.0) > GAIN:
+            found = f"{gain:.3g} times the force that was given, by the motion of {stated.mass[axis]:g} kg {of}"
+            yield Judgement(FORCE, Conformance.BROKEN, f"found {found}; expected it within {GAIN:.0%}")
+            return
+        yield Judgement(FORCE, Conformance.KEPT, f"{gain:.3g} times the force that was given, {of}")
     yield Judgement(RELEASE, Conformance.KEPT, f"released, {max(0.0, left):.0%} of a push {of} is left")
 
 

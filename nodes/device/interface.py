@@ -27,10 +27,17 @@ interface chooses w so that B stays above what the force may still cost until it
 
     R = h p(r),    p(r) = max over v of r^T v - v^T Delta_D v  <=  r^T Delta_D^-1 r / 4,
 
-with h the time left, and v within the device's limit of speed.
+with h the time left, and v within the device's limit of speed. So the bound rests on that limit: e(k) >= -E_0 for every
+motion that keeps it on each axis in the mean over each piece. A faster one costs more than R holds by at most
+h (r^T Delta_D^-1 r / 4 - p(r)) a piece. The guard sees it at the next sample at the earliest. Then the account is below
+-E_0 by no more than this excess, and nothing is exerted until the motion has paid for it.
 
 Of all motions that keep B >= R it takes the nearest to the real one. All that is missing stays as an offset x - x',
 which is made up slowly, as far as the account pays for it. A force that lasts longer than B pays for ends by itself.
+
+**A device's own latency** shifts its samples against its forces: the time of the account is that of the forces, and a
+sample is of so much earlier. A force may then act after the next sample was taken. It is booked from when it acts, and
+R holds all that still acts. No force ends before the device can be told.
 """
 
 from __future__ import annotations
@@ -51,6 +58,8 @@ from manyhands.protocol.clock import Duration, Instant, from_seconds
 Matrix = NDArray[np.float64]
 
 _NS: Final = 1e-9
+
+_ROUNDING: Final = 1.0 + 1e-9  # of a displacement at the limit of speed: differences of positions, in doubles
 
 
 class InterfaceAccount:
@@ -86,7 +95,7 @@ class InterfaceAccount:
         self._x = zero
         self._at: Instant | None = None  # of the last call of sampled
         self._since = Instant(0)  # from which on the present force is exerted and not yet among the parts
-        self._parts: list[tuple[Floats, float]] = []  # forces since the last sample, and for how long, s
+        self._parts: list[tuple[Floats, int, int]] = []  # forces since the last sample, with beginning and end, ns
         self._moved: Floats | None = None  # w(k), until its answer
         self.change(promise)
 
@@ -108,7 +117,7 @@ class InterfaceAccount:
             max of sum r_j^T d_j - d_j^T Delta_D d_j / h_j  =  r^T d - d^T Delta_D d / h
                                                             + sum h_j (r_j - r)^T Delta_D^-1 (r_j - r) / 4,
 
-        and it is at most the sum of h_j times :meth:`cost`.
+        and it is at most the sum of h_j times :meth:`cost`, with no limit on an axis that was seen to be faster.
         """
         known, self._at = self._at, at
         last, self._x = self._x, x
@@ -116,7 +125,11 @@ class InterfaceAccount:
             self._since = at
             return
         self._close(at)
-        parts, self._parts = self._parts, []
+        acted, self._parts = self._parts, []
+        if acted[-1][2] > at:  # a force that was exerted already acts later than this sample was taken
+            self._parts = [(r, max(begin, at), end) for r, begin, end in acted if end > at]
+            acted = [(r, begin, min(end, at)) for r, begin, end in acted if begin < at]
+        parts = [(r, (end - begin) * _NS) for r, begin, end in acted]
         h = (at - known) * _NS
         d = minus(x, last)
         mean = parts[0][0]
@@ -128,29 +141,45 @@ class InterfaceAccount:
                 spread += 0.25 * time * dot(beside, self.compliance(beside))
         cost = dot(mean, d) - dot(d, self.burn(d)) / h + spread
         if len(parts) > 1:
-            cost = min(cost, sum(time * self.cost(r) for r, time in parts))
+            limits = zip(d, self._speed, strict=True)
+            within = [v if abs(way) <= _ROUNDING * v * h else math.inf for way, v in limits]
+            cost = min(cost, sum(time * self.cost(r, within) for r, time in parts))
         self.balance -= cost
 
     def _close(self, at: Instant) -> None:
         """Keep how long the present force was exerted until ``at``, and how long none was after its end."""
         since, until = self._since, self.until
+        if at <= since:
+            return
         ended = at if until is None or until >= at else max(until, since)
         if ended > since:
-            self._parts.append((self.exerted, (ended - since) * _NS))
+            self._parts.append((self.exerted, since, ended))
         if at > ended:
-            self._parts.append(([0.0] * len(self._x), (at - ended) * _NS))
+            self._parts.append(([0.0] * len(self._x), ended, at))
         self._since = at
 
-    def cost(self, r: Floats) -> float:
+    @property
+    def ahead(self) -> tuple[Instant, float]:
+        """From when on the present force acts after the last sample, and what it costs at most until then, J.
+
+        With a latency the forces before it may still act when a sample is taken.
+        """
+        return self._since, sum((end - begin) * _NS * self.cost(r) for r, begin, end in self._parts)
+
+    def cost(self, r: Floats, speed: Sequence[float] | None = None) -> float:
         """p(r), W: the most that r (N) can cost in a second, the greatest r^T v - v^T Delta_D v.
 
-        The device moves at no more than its limit of speed. Where Delta_D joins axes, its least eigenvalue stands for
-        it.
+        The device moves at no more than its limit of speed in the mean: nothing enforces that between two samples.
+        Where Delta_D joins axes, its least eigenvalue stands for it.
+
+        Args:
+            r: N.
+            speed: the greatest |v| on each axis, m/s; None for the limits.
         """
-        most_power = 0.0
+        most_power, limits = 0.0, speed or self._speed
         for axis in range(len(r)):
             size, d = abs(r[axis]), self._least[axis]
-            v = min(size / (2.0 * d), self._speed[axis])
+            v = min(size / (2.0 * d), limits[axis])
             most_power += v * (size - d * v)
         return most_power
 
@@ -212,6 +241,8 @@ ROOM: Final = 2.0
 class DeviceInterface:
     """A device's motion and force on their way to and from its couplings: the account e(k), kept above -E_0.
 
+    That holds for every motion within the limit of speed (the module's docstring states what a faster one costs).
+
     A tick is :meth:`send`, :meth:`force` and :meth:`applied`. Without E_0 the account is only kept, and motion and
     force pass unchanged.
 
@@ -235,6 +266,7 @@ class DeviceInterface:
         speed: Sequence[float],
         longest: Duration,
         E_0: float | None,
+        latency: Duration = Duration(0),  # noqa: B008 -- a number
     ) -> None:
         """Begin at rest in x = 0, with a full tank.
 
@@ -247,11 +279,13 @@ class DeviceInterface:
             speed: the device's limit of speed on each axis, m/s; a faster device lets go.
             longest: the longest time from a sample on for which its force is held, ns.
             E_0: what lateness may put into the loop in the whole session, J; None for no bound.
+            latency: how much older than its call each sample is, and how much later than its call each force acts,
+                together, ns.
         """
         self.account = InterfaceAccount(osp, promise, T, speed)
         self._bounded = E_0 is not None
         self.tank = self._E_0 = 0.0 if E_0 is None else E_0
-        self._T, self._longest, self._speed = T, longest, tuple(speed)
+        self._T, self._longest, self._latency, self._speed = T, longest, latency, tuple(speed)
         self._tau = self._expected = tau
         self._tolerance = tolerance
         self._sent: Floats = [0.0] * len(speed)
@@ -282,16 +316,17 @@ class DeviceInterface:
         self.account.change(promise)
         self._tau, self._tolerance = tau, tolerance
 
-    def send(self, x: Floats, goal: Floats, at: Instant) -> Floats:
+    def send(self, x: Floats, goal: Floats, now: Instant) -> Floats:
         """The displacement to send: the nearest to ``goal`` that is paid for.
 
-        If the exerted force may last longer than the tank pays for, :attr:`until` comes nearer.
+        If the exerted force may last longer than the tank pays for, :attr:`until` comes nearer, and at most to ``now``.
 
         Args:
             x: the device's displacement, m.
             goal: what it would send without a bound, m.
-            at: the instant of the sample.
+            now: the instant of the call; the sample was taken earlier by the latency.
         """
+        at = Instant(now - self._latency)
         self._settle()
         self.shortened = False
         account, before, last = self.account, self._sent, self._at
@@ -311,7 +346,11 @@ class DeviceInterface:
             return goal
         account.sampled(x, at)
         self._book()
-        reserve = min(left, max(self._tau, self._expected)) * self._power if self._power > 0.0 else 0.0
+        acts, committed = account.ahead  # with a latency, earlier forces may act until after this sample
+        acts = max(acts, at)
+        left = self._left(acts)
+        expected = max(0.0, max(self._tau, self._expected) - (acts - at) * _NS)
+        reserve = committed + (min(left, expected) * self._power if self._power > 0.0 else 0.0)
         own = minus(goal, self._goal)
         offset = minus(self._goal, before)
         part = 1.0 if max(map(abs, offset)) <= REST else min(1.0, self._T / RECOVERY)
@@ -328,9 +367,11 @@ class DeviceInterface:
             self.kept_back += max(0.0, gain - account.least_gain(own))
         account.received(kept, gain)
         self._book()
-        if self._power > 0.0 and self.tank < left * self._power:
-            self.shortened = True
-            account.until = Instant(at + int(max(0.0, 1e9 * self.tank / self._power)))
+        paid = self.tank - committed
+        if self._power > 0.0 and paid < left * self._power:
+            end = max(now, Instant(acts + int(max(0.0, 1e9 * paid / self._power))))
+            if account.until is None or end < account.until:
+                self.shortened, account.until = True, end
         return self._sent
 
     def force(self, f: Floats, held: Floats, at: Instant) -> tuple[Floats, Instant | None]:
@@ -363,7 +404,9 @@ class DeviceInterface:
         self._settle()
         self.tank = min(self.tank, self._most(power))
         if power > 0.0:
-            spent = min(late, self._left(sampled)) * before if before > 0.0 else 0.0
+            acts, spent = account.ahead
+            acts = max(acts, sampled)
+            spent += min(max(0.0, (at - acts) * _NS), self._left(acts)) * before if before > 0.0 else 0.0
             paid = max(0.0, self.tank - spent + account.least_gain(self._best(f)))
             needed = (1.0 + self._tolerance) * T + expected - late
             if needed * power > paid:
@@ -490,4 +533,5 @@ def interface_of(bundle: DeviceBundle) -> DeviceInterface:
         bundle.limits.speed,
         longest,
         bundle.tank,
+        from_seconds(bundle.timing.latency),
     )

@@ -1,9 +1,9 @@
 """The device's process: it paces the loop, samples x, and applies f_v.
 
 In each tick the node waits for kT on an absolute schedule, samples, and sends x(k) to every coupling that holds one of
-its ports. It then waits for their f_v(k), and applies it. A tick is late when its force acts after the next tick
-was due. The schedule then goes on at the next multiple of T, so that devices stay in phase. A force acts when it is
-applied; where a driver states the age of its samples and the delay of its forces, both are added.
+its ports. It then waits for their f_v(k), and applies it. A tick is late when its force is applied after the next tick
+was due. The schedule then goes on at the next multiple of T, so that devices stay in phase. Where a driver states the
+age of its samples and the delay of its forces, both count in tau, and not in the loop's lateness.
 
 A device whose force is stale lets go and runs free: in every period it samples, guards and keeps its ledger, without
 force. It sends its x(k) again in every period until a coupling answers, or sends a zero force of a later tick, with
@@ -62,11 +62,9 @@ class DeviceNode:
         self._stale = self._timeouts.stale or Duration(0)  # after this wait a force is stale; 0 where nothing is late
         self._suspension = Duration(max(SUSPENSION, self._stale))
         self._clock: Clock = SimulatedClock() if common.clock == SIMULATED else self._realtime
-        self._period, self._latency = from_seconds(common.period), from_seconds(bundle.timing.latency)
+        self._period = from_seconds(common.period)
         self.peer_links: list[PeerLink] = []
-        self._account = DeviceTelemetry(
-            common, bundle.rungs[0], driver.figures, self.device.interface, from_seconds(bundle.timing.jitter)
-        )
+        self._account = DeviceTelemetry(common, bundle.rungs[0], driver.figures, self.device.interface, bundle.timing)
         self._free = False  # it has let go
         self._rung = self._next_rung = 0
         self._zero: Floats = [0.0] * len(common.ports)
@@ -93,7 +91,7 @@ class DeviceNode:
         self._account.publish_rest(control, self.device.core, self.device.guard, self.peer_links)
 
     def _run(self, start: Start, life: Life, control: ControlLine) -> None:
-        clock, device, period, latency = self._clock, self.device, self._period, self._latency
+        clock, device, period = self._clock, self.device, self._period
         driver, core, guard, in_wall_time = device.driver, device.core, device.guard, device.interface is not None
         account, peer_links = self._account, self.peer_links
         self._life, give_way = life, way_giver()
@@ -153,12 +151,11 @@ class DeviceNode:
             driver.idle(Instant((slot + 1) * period))
             if self._next_rung != self._rung:
                 self._change_rung(tick)
-            acts = Instant(applied + latency)  # on the sample as the driver took it
             account.tick(
-                tick, device.x, held, core, (due, ready, sampled, sent, received, acts), device.instants, device.x_a
+                tick, device.x, held, core, (due, ready, sampled, sent, received, applied), device.instants, device.x_a
             )
             # after a late tick the next multiple of T, by a division that rounds up
-            slot = -((epoch - acts) // period) if acts > epoch + (slot + 1) * period else slot + 1
+            slot = -((epoch - applied) // period) if applied > epoch + (slot + 1) * period else slot + 1
             self._free = False
             tick += 1
             account.publish(control, core, guard, peer_links)

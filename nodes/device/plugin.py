@@ -9,6 +9,10 @@ driver, from the numbers in the session file. The driver states its own numbers 
 (:mod:`manyhands.nodes.device.specification`). A session that promises more than its driver states is refused before
 anything moves.
 
+**A driver that measures the force that its device exerts is held to it.** A measured force has to be one of those that
+the driver was given within the stated delay and a period, give or take :data:`PART` of the stated limit. Every other
+tick is counted (``untrue``), and ends in a sentence that names the driver, and not its user.
+
 **A driver's code is trusted, its answers are not.** An exception, a wrong number of entries, or a displacement that is
 not finite ends the device's node with the driver's name, after one last release.
 """
@@ -17,16 +21,17 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Final
 
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.arithmetic import Floats
 from manyhands.nodes.bundle import SIMULATED, DeviceBundle, PluginDevice
-from manyhands.nodes.device.specification import AxisMap, DeviceSpecification, promises_too_much
+from manyhands.nodes.device.specification import AxisMap, DeviceSpecification, DeviceTiming, promises_too_much
 from manyhands.nodes.factory import FactoryError, FactoryName, in_one_line, made_by
 from manyhands.nodes.lifetime import Stopped
-from manyhands.protocol.clock import Instant
+from manyhands.protocol.clock import Duration, Instant, from_seconds
 
 REQUIRED: Final = (
     "specification", "sample", "apply", "release", "close", "exerted", "idle", "figures",
@@ -92,6 +97,55 @@ class DeviceDriver(ABC):
         return {}
 
 
+PART: Final = 0.05
+"""The part of an axis' stated limit of force by which a measured force may differ from the one that was given."""
+
+
+class GivenForces:
+    """The forces that a driver was given lately, and whether a measured one is among them.
+
+    Attributes:
+        ticks: the number of measurements that were not.
+        most: by how much they differed from the nearest at most, on any axis, N.
+    """
+
+    def __init__(self, limits: Sequence[float], window: Duration) -> None:
+        """No force was given.
+
+        Args:
+            limits: the greatest force of each of the driver's axes, as it states them, N.
+            window: for how long a former force may still be measured, ns.
+        """
+        self._allowed, self._window = [PART * limit for limit in limits], window
+        self._zero: Floats = [0.0] * len(limits)
+        self._given: deque[tuple[Instant, Floats]] = deque([(Instant(0), self._zero)])
+        self._at = Instant(0)
+        self.ticks, self.most = 0, 0.0
+
+    def give(self, F: Floats, at: Instant, until: Instant | None = None) -> None:
+        """From ``at`` on it has to be F (N), and from ``until`` on zero."""
+        given, self._at = self._given, at
+        while len(given) > 1 and given[-1][0] > at:  # what was to come
+            given.pop()
+        given.append((at, F))
+        if until is not None:
+            given.append((max(at, until), self._zero))
+        while len(given) > 1 and given[1][0] <= at - self._window:
+            given.popleft()
+
+    def measured(self, F: Floats) -> None:
+        """The force is F (N) at the instant of the last call of :meth:`give`."""
+        worst = 0.0
+        for axis, (force, allowed) in enumerate(zip(F, self._allowed, strict=True)):
+            of_axis = [given[axis] for begin, given in self._given if begin <= self._at]
+            beyond = max(min(of_axis) - force, force - max(of_axis))
+            if beyond > allowed:
+                worst = max(worst, beyond)
+        if worst > 0.0:
+            self.ticks += 1
+            self.most = max(self.most, worst)
+
+
 class DriverFailure(ValueError):
     """A driver failed or gave no usable answer; the message names it, the call, what was found and what was right.
 
@@ -154,17 +208,30 @@ def made_driver(name: FactoryName, ports: tuple[str, ...], T: float) -> tuple[De
 class PluginDriver:
     """A :class:`manyhands.nodes.device.drivers.Driver` around one of another package."""
 
-    def __init__(self, name: str, driver: DeviceDriver, axis_map: AxisMap, latency: float) -> None:
+    def __init__(
+        self,
+        name: str,
+        driver: DeviceDriver,
+        axis_map: AxisMap,
+        stated: DeviceSpecification,
+        T: float,
+        timing: DeviceTiming | None = None,
+    ) -> None:
         """Map and check a driver.
 
         Args:
             name: of its factory, for messages.
             driver: the driver.
             axis_map: from its axes to the ports.
-            latency: of the device, s. Where it is not 0, the driver's displacement at a force is not that of its
-                instant, and is not used.
+            stated: by the driver, in its own axes.
+            T: period, s.
+            timing: of the device as the session has it; None for what the driver states. Where its latency is not 0,
+                the driver's displacement at a force is not that of its instant, and is not used.
         """
-        self._name, self._driver, self._measures = name, driver, latency == 0.0
+        timing = timing or stated.timing
+        self._name, self._driver, self._measures = name, driver, timing.latency == 0.0
+        self._given = GivenForces(stated.force, from_seconds(T + timing.actuation_delay))
+        self._measured = 0
         m = self._m = len(axis_map.axes)
         self._to_ports = list(zip(axis_map.axes, axis_map.gains, strict=True))
         port_of = {axis: port for port, axis in enumerate(axis_map.axes)}
@@ -192,6 +259,7 @@ class PluginDriver:
     def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Floats | None:
         """Exert f (N) of the ports; returns the displacement only where the device measures it without latency."""
         self._F = [gain * f[port] for port, gain in self._to_axes]
+        self._given.give(self._F, at, until)
         try:
             X = self._driver.apply(self._F.copy(), at, until)
         except (Exception, SystemExit) as error:  # foreign code: every exception is named
@@ -201,6 +269,7 @@ class PluginDriver:
     def release(self, at: Instant) -> Floats | None:
         """Exert no force; after a failure of the driver, what it raises once more is not reported."""
         self._F = self._zero
+        self._given.give(self._F, at)
         try:
             X = self._driver.release(at)
         except (Exception, SystemExit) as error:  # foreign code: every exception is named
@@ -216,10 +285,14 @@ class PluginDriver:
             F = None if given is None else list(map(float, given))
         except (Exception, SystemExit) as error:  # foreign code: every exception is named
             raise self._raised("exerted", error, "a force or None") from error
-        if F is None or F == self._F:
+        if F is None:
+            return held
+        self._measured += 1
+        if F == self._F:
             return held
         if len(F) != self._m or not all(map(math.isfinite, F)):
             raise self._unusable("exerted", F, f"{self._m} finite forces in N, or None")
+        self._given.measured(F)
         self._unexerted += 1
         self._most_unexerted = max(self._most_unexerted, *(abs(a - b) for a, b in zip(F, self._F, strict=True)))
         return [F[axis] / gain for axis, gain in self._to_ports]
@@ -236,14 +309,32 @@ class PluginDriver:
         return 0.0
 
     def figures(self) -> Mapping[str, float]:
-        """The driver's figures, and what the device did not exert of the forces that it was given."""
+        """The driver's figures, whether it measures its forces, and what of them differs from those it was given."""
         try:
             found = {f"{names.DRIVER}{key}": float(value) for key, value in self._driver.figures().items()}
         except (Exception, SystemExit) as error:  # foreign code: every exception is named
             raise self._raised("figures", error, "numbers by name") from error
+        if self._measured:
+            found[names.MEASURED] = float(self._measured)
         if self._unexerted:
             found |= {names.UNEXERTED: float(self._unexerted), names.UNEXERTED_MOST: self._most_unexerted}
+        if self.untrue:
+            ticks, most = self.untrue
+            found |= {names.UNTRUE: float(ticks), names.UNTRUE_MOST: most}
         return found
+
+    @property
+    def untrue(self) -> tuple[int, float] | None:
+        """In how many ticks the driver measured a force that it had not been given, and by how much at most, N.
+
+        None where there was no such tick.
+        """
+        return (self._given.ticks, self._given.most) if self._given.ticks else None
+
+    @property
+    def measures(self) -> bool:
+        """Whether the driver has measured the force that its device exerts."""
+        return self._measured > 0
 
     def close(self) -> None:
         """Close the driver; after a failure, what it raises once more is not reported."""
@@ -295,4 +386,4 @@ def plugin_driver(device: PluginDevice, bundle: DeviceBundle) -> PluginDriver:
     except FactoryError:
         driver.close()
         raise
-    return PluginDriver(name, driver, axis_map, device.timing.latency)
+    return PluginDriver(name, driver, axis_map, stated, bundle.common.period, device.timing)

@@ -57,6 +57,32 @@ class DeviceTiming:
         return self.sample_age if self.age_jitter is None else self.age_jitter
 
 
+@dataclass(frozen=True)
+class DriverWord:
+    """The driver of another package that a device has: what is believed of it, because nothing here can check it.
+
+    A person's hand holds such a device, and its work is not known. So the device's ledger judges nobody.
+
+    Attributes:
+        factory: of the driver.
+        sample_age: the greatest age of its samples, as the session has it, s.
+        actuation_delay: the greatest delay of its forces, likewise, s.
+    """
+
+    factory: str
+    sample_age: float = 0.0
+    actuation_delay: float = 0.0
+
+    def sentence(self, device: str, measured: bool) -> str:
+        """What rests on the driver's word; ``measured`` is whether it measures the force that it exerts."""
+        force = "its own measurement of the force" if measured else "that it exerts the force that it was given"
+        return (
+            f"{device} rests on the word of its driver {self.factory}: its displacements, the age of its samples (at "
+            f"most {1e3 * self.sample_age:g} ms), the delay of its forces (at most {1e3 * self.actuation_delay:g} ms) "
+            f"and their end, its damping (osp), and {force}"
+        )
+
+
 NO_DELAY = DeviceTiming()
 """Of a device that measures and acts at the instants of its calls."""
 

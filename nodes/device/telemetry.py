@@ -33,6 +33,7 @@ from manyhands.nodes.arithmetic import Floats
 from manyhands.nodes.bundle import Common, DeviceRung
 from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.interface import DeviceInterface
+from manyhands.nodes.device.specification import NO_DELAY, DeviceTiming
 from manyhands.nodes.device.tick import NO_INSTANTS, Instants
 from manyhands.nodes.peer_link import PeerLink
 from manyhands.nodes.supervisor_line import ControlLine
@@ -126,7 +127,7 @@ class DeviceTelemetry:
         rung: DeviceRung,
         driver_figures: Callable[[], Mapping[str, float]] = dict,
         interface: DeviceInterface | None = None,
-        jitter: Duration = Duration(0),  # noqa: B008 -- a number
+        timing: DeviceTiming = NO_DELAY,
     ) -> None:
         """No tick yet.
 
@@ -135,9 +136,10 @@ class DeviceTelemetry:
             rung: the rung in force, with the delays and periods that it covers.
             driver_figures: returns the driver's own figures for each telemetry.
             interface: of a device in wall time; None for one in its own.
-            jitter: by how much the age of a sample may vary, ns: two samples may be further apart by so much.
+            timing: of the device beside its loop. Its latency is a part of every tau, and two samples may be further
+                apart by as much as their age varies.
         """
-        self._jitter = jitter
+        self._latency, self._jitter = from_seconds(timing.latency), from_seconds(timing.jitter)
         self._common, self._driver_figures, self._interface = common, driver_figures, interface
         self.ticks = self.stale = self.released = self.jumps = 0
         self._late = self._tau_breaches = self._period_breaches = 0
@@ -148,6 +150,7 @@ class DeviceTelemetry:
         self._lateness = LatenessCounter(period)
         self._tau, self._true_period = Distribution(), Distribution()
         self._tau_worst = self._tau_before = 0
+        self._tau_kept = True
         m, rows = len(common.ports), common.telemetry_ticks
         self._trace_x: list[Floats] = [[0.0] * m] * rows
         self._trace_f: list[Floats] = [[0.0] * m] * rows
@@ -208,7 +211,7 @@ class DeviceTelemetry:
             x_a: its displacement when the force was applied, m; None where it is not known.
         """
         due, _, sampled, _, _, applied = times
-        tau = applied - sampled
+        tau = applied - sampled + self._latency
         self._tau.add(tau / 1e3)
         if tau > self._assumed_tau:
             self._tau_breaches += 1
@@ -219,7 +222,9 @@ class DeviceTelemetry:
             self._true_period.add(between / 1e3)
             if not self._covers(Duration(between + self._jitter)):
                 self._period_breaches += 1
-        self._sampled, self._tau_before = sampled, tau
+            if self._tau_kept and between < self._tau_before:  # the force before acts after this sample was taken
+                self._tau_breaches += 1
+        self._sampled, self._tau_before, self._tau_kept = sampled, tau, tau <= self._assumed_tau
         if applied > due + self._period:
             self._late += 1
             self._lateness.judge(*times)

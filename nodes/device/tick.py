@@ -15,8 +15,9 @@ with the next tick.
 
 **Latency.** Where a driver states that its samples are old, or its forces act late
 (:mod:`manyhands.nodes.device.specification`), the interface of the device takes each sample to be older by both. Only
-the time from a sample to a force counts, so one shift stands for both. The loop keeps the samples' instants in order:
-its schedule goes on where the last force acts before the next sample was taken.
+the time from a sample to a force counts, so one shift stands for both. A force may then act after the next sample was
+taken. The account has both at their true instants. The loop's schedule knows nothing of it: a late device is no late
+loop.
 """
 
 from __future__ import annotations
@@ -62,8 +63,7 @@ class DeviceTick(ABC):
         self._zero: Floats = [0.0] * len(common.ports)
         self._at = self._row_at = Instant(0)  # of the last sample, and of the row's
         self._first = True
-        self._latency = from_seconds(bundle.timing.latency)
-        # of a driver of another package: what it really exerts of the force that it was given
+        # of a driver of another package: what it really exerts of the force that it was given; it is held to its word
         self._exerted = driver.exerted if isinstance(driver, PluginDriver) else None
         self.driver = driver
         self.guard = guard or Guard(bundle.limits, common.period, common.ports)
@@ -91,7 +91,7 @@ class DeviceTick(ABC):
             self.x, self.sent = x, goal
         elif first:
             self.x, self._row_at = x, at
-            self.sent = interface.send(x, goal, Instant(at - self._latency))
+            self.sent = interface.send(x, goal, at)
             if interface.shortened:
                 self.driver.apply(interface.exerted, at, interface.until)
         return self.sent
@@ -140,6 +140,8 @@ class OwnTimeTick(DeviceTick):
     def free(self, at: Instant) -> None:
         """Count a period with zero force."""
         self.driver.release(at)
+        if self._exerted is not None:
+            self._exerted(self._zero)
         work = self.driver.intended_work()
         self.core.sample(self.x)
         self.core.apply(self._zero, work)
@@ -186,6 +188,8 @@ class WallTimeTick(DeviceTick):
     def free(self, at: Instant) -> None:
         """Count the intention's work; the couplings were given nothing in this period."""
         self.driver.release(at)
+        if self._exerted is not None:
+            self._exerted(self._zero)
         self._count(self.driver.intended_work())
 
     def exert(self, asked: Floats, at: Instant, recorded: Floats | None = None) -> Floats:

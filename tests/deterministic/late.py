@@ -50,7 +50,13 @@ class LateSession(SimulatedSession):
     """
 
     def __init__(
-        self, prepared: Prepared, ticks: int, delays: Mapping[str, Delay], early: Collection[str] = (), seed: int = 1
+        self,
+        prepared: Prepared,
+        ticks: int,
+        delays: Mapping[str, Delay],
+        early: Collection[str] = (),
+        seed: int = 1,
+        stopped: Mapping[str, tuple[int, int]] | None = None,
     ) -> None:
         """Run it.
 
@@ -60,6 +66,7 @@ class LateSession(SimulatedSession):
             delays: of the devices that are late, by name.
             early: of these, the devices that do not wait until a tick is due: they sample once they are answered.
             seed: of all that is left open.
+            stopped: the processes that do not run for a while: from when on, and for how long, in periods.
         """
         self.told: dict[str, list[Telemetry]] = defaultdict(list)
 
@@ -72,6 +79,8 @@ class LateSession(SimulatedSession):
             return late
 
         super().__init__(prepared, "realtime", seed, ticks=ticks, moved=moved)
+        for node, (at, lasting) in (stopped or {}).items():
+            self.scheduler.after(at * PERIOD, lambda node=node, lasting=lasting: self.stop(node, lasting * PERIOD))  # type: ignore[misc]
         self.scheduler.watch = lambda: self.conductor.phase is SessionPhase.OVER and not self.processes
         self.scheduler.run()
         self.scheduler.join()

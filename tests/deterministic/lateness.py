@@ -28,6 +28,7 @@ import math
 import multiprocessing
 import sys
 import tempfile
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -301,21 +302,26 @@ class Course:
 class DelayedDriver:
     """A device whose samples are ``age`` old, and whose forces act ``delay`` after their call, both in ns.
 
-    The calls come in the order of their effects: no sample is older than the last force is new.
+    A force may act later than the next sample was taken: what was called first is not always what happens first.
     """
 
     def __init__(self, driver: Driver, age: int, delay: int) -> None:
         self._driver, self._age, self._delay, self.axes = driver, age, delay, driver.axes
+        self._coming: deque[tuple[Instant, Sequence[float] | None, Instant | None]] = deque()
 
     def sample(self, tick: int, at: Instant) -> Sequence[float]:
-        return self._driver.sample(tick, Instant(at - self._age))
+        taken = Instant(at - self._age)
+        while self._coming and self._coming[0][0] <= taken:
+            acts, f, end = self._coming.popleft()
+            self._driver.release(acts) if f is None else self._driver.apply(f, acts, end)
+        return self._driver.sample(tick, taken)
 
     def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> None:
         end = None if until is None else Instant(until + self._delay)
-        self._driver.apply(f, Instant(at + self._delay), end)
+        self._coming.append((Instant(at + self._delay), f, end))
 
     def release(self, at: Instant) -> None:
-        self._driver.release(Instant(at + self._delay))
+        self._coming.append((Instant(at + self._delay), None, None))
 
     def idle(self, due: Instant) -> None:
         """Nothing is integrated ahead: the next sample may be of an earlier instant than ``due``."""
@@ -351,8 +357,13 @@ class Late:
         self.slot, self.turn, self.now, self.sampled, self.fastest = 0, 0, 0, 0, 0.0
 
     def sample(self, at: int) -> list[float]:
-        self.now = self.sampled = max(self.now + self.latency, at)
+        self.now = self.sampled = max(self.now, at)
+        interface = self.tick.wall_interface
+        before = interface.until
         sent = self.tick.sample(self.turn, Instant(self.now))
+        if interface.shortened:
+            assert before is None or interface.until < before, "found a force that ends later than it had to"
+            assert interface.until >= self.now, "found a force that ends before its device is told to end it"
         self.turn += 1
         self.fastest = max(self.fastest, self.tick.wall_interface.speed)
         return sent
@@ -439,7 +450,7 @@ def run(
         for device, ports in devices:
             at = closed + plan.delay()
             device.answer([f[port] for port in ports], at)
-            device.slot = plan.following(device.slot, at + latency)
+            device.slot = plan.following(device.slot, at)
         if any(device.fastest > SPEED for device, _ in devices):
             break
     return Course(

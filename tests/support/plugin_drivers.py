@@ -43,8 +43,13 @@ class Counterpart(DeviceDriver):
         self.age, self.delay = (round(1e9 * parameters.get(key, 0.0)) for key in ("age", "delay"))
         self.stated = DeviceTiming(**parameters["timing"]) if "timing" in parameters else NO_DELAY
         self.hardware = bool(parameters.get("hardware", False))
+        self.push, self.hertz = (
+            parameters.get("push", 0.0),
+            parameters.get("hertz", 1.5),
+        )  # of a person's hand, N and Hz
         self.now: int | None = None
         self.x, self.v, self.f = [0.0] * n, [0.0] * n, [0.0] * n
+        self.commanded = [0.0] * n
         self.coming: list[tuple[int, list[float]]] = []  # forces, from an instant on
         self.past: list[tuple[int, list[float]]] = []  # displacements
         self.closed = False
@@ -92,8 +97,9 @@ class Counterpart(DeviceDriver):
             if self.coming:
                 end = min(end, self.coming[0][0])
             dt = (end - now) * 1e-9
+            pushed = self.push * math.sin(2.0 * math.pi * self.hertz * now * 1e-9) if self.push else 0.0
             for i in range(self.n):
-                self.v[i] += dt * (self.f[i] - self.damping * self.v[i]) / self.mass
+                self.v[i] += dt * (self.f[i] + pushed - self.damping * self.v[i]) / self.mass
                 self.x[i] += dt * self.v[i]
             now = end
             self.past.append((now, list(self.x)))
@@ -154,6 +160,65 @@ class Millimetres(Counterpart):
 
     def sample(self, tick: int, at: Instant) -> Sequence[float]:
         return [1e3 * x for x in super().sample(tick, at)]
+
+
+class Threefold(Counterpart):
+    """It exerts three times the force that it is given, beyond its own limit; by ``measures`` it measures that."""
+
+    def __init__(self, ports: tuple[str, ...], period: float, parameters: Mapping[str, Any]) -> None:
+        super().__init__(ports, period, {**parameters, "clip": 100.0})
+        self.measures = parameters.get("measures", False)
+
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Sequence[float] | None:
+        return super().apply([3.0 * force for force in f], at, until)
+
+    def exerted(self) -> Sequence[float] | None:
+        return super().exerted() if self.measures else None
+
+
+class Tenth(Threefold):
+    """A tenth more than it is given."""
+
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Sequence[float] | None:
+        return Counterpart.apply(self, [1.1 * force for force in f], at, until)
+
+
+class LateForce(Counterpart):
+    """Its forces act 2 ms late, which it does not state."""
+
+    def __init__(self, ports: tuple[str, ...], period: float, parameters: Mapping[str, Any]) -> None:
+        super().__init__(ports, period, {**parameters, "delay": 0.002})
+
+    def exerted(self) -> Sequence[float] | None:
+        return self.f
+
+
+class HoldsOn(Counterpart):
+    """It exerts a force for 20 ms after its release."""
+
+    def __init__(self, ports: tuple[str, ...], period: float, parameters: Mapping[str, Any]) -> None:
+        super().__init__(ports, period, parameters)
+        self.released: int | None = None
+
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Sequence[float] | None:
+        self.released = None
+        return super().apply(f, at, until)
+
+    def release(self, at: Instant) -> Sequence[float] | None:
+        self.released = at if self.released is None else self.released
+        if at - self.released < 20_000_000:
+            self._move(at)
+            return None
+        return Counterpart.apply(self, [0.0] * self.n, at)
+
+
+class SometimesSlow(Counterpart):
+    """One of its samples in a hundred waits."""
+
+    def sample(self, tick: int, at: Instant) -> Sequence[float]:
+        if tick % 100 == 50:
+            CALLS.ns += SLOW
+        return super().sample(tick, at)
 
 
 class Millinewtons(Counterpart):

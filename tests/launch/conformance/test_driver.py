@@ -11,6 +11,7 @@ import pytest
 from manyhands.launch.conformance.driver import (
     BLOCKING,
     EXCEPTION,
+    FORCE,
     RELEASE,
     SIGN,
     SILENCE,
@@ -37,7 +38,7 @@ T = 1e-3
 def bench_of(kind: type[DeviceDriver], axes: int = 2, **parameters: Any) -> tuple[Bench, Any]:
     driver = kind(tuple(f"d.{axis}" for axis in range(axes)), T, parameters)  # type: ignore[call-arg]
     stated = driver.specification()
-    plugin = PluginDriver(kind.__name__, driver, AxisMap(tuple(range(axes)), (1.0,) * axes), stated.timing.latency)
+    plugin = PluginDriver(kind.__name__, driver, AxisMap(tuple(range(axes)), (1.0,) * axes), stated, T)
     return Bench(plugin, T, SimulatedClock(), CallTimer(drivers.CALLS, lambda: 0)), stated
 
 
@@ -71,6 +72,10 @@ def test_the_steps_of_an_encoder_are_no_fault(step: float) -> None:
         (drivers.Millinewtons, UNIT),
         (drivers.SwappedAxes, SWAPPED),
         (drivers.Blocking, BLOCKING),
+        (drivers.SometimesSlow, BLOCKING),
+        (drivers.Tenth, FORCE),
+        (drivers.LateForce, STALE),
+        (drivers.HoldsOn, STALE),  # the end of its force comes late
         (drivers.Raising, EXCEPTION),
         (drivers.WrongAnswer, WRONG_ANSWER),
     ],
@@ -133,3 +138,11 @@ def test_a_hardware_that_something_holds_is_not_judged() -> None:
     found = findings(drivers.Counterpart, 1, mass=1e15, hardware=True)
     assert broken(found) == []
     assert [finding.check for finding in found if finding.verdict is Conformance.OPEN] == [STALE]
+
+
+@pytest.mark.parametrize("kind", [drivers.Threefold, drivers.Tenth])
+@pytest.mark.parametrize("hardware", [False, True])
+def test_a_driver_that_measures_a_wrong_force_is_named(kind: type[DeviceDriver], hardware: bool) -> None:
+    """By its own measurement, whatever its mass; three times the force is 19 % of its limit too much at 0.5 N."""
+    found = findings(kind, measures=True, hardware=hardware, push=Push(5.0))
+    assert FORCE in broken(found), found

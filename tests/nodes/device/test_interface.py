@@ -7,6 +7,7 @@ speed), what the couplings answer, and when each sample is taken, each force app
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -60,43 +61,71 @@ class Course:
 
 
 class Device:
-    """A device that an adversary moves; it books every piece of its motion exactly."""
+    """A device that an adversary moves; it books every piece of its motion exactly.
 
-    def __init__(self, osp: Array, promised: DeviceShare, tau: float, tank: float | None) -> None:
+    Its time is that of its forces: with a latency, in ns, a sample has the place of so much earlier.
+
+    Attributes:
+        beyond: by tick, the energy that a motion beyond the limit of speed has cost more than any within it, J.
+    """
+
+    def __init__(self, osp: Array, promised: DeviceShare, tau: float, tank: float | None, latency: int = 0) -> None:
         m = len(osp)
-        self.osp, self.promised = osp, promised
-        self.interface = DeviceInterface(osp, promised, tau, 0.0, T, (SPEED,) * m, STALE, tank)
+        self.osp, self.promised, self.latency = osp, promised, latency
+        self.interface = DeviceInterface(osp, promised, tau, 0.0, T, (SPEED,) * m, STALE, tank, Duration(latency))
         self.x, self.now, self.f = np.zeros(m), 0, np.zeros(m)
         self.sent = np.zeros(m)
         self.course = Course()
-        self.worst = 0.0  # e at its least by the definition, J
-        self.unknown = 0.0  # what the account may be below the definition by, J: motion while a force ended by itself
+        self.exerted, self.until = np.zeros(m), None
+        self.places = [(-latency, self.x), (0, self.x)]
+        self.beyond = [0.0]
 
     def move(self, velocity: Array, until: int) -> None:
         """Move at a constant velocity, m/s; the force may end by itself on the way."""
-        account = self.interface.account
-        ends = account.until
-        cuts = [until] if ends is None or not self.now < ends < until else [ends, until]
-        for at in cuts:
+        ends = self.until
+        for at in [until] if ends is None or not self.now < ends < until else [ends, until]:
             h = (at - self.now) * 1e-9
-            r = np.array(account.exerted) if ends is None or self.now < ends else np.zeros(len(self.x))
-            self.course.pieces.append((r, velocity * h, h))
-            self.x, self.now = self.x + velocity * h, at
+            r = self.exerted if ends is None or self.now < ends else np.zeros(len(self.x))
+            d = velocity * h
+            self.course.pieces.append((r, d, h))
+            if h > 0.0:
+                cost = float(r @ d) - float(d @ self.osp @ d) / h
+                self.beyond[-1] += max(0.0, cost - h * self.interface.account.cost(r.tolist()))
+            self.x, self.now = self.x + d, at
+            self.places.append((at, self.x))
+
+    def _taken(self) -> Array:
+        at = self.now - self.latency
+        while self.places[1][0] < at:
+            del self.places[0]
+        (begin, first), (end, last) = self.places[:2]
+        return last if end <= at else first + (last - first) * ((at - begin) / (end - begin))
 
     def send(self) -> None:
-        x = self.x.tolist()
+        x = self._taken().tolist()
         sent = np.array(self.interface.send(x, x, Instant(self.now)))
+        if self.interface.shortened:
+            assert self.until is None or self.now <= self.interface.until <= self.until
+            self.until = self.interface.until
         self.w, self.sent = sent - self.sent, sent
+        self.beyond.append(0.0)
 
     def answer(self, f: Floats, known: bool = True) -> None:
         held, until = self.interface.force(f, f, Instant(self.now))
         self.course.ticks.append((self.w, np.array(f), self.f))
         self.f = np.array(f)
+        self.exerted, self.until = np.array(held), until
+        known = known and not self.latency
         self.interface.applied(self.x.tolist() if known else None, Instant(self.now), held, until)
 
     @property
     def energy(self) -> float:
         return self.course.energy(self.osp, self.promised)
+
+    @property
+    def scale(self) -> float:
+        """The size of the terms of the sums, J, of which rounding is a part."""
+        return 1.0 + sum(abs(float(r @ d)) for r, d, _ in self.course.pieces)
 
 
 def unit(m: int) -> st.SearchStrategy[list[float]]:
@@ -132,11 +161,65 @@ def test_no_sequence_of_delays_takes_more_than_the_tank(
         device.answer(f, known)
         # the account is a lower bound of the definition: exact except where a force ended between two samples
         assert device.interface.account.least >= -E_0 * (1.0 + 1e-9)
-        scale = 1.0 + sum(abs(float(r @ d)) for r, d, _ in device.course.pieces)
         if known:  # otherwise the last part of the motion is booked with the next sample
-            assert device.energy >= device.interface.account.energy - 1e-12 * scale
-        assert device.energy >= -E_0 - 1e-12 * scale
+            assert device.energy >= device.interface.account.energy - 1e-12 * device.scale
+        assert device.energy >= -E_0 - 1e-12 * device.scale
         device.move(SPEED * np.array(after), device.now + rest)
+
+
+@pytest.mark.parametrize("latency", [300_000, TICK])
+@pytest.mark.parametrize("osp", OSP.values(), ids=list(OSP))
+@given(data=st.data())
+@settings(max_examples=10, deadline=None)
+def test_neither_does_any_with_a_latency_whatever_acts_first(osp: Array, latency: int, data: st.DataObject) -> None:
+    """A force may act after the next sample was taken, and none ends before its device is told."""
+    tau = latency * 1e-9
+    device = Device(osp, promise(tau, 0.1), tau, E_0, latency)
+    for before, after, f, delay, rest in data.draw(hostile_ticks(len(osp))):
+        device.send()
+        device.move(SPEED * np.array(before), device.now + delay)
+        device.answer(f)
+        assert device.interface.account.least >= -E_0 * (1.0 + 1e-9)
+        assert device.energy >= -E_0 - 1e-12 * device.scale
+        device.move(SPEED * np.array(after), device.now + max(rest, 100_000))
+
+
+@pytest.mark.parametrize("osp", OSP.values(), ids=list(OSP))
+@pytest.mark.parametrize(("tau", "above"), [(0.0, 0.0), (1e-3, 0.5)])
+@given(data=st.data(), faster=st.sampled_from([3.0, 30.0]))
+@settings(max_examples=10, deadline=None)
+def test_a_motion_beyond_the_limit_of_speed_costs_what_decision_30_states(
+    osp: Array, tau: float, above: float, faster: float, data: st.DataObject
+) -> None:
+    """Every motion: the account falls below -E_0 by no more than two successive ticks have cost beyond the limit."""
+    device = Device(osp, promise(tau, above), tau, E_0)
+    for before, after, f, delay, rest in data.draw(hostile_ticks(len(osp))):
+        device.send()
+        device.move(faster * SPEED * np.array(before), device.now + delay)
+        device.answer(f)
+        most = max(map(sum, pairwise(device.beyond)))
+        assert device.energy >= -E_0 - most - 1e-12 * device.scale
+        assert device.energy >= device.interface.account.energy - 1e-12 * device.scale - sum(device.beyond)
+        device.move(faster * SPEED * np.array(after), device.now + rest)
+
+
+def test_only_a_motion_beyond_the_limit_of_speed_breaks_the_bound() -> None:
+    """A little damping, and a force that moves the device along itself at once, as if it had no mass."""
+    osp, tau = np.array([[0.1]]), 3e-4
+
+    def after_a_late_tick(speed: float) -> tuple[float, float]:
+        device = Device(osp, promise(tau, 0.1), tau, E_0)
+        device.send()
+        device.answer([3.0])
+        device.move(np.array([speed]), 5 * TICK)
+        device.send()
+        device.answer([0.0])
+        return device.energy, max(map(sum, pairwise(device.beyond)))
+
+    within, most = after_a_late_tick(SPEED)
+    assert (within >= -E_0, most) == (True, pytest.approx(0.0, abs=1e-15))
+    beyond, most = after_a_late_tick(15.0)  # 3 N and 0.1 N·s/m: a mechanism without mass would come to 30 m/s
+    assert -E_0 - most <= beyond < -2.0 * E_0
 
 
 @st.composite

@@ -205,21 +205,42 @@ def test_a_process_that_did_not_run_is_counted_apart(
     assert report.figures["suspended_energy"] >= 0.0
 
 
-@pytest.mark.parametrize(("takes", "every"), [(0, 1), (600_000, 1), (700_000, 2)])
-def test_a_latency_is_a_part_of_every_delay_and_no_sample_is_older_than_the_last_force(
-    in_wall_time: Prepared, new_life: Callable[[], Any], new_line: Callable[[], Any], takes: int, every: int
+@pytest.mark.parametrize(("takes", "breaches"), [(0, 29), (600_000, 29), (700_000, 29), (990_000, 29)])
+@pytest.mark.parametrize("latency", [DeviceTiming(), DeviceTiming(5e-4, 0.0, 2e-4)], ids=["prompt", "late by itself"])
+def test_a_latency_of_the_device_is_a_part_of_every_delay_and_no_lateness_of_the_loop(
+    in_wall_time: Prepared,
+    new_life: Callable[[], Any],
+    new_line: Callable[[], Any],
+    takes: int,
+    breaches: int,
+    latency: DeviceTiming,
 ) -> None:
-    """A force that acts after the next sample was really taken makes the tick late, and that sample is left out."""
-    latency = DeviceTiming(1e-4, 0.0, 3e-4)
+    """The rate is 1/T as long as the loop ends its tick in time, even where the force acts after the next sample."""
 
     def answer(tick: int) -> Force:
         return Force(tick, 0, np.array([1.0]))
 
     one = Alone(in_wall_time, new_life(), new_line(), answer, latency=latency, takes=takes, periods=30)
-    assert set(np.diff(one.hand.sampled)) == {every * PERIOD}
-    figures = one.node.report().percentiles["tau_us"]
-    assert list(figures.values()) == pytest.approx([400.0 + takes / 1e3] * len(figures), rel=0.01)
-    assert one.node.report().counts["late"] == (29 if every == 2 else 0)
+    assert set(np.diff(one.hand.sampled)) == {PERIOD}
+    report = one.node.report()
+    tau = 1e6 * latency.latency + takes / 1e3
+    assert list(report.percentiles["tau_us"].values()) == pytest.approx([tau] * 4, rel=0.01, abs=1e-9)
+    assert report.counts["late"] == 0
+    # the session is certified without a delay
+    assert report.counts["tau_breaches"] == (breaches if tau > 0.0 else 0)
+    assert report.figures["interface"] >= -1e-9 or tau > 0.0
+
+
+def test_a_late_loop_is_late_whatever_the_device(
+    in_wall_time: Prepared, new_life: Callable[[], Any], new_line: Callable[[], Any]
+) -> None:
+    def answer(tick: int) -> Force:
+        return Force(tick, 0, np.array([1.0]))
+
+    for latency in (DeviceTiming(), DeviceTiming(5e-4, 0.0, 2e-4)):
+        one = Alone(in_wall_time, new_life(), new_line(), answer, latency=latency, takes=PERIOD + 100_000, periods=30)
+        assert set(np.diff(one.hand.sampled)) == {2 * PERIOD}
+        assert one.node.report().counts["late"] == 29
 
 
 @pytest.mark.parametrize(("age", "jitter", "breaches"), [(0.0, None, 0), (1e-4, 0.0, 0), (1e-4, None, 28)])
