@@ -247,6 +247,7 @@ def _converse(members: Sequence[HostedNode], life: Life, remote: bool, engage: E
     if remote:
         start = Start(start.epoch - ahead, start.ticks, start.tick)
         life.watch = lambda: _sight(members, clock.now())
+    leader.control.require_near(start, clock.now())
     for member in members:
         member.transport.settle()
         member.control.log.note(LogEvent.LOOP, ticks=start.ticks, tick=start.tick)

@@ -235,7 +235,30 @@ def fetch(link: Link, invitation: Invitation, life: Life) -> bytes:
     return bytes(content)
 
 
-def take_seat(path: Path | None, address: str | None, yes: bool, allowed: str | None = None) -> int:
+def with_force(device: DeviceBundle, most: float | None) -> DeviceBundle:
+    """The bundle of a guest's device, whose limits of force are the lesser of the session's and its user's own.
+
+    The device clips every force to its limits last before the actuator, so this holds whatever the session sends.
+
+    Args:
+        device: the bundle, as the session has sent it.
+        most: the user's limit, N; None for that of the session.
+    """
+    if most is None:
+        return device
+    force = tuple(min(limit, most) for limit in device.limits.force)
+    return dataclasses.replace(device, limits=dataclasses.replace(device.limits, force=force))
+
+
+def force_sentence(device: DeviceBundle) -> str:
+    """The greatest force that a device may exert on its user, in words."""
+    most = max(device.limits.force)
+    return f"the device may push with up to {most:.4g} N" if math.isfinite(most) else "no limit bounds the force"
+
+
+def take_seat(
+    path: Path | None, address: str | None, yes: bool, allowed: str | None = None, most_force: float | None = None
+) -> int:
     """Join the session of an invitation, and stay until Ctrl-C or the session's end; returns the exit code.
 
     Args:
@@ -243,6 +266,7 @@ def take_seat(path: Path | None, address: str | None, yes: bool, allowed: str | 
         address: where the session listens, HOST:PORT; None for the address in the invitation.
         yes: whether to engage without a question.
         allowed: the factory of another package whose code the session may run here; None for none.
+        most_force: the greatest force that the device may exert here, N; None for the session's limits alone.
     """
     try:
         invitation = read_invitation(path)
@@ -263,7 +287,7 @@ def take_seat(path: Path | None, address: str | None, yes: bool, allowed: str | 
     try:  # from its first line on: a life raises at any instant
         life = SeatLife()
         _say(f"{invitation.session}: going to take the seat {invitation.seat} at {invitation.address}")
-        code = _Visit(invitation, host, yes, allowed).stay(life)
+        code = _Visit(invitation, host, yes, allowed, most_force).stay(life)
     except Stopped:
         code = EXIT_OK
     except Refused as error:
@@ -279,8 +303,11 @@ def take_seat(path: Path | None, address: str | None, yes: bool, allowed: str | 
 class _Visit:
     """The attempts of one user to join one session, one after the other."""
 
-    def __init__(self, invitation: Invitation, host: str, yes: bool, allowed: str | None) -> None:
+    def __init__(
+        self, invitation: Invitation, host: str, yes: bool, allowed: str | None, most_force: float | None
+    ) -> None:
         self._invitation, self._host, self._sure, self._allowed = invitation, host, yes, allowed
+        self._most_force = most_force
         self._lines: Sequence[ControlLine] = ()
         self._distance: FeltDistance | None = None
         self._since: Instant | None = None  # when the guest was in; None before
@@ -307,7 +334,8 @@ class _Visit:
 
     def _attempt(self, life: SeatLife) -> int:
         part = self._fetched(life)
-        device = elsewhere(dataclasses.replace(part.device, common=self._placed(part.device.common)))
+        placed = dataclasses.replace(part.device, common=self._placed(part.device.common))
+        device = with_force(elsewhere(placed), self._most_force)
         coupling = dataclasses.replace(part.coupling, common=self._placed(part.coupling.common))
         carried = CarriedBlock(coupling)
         try:
@@ -318,7 +346,7 @@ class _Visit:
         nodes: list[tuple[Common, Node, KeyRing | None]] = [(device.common, node, part.ring(device.common)),
                  (coupling.common, carried, part.ring(coupling.common))]  # fmt: skip
         try:
-            return run_together(nodes, life, True, self._host, partial(self._engage, coupling))
+            return run_together(nodes, life, True, self._host, partial(self._engage, device, coupling))
         finally:
             node.close()
 
@@ -339,7 +367,7 @@ class _Visit:
         control = f"tcp://{self._invitation.address}"
         return dataclasses.replace(common, transport="tcp", control=control, directory="", private="")
 
-    def _engage(self, coupling: CouplingBundle, lines: Sequence[ControlLine], life: Life) -> None:
+    def _engage(self, device: DeviceBundle, coupling: CouplingBundle, lines: Sequence[ControlLine], life: Life) -> None:
         """Measure, report what will be felt, and ask.
 
         Raises:
@@ -356,6 +384,7 @@ class _Visit:
         _say(f"{self._invitation.seat}: ports {', '.join(coupling.common.ports)}, a tick every {1e3 * period:.3g} ms")
         self._distance = felt(coupling, trips)
         _say(self._distance.sentence())
+        _say(f"{force_sentence(device)}; --max-force N bounds it here")
         if not self._sure and not answered_yes(f"take the seat {self._invitation.seat}? [y/N] ", life.check):
             _say("not joined")
             life.stopping = True

@@ -26,6 +26,10 @@ from manyhands.nodes.invitation import Invitation
 from manyhands.protocol.keys import KeyPair, KeyRing
 from manyhands.protocol.limits import MAX_PART_BYTES
 
+SHORTEST_PERIOD: Final = 1e-5
+"""The shortest period that a guest agrees to, s: no machine runs the loop faster than some tens of thousands of times a
+second, and a shorter one would only keep it busy."""
+
 _EXPECTED: Final = "what manyhands host sends to a guest"
 
 
@@ -110,6 +114,9 @@ def _problem(device: DeviceBundle, coupling: CouplingBundle, invitation: Invitat
         return "found other peers than the environment"
     if coupling.wave is None:
         return "found a coupling without a wave link"
+    shortest = min(one.period, other.period, coupling.wave.peer_period)
+    if shortest < SHORTEST_PERIOD:
+        return f"found a period of {shortest:g} s, shorter than {SHORTEST_PERIOD:g} s"
     if {one.clock, other.clock} != {REALTIME}:
         return "found a clock other than the realtime clock"
     if not (one.public and other.public):

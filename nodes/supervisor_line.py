@@ -47,6 +47,9 @@ PATIENCE = from_seconds(0.2)  # one wait for an answer, after which the node che
 _LAST_WORD_WAITS = 10  # waits for the confirmation of the last message
 _JOINING_WAITS = 300  # waits for a supervisor that is not there yet: a minute
 REPEAT_WAITS = 5  # waits before a guest sends its hello again
+MOST_START = 2**62  # ns, and ticks: more than a hundred years, to which periods can still be added
+LONGEST_AHEAD = Duration(_JOINING_WAITS * PATIENCE)
+"""ns from a start's message to its tick 0, at most: as long as a guest waits for a supervisor that is not there yet."""
 _PROBES = 32  # exchanges for the clock's offset
 _PROBE_TICKS = 5  # between two probes of a guest that measures its way to the supervisor
 _ALIVE_EVERY = from_seconds(1.0)  # between two signs of life of a guest
@@ -134,8 +137,30 @@ class ControlLine:
         self._send(Ready())
 
     def start(self, life: Life) -> Start:
-        """Wait for the start: first tick, number of ticks, epoch; raises as :meth:`peers_endpoints`."""
-        return self._await(Start, life)
+        """Wait for the start: first tick, number of ticks, epoch; raises as :meth:`peers_endpoints`.
+
+        Raises:
+            Refused: no session can have begun, or gone, so far: its instants would not fit the messages any more.
+        """
+        start = self._await(Start, life)
+        for what, found in (("epoch", start.epoch), ("tick", start.tick), ("number of ticks", start.ticks)):
+            if not 0 <= found <= MOST_START:
+                raise Refused(f"found a start with the {what} {found}; expected at most {MOST_START}")
+        return start
+
+    @staticmethod
+    def require_near(start: Start, now: Instant) -> None:
+        """Refuse a start that is too far ahead, for this node would wait for it and say nothing.
+
+        Args:
+            start: with its epoch on this node's clock.
+            now: the present instant of that clock.
+
+        Raises:
+            Refused: its tick 0 is more than :data:`LONGEST_AHEAD` away.
+        """
+        if (ahead := start.epoch - now) > LONGEST_AHEAD:
+            raise Refused(f"found a start in {ahead / 1e9:.4g} s; expected at most {LONGEST_AHEAD / 1e9:g} s")
 
     def publish(self, telemetry: Telemetry) -> None:
         """Send telemetry, as :meth:`post` does; raises what that raises."""

@@ -14,6 +14,7 @@ from array import array
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,6 +93,7 @@ GRASPS_CLIPPED = "grasps_clipped"  # those of them that were beyond the pointer'
 GRASPS_REFUSED = "grasps_refused"  # messages of the pointer that were no position of this device
 GRASPS_LAPSED = "grasps_lapsed"  # times that a pointer fell silent without letting go
 GIVEN = "given_"  # and the coupling: J that the others have received of its energy
+SUPPLIED = "supplied_"  # and the coupling: J of its own that it has put into the environment
 RECEIVED = "received_"  # and the coupling: J that it has received of the others' energy
 MOVED = "moved_"  # supplier, "/" and receiver: J
 SCALED = "scaled_"  # and the coupling: ticks in which its ratio was below 1, for its energy budget
@@ -115,6 +117,9 @@ WAVE_LAG = "wave_lag_us"  # the sum over both ends is the round trip; one alone 
 DRIVER = "driver_"  # and the name that a driver of another package gave it: a figure of its own
 UNEXERTED = "unexerted"  # ticks in which a device exerted another force than it was given
 UNEXERTED_MOST = "unexerted_most"  # N, the greatest difference of an axis
+MEASURED = "measured"  # ticks in which a driver of another package measured the force that its device exerted
+UNTRUE = "untrue"  # those of them in which the force was none that it had been given
+UNTRUE_MOST = "untrue_most"  # N, by how much it was none of them at most, on any of the driver's axes
 ENFORCED_TICKS = "enforced_ticks"  # ticks in which a passivity controller kept a force back
 ENFORCED_ENERGY = "enforced_energy"  # J that it kept back
 HELD = "held_"  # and the coupling: ticks in which the proxy test held its proxies
@@ -247,17 +252,20 @@ def lateness_of(name: str, counts: Mapping[str, float], figures: Mapping[str, fl
 
 def energy_figures(energy: Energy, parties: tuple[str, ...]) -> dict[str, float]:
     """The energy between the ``parties``, and how often a budget scaled or stopped each; figures of 0 are left out."""
-    values = [energy.unowned, *energy.given, *energy.received, *energy.scaled, *energy.stops]
+    values = [energy.unowned, *energy.given, *energy.received, *energy.scaled, *energy.stops, *energy.supplied]
     for row in energy.moved:
         values += row
     named = zip(_energy_names(parties, bool(energy.moved)), values, strict=True)
     return {name: float(value) for name, value in named if value}
 
 
+_BY_PARTY: Final = (GIVEN, RECEIVED, SCALED, STOPS, SUPPLIED)
+
+
 @lru_cache(maxsize=16)
 def _energy_names(parties: tuple[str, ...], pairs: bool) -> tuple[str, ...]:
     """The names of all figures of :func:`energy_figures`; to make them anew for each message takes 0.1 ms of a tick."""
-    names = [UNOWNED, *(f"{name}{party}" for name in (GIVEN, RECEIVED, SCALED, STOPS) for party in parties)]
+    names = [UNOWNED, *(f"{name}{party}" for name in _BY_PARTY for party in parties)]
     return (*names, *(f"{MOVED}{supplier}/{to}" for supplier in parties for to in parties if pairs))
 
 

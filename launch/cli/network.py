@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import time
 from collections.abc import Sequence
@@ -287,6 +288,7 @@ def host(
         from manyhands.launch.design_report import progress_on
         from manyhands.launch.doctor.profile import drop_profile, outlived
         from manyhands.launch.doctor.rates import certified_lines
+        from manyhands.launch.plan.engine import require_engine
         from manyhands.launch.plan.keys import load_folder, make_keys
         from manyhands.launch.plan.plan import Plan
         from manyhands.launch.plan.prepare import must_measure, prepare_again
@@ -320,6 +322,7 @@ def host(
             claims.enter_context(claimed(report))
         plan = Plan(loaded)
         require_runnable(plan.graph, len(loaded.observers))
+        require_engine(loaded)
         directory = Path(loaded.name) if folder is None else folder
         require_folder(directory)
         certificate = directory / CERTIFICATE_FILE
@@ -391,14 +394,21 @@ def join(
         typer.Option("--connect", metavar="HOST:PORT", help="Where the session listens, if not where the line says."),
     ] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask before taking the seat.")] = False,
+    most_force: Annotated[
+        float | None,
+        typer.Option("--max-force", metavar="N", help="The greatest force of your device, whatever the session says."),
+    ] = None,
     allowed: AllowedCode = None,
 ) -> None:
     """Take a seat in a running session on another machine, until Ctrl-C or the session's end.
 
-    First the way there is measured. What the distance will feel like is reported, and you are asked. A session that is
+    First the way there is measured. What the distance will feel like and the greatest force are reported, and you are
+    asked. A session that is
     lost for a while is joined again.
     """
     from manyhands.nodes.seat import take_seat
 
+    if most_force is not None and not 0.0 < most_force < math.inf:
+        refuse(f"--max-force: found {most_force}; expected a force greater than 0, N")
     with pipe_may_close():
-        end(take_seat(invitation, address, yes, allowed))
+        end(take_seat(invitation, address, yes, allowed, most_force))

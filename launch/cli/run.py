@@ -37,6 +37,7 @@ from manyhands.launch.cli.common import (
 )
 from manyhands.launch.design_report import print_report
 from manyhands.launch.files import claimed, load_named, require_target
+from manyhands.launch.plan.engine import require_engine
 from manyhands.launch.plan.hosts import by_hand, hosts_of, require_hosts_alone
 from manyhands.launch.plan.keys import load_folder
 from manyhands.launch.plan.plan import Plan
@@ -46,6 +47,7 @@ from manyhands.launch.plan.topology import require_runnable
 from manyhands.launch.recordings.recording import RUN_SUFFIXES, STREAMED, SUFFIXES, require_format, require_suffix
 from manyhands.launch.run.directory import SessionDirectory, is_bare, require_new
 from manyhands.launch.run.display import say
+from manyhands.launch.session import ENVIRONMENT
 from manyhands.launch.session.design import AUTO
 from manyhands.nodes.bundle import CLOCKS, REALTIME
 from manyhands.protocol.transport.zeromq import SCHEMES
@@ -207,6 +209,8 @@ def launch(
             claims.enter_context(claimed(report))
         plan = Plan(loaded)
         require_runnable(plan.graph, len(loaded.observers))
+        if ENVIRONMENT not in remote:
+            require_engine(loaded)
         hosts = hosts_of(on, plan, remote)
         require_hosts_alone(hosts, transport, insecure, listen is not None)
         if hosts and shutil.which("ssh") is None:

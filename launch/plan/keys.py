@@ -59,7 +59,8 @@ def alone_in(folder: Path) -> Iterator[None]:
     try:
         folder.mkdir(mode=0o755, parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError) as error:
-        raise KeyFileError(f"{folder}: found a file; expected the name of a folder") from error
+        found = "a link that leads to no folder" if folder.is_symlink() else "a file"
+        raise KeyFileError(f"{folder}: found {found}; expected the name of a folder") from error
     require_folder(folder, private=False)
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:

@@ -22,7 +22,7 @@ time. So the number of changes grows with the logarithm of time.
 
 :class:`UserIncidents` describes what a session survives of its users: couplings that stay frozen, and energy. A device
 beyond its limits knows that it is, but not what moved it. The environment knows whose energy went where
-(:mod:`manyhands.nodes.environment.energy`). The two are combined here, so that the incident names the supplier and not
+(:mod:`manyhands.nodes.observer.causes`). The two are combined here, so that the incident names the supplier and not
 the user that was moved.
 """
 
@@ -43,6 +43,7 @@ from manyhands.launch.plan.topology import Topology
 from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import REALTIME
+from manyhands.nodes.observer.causes import Causes
 from manyhands.nodes.own_ticks import session_tick
 from manyhands.nodes.tick_events import Kind, events_in
 from manyhands.protocol.messages import Role, Telemetry
@@ -106,7 +107,6 @@ class Cause(StrEnum):
 
     DELAY = "delay"
     PERIOD = "period"
-    LIMITS = "limits"
     WAITS = "waits"
 
 
@@ -533,7 +533,7 @@ class Assumptions:
         """
         session = prepared.session
         devices = [name for name, role in graph.nodes.items() if role is Role.DEVICE]
-        chains = {device: tuple(link.binder for link in graph.links_of(device)) for device in devices}
+        chains = {device: graph.couplings_of(device) for device in devices}
         self._policy = BreachPolicy(
             Policy(session.faults.breach),
             chains if prepared.certified and clock == REALTIME else {},
@@ -542,9 +542,7 @@ class Assumptions:
             rungs,
         )
         self._couplings = [name for name, role in graph.nodes.items() if role is Role.COUPLING]
-        self._chains, self._moved = chains, dict[str, float]()
         self._policy.take_waits(0, {})  # from tick 0 on, the environment reports which couplings were late
-        self._clipped: dict[str, str] = {}  # nodes whose forces were clipped, and who moved them
         self.notices: dict[Cause, str] = {}
         self.waited_for: list[str] = []
 
@@ -556,7 +554,6 @@ class Assumptions:
         """Add what a node's telemetry shows to the notices; returns what is to be done."""
         deeds: list[ShiftCoupling | EndSession] = []
         if node == ENVIRONMENT:
-            self._moved = {key: J for key, J in telemetry.figures.items() if key.startswith(names.MOVED)}
             decisions = self._policy.take_waits(telemetry.tick, self._late_ticks(telemetry))
         else:
             tau = telemetry.traces.get(names.TAU, _NO_TAU)
@@ -566,26 +563,7 @@ class Assumptions:
                 self.notices[decision.cause] = decision.text
             else:
                 deeds.append(decision)
-        if any(telemetry.figures.get(clips, 0.0) > 0 for clips in (names.CLIPPED, names.SATURATED)):
-            self._clipped.setdefault(node, self._moved_by(node))
-            self.notices[Cause.LIMITS] = (
-                f"forces clipped to the limits: {', '.join(self._clipped)}; the certificate is about forces within them"
-                f"{''.join(self._clipped.values())}"
-            )
         return deeds
-
-    def _moved_by(self, node: str) -> str:
-        """The supplier that put the most energy into a device or a coupling, as a part of a sentence; empty if there
-        is none.
-        """
-        couplings = self._chains.get(node, (node,))
-        by: dict[str, float] = {}
-        for key, energy in self._moved.items():
-            supplier, _, receiver = key.removeprefix(names.MOVED).partition("/")
-            if receiver in couplings and energy > 0.0:
-                by[supplier] = by.get(supplier, 0.0) + energy
-        most = max(by, key=by.__getitem__, default=None)
-        return "" if most is None else f"; of all others {most} has put the most energy into {node}, {by[most]:.3g} J"
 
     def _late_ticks(self, telemetry: Telemetry) -> dict[str, list[int]]:
         """The ticks in which each coupling was late; a notice names those that were frozen for more than a few."""
@@ -638,22 +616,23 @@ class UserIncidents:
         """
         self._rates = {node: period / own for node, own in periods.items()}
         devices = [name for name, role in graph.nodes.items() if role is Role.DEVICE]
-        self._couplings = {device: tuple(link.binder for link in graph.links_of(device)) for device in devices}
+        self._couplings = {device: graph.couplings_of(device) for device in devices}
         self._worlds = {name for name, role in graph.nodes.items() if role is Role.ENVIRONMENT}
         self._period, self._quiet = period, QUIET / period
         self._frozen: dict[str, int] = {}  # couplings, and the tick from which each is frozen while its nodes run
         self._reported: set[str] = set()  # frozen couplings with a sentence
-        self._moved: dict[tuple[str, str], float] = {}  # J, by supplier and receiver
-        self._then: dict[str, dict[tuple[str, str], float]] = {}  # the same at a device's last sentence
+        self._causes = Causes()
+        self._told: dict[str, int] = {}  # by node, the tick of its latest telemetry
         self._counts: dict[str, float] = {}
-        self._awaiting: dict[str, int] = {}  # devices that let go, and the tick that the environment must have reported
+        # devices that let go, and the ticks that the environment must have reported: the first and the last
+        self._awaiting: dict[str, tuple[int, int]] = {}
         self._next: dict[str, float] = {}  # the first tick of a party's next sentence
 
     def forget(self, node: str) -> None:
         """``node`` has a new process, which counts from 0."""
         self._counts.pop(node, None)
         if node in self._worlds:
-            self._moved, self._then = {}, {}
+            self._causes.forget()
             self._frozen, self._reported = {}, set()
             self._counts = {key: count for key, count in self._counts.items() if key in self._couplings}
 
@@ -668,13 +647,16 @@ class UserIncidents:
         figures = {name: value for name, value in telemetry.figures.items() if math.isfinite(value)}
         tick = session_tick(telemetry.tick, self._rates.get(node, 1.0))
         if node in self._worlds:
-            out = [*self._stays_frozen(tick, figures, running), *self._budgets(tick, figures)]
-            for device in [device for device, awaited in self._awaiting.items() if awaited <= tick]:
-                del self._awaiting[device]
-                out.append(self._let_go(device))
+            self._causes.take(tick * self._period, figures)
+            since, self._told[node] = min(tick, self._told.get(node, 0)), tick
+            out = [*self._stays_frozen(tick, figures, running), *self._budgets(since, tick, figures)]
+            for device in [device for device, (_, awaited) in self._awaiting.items() if awaited <= tick]:
+                out.append(self._let_go(device, *self._awaiting.pop(device)))
             return out
-        if node in self._couplings and self._grown(node, figures.get(names.LET_GO, 0.0), tick):
-            self._awaiting[node] = tick
+        if node in self._couplings:
+            since, self._told[node] = min(tick, self._told.get(node, 0)), tick
+            if self._grown(node, figures.get(names.LET_GO, 0.0), tick):
+                self._awaiting[node] = since, tick
         return []
 
     def _stays_frozen(self, tick: int, figures: Mapping[str, float], running: Collection[str]) -> Iterator[str]:
@@ -694,38 +676,38 @@ class UserIncidents:
                     "others go on"
                 )
 
-    def _budgets(self, tick: int, figures: Mapping[str, float]) -> Iterator[str]:
+    def _budgets(self, since: int, tick: int, figures: Mapping[str, float]) -> Iterator[str]:
         for name, value in figures.items():
-            supplier, found, receiver = name.removeprefix(names.MOVED).partition("/")
-            if found and name.startswith(names.MOVED):
-                self._moved[supplier, receiver] = value
-            elif name.startswith(names.STOPS):
+            if name.startswith(names.STOPS):
                 party = name.removeprefix(names.STOPS)
-                if self._grown(party, value, tick):
+                if not self._grown(party, value, tick):
+                    continue
+                mover = self._causes.mover((party,), since * self._period, tick * self._period)
+                if mover is not None:
+                    yield (
+                        f"{self._who(party)} was held until the energy that it passes on is within its budget; "
+                        f"{self._who(mover.party)} had put {mover.energy:.3g} J into it"
+                    )
+                else:
                     given = figures.get(f"{names.GIVEN}{party}", 0.0)
                     yield (
                         f"{self._who(party)} was beyond its energy budget, and was stopped until it is within it "
                         f"again; it has put {given:.3g} J into the others so far"
                     )
 
-    def _let_go(self, device: str) -> str:
-        couplings, before = self._couplings[device], self._then.get(device, {})
-        by: dict[str, float] = {}
-        for (supplier, receiver), total in self._moved.items():
-            if receiver in couplings:
-                by[supplier] = by.get(supplier, 0.0) + total - before.get((supplier, receiver), 0.0)
-        self._then[device] = dict(self._moved)
+    def _let_go(self, device: str, since: int, until: int) -> str:
         text = f"{device} was beyond its limits of displacement or speed, and let go until it is within them again"
-        most = max(by, key=by.__getitem__, default=None)
-        if most is None or by[most] <= 0.0:
+        mover = self._causes.mover(self._couplings[device], since * self._period, until * self._period)
+        if mover is None:
             return f"{text}; nobody else has moved it"
         return (
-            f"{text}; of others it had received {sum(by.values()):.3g} J, {by[most]:.3g} J of it from {self._who(most)}"
+            f"{text}; another party moved it: of others it had received {mover.total:.3g} J, "
+            f"{mover.energy:.3g} J of it from {self._who(mover.party)}"
         )
 
     def _who(self, coupling: str) -> str:
         devices = [device for device, couplings in self._couplings.items() if coupling in couplings]
-        return f"{coupling} ({', '.join(devices)})"
+        return f"{coupling} ({', '.join(devices)})" if devices else coupling
 
     def _grown(self, key: str, count: float, tick: int) -> bool:
         """Whether ``count`` has grown, and no sentence about it was given lately."""

@@ -108,6 +108,7 @@ def describe(
                 session.in_wall_time(name, clock),
                 session.own_periods.get(name),
                 session.impedance_of(name),
+                session.devices[name].word if name in session.devices else None,
             )
             for name, role in graph.nodes.items()
         },

@@ -270,6 +270,15 @@ class Conductor:
         self._recovery.note(sentence, now)
 
     @property
+    def finished(self) -> tuple[str, ...]:
+        """The nodes whose final report shows that the session nears its end: those started here, and the environment.
+
+        What a guest reports of itself decides for nobody else.
+        """
+        worlds = {node for node, role in self.graph.nodes.items() if role is Role.ENVIRONMENT}
+        return tuple(node for node in self.reports if node not in self.remote or node in worlds)
+
+    @property
     def awaited(self) -> tuple[str, ...]:
         """Remote nodes that have not joined yet. People start those, so the start-up deadline waits for them."""
         return tuple(n for n in self.graph.nodes if n in self.remote and self.states[n] is NodeState.STARTING)
@@ -288,7 +297,7 @@ class Conductor:
                 late = {n: s for n, s in self.states.items() if s is not NodeState.READY and n not in self.seats}
                 waiting = (f"{node} ({state})" for node, state in late.items())
                 return self._fail(f"not every node became ready in time; still waiting for {', '.join(waiting)}")
-            case SessionPhase.RUNNING if self.reports:
+            case SessionPhase.RUNNING if self.finished:
                 return self._leave_behind()
             case SessionPhase.ENDING:
                 hung = [node for node, state in self.states.items() if state is not NodeState.ENDED]
@@ -457,7 +466,7 @@ class Conductor:
         """End the session when some nodes are long overdue: a fault unless the environment is done."""
         left = ", ".join(node for node, state in self.states.items() if state is NodeState.RUNNING)
         if not self._recovery.closing:
-            return self._fail(f"{', '.join(self.reports)} had done every tick long before {left}")
+            return self._fail(f"{', '.join(self.finished)} had done every tick long before {left}")
         self.incidents.add(f"{left} had not finished when the session was over")
         return self._end()
 

@@ -188,7 +188,12 @@ def _says_more(row: PromiseStatus) -> bool:
     return bool(row.remark) and (away or row.promise == Promise.PUNCTUALITY)
 
 
-_STYLES: Final = {PromiseState.ENFORCED: "cyan", PromiseState.UNCHECKED: "magenta", PromiseState.BROKEN: "red"}
+_STYLES: Final = {
+    PromiseState.UNJUDGED: "",
+    PromiseState.ENFORCED: "cyan",
+    PromiseState.UNCHECKED: "magenta",
+    PromiseState.BROKEN: "red",
+}
 
 
 @contextmanager

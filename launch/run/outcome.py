@@ -66,8 +66,9 @@ class Outcome:
     """How a run went.
 
     Attributes:
-        code: exit code: 0, 1 a process failed, 130 on Ctrl-C (143 on SIGTERM, 129 on SIGHUP, 131 on SIGQUIT). A process
-            that failed and came back, or was on its way back at the end, is an incident and no failure of the run.
+        code: exit code: 0, 1 a process failed or the recording stopped, 130 on Ctrl-C (143 on SIGTERM, 129 on SIGHUP,
+            131 on SIGQUIT). A process that failed and came back, or was on its way back at the end, is an incident and
+            no failure of the run.
         faults: what went wrong, empty for a good run.
         notices: assumptions of the certificate that the run broke.
         report: the report's object.
@@ -287,7 +288,12 @@ def wave_link_sentences(report: Mapping[str, Any]) -> list[str]:
 
 def rows_of(report: Mapping[str, Any]) -> list[PromiseStatus]:
     """How the promises stood at the end of a run, from its whole report."""
-    return [PromiseStatus(**{**row, "who": tuple(row["who"])}) for row in report.get("promises", ())]
+    rows = report.get("promises", ())
+    # older reports may hold costs of null
+    costs = [{unit: value for unit, value in row["cost"].items() if value is not None} for row in rows]
+    return [
+        PromiseStatus(**{**row, "who": tuple(row["who"]), "cost": cost}) for row, cost in zip(rows, costs, strict=True)
+    ]
 
 
 def joules(energy: float) -> str:

@@ -74,6 +74,11 @@ class Recorder:
         return {}
 
     @property
+    def stopped(self) -> bool:
+        """Whether the recording stopped before its session did."""
+        return False
+
+    @property
     def failure(self) -> str | None:
         """Why a recording that must be complete (under the simulated clock) is not; None otherwise."""
         return None
@@ -304,6 +309,11 @@ class RecorderProcess(Recorder):
     def missing(self) -> Mapping[str, int]:
         """As the recorder counted it; see :class:`Recorder`."""
         return self._end.missing if isinstance(self._end, Closed) else {}
+
+    @property
+    def stopped(self) -> bool:
+        """See :class:`Recorder`."""
+        return self.incident is not None
 
     @property
     def failure(self) -> str | None:

@@ -80,7 +80,8 @@ def run_session(
     for line in not_admitted(outcome.refused):
         say(console, f"warning: {line}")
     if record is not None and streamed:
-        say(console, f"recording written to {record}")
+        cut = "stopped" in outcome.report.get("recording", {})
+        say(console, f"error: the recording {record} is not whole" if cut else f"recording written to {record}")
     writes: list[tuple[Callable[[], None], str]] = []
     if record is not None and not streamed and outcome.recording is not None:
         writes.append((partial(outcome.recording.save, record), f"recording written to {record}"))

@@ -50,7 +50,7 @@ from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import REALTIME, SIMULATED
 from manyhands.nodes.handed_over import handed_over
 from manyhands.nodes.log import Log, LogEvent, log_path
-from manyhands.nodes.observer.health import Promise
+from manyhands.nodes.observer.health import Promise, PromiseState, cut_forces
 from manyhands.nodes.observer.health_model import HealthModel
 from manyhands.nodes.peer_link import HANDSHAKE_TIME
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds, seconds
@@ -65,7 +65,6 @@ _NS_PER_S = 1_000_000_000
 _ABOUT = {
     Cause.DELAY: Promise.DELAY,
     Cause.PERIOD: Promise.PERIOD,
-    Cause.LIMITS: Promise.FORCE,
     Cause.WAITS: Promise.PUNCTUALITY,
 }
 """The promise that a notice of each cause is about."""
@@ -324,8 +323,8 @@ class Supervisor:
                         self._received.note(name, self._began)  # a node that was ready early had nothing to send
             elif conductor.phase is SessionPhase.STARTING and conductor.awaited:
                 deadline = Instant(clock.now() + STARTUP_TIME)
-            elif conductor.phase is SessionPhase.RUNNING and len(conductor.reports) > reported:
-                reported, deadline = len(conductor.reports), Instant(clock.now() + CLOSING_TIME)
+            elif conductor.phase is SessionPhase.RUNNING and len(conductor.finished) > reported:
+                reported, deadline = len(conductor.finished), Instant(clock.now() + CLOSING_TIME)
             elif clock.now() >= deadline:
                 self.carry_out(conductor.too_late(), hub, processes)
                 deadline = Instant(clock.now() + ENDING_TIME)
@@ -383,8 +382,13 @@ class Supervisor:
         if isinstance(message, Telemetry) and message.tick > self._most_ticks(sender):
             self._untimely += 1
             return
-        if isinstance(message, Report) and message.ticks <= self._most_ticks(sender):
-            self._health.take(sender, message.ticks, {**message.figures, **message.counts})
+        if isinstance(message, Report):
+            if message.ticks <= self._most_ticks(sender):
+                self._health.take(sender, message.ticks, {**message.figures, **message.counts})
+            else:  # no node can have done so many: what was seen of it stands in place of what it says
+                self._untimely += 1
+                seen = self._telemetry.get(sender)
+                message = Report(0 if seen is None else seen.tick, {}, {}, {})
         before = self.conductor.states.get(sender)
         self.carry_out(self.conductor.receive(sender, message, self._clock.now()), hub, processes)
         after = self.conductor.states.get(sender)
@@ -493,7 +497,7 @@ class Supervisor:
         running = [name for name, state in conductor.states.items() if state is NodeState.RUNNING]
         silent = frozenset(self._reported.quiet(running, self._clock.now(), TELEMETRY_SILENCE))
         states = {name: conductor.shown_state(name) for name in conductor.states}
-        if conductor.phase is SessionPhase.RUNNING and not conductor.reports:
+        if conductor.phase is SessionPhase.RUNNING and not conductor.finished:
             sent = {name: latest.tick * self._session.period_of(name) for name, latest in self._telemetry.items()}
             self._health.look(states, left_behind(silent, sent), elapsed)
         promises = self._promises()
@@ -516,9 +520,11 @@ class Supervisor:
         return self._health.rows({_ABOUT[cause]: text for cause, text in self._assumptions.notices.items()})
 
     def _notices(self, promises: Iterable[PromiseStatus]) -> tuple[str, ...]:
-        """The sentences about broken assumptions, and the one about a session that runs slower than its period."""
-        pace = tuple(row.remark for row in promises if row.promise == Promise.PACE and row.remark)
-        return (*self._assumptions.notices.values(), *pace)
+        """The sentences about broken assumptions: forces that were cut and a slow session have theirs in their rows."""
+        rows = list(promises)
+        cut = [row for row in rows if row.promise == Promise.FORCE and row.state != PromiseState.KEPT]
+        pace = tuple(row.remark for row in rows if row.promise == Promise.PACE and row.remark)
+        return (*self._assumptions.notices.values(), *([cut_forces(cut)] if cut else []), *pace)
 
     def outcome(self, ended_by: signal.Signals | None) -> Outcome:
         """The result of the run: exit code, faults, report and recording.
@@ -529,7 +535,7 @@ class Supervisor:
         conductor, recorder = self.conductor, self._recorder
         if recorder.failure is not None:
             conductor.faults.append(recorder.failure)
-        code = EXIT_FAILED if conductor.faults else EXIT_OK
+        code = EXIT_FAILED if conductor.faults or recorder.stopped else EXIT_OK
         if conductor.interrupted and ended_by is not None:
             code = 128 + int(ended_by)
         lasted = max(
@@ -543,6 +549,7 @@ class Supervisor:
         if self._record:
             period = one_period({device: self._session.period_of(device) for device in self._session.devices})
             recording = self._collector.recording(self._session.name, conductor.certificate, period)
+        self._health.conclude()
         promises = self._promises()
         return Outcome(
             code,

@@ -18,7 +18,6 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import Any, Final
 
-from manyhands.nodes.json_number import json_number
 from manyhands.protocol.limits import MAX_SENTENCES
 from manyhands.protocol.messages import PromiseStatus
 
@@ -50,6 +49,7 @@ class PromiseState(StrEnum):
     """How a promise stands; a later value is graver."""
 
     KEPT = "kept"
+    UNJUDGED = "not judged"  # nothing here can judge it: the work of a person's hand, the word of a driver
     ENFORCED = "enforced"
     UNCHECKED = "not checked"  # of an audit: the recording does not hold what would show it
     BROKEN = "broken"
@@ -64,6 +64,7 @@ class Promise(StrEnum):
     CERTIFICATE = "certificate"
     RECORD = "record"
     PASSIVITY = "passivity"
+    DRIVER = "driver's word"
     DELAY = "delay"
     PERIOD = "period"
     LATENESS = "lateness energy"
@@ -85,12 +86,19 @@ class PromiseText:
         claim: the promise, to follow its party.
         needed: whether the certificate needs it: a run in which it is broken is covered by no proof.
         advice: what to do where it is not kept.
+        moved: the same where another party moved the one that counted it (:data:`MOVED`).
     """
 
     claim: str
     needed: bool
     advice: str
+    moved: str = ""
 
+
+MOVED: Final = "another party moved it"
+"""How the remark begins of a row about a force that was cut while the environment's account shows another mover."""
+
+UNKNOWN_MOVER: Final = "the environment has not reported who moved"
 
 _FASTER: Final = (
     "Close other programs, design for what this machine needs (design.tau: auto), or compare rates: manyhands doctor."
@@ -107,15 +115,22 @@ PROMISES: Final[Mapping[Promise, PromiseText]] = MappingProxyType({
         "the energy that it gives off stays within its promised level", True,
         "It broke its promise of passivity: let go of it, and check that it is as passive as declared (osp).",
     ),
-    Promise.DELAY: PromiseText("each force acts at most tau after its sample", True, _FASTER),
+    Promise.DRIVER: PromiseText(
+        "its device measures, acts and exerts as its driver states", True,
+        "The driver is wrong, and not its user: do not use it before manyhands check-driver finds nothing.",
+    ),
+    Promise.DELAY: PromiseText("each force acts at most tau after its sample, and before the next one", True, _FASTER),
     Promise.PERIOD: PromiseText("samples are no further apart than the certificate covers", True, _FASTER),
     Promise.LATENESS: PromiseText(
         "lateness puts in no more energy than faults.tank", True,
-        "See whether its process was stopped or its clock changed; with faults: {lateness: enforce} it is bounded.",
+        "See whether its process was stopped, its clock changed, or its limit of speed is too low for its motion; "
+        "with faults: {lateness: enforce} it is bounded for motions within that limit.",
     ),
     Promise.FORCE: PromiseText(
         "its forces stay within their limits, about which the certificate is", True,
         "Raise the limits of force, or soften the world: the certificate does not cover a force that was cut.",
+        "The certificate does not cover a force that was cut. Lower the energy and power that the mover may put in "
+        "(limits), or let it push less.",
     ),
     Promise.LEVEL: PromiseText(
         "the environment keeps its declared level, by a passivity controller where it would not", True,
@@ -187,7 +202,7 @@ def session_health(rows: Iterable[PromiseStatus]) -> Health:
 def _health_of(row: PromiseStatus) -> Health:
     if row.state == PromiseState.BROKEN and PROMISES[Promise(row.promise)].needed:
         return Health.BROKEN
-    if row.state == PromiseState.KEPT or row.until is not None:
+    if row.state in (PromiseState.KEPT, PromiseState.UNJUDGED) or row.until is not None:
         return Health.OK
     if row.state == PromiseState.BROKEN:
         return Health.SLOW if row.promise == Promise.PACE else Health.OK  # the nodes who are away show it themselves
@@ -223,6 +238,7 @@ def grouped(rows: Iterable[PromiseStatus]) -> list[PromiseStatus]:
         sinces = [at for at in (before.since, row.since) if at is not None]
         until = None if before.until is None or row.until is None else max(before.until, row.until)
         cost = {unit: before.cost.get(unit, 0.0) + row.cost.get(unit, 0.0) for unit in {**before.cost, **row.cost}}
+        cost = {unit: value for unit, value in cost.items() if math.isfinite(value)}
         remark = before.remark if row.remark in before.remark else f"{before.remark}; {row.remark}".removeprefix("; ")
         out[row.promise, row.state] = replace(
             before, who=(*before.who, *row.who), since=min(sinces, default=None), until=until, cost=cost, remark=remark
@@ -235,7 +251,7 @@ def condensed(rows: Iterable[PromiseStatus]) -> list[PromiseStatus]:
     parties of a promise and state, where more than :data:`MOST_ROWS` would be about it.
     """
     rows = list(rows)
-    missing = {row.promise for row in missed(rows)}
+    missing = {row.promise for row in missed(rows) if row.state != PromiseState.UNJUDGED}
     shown = [row for row in rows if row.state != PromiseState.KEPT or row.promise not in missing]
     alike = Counter((row.promise, row.state) for row in shown)
     many = {key for key, count in alike.items() if count > MOST_ROWS}
@@ -250,13 +266,16 @@ def condensed(rows: Iterable[PromiseStatus]) -> list[PromiseStatus]:
     return list(out.values())
 
 
+_CAUSED: Final = (Promise.DELAY, Promise.PERIOD, Promise.FORCE)
+"""Promises that may be broken without any party that is known to have broken them."""
+
 MOST_ROWS: Final = 3
 """The most parties of one promise and state that have a row each, where people read them."""
 
 
 def as_plain(row: PromiseStatus) -> dict[str, Any]:
-    """A row as a JSON object."""
-    cost = {unit: json_number(value) for unit, value in row.cost.items()}
+    """A row as a JSON object, without costs that are no finite numbers."""
+    cost = {unit: value for unit, value in row.cost.items() if math.isfinite(value)}
     return {**dataclasses.asdict(row), "who": list(row.who), "cost": cost}
 
 
@@ -273,7 +292,7 @@ def parties(who: tuple[str, ...]) -> str:
 
 def when(row: PromiseStatus) -> str:
     """Since when a row holds, and until when, s of the session's time; empty for a promise that is kept."""
-    if row.state == PromiseState.KEPT or row.since is None:
+    if row.state in (PromiseState.KEPT, PromiseState.UNJUDGED) or row.since is None:
         return ""
     return f"{row.since:.1f} s" if row.until is None else f"{row.since:.1f} s to {row.until:.1f} s"
 
@@ -305,13 +324,22 @@ def cells(row: PromiseStatus) -> tuple[str, str, str, str, str]:
 
 
 def sentence(row: PromiseStatus) -> str:
-    """A row that is not kept, as a sentence."""
+    """A row that is not kept, as a sentence; what is the session's as a whole names nobody."""
     by = "by" if row.state == PromiseState.BROKEN else "at"
     cost = _cost_of(row)
-    text = f"{row.promise}: {row.state} {by} {parties(row.who)}"
+    if row.state == PromiseState.UNJUDGED:
+        return f"{row.promise}: {row.state}: {row.remark}"
+    nobody = row.promise in _CAUSED and row.who == (SESSION,)
+    text = f"{row.promise}: {row.state}" + ("" if nobody else f" {by} {parties(row.who)}")
     time = when(row)
     since = f" since {time}" if row.until is None else f" from {time}"
     return text + (since if time else "") + (f" ({cost})" if cost else "")
+
+
+def cut_forces(rows: Iterable[PromiseStatus]) -> str:
+    """Whose forces were cut to their limits, or who moved them, in a sentence about rows of :attr:`Promise.FORCE`."""
+    found = [row.remark or f"those of {parties(row.who)}" for row in rows]
+    return f"forces were cut to their limits, and the certificate is about forces within them: {'; '.join(found)}"
 
 
 def verdict(rows: Iterable[PromiseStatus]) -> str:
@@ -326,22 +354,28 @@ def verdict(rows: Iterable[PromiseStatus]) -> str:
         enforced = [
             f"{row.promise} ({parties(row.who)})" for row in grouped(rows) if row.state == PromiseState.ENFORCED
         ]
-        return f"all promises kept, or enforced: {', '.join(enforced)}" if enforced else "all promises kept"
+        text = f"all promises kept, or enforced: {', '.join(enforced)}" if enforced else "all promises kept"
+        open_ = [f"{row.promise} ({parties(row.who)})" for row in grouped(rows) if row.state == PromiseState.UNJUDGED]
+        return f"{text}; not judged: {', '.join(open_)}" if open_ else text
 
     def place(row: PromiseStatus) -> tuple[bool, int, float]:
         return not PROMISES[Promise(row.promise)].needed, ORDER[row.promise], -max(row.cost.values(), default=0.0)
 
     first = min(broken, key=place)
     also = [party for row in broken if row.promise == first.promise for party in row.who if party not in first.who]
+    also = [party for party in also if party != SESSION]
     others = sorted({row.promise for row in broken} - {first.promise}, key=ORDER.__getitem__)
     text = f"worst: {sentence(first)}" + (f", and by {parties(tuple(also))}" if also else "")
-    return f"{text}. {PROMISES[Promise(first.promise)].advice}" + (
+    about, moved = PROMISES[Promise(first.promise)], first.remark.startswith(MOVED)
+    if moved or first.remark.startswith(UNKNOWN_MOVER):
+        text += f"; {first.remark}"
+    return f"{text}. {about.moved if moved else about.advice}" + (
         f" Also broken: {', '.join(others)}." if others else ""
     )
 
 
 def summary(rows: Iterable[PromiseStatus]) -> str:
-    """The promises that are not kept now, with their parties, in a line; empty where all are kept."""
-    present = grouped(row for row in missed(rows) if is_present(row))
+    """The promises that are broken or enforced now, with their parties, in a line; empty where there are none."""
+    present = grouped(row for row in missed(rows) if is_present(row) and row.state != PromiseState.UNJUDGED)
     parts = [f"{row.promise} {row.state} ({parties(row.who)})" for row in present]
     return "; ".join(parts)

@@ -3,19 +3,36 @@
 The supervisor keeps one :class:`HealthModel` from the first tick on; an audit keeps another, which it feeds with the
 recorded telemetry. Times are the session's own: tick times T. Telemetry comes ten times a second, and a count in it
 gives no tick. So what is only counted has begun up to a tenth of a second before its row says.
+
+**Who is named.** A node counts its own cut forces and late ticks, and does not know their cause. Its count waits until
+the environment has reported the same ticks (:mod:`manyhands.nodes.observer.causes`). A force that was cut while another
+party moved the node is not the node's: the row names the mover if the environment held that one to its energy budget,
+and otherwise the session as a whole. Ticks in which a coupling made the others wait are that coupling's.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Final
 
 from manyhands.nodes import telemetry as names
-from manyhands.nodes.observer.health import FREE_STATE, PROMISES, SESSION, Promise, PromiseState, most_grave
+from manyhands.nodes.device.specification import DriverWord
+from manyhands.nodes.observer.causes import BEFORE, Causes
+from manyhands.nodes.observer.health import (
+    FREE_STATE,
+    GRAVITY,
+    MOVED,
+    PROMISES,
+    SESSION,
+    UNKNOWN_MOVER,
+    Promise,
+    PromiseState,
+    most_grave,
+)
 from manyhands.nodes.own_ticks import session_tick
 from manyhands.nodes.tick_events import Kind, events_in
 from manyhands.protocol.messages import PromiseStatus, Role
@@ -52,6 +69,8 @@ class Terms:
         enforced: parties whose level is enforced instead of proved.
         linked: the couplings with a wave link.
         seats: the device of each seat, by its coupling.
+        drivers: the devices that drivers of other packages move, with what rests on their word.
+        couplings: of each device.
     """
 
     period: float
@@ -65,6 +84,8 @@ class Terms:
     enforced: tuple[str, ...] = ()
     linked: tuple[str, ...] = ()
     seats: Mapping[str, str] = field(default_factory=dict)
+    drivers: Mapping[str, DriverWord] = field(default_factory=dict)
+    couplings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def promises(self) -> Iterator[Promise]:
@@ -72,6 +93,7 @@ class Terms:
         late = self.certified and self.realtime
         made = {
             Promise.PASSIVITY: self.certified,
+            Promise.DRIVER: bool(self.drivers),
             Promise.DELAY: late,
             Promise.PERIOD: late,
             Promise.LATENESS: late and bool(self.wall),
@@ -119,6 +141,16 @@ _OF_COUPLINGS: Final = (
 )
 """Counters of the environment about a coupling, whose name follows."""
 
+_MOST: Final = 1e300
+"""No cost is greater: sums of what nodes say stay finite."""
+
+_CAUSED: Final = (Promise.DELAY, Promise.PERIOD, Promise.FORCE)
+"""Promises of which a node only counts that they were not kept; another party may be the cause."""
+
+_UNSURE: Final = 1 / 3
+"""The part of the ticks in which a coupling made the others wait that is its own besides: the environment cannot decide
+it in all of them (CROSSING in nodes/environment/late_arrivals.py)."""
+
 _THERE: Final = ("", "running", "done", "ended", FREE_STATE)
 """The states of a running session's node that is there, or has done its part; empty where none is known yet."""
 
@@ -137,7 +169,26 @@ class _Entry:
 
     def price(self, unit: str) -> float:
         """The cost in a unit, over all figures that count it."""
-        return sum(value for (_, of), value in self.cost.items() if of == unit)
+        return min(sum(value for (_, of), value in self.cost.items() if of == unit), _MOST)
+
+
+@dataclass(frozen=True)
+class _Unexplained:
+    """What a node has counted between two of its messages, and the environment has not reported on yet.
+
+    Attributes:
+        counter: what counts it.
+        node: the node.
+        since: the time of its message before, s.
+        until: the time of the message that shows it, s.
+        ticks: how many were counted.
+    """
+
+    counter: _Counter
+    node: str
+    since: float
+    until: float
+    ticks: float
 
 
 class HealthModel:
@@ -156,12 +207,19 @@ class HealthModel:
         self._pace = _Pace(terms.period)
         self._free: frozenset[str] = frozenset()
         self._made = {*terms.promises, Promise.BUDGET}
+        self._put_in = dict.fromkeys(terms.drivers, 0.0)  # by the users of these devices at least, J
+        self._measure: set[str] = set()  # devices whose driver measures the force that they exert
+        self._causes = Causes()
+        self._told: dict[str, float] = {}  # by node, the time of its latest message, s
+        self._unexplained: deque[_Unexplained] = deque()
 
     def forget(self, node: str) -> None:
         """``node`` has a new process, which counts from 0."""
         for key, (before, latest) in self._counts.items():
             if key[0] == node:
                 self._counts[key] = before + latest, 0.0
+        if self._terms.roles.get(node) is Role.ENVIRONMENT:
+            self._causes.forget()
 
     def take(self, node: str, tick: int, figures: Mapping[str, float]) -> None:
         """Take in the figures of a node's telemetry; unknown nodes and figures that make no sense change nothing.
@@ -179,21 +237,36 @@ class HealthModel:
             self.forget(node)
         at = self._time(node, tick)
         self.now = max(self.now, at)
+        since = min(at, self._told.get(node, 0.0))
+        self._told[node] = at
         for counter in _COUNTERS:
             if counter.grows not in figures:
+                continue
+            if counter.promise in _CAUSED:
+                before, total = self._grow(node, counter.grows, figures)
+                if total > before and counter.promise in self._made:
+                    self._unexplained.append(_Unexplained(counter, node, since, at, total - before))
                 continue
             cost = {unit: self._total(node, figure, figures) for unit, figure in counter.cost.items()}
             self._count(counter.promise, node, counter.grows, self._grown(node, counter.grows, figures), at, cost)
         if figures.get(names.WAVE_DEAF, 0.0) > 0.0:
             self._go_on(Promise.LINK, node, at)
         self._energy(node, at, figures)
+        if node in self._terms.drivers:
+            self._driver(node, at, figures)
         if role is Role.ENVIRONMENT:
-            self._couplings(node, at, figures)
+            self._causes.take(at, figures)
+            self._couplings(node, since, at, figures)
             for event in events:
                 if event.kind is Kind.FROZEN and event.peer in self._terms.roles:
                     self._freeze(event.peer, self._time(node, event.tick))
                 elif event.kind is Kind.RETURNED:
                     self._end(Promise.PRESENCE, event.peer, self._time(node, event.tick))
+        self._explain(lambda one: one.until <= self._causes.until or self.now - one.until > HOLD)
+
+    def conclude(self) -> None:
+        """No more telemetry comes: what the environment has not reported on has no cause that is known."""
+        self._explain(lambda _: True)
 
     def look(self, states: Mapping[str, str], silent: Collection[str], elapsed: float) -> None:
         """Take in what the supervisor knows while the session runs.
@@ -230,12 +303,31 @@ class HealthModel:
         out: list[PromiseStatus] = []
         made = {*self._terms.promises, *(promise for promise, _ in self._entries)}
         for promise in (promise for promise in PROMISES if promise in made):
-            out.append(PromiseStatus(promise.value, PromiseState.KEPT.value, since=0.0))
+            if promise is not Promise.DRIVER:  # nobody knows that it is kept
+                out.append(PromiseStatus(promise.value, PromiseState.KEPT.value, since=0.0))
             for party in (*self._terms.roles, SESSION):
                 entry = self._entries.get((promise, party))
                 if entry is not None:
                     out.append(self._row(promise, party, entry, remarks.get(promise, "")))
+                elif party in self._terms.drivers and party not in self._free:
+                    out += self._unjudged(promise, party)
         return most_grave(out)
+
+    def _unjudged(self, promise: Promise, device: str) -> Iterator[PromiseStatus]:
+        """The row of what cannot be judged of a device with a driver of another package."""
+        cost: dict[str, float] = {}
+        if promise is Promise.DRIVER:
+            remark = self._terms.drivers[device].sentence(device, device in self._measure)
+        elif promise is Promise.PASSIVITY:
+            put_in = self._put_in[device]
+            cost = {"J": put_in} if put_in > 0.0 else {}
+            remark = (
+                f"a person's hand holds {device}, and its work is its own; it has put in at least {put_in:.3g} J so "
+                "far. Account, limits and budgets judge the device"
+            )
+        else:
+            return
+        yield PromiseStatus(promise.value, PromiseState.UNJUDGED.value, (device,), 0.0, None, cost, remark)
 
     def _row(self, promise: Promise, party: str, entry: _Entry, remark: str) -> PromiseStatus:
         quiet = not entry.lasts and self.now - entry.last > HOLD
@@ -255,7 +347,7 @@ class HealthModel:
         """A figure that only grows, over all processes of the node."""
         before, latest = self._counts.get((node, figure), (0.0, 0.0))
         value = figures.get(figure, latest)
-        if not 0.0 <= value < math.inf:
+        if not 0.0 <= value <= _MOST:
             value = latest
         if value < latest:  # a new process, of which no event came
             before += latest
@@ -264,9 +356,60 @@ class HealthModel:
 
     def _grown(self, node: str, figure: str, figures: Mapping[str, float]) -> bool:
         """Whether a figure has grown since this was last asked."""
+        before, total = self._grow(node, figure, figures)
+        return total > before
+
+    def _grow(self, node: str, figure: str, figures: Mapping[str, float]) -> tuple[float, float]:
+        """The sum of a figure when this was last asked, and now."""
         before, total = self._seen.get((node, figure), 0.0), self._total(node, figure, figures)
         self._seen[node, figure] = total
-        return total > before
+        return before, total
+
+    def _explain(self, ready: Callable[[_Unexplained], bool]) -> None:
+        """Book what is ``ready`` on the party that is the cause."""
+        while self._unexplained and ready(self._unexplained[0]):
+            one = self._unexplained.popleft()
+            if one.counter.promise is Promise.FORCE:
+                self._explain_cut(one)
+            else:
+                self._explain_late(one)
+
+    def _explain_cut(self, one: _Unexplained) -> None:
+        """Book ticks whose force was cut: on who moved the node, or on the node itself."""
+        if -math.inf < self._causes.until < one.since - BEFORE:
+            self._book(one, SESSION, one.ticks, f"{UNKNOWN_MOVER} {one.node}, whose force was cut to its limit")
+            return
+        mover = self._causes.mover(self._own_couplings(one.node), one.since, one.until)
+        if mover is None:
+            self._book(one, one.node, one.ticks)
+            return
+        party = mover.party if mover.beyond else SESSION
+        energy = f"{mover.energy:.3g} J" if mover.energy >= 1.0 else f"{1e3 * mover.energy:.3g} mJ"
+        self._book(one, party, one.ticks, f"{MOVED}: {mover.party} put {energy} into {one.node}, whose force was cut")
+
+    def _explain_late(self, one: _Unexplained) -> None:
+        """Book late ticks: on the couplings that made the others wait in them, and the rest on the node itself."""
+        own, left = self._own_couplings(one.node), one.ticks
+        for party, ticks in sorted(self._causes.waited_for(own, one.since, one.until).items(), key=lambda by: -by[1]):
+            share = min(left, ticks * (1.0 + _UNSURE))
+            if share > 0.0 and party in self._terms.roles and one.node not in self._terms.linked:
+                left -= share
+                self._book(one, party, share, f"the others waited for {party}")
+        if left > 0.0:
+            self._book(one, one.node, left)
+
+    def _own_couplings(self, node: str) -> tuple[str, ...]:
+        return self._terms.couplings.get(node, (node,))
+
+    def _book(self, one: _Unexplained, party: str, ticks: float, remark: str = "") -> None:
+        promise, key = one.counter.promise, (one.counter.grows, "ticks")
+        state = self._state(promise, one.node)
+        entry = self._entries.get((promise, party))
+        if entry is None or GRAVITY[state] > GRAVITY[entry.state]:
+            entry = self._begin(promise, party, state, one.until, lasts=False)
+        entry.last, entry.until = max(entry.last, one.until), None
+        entry.cost[key] = entry.cost.get(key, 0.0) + ticks
+        entry.remark = remark or entry.remark
 
     def _count(
         self, promise: Promise, party: str, figure: str, grown: bool, at: float, cost: Mapping[str, float]
@@ -299,12 +442,16 @@ class HealthModel:
         if not self._terms.certified:
             return
         margin = figures.get(names.LEDGER_MARGIN, 0.0)
-        if margin < -LEDGER_ROUNDING:
+        if not math.isfinite(margin):
+            self._senseless(Promise.PASSIVITY, node, at, "its ledger")
+        elif node not in self._terms.drivers and margin < -LEDGER_ROUNDING:
             entry = self._entries.get((Promise.PASSIVITY, node))
             entry = entry or self._begin(Promise.PASSIVITY, node, PromiseState.BROKEN, at)
             entry.cost[node, "J"] = max(entry.cost.get((node, "J"), 0.0), -margin)
             entry.remark = f"{node}: its ledger fell {entry.price('J'):.3g} J below its bound"
         least = figures.get(names.INTERFACE_LEAST, 0.0)
+        if not math.isfinite(least) and Promise.LATENESS in self._made:
+            self._senseless(Promise.LATENESS, node, at, "its interface account")
         put_in = max(0.0, -least) if math.isfinite(least) else 0.0
         cost = {"ticks": self._total(node, names.INTERFACE_TICKS, figures), "J": put_in}
         if self._terms.bounded:
@@ -322,7 +469,34 @@ class HealthModel:
             bound = f"{self._terms.tank:.3g} J {kept_to}"
             entry.remark = f"{node}: lateness has put {put_in:.3g} J into the loop, more than the {bound}"
 
-    def _couplings(self, node: str, at: float, figures: Mapping[str, float]) -> None:
+    def _driver(self, node: str, at: float, figures: Mapping[str, float]) -> None:
+        """What a device's ledger shows of its user's work, and what its driver has measured of its force."""
+        # what neither the device's promise nor lateness explains came from the hand; each process counts from 0
+        late = min(0.0, figures.get(names.INTERFACE_LEAST, 0.0))
+        lacks = late - figures.get(names.LEDGER_MIN, 0.0)
+        if 0.0 < lacks < math.inf:
+            self._put_in[node] = max(self._put_in[node], lacks)
+        if figures.get(names.MEASURED, 0.0) > 0.0:
+            self._measure.add(node)
+        untrue = self._total(node, names.UNTRUE, figures)
+        if not untrue > 0.0:
+            return
+        entry = self._entries.get((Promise.DRIVER, node)) or self._begin(Promise.DRIVER, node, PromiseState.BROKEN, at)
+        most = max(entry.cost.get((node, "N"), 0.0), figures.get(names.UNTRUE_MOST, 0.0))
+        entry.cost |= {(node, "ticks"): untrue, (node, "N"): most if math.isfinite(most) else 0.0}
+        entry.remark = (
+            f"{node}: by its own measurement the driver {self._terms.drivers[node].factory} exerted forces that it had "
+            f"not been given, in {untrue:.0f} ticks and by up to {most:.3g} N"
+        )
+
+    def _senseless(self, promise: Promise, node: str, at: float, what: str) -> None:
+        """An account that is no finite number shows nothing, so nobody may say that its promise is kept."""
+        entry = self._entries.get((promise, node))
+        if entry is None or entry.state is not PromiseState.BROKEN:
+            entry = self._begin(promise, node, PromiseState.BROKEN, at)
+        entry.remark = entry.remark or f"{node}: {what} is no finite number"
+
+    def _couplings(self, node: str, since: float, at: float, figures: Mapping[str, float]) -> None:
         """What the environment reports of its couplings."""
         for counter in _OF_COUPLINGS:
             for figure in [name for name in figures if name.startswith(counter.grows)]:
@@ -330,7 +504,12 @@ class HealthModel:
                 if party not in self._terms.roles or party in self._free:
                     continue
                 cost = {unit: self._total(node, f"{of}{party}", figures) for unit, of in counter.cost.items()}
-                self._count(counter.promise, party, figure, self._grown(node, figure, figures), at, cost)
+                grown = self._grown(node, figure, figures)
+                self._count(counter.promise, party, figure, grown, at, cost)
+                if grown and counter.promise is Promise.BUDGET:
+                    mover = self._causes.mover((party,), since, at)
+                    remark = "" if mover is None else f"{party} passed on energy that {mover.party} had put into it"
+                    self._entries[Promise.BUDGET, party].remark = remark
         for party in self._terms.linked:
             if figures.get(f"{names.WAVE_DEAF}_{party}", 0.0) > 0.0:
                 self._go_on(Promise.LINK, party, at)

@@ -23,6 +23,7 @@ from manyhands.design.models.contacts import coordinates
 from manyhands.design.models.scene import ContactScene, geometry_of
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import REALTIME
+from manyhands.nodes.device.specification import DriverWord
 from manyhands.nodes.observer.health import (
     AWAY_STATES,
     FREE_STATE,
@@ -65,6 +66,7 @@ class NodeAbout:
         wall: whether it is a device in wall time, which reports more topics than one in its own.
         period: its T, s, where it has one of its own; None for the session's.
         impedance: the least and the greatest eigenvalue of b, N*s/m, of a coupling with a wave link; None for others.
+        driver: of a device that a driver of another package moves; None for others.
     """
 
     role: Role
@@ -73,6 +75,7 @@ class NodeAbout:
     wall: bool = False
     period: float | None = None
     impedance: tuple[float, float] | None = None
+    driver: DriverWord | None = None
 
 
 @dataclass(frozen=True)
@@ -183,7 +186,18 @@ class About:
             enforced=() if certificate is None else certificate.enforced,
             linked=self.linked,
             seats=self.seats,
+            drivers={name: node.driver for name, node in self.nodes.items() if node.driver is not None},
+            couplings=self._couplings,
         )
+
+    @property
+    def _couplings(self) -> Mapping[str, tuple[str, ...]]:
+        """The couplings of each device, in its own process or in another."""
+        out: dict[str, tuple[str, ...]] = {}
+        for device in (name for name, node in self.nodes.items() if node.role is Role.DEVICE):
+            linked = [link.ends[1] for link in self.links if link.ends[0] == device]
+            out[device] = (*linked, *(name for name, node in self.nodes.items() if node.process == device))
+        return out
 
     def period_of(self, node: str) -> float:
         """T of a node, s; the session's for a name that is no node's."""
@@ -262,6 +276,7 @@ def _about(data: Any) -> About:
             _flag(node["wall"]),
             None if node["period"] is None else _number(node["period"]),
             None if node["impedance"] is None else _pair(node["impedance"]),
+            None if (driver := node.get("driver")) is None else _driver(driver),
         )
         for name, node in data["nodes"].items()
     }
@@ -318,6 +333,10 @@ def _certificate(data: Any) -> CertificateAbout:
             "taus": _numbers(data["taus"]),
         }
     )
+
+
+def _driver(data: Any) -> DriverWord:
+    return DriverWord(_text(data["factory"]), _number(data["sample_age"]), _number(data["actuation_delay"]))
 
 
 def _text(value: Any) -> str:

@@ -232,8 +232,9 @@ class Tracks:
         self._last[node] = first + len(x) - 1, x[-1:], s[-1:]
         if tick != first - 1 or not first:
             before = [np.full_like(x[:1], np.nan), np.full_like(s[:1], np.nan)]
-        moved, passed = (np.diff(values, axis=0, prepend=last) for values, last in zip((x, s), before, strict=True))
-        return np.divide(moved, passed, out=np.full_like(moved, np.nan), where=passed > 0.0)
+        with np.errstate(invalid="ignore", over="ignore"):  # a node may send any number; the curve then has a gap
+            moved, passed = (np.diff(values, axis=0, prepend=last) for values, last in zip((x, s), before, strict=True))
+            return np.divide(moved, passed, out=np.full_like(moved, np.nan), where=passed > 0.0)
 
 
 def _keys(about: About) -> Iterator[TrackKey]:

@@ -37,6 +37,7 @@ from manyhands.nodes.recorder.format import (
     media_type,
 )
 from manyhands.nodes.recorder.mcap import Tape
+from manyhands.nodes.tick_events import Kind
 from manyhands.protocol.channels import CONDITION, TELEMETRY, Columns, Topic
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
@@ -201,13 +202,23 @@ class RecorderCore:
         first = observation.tick - max(rows, default=0)
         return (
             len(rows) <= 1
-            and first >= (self._coverage[observation.node].next if rows else 0)
+            and first >= (self._earliest(observation, first) if rows else 0)
             and (self._start or 0) + self._since_start(observation.node, observation.tick) <= MAX_TIME_NS
             and all(
                 self._width(observation.node, topics[name]) == trace.shape[1]
                 for name, trace in observation.traces.items()
             )
         )
+
+    def _earliest(self, observation: Observation, first: int) -> int:
+        """The earliest tick of which an observation may have a row.
+
+        A process that takes the place of one may do its last tick again, whose signal was not sent on. Its row is the
+        later one in the file, which readers take.
+        """
+        after = self._coverage[observation.node].next
+        began = f"{Kind.BEGAN}@{first}" in observation.figures
+        return after - 1 if began and after else after
 
     def _width(self, node: str, topic: Topic) -> int:
         return len(self._recorded.columns(node, topic))

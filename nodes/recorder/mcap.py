@@ -10,6 +10,7 @@ was.
 
 from __future__ import annotations
 
+import errno
 import os
 import struct
 import zlib
@@ -288,8 +289,9 @@ class RecordingFile:
         """Add a piece, whole or not at all.
 
         Raises:
-            OSError: there is no room, or the disk fails.
+            OSError: there is no room, the disk fails, or the file was cut or removed meanwhile.
         """
+        self._require_own()
         try:
             rest = memoryview(piece)
             while rest:
@@ -300,6 +302,15 @@ class RecordingFile:
             os.lseek(self._fd, self._length, os.SEEK_SET)
             raise
         self._length += len(piece)
+
+    def _require_own(self) -> None:
+        """Refuse to go on with a file that another program has changed: what comes next would stand behind a hole."""
+        now = os.fstat(self._fd)
+        if now.st_size != self._length:
+            why = f"found a file of {now.st_size} bytes; expected the {self._length} that were written"
+            raise OSError(errno.EIO, f"{why}: another program has changed it")
+        if now.st_nlink == 0:
+            raise OSError(errno.ENOENT, "another program has removed or replaced the file")
 
     def close(self) -> None:
         """Close the file; nothing is buffered."""

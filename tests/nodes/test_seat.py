@@ -12,10 +12,13 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from manyhands.launch.files import load_named
+from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.prepare import prepare
 from manyhands.nodes import seat
-from manyhands.nodes.bundle import CouplingBundle
+from manyhands.nodes.bundle import CouplingBundle, DeviceBundle
 from manyhands.nodes.lifetime import Sight, Stopped
-from manyhands.nodes.seat import SeatLife, answered_yes, felt, is_calm
+from manyhands.nodes.seat import SeatLife, answered_yes, felt, force_sentence, is_calm, with_force
 from manyhands.protocol.clock import Duration
 
 MS = 1_000_000
@@ -135,3 +138,17 @@ def test_a_life_begins_anew_for_another_attempt(life: SeatLife) -> None:
     assert (life.stopping, life.leaving, life.orphaned, life.failure) == (False, False, False, None)
     life.check()
     assert not life.leaving
+
+
+@pytest.mark.parametrize(("own", "most"), [(None, 8.0), (3.0, 3.0), (100.0, 8.0)])
+def test_the_force_that_a_guest_may_feel_is_the_lesser_of_two_limits_and_is_shown(
+    own: float | None, most: float
+) -> None:
+    session = load_named("ball")
+    bundle = cut(prepare(session), RunPlan("realtime", None, "tcp://192.0.2.7:7400"))["right"]
+    assert isinstance(bundle, DeviceBundle)
+    device = with_force(bundle, own)
+    assert device.limits.force == (most,)
+    assert (device.limits.speed, device.limits.displacement) == (bundle.limits.speed, bundle.limits.displacement)
+    assert force_sentence(device) == f"the device may push with up to {most:g} N"
+    assert force_sentence(with_force(bundle, None)) == "the device may push with up to 8 N"

@@ -54,6 +54,10 @@ def test_it_is_what_was_sent_and_holds_nothing_of_the_others(sent: tuple[Invitat
 
 
 CHANGES: dict[str, tuple[Change, str]] = {
+    "a period that no machine keeps": (
+        lambda d: [d[one]["common"].update(period=1e-9) for one in ("device", "coupling")],
+        "found a period of 1e-09 s",
+    ),
     "a member more": (lambda d: d.update(more=1), "found other members"),
     "a member less": (lambda d: d.pop("coupling"), "found other members"),
     "a device that is none": (lambda d: d.update(device=[]), "not a bundle for a DeviceBundle"),

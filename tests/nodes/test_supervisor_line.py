@@ -128,6 +128,17 @@ def line() -> AnsweringLine:
     return AnsweringLine()
 
 
+def test_a_start_may_be_a_minute_ahead_and_no_more() -> None:
+    """A start in a hundred years was accepted, and the guest then waited for it without a word."""
+    now = Instant(7 * SECOND)
+    for epoch in (0, now, now + 60 * SECOND):
+        ControlLine.require_near(Start(epoch, 5), now)
+    with pytest.raises(Refused, match=r"found a start in 60 s; expected at most 60 s"):
+        ControlLine.require_near(Start(now + 60 * SECOND + 1, 5), now)
+    with pytest.raises(Refused, match="expected at most 60 s"):
+        ControlLine.require_near(Start(2**62, 5), now)
+
+
 def control(line: AnsweringLine, **changes: object) -> ControlLine:
     return ControlLine(Doors(line), common(**changes))  # type: ignore[arg-type]
 
@@ -155,6 +166,10 @@ def test_a_conversation_from_hello_to_the_last_word() -> None:
     assert one.peers_endpoints(life) == {"cx": "ipc:///s/cx-dx"}  # type: ignore[arg-type]
     one.ready()
     assert heard() == Ready()
+    for far in (Start(2**63 - 1, 5), Start(0, 5, 2**63 - 1), Start(0, 2**63 - 1)):  # it ended in a traceback
+        say(far)
+        with pytest.raises(Refused, match="expected at most"):
+            one.start(life)  # type: ignore[arg-type]
     say(Start(10**9, 5))
     assert one.start(life) == Start(10**9, 5)  # type: ignore[arg-type]
     one.publish(Telemetry(3, {"speed": 0.5}, {}))

@@ -26,7 +26,7 @@ from manyhands.launch.recordings.run import read_run
 from manyhands.launch.session.session import ENVIRONMENT
 
 from ..support.capture import free_ports
-from ..support.commands import MANYHANDS, run
+from ..support.commands import MANYHANDS, manyhands_command
 from ..support.installed import build, install_base
 from ..support.wan import Wire, wan
 
@@ -215,6 +215,13 @@ def require_sound(home: Path, certificates: dict[str, bytes]) -> dict[str, Any]:
     return report
 
 
+def require_unaccused(recording: Path) -> None:
+    """The audit accuses nobody. Ticks whose rows were lost with a guest's network or process are not checked."""
+    told = json.loads(manyhands_command("audit", recording, "--json").stdout)
+    accused = [check for check in told["checks"] if check["verdict"] not in ("holds", "missing", "not checked")]
+    assert accused == []
+
+
 @pytest.mark.alone
 def test_a_guest_needs_the_base_of_the_package_alone(tmp_path: Path) -> None:
     """The wheel, and none of the extras: no SciPy for its simulated hand, no library of recordings, no solver."""
@@ -333,7 +340,7 @@ def test_across_a_wan_a_link_that_is_lost_for_a_while_comes_back(tmp_path: Path)
     report = require_sound(home, certificates)
     assert report["wave_links"]["right_seat"]["silences"] > 0
     assert report["wave_links"]["right_seat"]["mass"] < 0.5
-    assert "holds: " in run("audit", home / "run.mcap")
+    require_unaccused(home / "run.mcap")
 
 
 @pytest.mark.long
@@ -364,7 +371,7 @@ def test_twenty_joins_and_leaves_under_link_faults(tmp_path: Path) -> None:
         assert host.end(signal.SIGINT) == 130
         assert sorted(path.name for path in (tmp_path / "far").iterdir()) == ["right_seat.invitation"]
     require_sound(home, certificates)
-    assert "holds: " in run("audit", home / "run.mcap")
+    require_unaccused(home / "run.mcap")
 
 
 PHASES = {

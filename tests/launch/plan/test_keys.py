@@ -327,6 +327,13 @@ def test_a_private_key_that_is_a_link_is_refused(folder: Path, tmp_path: Path) -
     assert elsewhere.read_bytes() == before
 
 
+@pytest.mark.parametrize("target", ["nowhere", "keys"])
+def test_a_folder_of_keys_that_is_a_link_to_nothing_is_refused_as_such(folder: Path, target: str) -> None:
+    folder.symlink_to(target)  # "keys" is the link itself
+    assert "found a link that leads to no folder" in refusal(ONE, folder)
+    assert not (folder.parent / "nowhere").exists()
+
+
 def test_a_link_or_file_as_private_folder_is_refused(folder: Path, tmp_path: Path) -> None:
     make_keys(ONE, folder)
     (folder / "private").rename(tmp_path / "elsewhere")

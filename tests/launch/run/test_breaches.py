@@ -600,13 +600,3 @@ class Test_notices_of_a_run:
         assert assumptions.waited_for == ["cx", "cz"]
         (text,) = assumptions.notices.values()
         assert text.startswith("made the others wait, and were frozen for it: cx, cz; ")
-
-    def test_name_all_nodes_whose_forces_were_clipped_and_who_moved_them(self, prepared: Prepared) -> None:
-        assumptions = Assumptions(prepared, prepared.graph, REALTIME, {})
-        assumptions.check("environment", Telemetry(100, {f"{names.MOVED}cy/cx": 0.25}, {}))
-        for node in ("dx", "cz", "dx"):
-            assumptions.check(node, Telemetry(100, {names.CLIPPED: 3.0}, {}))
-        assert assumptions.notices == {
-            Cause.LIMITS: "forces clipped to the limits: dx, cz; the certificate is about forces within them; of all "
-            "others cy has put the most energy into dx, 0.25 J"
-        }

@@ -224,6 +224,15 @@ def test_a_node_that_leaves_early_ends_the_session(ticks: int) -> None:
     assert c.reports == {"dx": report}
 
 
+def test_what_a_guest_reports_of_itself_ends_nobody_elses_session() -> None:
+    """Its last word starts no clock that runs out for the others; that of the environment, or of a local node, does."""
+    c = running("dx", restarts=1)
+    c.receive("dx", Report(2**63 - 1, {}, {}, {}), 0)
+    assert (c.finished, c.too_late(), c.phase, c.faults) == ((), [], SessionPhase.RUNNING, [])
+    c.receive("dy", Report(5, {}, {}, {}), 0)
+    assert c.finished == ("dy",)
+
+
 @pytest.mark.parametrize("ticks", [5, 0])
 def test_others_go_on_when_a_guest_leaves_and_it_may_return(ticks: int) -> None:
     c = running("dx", ticks=ticks, restarts=1)

@@ -174,6 +174,7 @@ def test_a_full_disk_ends_the_recording_at_a_reported_tick(stage: ReadyRecorder,
     assert end <= told <= end + ROWS  # the devices' frames may be in different chunks
     assert stage.recorder.as_plain()["recording"]["ticks"] == told
     assert stage.recorder.as_plain()["recording"]["stopped"] == incident
+    assert stage.recorder.stopped  # the exit code is 1
     assert list(tmp_path.glob(".*")) == []
 
 

@@ -90,15 +90,15 @@ class NoProcesses:
 def hello(prepared: Prepared, graph: Topology, name: str) -> NodeHello:
     """What a node of the session says first."""
     binds = {link.connector: "ipc:///s" for link in graph.links_of(name) if link.binder == name}
-    return NodeHello(PROTOCOL_VERSION, prepared.id, "example-1", name, graph.nodes[name], 1, binds)
+    return NodeHello(PROTOCOL_VERSION, prepared.id, prepared.session.name, name, graph.nodes[name], 1, binds)
 
 
 class Heard:
     """A supervisor, its hub in memory, and its session brought to its first tick."""
 
-    def __init__(self, prepared: Prepared, run: bool, remote: frozenset[str] = frozenset()) -> None:
+    def __init__(self, prepared: Prepared, run: bool, remote: frozenset[str] = frozenset(), ticks: int = 0) -> None:
         ways = replace(IPC, remote=remote)
-        self.supervisor = Supervisor(prepared, clock="realtime", reach=ways, ticks=0, record=True)
+        self.supervisor = Supervisor(prepared, clock="realtime", reach=ways, ticks=ticks, record=True)
         self.graph = topology(prepared.session)
         self.transport = MemoryTransport()
         self.hub, _ = self.transport.bind_hub("control", [])
@@ -159,6 +159,19 @@ def test_a_guest_that_joins_again_is_not_taken_for_silent(prepared: Prepared, mo
     assert heard.progress().states["dx"] == "running"
     assert "dx" not in heard.progress().silent
     assert [row.who for row in heard.progress().promises if row.promise == "presence" and "dx" in row.who] == []
+    heard.transport.close()
+
+
+def test_a_guest_that_reports_impossible_ticks_has_left_after_those_that_were_seen(prepared: Prepared) -> None:
+    """`[33, 2**63 - 1, {}, {}, {}]` on a guest's own line ended a timed session for everybody."""
+    heard = Heard(prepared, run=True, remote=frozenset({"dx"}), ticks=60_000)
+    heard.say("dx", Telemetry(100, {}, {}))
+    heard.say("dx", Report(MAX_COUNT, {names.LEDGER_MARGIN: -1.0}, {}, {}))
+    conductor = heard.supervisor.conductor
+    assert (conductor.phase, conductor.faults, conductor.finished) == (SessionPhase.RUNNING, [], ())
+    assert [text.partition(": ")[2] for text in conductor.incidents.sentences] == ["dx left after 100 ticks"]
+    assert conductor.left["dx"].ticks == 100
+    assert [row.promise for row in missed(heard.progress().promises)] == ["presence"]  # and not what it says of energy
     heard.transport.close()
 
 
@@ -225,7 +238,7 @@ def test_an_impossible_tick_is_refused_counted_and_moves_nothing(prepared: Prepa
     heard.say("dy", Report(10**11, {}, {}, {}))
     supervisor = heard.supervisor
     supervisor._tally(heard.hub, heard.transport)  # type: ignore[arg-type]
-    assert heard.progress().refused["telemetry_that_does_not_fit"] == 4
+    assert heard.progress().refused["telemetry_that_does_not_fit"] == 5
     assert heard.progress().telemetry["dy"].tick == 10
     outcome = supervisor.outcome(None)
     assert outcome.recording is not None

@@ -9,12 +9,17 @@ import pytest
 
 from manyhands.nodes.observer.health import (
     PROMISES,
+    Health,
+    cells,
     condensed,
     cost_text,
+    holds,
     missed,
     most_grave,
     readable,
     sentence,
+    session_health,
+    summary,
     verdict,
 )
 from manyhands.protocol.limits import MAX_SENTENCES
@@ -85,3 +90,13 @@ def row(promise: str, state: str, who: str, **cost: float) -> PromiseStatus:
 )  # fmt: skip
 def test_a_run_ends_with_the_worst_by_whom_how_much_and_what_to_do(rows: list[PromiseStatus], said: str) -> None:
     assert verdict([PromiseStatus("passivity", "kept"), *rows]) == said
+
+
+def test_what_is_not_judged_is_said_and_is_neither_kept_nor_broken() -> None:
+    unjudged = PromiseStatus("passivity", "not judged", ("d",), 0.0, None, {"J": 7.3}, "its work is its own")
+    rows = [unjudged, PromiseStatus("passivity", "kept", since=0.0)]
+    assert verdict(rows) == "all promises kept; not judged: passivity (d)"
+    assert (holds(rows), session_health(rows), summary(rows)) == (True, Health.OK, "")
+    assert condensed(rows) == rows  # the others keep it
+    assert sentence(unjudged) == "passivity: not judged: its work is its own"
+    assert cells(unjudged) == ("passivity", "not judged", "d", "", "7.3 J")

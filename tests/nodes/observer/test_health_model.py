@@ -44,6 +44,7 @@ def model(terms: Terms, *told: Told) -> HealthModel:
     found = HealthModel(terms)
     for node, tick, figures in told:
         found.take(node, tick, figures)
+    found.conclude()
     return found
 
 
@@ -143,7 +144,7 @@ def test_what_a_figure_says_of_a_promise(
         (TERMS, "stranger", {"clipped": 9.0}),
         (TERMS, "world", {"frozen:stranger@50": 1.0, "scaled_stranger": 3.0, "waited_ticks_stranger": 3.0}),
         (TERMS, "world", {"waited_ticks_cx": 3.0, "waited_us_cx": 900.0, "frozen_late_cx": 0.0}),  # now and then
-        *[(TERMS, "dx", {"clipped": bad, "ledger_margin": -bad, "let_go": bad}) for bad in (math.nan,)],
+        *[(TERMS, "dx", {"clipped": bad, "let_go": bad}) for bad in (math.nan,)],
         *[(TERMS, "dx", {"clipped": bad, "let_go": bad}) for bad in (math.inf, -3.0)],
     ],
 )
@@ -239,6 +240,15 @@ def test_a_frozen_coupling_whose_process_dies_is_away_since_it_froze() -> None:
     found.look(RUNNING | {"cx": "lost"}, (), 0.3)
     row = only(found)
     assert (row.state, row.since) == (BROKEN, 0.15)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_an_account_that_is_no_number_is_not_called_kept(bad: float) -> None:
+    rows = missed(model(TERMS, ("dx", 100, {"ledger_margin": bad, "interface_min": bad})).rows())
+    assert [(row.promise, row.state, row.who, row.cost) for row in rows] == [
+        ("passivity", "broken", ("dx",), {}), ("lateness energy", "broken", ("dx",), {}),
+    ]  # fmt: skip
+    assert rows[0].remark == "dx: its ledger is no finite number"
 
 
 def test_a_free_seat_breaks_no_promise() -> None:

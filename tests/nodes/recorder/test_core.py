@@ -359,3 +359,20 @@ def test_a_file_of_somebody_else_is_no_recording(tmp_path: Path) -> None:
     path.write_bytes(b"\x89MCAP0\r\n" + struct.pack("<BQ", 0x06, 2**63))
     with pytest.raises(RecordingError, match="within a record"):
         read_recording(path)
+
+
+@pytest.mark.parametrize("harm", ["cut", "longer", "removed"])
+def test_a_file_that_another_program_changes_is_not_gone_on_with(harm: str, tmp_path: Path) -> None:
+    """What came next would stand behind a hole, or in no file, and the session would call it written."""
+    path = tmp_path / "r"
+    file = RecordingFile(path, b"1234")
+    match harm:
+        case "cut":
+            os.truncate(path, 2)
+        case "longer":
+            path.write_bytes(b"123456")
+        case _:
+            path.unlink()
+    with pytest.raises(OSError, match="another program has"):
+        file.append(b"5678")
+    file.close()
