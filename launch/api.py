@@ -296,6 +296,7 @@ def launch(
         (200, 3)
     """
     require("design")
+    from manyhands.launch.plan.engine import require_engine
     from manyhands.launch.plan.reach import reach
     from manyhands.launch.plan.topology import require_runnable
     from manyhands.launch.recordings.recording import RUN_SUFFIXES, require_suffix
@@ -314,6 +315,7 @@ def launch(
         require_suffix(file, RUN_SUFFIXES)
     plan = Plan(loaded)
     require_runnable(plan.graph, len(loaded.observers))
+    require_engine(loaded)
     ways = reach(plan, transport)
     prepared = _prepared(loaded, certificate, uncertified, realtime=clock == REALTIME, transport=transport)
     if isinstance(loaded.environment, AskedEnvironment):

@@ -22,8 +22,10 @@ Some checks need no state of a party (:mod:`manyhands.launch.recordings.checks`)
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final
 
@@ -56,9 +58,11 @@ from manyhands.launch.recordings.checks import (
     period_assumed,
     tools_agree,
 )
-from manyhands.launch.recordings.events import Course, course_of, sent_no_force
-from manyhands.launch.recordings.findings import EXACT, Check, CheckVerdict, Recomputed, compare
+from manyhands.launch.recordings.events import Course, course_of
+from manyhands.launch.recordings.findings import EXACT, Check, CheckVerdict, Recomputed, UncheckedTicks, compare
+from manyhands.launch.recordings.integrity import Damage
 from manyhands.launch.recordings.prepared import prepared_of
+from manyhands.launch.recordings.presence import Presence, fitted
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.replay import hand_of
 from manyhands.launch.recordings.run import RecordedRun, changed_after, first_sign, grown_in, rows_of, there
@@ -74,11 +78,12 @@ from manyhands.nodes.bundle import (
 )
 from manyhands.nodes.device.core import Guard
 from manyhands.nodes.environment.clutch import LET_GO
-from manyhands.nodes.observer.health import Promise, PromiseState, as_plain, holds
+from manyhands.nodes.observer.health import PROMISES, SESSION, Promise, PromiseState, as_plain, holds
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
 from manyhands.nodes.tick_events import Kind, events_in
 from manyhands.nodes.wave_link.faces import wave_feedthrough
 from manyhands.protocol.channels import TANK_NAMES
+from manyhands.protocol.clock import from_seconds
 from manyhands.protocol.messages import PromiseStatus
 
 Array = NDArray[np.float64]
@@ -103,6 +108,14 @@ _WAVE_TRACES: Final = (names.FREE_POSITION, names.FORCE, names.WAVE, names.TANK)
 TickProgress = Callable[[int], None]
 
 
+class AuditVerdict(StrEnum):
+    """The result of an audit."""
+
+    HOLDS = "holds"  # all that the certificate needs was checked, and kept or enforced
+    UNCHECKED = "not checked"  # what the recording has was kept, and something that the certificate needs is not in it
+    BROKEN = "does not hold"
+
+
 @dataclass(frozen=True)
 class Audit:
     """The result of an audit.
@@ -114,6 +127,7 @@ class Audit:
         ticks: of the longest trace.
         checks: all of them.
         promises: how each promise stood, by the checks and by what the session recorded.
+        faults: why the session failed, by its last recorded condition; empty where it did not.
     """
 
     session: str
@@ -122,11 +136,21 @@ class Audit:
     ticks: int
     checks: tuple[Check, ...]
     promises: tuple[PromiseStatus, ...]
+    faults: tuple[str, ...] = ()
 
     @property
     def holds(self) -> bool:
         """Whether all that the certificate needs was checked, and kept or enforced, and nothing else is broken."""
         return all(check.holds for check in self.checks) and holds(self.promises)
+
+    @property
+    def verdict(self) -> AuditVerdict:
+        """What was found, in one word; only the first is a success."""
+        if self.holds:
+            return AuditVerdict.HOLDS
+        needed = (row.state for row in self.promises if PROMISES[Promise(row.promise)].needed)
+        broken = bool(self.broken) or PromiseState.BROKEN in needed
+        return AuditVerdict.BROKEN if broken else AuditVerdict.UNCHECKED
 
     @property
     def broken(self) -> tuple[Check, ...]:
@@ -138,11 +162,13 @@ class Audit:
         """As a JSON object."""
         return {
             "holds": self.holds,
+            "found": self.verdict.value,
             "session": self.session,
             "certificate": self.certificate,
             "clock": self.clock,
             "ticks": self.ticks,
             "promises": [as_plain(row) for row in self.promises],
+            "faults": list(self.faults),
             "checks": [check.as_plain() for check in self.checks],
         }
 
@@ -160,12 +186,35 @@ def require_certificate(path: Path, run: RecordedRun) -> None:
         )
 
 
+def _file_checks(run: RecordedRun, damage: Sequence[Damage]) -> list[Check]:
+    """What the file itself says: its checksums, whether it has its end, and whether the session did a tick."""
+    changed = [found for found in damage if not found.cut]
+    cut = next((found.what for found in damage if found.cut), run.cut)
+    out = []
+    if changed:
+        why = f"bytes {changed[0].begin} to {changed[0].end - 1}: {changed[0].what}"
+        out.append(Check("bytes", SESSION, "all checksums match", CheckVerdict.BROKEN, remark=why))
+    if cut is not None:
+        what = "the recording has its end"
+        out.append(Check("end", SESSION, what, CheckVerdict.MISSING, remark=f"{cut}; what came after is not checked"))
+    if not run.topics:
+        why = "the session did no tick, or the recording has none of them"
+        out.append(Check("ticks", SESSION, "the session has ticks", CheckVerdict.MISSING, remark=why))
+    return out
+
+
 def work_of(run: RecordedRun) -> int:
     """Number of ticks that an audit recomputes, over all nodes, for its progress."""
     return run.ticks * len(run.recorded.roles)
 
 
-def audit(path: Path, run: RecordedRun, say: Callable[[str], None], progress: TickProgress) -> Audit:
+def audit(
+    path: Path,
+    run: RecordedRun,
+    say: Callable[[str], None],
+    progress: TickProgress,
+    damage: Sequence[Damage] = (),
+) -> Audit:
     """Check a recording.
 
     Args:
@@ -173,6 +222,7 @@ def audit(path: Path, run: RecordedRun, say: Callable[[str], None], progress: Ti
         run: its content.
         say: called with the step of a design, where a ladder has to be designed.
         progress: called now and then with the number of ticks that are done, over all nodes.
+        damage: where the file's bytes are not as they were written.
 
     Raises:
         RecordingError: session or certificate are missing, or differ from those that were recorded.
@@ -183,13 +233,14 @@ def audit(path: Path, run: RecordedRun, say: Callable[[str], None], progress: Ti
         prepared = prepared_of(path, run, say)
     except NotCertified as error:
         checks: tuple[Check, ...] = (Check("certificate", "session", what, CheckVerdict.BROKEN, remark=str(error)),)
-        of_none = Promise.CERTIFICATE.value, PromiseState.BROKEN.value, ("session",)
+        of_none = Promise.CERTIFICATE.value, PromiseState.BROKEN.value, (SESSION,)
         promises: tuple[PromiseStatus, ...] = (PromiseStatus(*of_none, remark=str(error)),)
     else:
         proved = Check("certificate", "session", what, CheckVerdict.HOLDS, remark=prepared.id)
-        checks = (proved, *_AuditRun(prepared, run, progress).checks())
+        checks = (proved, *_file_checks(run, damage), *_AuditRun(prepared, run, progress).checks())
         promises = promises_of(prepared, run, checks)
-    return Audit(recorded.session, recorded.certificate, recorded.clock, run.ticks, checks, promises)
+    faults = run.conditions[-1][1].faults if run.conditions else ()
+    return Audit(recorded.session, recorded.certificate, recorded.clock, run.ticks, checks, promises, tuple(faults))
 
 
 class _AuditRun:
@@ -213,7 +264,9 @@ class _AuditRun:
         couplings = {name: bundle for name, bundle in of if isinstance(bundle, CouplingBundle)}
         users: dict[str, DeviceBundle | CouplingBundle] = {**devices, **couplings}
         courses = {name: self._course(name, bundle) for name, bundle in users.items()}
-        out: list[Check] = []
+        ledgers = [name for name in self._bundles if self._has_ledger(name)]
+        self._presence = Presence(self._run, self._session, frozenset(ledgers))
+        out = [self._presence.check(name) for name in self._bundles]
         for rate in sorted({self._run.recorded.rate_of(name) for name in courses}):
             own = {name for name in courses if self._run.recorded.rate_of(name) == rate}
             out += self._users(
@@ -222,7 +275,6 @@ class _AuditRun:
                 courses,
             )
         out += self._environment(couplings, courses)
-        ledgers = [name for name in self._bundles if self._has_ledger(name)]
         out += [figures_agree(self._run, name) for name in ledgers]
         out += [bounded(self._run, name) for name in ledgers if name not in devices]
         for name, device in devices.items():
@@ -231,7 +283,8 @@ class _AuditRun:
             missed = (CheckVerdict.ASSUMPTION, CheckVerdict.ENFORCED)
             within = all(check.verdict not in missed for check in found) and not courses[name].released
             promised = device.time != WALL or device.tank is not None or within
-            out.append(bounded(self._run, name, device.allowed, promised))
+            if self._session.devices[name].word is None:  # otherwise its ledger lacks the work of a person's hand
+                out.append(bounded(self._run, name, device.allowed, promised))
             out += [*limits_kept(self._run, name, device, courses[name]), *assumed]
         order = {"session": -1} | {name: i for i, name in enumerate(self._bundles)}
         return sorted(out, key=lambda check: order[check.party])
@@ -278,7 +331,7 @@ class _AuditRun:
                 name, names.FREE_POSITION, "p follows from x and f_v by the certificate's block", again
             )
             self._next()
-        return out + forces_agree(self._run, blocks, f)
+        return out + forces_agree(self._run, blocks, f, self._presence.owed)
 
     def _assumed(self, name: str, bundle: DeviceBundle, course: Course) -> list[Check]:
         """What the certificate assumes of a device's delays and periods."""
@@ -286,7 +339,7 @@ class _AuditRun:
         tolerance = bundle.rungs[0].period_tolerance  # every rung of a ladder has that of the certificate
         enforced = bundle.time == WALL and bundle.tank is not None
         return [
-            delay_assumed(self._run, name, taus, enforced),
+            delay_assumed(self._run, name, taus, enforced, bundle.time == WALL and bundle.timing.latency > 0.0),
             period_assumed(self._run, name, tolerance, enforced),
         ]
 
@@ -366,14 +419,17 @@ class _AuditRun:
         )
         counts = (names.LET_GO, names.INTERFACE_TICKS, names.INTERFACE_OFFSET)
         changed = [tick for count in counts if (tick := changed_after(figures, count)) is not None]
+        changed += [k for k, happened in course.before.items() if happened.leaves]
         known = there(again.sent)
         unknown = ~known & (np.arange(len(x)) >= min(changed, default=len(x)))
+        jumped = [k for k, happened in course.before.items() if happened.jumped or happened.unknown]
+        unknown[jumped] |= ~known[jumped]  # it may have exerted the zero force of another tick
         same = known & (again.exerted == its_f).all(axis=1)
         x[np.ix_(known, own)], x[np.ix_(unknown, own)] = again.sent[known], np.nan
         f[np.ix_(same, own)], f[np.ix_(unknown, own)] = asked[np.ix_(same, own)], np.nan
         gaps, of_motion = again.gaps, [*again.motion_gaps, *again.gaps]
         return [
-            compare(
+            self._compare(
                 "signal",
                 name,
                 "x at s_k follows from f_v, a_k and s_k by the device and its hand",
@@ -382,8 +438,18 @@ class _AuditRun:
                 again.x,
                 gaps=of_motion,
             ),
-            compare("applied", name, "x at a_k follows likewise", ports, applied, again.applied, gaps=of_motion),
             compare(
+                "applied",
+                name,
+                "x at a_k follows likewise",
+                ports,
+                applied,
+                again.applied,
+                gaps=of_motion,
+                owed=self._presence.owed[name]
+                & (there(applied) | there(again.applied)),  # not every device measures it
+            ),
+            self._compare(
                 "exerted",
                 name,
                 "it exerts what its couplings asked for, as far as its limits and its account allow",
@@ -392,7 +458,7 @@ class _AuditRun:
                 again.exerted,
                 gaps=gaps,
             ),
-            compare(
+            self._compare(
                 "interface",
                 name,
                 "its account e_k follows from motion, forces, s_k and a_k",
@@ -401,7 +467,7 @@ class _AuditRun:
                 again.account,
                 gaps=gaps,
             ),
-            compare(
+            self._compare(
                 "ended",
                 name,
                 "the force before ended when the device states",
@@ -410,9 +476,9 @@ class _AuditRun:
                 again.ended,
                 gaps=gaps,
             ),
-            ordered(run, name, instants, course),
+            ordered(run, name, instants, course, self._presence.owed[name], from_seconds(bundle.timing.latency)),
             account_bounded(name, account, bundle.tank),
-            compare(
+            self._compare(
                 "ledger",
                 name,
                 "its ledger follows at the certificate's level",
@@ -453,11 +519,13 @@ class _AuditRun:
         self._next()
         ports, gaps = bundle.common.ports, again.gaps
         out = [
-            compare("tools", ENVIRONMENT, "x_e follows from p of all couplings", ports, tools, again.tools, gaps=gaps),
-            compare(
+            self._compare(
+                "tools", ENVIRONMENT, "x_e follows from p of all couplings", ports, tools, again.tools, gaps=gaps
+            ),
+            self._compare(
                 "forces", ENVIRONMENT, "f_v follows from p of all couplings", ports, blocks.f, again.forces, gaps=gaps
             ),
-            compare(
+            self._compare(
                 "ledger",
                 ENVIRONMENT,
                 "its ledger follows from p of all couplings",
@@ -466,26 +534,42 @@ class _AuditRun:
                 again.ledger,
                 gaps=gaps,
             ),
-            tools_agree(blocks, ports, ENVIRONMENT, tools, sign),
+            tools_agree(blocks, ports, ENVIRONMENT, tools, sign, self._presence.owed[ENVIRONMENT]),
         ]
         if bundle.masses:
             masses = rows_of(run, ENVIRONMENT, names.MASS_POSITION)
             what = "q follows from p of all couplings"
-            out.insert(1, compare("masses", ENVIRONMENT, what, bundle.masses, masses, again.masses, gaps=gaps))
+            out.insert(1, self._compare("masses", ENVIRONMENT, what, bundle.masses, masses, again.masses, gaps=gaps))
         if bundle.Phi_E is not None:
             figures = run.figures.get(ENVIRONMENT, ())
-            silent = np.zeros(blocks.f.shape, dtype=np.bool_)
+            silent, changed = (np.zeros(blocks.f.shape, dtype=np.bool_) for _ in range(2))
             for name, its in blocks.ports.items():
                 if name not in blocks.faces:
-                    silent[:, its] = sent_no_force(figures, name, there(blocks.f[:, its]))[:, None]
+                    silent[:, its] = self._presence.frozen[name][:, None]
+                    changed[:, its] = fitted(courses[name].resampled, len(silent))[:, None]
             events = (event for _, values in figures for event in events_in(values))
             begun = [event.tick for event in events if event.kind is Kind.BEGAN and 0 < event.tick < len(tools)]
-            stored = 0.0 if bundle.scene is None else bundle.scene.energy_at_start
-            own = increments(bundle.Phi_E, self._session.period, blocks, tools, ledger, sign[0], silent, begun, stored)
+            stored = bundle.energy_at_start
+            held = sum(
+                max((one.get(names.SCALED + name, 0.0) for _, one in figures), default=0.0) for name in couplings
+            )
+            own = increments(
+                bundle.Phi_E,
+                self._session.period,
+                blocks,
+                tools,
+                ledger,
+                sign[0],
+                silent,
+                changed,
+                begun,
+                stored,
+                int(held) if 0.0 < held < math.inf else 0,
+            )
             what = "its ledger gains in each tick the work at the couplings' ends and the dissipation by Phi_E"
             source = let_go_source(own.offsets)
             out.append(
-                compare(
+                self._compare(
                     "work",
                     ENVIRONMENT,
                     what,
@@ -538,10 +622,10 @@ class _AuditRun:
         """Compare a party's signal and its ledger."""
         run = self._run
         columns, signal = run.recorded.ports[name], rows_of(run, name, trace)
-        out = [compare("signal", name, what, columns, signal, again.signal, gaps=again.gaps)]
+        out = [self._compare("signal", name, what, columns, signal, again.signal, gaps=again.gaps)]
         if self._has_ledger(name):
             kept, text = rows_of(run, name, names.LEDGER), "its ledger follows at the certificate's level"
-            out.append(compare("ledger", name, text, ("E",), kept, again.ledger, gaps=again.gaps))
+            out.append(self._compare("ledger", name, text, ("E",), kept, again.ledger, gaps=again.gaps))
         return out
 
     def _has_ledger(self, name: str) -> bool:
@@ -566,6 +650,25 @@ class _AuditRun:
             at = self._of_link(ENVIRONMENT, name, trace) if name in linked else rows_of(self._run, name, trace)
             out[:, self._ports[name]] = at
         return out
+
+    def _compare(
+        self,
+        name: str,
+        party: str,
+        what: str,
+        columns: Sequence[str],
+        recorded: Array,
+        recomputed: Array,
+        *,
+        gaps: Sequence[UncheckedTicks] = (),
+        tolerance: Array | float = 0.0,
+        source: str = EXACT,
+    ) -> Check:
+        """:func:`compare` in the ticks that the party owed."""
+        owed = self._presence.owed[party]
+        return compare(
+            name, party, what, columns, recorded, recomputed, gaps=gaps, tolerance=tolerance, source=source, owed=owed
+        )
 
     def _report(self, tick: int) -> None:
         self._progress(self._done + tick)

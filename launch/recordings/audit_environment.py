@@ -219,8 +219,10 @@ def increments(
     ledger: Array,
     sign: int,
     silent: NDArray[np.bool_],
+    changed: NDArray[np.bool_],
     begun: Sequence[int] = (),
     stored: float = 0.0,
+    restrained: int = 0,
 ) -> Increments:
     """The increments of the environment's ledger, from tools and couplings alone.
 
@@ -231,15 +233,21 @@ def increments(
         tools: recorded x_e, ticks x m, m.
         ledger: recorded, ticks x 1, J.
         sign: the first tick at which a clutch may have moved.
-        silent: ticks x m, true where a coupling has no row and was sent no force.
+        silent: ticks x m, true where a coupling was sent no force.
+        changed: ticks x m, true where a coupling's row may not be of the process, or of the force, of the environment's
+            tick: it began anew, or had gone on at that tick.
         begun: the first ticks of processes that took the place of one, which begin at rest with a ledger of their own.
         stored: the energy that the environment stores at the start, with which its ledger begins, J.
+        restrained: number of ticks in which a clutch was limited by an energy budget.
     """
     ends, size = blocks.ends()
+    unknown = changed & ~silent  # of a coupling that returns the environment has heard nothing before its first row
+    unknown[1:] &= ~silent[:-1]
+    ends[unknown] = np.nan
     rest = np.zeros((1, tools.shape[1]))
     step_e = np.diff(np.vstack([rest, tools]), axis=0)
     step_c = np.diff(np.vstack([rest, ends]), axis=0)
-    f = np.where(silent, 0.0, blocks.f)
+    f = np.where(silent, 0.0, np.where(unknown, np.nan, blocks.f))
     still = f == 0.0
     work = np.where(still, 0.0, f * np.where(still, 0.0, step_c))
     w = step_e / T
@@ -247,15 +255,18 @@ def increments(
     totals = ledger[:, 0]
     recorded = np.diff(np.concatenate([[stored], totals]))
     recomputed = dissipated - work.sum(axis=1)
-    recomputed[blocks.clipped] = recomputed[list(begun)] = np.nan
+    # the force behind a limit is not recorded, and so neither is x_c(k), from which the next tick's step begins
+    clipped = blocks.clipped
+    clipped[1:] |= blocks.clipped[:-1]
+    recomputed[clipped] = recomputed[list(begun)] = np.nan
     before = np.vstack([rest, size[:-1]])
     moved = np.where(still, 0.0, np.abs(f) * np.where(still, 0.0, size + before + np.abs(tools)))
     speeds = T * np.abs(w) + np.abs(tools)
     largest = moved.sum(axis=1) + np.einsum("ki,ij,kj->k", np.abs(w), np.abs(Phi), speeds)
     largest += np.abs(totals) + np.abs(np.concatenate([[stored], totals[:-1]]))
     tolerance = ROUNDING * _EPSILON * largest
-    # a last offset is dropped after a freeze, once after each
-    allowed = 0
+    # a last offset is dropped once after each freeze, and after each time that a budget has limited a clutch
+    allowed = restrained
     for own in blocks.ports.values():
         silent = still[sign:, own].all(axis=1)
         allowed += int((silent & ~np.concatenate([[False], silent[:-1]])).sum())
@@ -267,6 +278,11 @@ def increments(
     used = np.flatnonzero(let_go)[:allowed]
     tolerance[used] += most[used]
     why = "a coupling has no row there, and no event states that it was sent no force"
-    gaps = gaps_of(np.asarray(np.isnan(f).any(axis=1), dtype=np.bool_), why)
+    gone = np.isnan(f) & ~unknown
+    gaps = gaps_of(np.asarray(gone.any(axis=1), dtype=np.bool_), why)
+    after = np.asarray(unknown.any(axis=1), dtype=np.bool_)
+    after[1:] |= after[:-1].copy()
+    gaps += gaps_of(after, "a coupling began or went on there, and may have received another force than its row states")
+    gaps += gaps_of(clipped, "a coupling's force was at its limit, or had been in the tick before")
     gaps += [UncheckedTicks(k, k + 1, "a new process of the environment began there, at rest") for k in begun]
     return Increments(recorded[:, None], recomputed[:, None], tolerance[:, None], len(used), gaps)

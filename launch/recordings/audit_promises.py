@@ -42,6 +42,7 @@ _STATES: Final[Mapping[CheckVerdict, PromiseState]] = {
     CheckVerdict.ENFORCED: PromiseState.ENFORCED,
     CheckVerdict.ASSUMPTION: PromiseState.BROKEN,
     CheckVerdict.BROKEN: PromiseState.BROKEN,
+    CheckVerdict.MISSING: PromiseState.UNCHECKED,
     CheckVerdict.UNCHECKED: PromiseState.UNCHECKED,
 }
 
@@ -59,22 +60,27 @@ def promises_of(prepared: Prepared, run: RecordedRun, checks: Sequence[Check]) -
     telemetry = [(run.recorded.rate_of(node), node, *one) for node, figures in run.figures.items() for one in figures]
     for _, node, tick, figures in sorted(telemetry, key=lambda one: one[2] / one[0]):
         model.take(node, tick, figures)
+    model.conclude()
     rows = {(row.promise, row.who): row for row in model.rows()}
     for row in _of_the_clock(run, made := {*terms.promises}):
         shown = rows.get((row.promise, row.who))
         if shown is None or GRAVITY[PromiseState(row.state)] >= GRAVITY[PromiseState(shown.state)]:
             rows[row.promise, row.who] = row
     there = {node for (node, _), trace in run.traces.items() if np.isfinite(trace.values).any()} | {SESSION}
+    lacking = {check.party for check in checks if check.verdict is CheckVerdict.MISSING}
     for promise in (Promise.CERTIFICATE, Promise.RECORD):
         rows[promise.value, ()] = PromiseStatus(promise.value, PromiseState.KEPT.value, since=0.0)
     for (promise, party), state in _verdicts(checks).items():
-        if state is PromiseState.KEPT or party not in there:
+        if state is PromiseState.KEPT:
             continue
+        if party not in there | lacking:
+            continue  # nobody has sat there
         unmade = promise not in made and promise not in (Promise.CERTIFICATE, Promise.RECORD)
         if state is PromiseState.UNCHECKED and unmade:
             continue
         about = [check for check in checks if _about(check) == (promise, party) and _STATES[check.verdict] is state]
-        row = _row(run, promise, party, state, about)
+        missing = [check for check in about if check.verdict is CheckVerdict.MISSING]
+        row = _row(run, promise, party, state, missing or about)
         key = promise.value, row.who
         rows[key] = _graver(rows.get(key), row)
     return most_grave(rows.values())
@@ -100,14 +106,16 @@ def _about(check: Check) -> tuple[Promise, str]:
 
 
 def _verdicts(checks: Sequence[Check]) -> Mapping[tuple[Promise, str], PromiseState]:
-    """The state of each promise of each party by the checks about it: not checked only where none could compare."""
+    """The state of each promise of each party by the checks about it, the gravest.
+
+    A check that had nothing to compare counts only where no other could compare. What the recording lacks is not
+    checked, whatever the rest is.
+    """
     out: dict[tuple[Promise, str], PromiseState] = {}
-    for check in checks:
-        state, before = _STATES[check.verdict], out.get(_about(check))
-        if before is None or before is PromiseState.UNCHECKED:
-            out[_about(check)] = state
-        elif state is not PromiseState.UNCHECKED:
-            out[_about(check)] = max(before, state, key=GRAVITY.__getitem__)
+    for about in dict.fromkeys(map(_about, checks)):
+        own = [check.verdict for check in checks if _about(check) == about]
+        compared = [verdict for verdict in own if verdict is not CheckVerdict.UNCHECKED]
+        out[about] = max((_STATES[verdict] for verdict in compared or own), key=GRAVITY.__getitem__)
     return out
 
 

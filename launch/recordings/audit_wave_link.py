@@ -136,8 +136,6 @@ def user_end(common: Common, bundle: CouplingBundle, wave: WaveEnd, rows: EndRow
         _tank(out, k, k in begun, whole, (wave, common.period), applied, harvest, user=True)
         if free:  # the wave of a free end goes back as it came, and nobody pays for it
             out.room[k, 1] = 0.0
-        if k in course.rungs:
-            face.change(bundle.rungs[course.rungs[k]].block.D)
         before = after
     out.gaps += gaps_of(~whole & _within(whole), "it has no whole row there")
     return out
@@ -304,7 +302,7 @@ def heard_from(party: str, other: str, own: EndAgain, its: EndAgain) -> Check:
     elif len(sent):
         nearest[unknown, 0] = sent[np.maximum(at[unknown] - 1, 0)]
     what = f"the energy that it heard over the wave link is what {other} had shipped"
-    return compare("heard", party, what, TANK_NAMES[2:], H[:, None], nearest, gaps=gaps)
+    return compare("heard", party, what, TANK_NAMES[2:], H[:, None], nearest, gaps=gaps, owed=known)
 
 
 def ledger_of_both(coupling: str, user: EndAgain, world: EndAgain, rate: float) -> Check:

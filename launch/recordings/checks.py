@@ -23,6 +23,7 @@ from manyhands.nodes.bundle import SIMULATED, WALL, DeviceBundle
 from manyhands.protocol.channels import INSTANT_NAMES
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 _EPSILON = float(np.finfo(np.float64).eps)
 
@@ -32,18 +33,20 @@ LEDGER_ROUNDING = 1e-12
 _LIMITS = "no tolerance: the node itself compares with this limit"
 
 
-def forces_agree(run: RecordedRun, blocks: Blocks, forces: Array) -> list[Check]:
-    """For each coupling: the force that it handed on is the force that its devices exerted."""
+def forces_agree(run: RecordedRun, blocks: Blocks, forces: Array, owed: Mapping[str, Flags]) -> list[Check]:
+    """For each coupling: the force that it handed on is the force that its devices exerted, in the ticks it owed."""
     what = "the force that it handed on is the one that its devices exerted"
     ports = run.recorded.ports
     return [
-        compare("agreement", name, what, ports[name], blocks.f[:, own], forces[:, own])
+        compare("agreement", name, what, ports[name], blocks.f[:, own], forces[:, own], owed=owed[name])
         for name, own in blocks.ports.items()
     ]
 
 
-def tools_agree(blocks: Blocks, columns: tuple[str, ...], party: str, tools: Array, sign: tuple[int, str]) -> Check:
-    """Tools are at x_e = p + D_V f_v, as long as no clutch has moved."""
+def tools_agree(
+    blocks: Blocks, columns: tuple[str, ...], party: str, tools: Array, sign: tuple[int, str], owed: Flags
+) -> Check:
+    """Tools are at x_e = p + D_V f_v, as long as no clutch has moved, in the ticks that the environment owed."""
     ends, size = blocks.ends()
     begin, why = sign
     ends[begin:] = np.nan
@@ -52,7 +55,9 @@ def tools_agree(blocks: Blocks, columns: tuple[str, ...], party: str, tools: Arr
     tolerance = ROUNDING * _EPSILON * np.where(np.isnan(size), 0.0, size)
     source = f"{ROUNDING:g} units in the last place of |p| + |D_V| |f_v|, since the order of the sums differs"
     what = "tools are at p + D_V f_v, as the couplings recorded them"
-    return compare("agreement", party, what, columns, tools, ends, gaps=gaps, tolerance=tolerance, source=source)
+    return compare(
+        "agreement", party, what, columns, tools, ends, gaps=gaps, tolerance=tolerance, source=source, owed=owed
+    )
 
 
 def figures_agree(run: RecordedRun, node: str) -> Check:
@@ -63,11 +68,14 @@ def figures_agree(run: RecordedRun, node: str) -> Check:
     """
     trace = rows_of(run, node, names.LEDGER)
     reported = np.full_like(trace, np.nan)
+    compared = np.zeros(len(trace), dtype=np.bool_)
     last = len(reported) if run.recorded.clock == SIMULATED else len(reported) - 1
     for tick, figures in run.figures.get(node, ()):
         if 0 < tick <= last and (tick == len(reported) or np.isfinite(trace[tick, 0])):
             reported[tick - 1] = figures.get(names.LEDGER, np.nan)
-    return compare("figures", node, "the ledger's total in its figures is that of its trace", ("E",), trace, reported)
+            compared[tick - 1] = names.LEDGER in figures
+    what = "the ledger's total in its figures is that of its trace"
+    return compare("figures", node, what, ("E",), trace, reported, owed=compared)
 
 
 def bounded(run: RecordedRun, node: str, allowed: float = 0.0, promised: bool = True) -> Check:
@@ -148,10 +156,19 @@ def account_bounded(node: str, account: Array, tank: float | None) -> Check:
     )
 
 
-def ordered(run: RecordedRun, node: str, instants: Array, course: Course) -> Check:
+def ordered(run: RecordedRun, node: str, instants: Array, course: Course, owed: Flags, latency: int = 0) -> Check:
     """The instants of a device in wall time are in order: a_(k-1) <= s_k <= a_k, and the force before ended by a_k.
 
-    The delay tau that was recorded is a_k - s_k. After free periods it counts from their last sample instead.
+    The delay tau that was recorded is a_k - s_k, and the latency that the device has beside its loop. After free
+    periods it counts from their last sample instead.
+
+    Args:
+        run: the recording.
+        node: a device.
+        instants: s_k, a_k, and when the force before had ended, ticks x 3, ns since tick 0.
+        course: what happened between the rows.
+        owed: the ticks that are to be checked.
+        latency: of the device itself, ns.
     """
     sampled, applied, ended = instants.T
     rows = np.flatnonzero(there(instants))
@@ -159,14 +176,14 @@ def ordered(run: RecordedRun, node: str, instants: Array, course: Course) -> Che
     free = np.zeros(len(instants), dtype=np.bool_)
     free[[k for k, happened in course.before.items() if happened.released or happened.unknown]] = True
     tau = np.rint(1e3 * rows_of(run, node, names.TAU)[:, 0])
-    expected[:, 1] = np.where(free | np.isnan(tau), np.maximum(applied, sampled), sampled + tau)
+    expected[:, 1] = np.where(free | np.isnan(tau), np.maximum(applied, sampled), sampled + tau - latency)
     expected[:, 2] = np.minimum(ended, applied)
     begun = {k for k, happened in course.before.items() if happened.began}
     for last, k in pairwise(rows.tolist()):
         if k not in begun:
             expected[k, 0] = max(sampled[k], applied[last])
     what = "samples and forces are in the order of time, and tau is the time between them"
-    return compare("instants", node, what, INSTANT_NAMES, instants, expected)
+    return compare("instants", node, what, INSTANT_NAMES, instants, expected, owed=owed)
 
 
 def limits_kept(run: RecordedRun, node: str, bundle: DeviceBundle, course: Course) -> list[Check]:
@@ -203,19 +220,28 @@ def limits_kept(run: RecordedRun, node: str, bundle: DeviceBundle, course: Cours
     return out
 
 
-def delay_assumed(run: RecordedRun, node: str, tau: Mapping[int, float], enforced: bool = False) -> Check:
-    """The certificate assumes that a force acts at most tau after its sample.
+def delay_assumed(
+    run: RecordedRun, node: str, tau: Mapping[int, float], enforced: bool = False, late_by_itself: bool = False
+) -> Check:
+    """The certificate assumes that a force acts at most tau after its sample, and before the next sample is taken.
+
+    A force may act after the next sample only where a device is late by itself. The instants of its samples show it.
 
     Args:
         run: the recording.
         node: a device.
         tau: the delay that is covered, s, by the tick from which it holds.
         enforced: whether the device's interface bounds what a longer delay may cost.
+        late_by_itself: whether it is in wall time, with a latency of its own.
     """
     trace = rows_of(run, node, names.TAU)
     covered = np.zeros_like(trace)
     for begin, most in sorted(tau.items()):
         covered[begin:] = most * 1e6
+    if late_by_itself:
+        sampled = rows_of(run, node, names.INSTANTS)[:, 0]
+        following = np.append(sampled[1:] - sampled[:-1], np.nan) / 1e3
+        covered[:, 0] = np.fmin(covered[:, 0], following)
     late = trace > covered
     ticks, numbers = int(late.sum()), int(np.isfinite(trace).sum())
     remark = f"longest {float(np.nanmax(trace)):.6g} us of {max(tau.values()) * 1e6:g}" if numbers else ""

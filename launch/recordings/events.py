@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -21,6 +22,8 @@ from manyhands.nodes import telemetry as names
 from manyhands.nodes.tick_events import Kind, events_in
 
 _NEVER: Final = 2**62
+
+_OF_A_CLUTCH: Final = (Kind.FROZEN, Kind.RETURNED)
 
 
 @dataclass(frozen=True)
@@ -115,24 +118,43 @@ def course_of(figures: Figures, rows: NDArray[np.bool_], ladder: int, couplings:
     return Course(before, rungs, every)
 
 
-def sent_no_force(figures: Figures, coupling: str, rows: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The ticks without a row of a coupling in which the environment sent it no force, by the environment's events.
+def frozen_in(figures: Figures, coupling: str, rows: NDArray[np.bool_], done: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The ticks in which the environment sent a coupling no force, by the environment's events.
 
-    In the other ticks without a row the force is not known. A process was killed before it could report its last ticks,
-    telemetry was lost, or the recording is older than the events.
+    A new process of the environment sends no coupling a force before its return. A coupling may have a row in such a
+    tick: that of its return, in which it receives no force yet. Where a row of the environment is missing, so may be
+    the event of the return: then the coupling's next row ends the time.
 
     Args:
         figures: the environment's.
         coupling: its name.
         rows: the ticks of which the coupling has a row.
+        done: the ticks of which the environment has a row, or which it did not do.
     """
     out = np.zeros(len(rows), dtype=np.bool_)
-    events = [event for _, values in figures for event in events_in(values) if event.peer == coupling]
-    for i, event in enumerate(events):
-        end = events[i + 1].tick if i + 1 < len(events) else len(rows)
-        if event.kind is Kind.FROZEN and event.tick < len(rows):
-            again = np.flatnonzero(rows[event.tick : end])  # a coupling with a row is no longer frozen
-            out[event.tick : event.tick + int(again[0]) if len(again) else end] = True
+    changes = [
+        (event.tick, event.kind is not Kind.RETURNED)
+        for _, values in figures
+        for event in sorted(events_in(values), key=lambda event: event.kind is not Kind.BEGAN)
+        if event.tick < len(rows)
+        and ((event.kind is Kind.BEGAN and event.tick > 0) or (event.peer == coupling and event.kind in _OF_A_CLUTCH))
+    ]
+    for (begin, frozen), (end, _) in pairwise([*changes, (len(rows), False)]):
+        if frozen:
+            lost = np.flatnonzero(~done[begin:end])
+            known = begin + int(lost[0]) if len(lost) else end
+            again = np.flatnonzero(rows[known:end])
+            out[begin : known + int(again[0]) if len(again) else end] = True
+    return out
+
+
+def jumped_over(figures: Figures, ticks: int) -> NDArray[np.bool_]:
+    """The ticks that a node did not do, since the session had gone on without it, by its own events."""
+    out = np.zeros(ticks, dtype=np.bool_)
+    for _, values in figures:
+        for event in events_in(values):
+            if event.kind is Kind.JUMPED:
+                out[event.value : event.tick] = True
     return out
 
 

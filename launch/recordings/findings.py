@@ -1,6 +1,7 @@
 """The result of a check of a recording: the first number that differs, or that all agree.
 
-A check claims no more than it has compared: ticks that could not be recomputed are counted, with the reason.
+A check claims no more than it has compared. Every other tick is in its gaps, with the reason: what could not be
+recomputed, and what is absent from the recording or no finite number.
 """
 
 from __future__ import annotations
@@ -19,6 +20,12 @@ Array = NDArray[np.float64]
 
 EXACT: Final = "exact: the same arithmetic in the same order"
 
+ABSENT: Final = "it is absent from the recording, or no finite number"
+"""Why a recorded number was not compared, where it is not there."""
+
+UNKNOWN: Final = "the recording does not hold what it would follow from"
+"""Why a recorded number was not compared, where nothing else is known."""
+
 
 class CheckVerdict(StrEnum):
     """The result of a check."""
@@ -27,6 +34,7 @@ class CheckVerdict(StrEnum):
     BROKEN = "broken"
     ENFORCED = "enforced"  # an assumption did not hold, and the session bounded what that may cost: nothing is unproved
     ASSUMPTION = "assumption"  # an assumption of the certificate did not hold; no party broke its promise
+    MISSING = "missing"  # ticks that the party owed are absent, or hold no finite number: the rest was compared
     UNCHECKED = "unchecked"  # there was nothing to compare
 
 
@@ -138,8 +146,9 @@ def compare(
     gaps: Sequence[UncheckedTicks] = (),
     tolerance: Array | float = 0.0,
     source: str = EXACT,
+    owed: NDArray[np.bool_] | None = None,
 ) -> Check:
-    """Compare numbers with the expected ones; where either is NaN there is nothing to compare.
+    """Compare numbers with the expected ones; ticks in which either is not finite are among the gaps.
 
     Args:
         name: of the check.
@@ -151,6 +160,7 @@ def compare(
         gaps: why some could not be recomputed.
         tolerance: one number, or one for each number compared.
         source: the reason for the tolerance.
+        owed: the ticks that are to be compared; None for all.
     """
     both = np.isfinite(recorded) & np.isfinite(recomputed)
     with np.errstate(invalid="ignore"):
@@ -161,7 +171,23 @@ def compare(
     widest = float(np.max(tolerance, initial=0.0, where=np.broadcast_to(both, np.shape(tolerance)))) if np.ndim(
         tolerance
     ) else float(tolerance)  # fmt: skip
+    left = np.asarray(~both.all(axis=1), dtype=np.bool_)
+    if owed is not None:
+        left &= owed
+    known = np.asarray(np.isfinite(recorded).all(axis=1), dtype=np.bool_)
+    absent = _not_in(gaps, left & ~known, ABSENT)
+    if first is None and any(np.isfinite(recomputed[gap.begin : gap.end]).any() for gap in absent):
+        verdict = CheckVerdict.MISSING
+    gaps = [*gaps, *absent, *_not_in(gaps, left & known, UNKNOWN)]
     return Check(name, party, what, verdict, numbers, first, int(wrong.sum()), tuple(gaps), widest, source)
+
+
+def _not_in(gaps: Sequence[UncheckedTicks], ticks: NDArray[np.bool_], why: str) -> list[UncheckedTicks]:
+    """The marked ticks that are in none of the gaps, as gaps of their own."""
+    left = ticks.copy()
+    for gap in gaps:
+        left[gap.begin : gap.end] = False
+    return gaps_of(left, why)
 
 
 def first_of(wrong: NDArray[np.bool_], columns: Sequence[str], recorded: Array, recomputed: Array) -> Difference | None:

@@ -148,7 +148,7 @@ class _InfoReader:
             case Channel():
                 self._channels.setdefault(part.id, ChannelInfo(part.topic))
             case Attachment():
-                self._attachments[part.name] = len(part.data)
+                self._attachments.setdefault(part.name, len(part.data))
             case Messages(found):
                 self._count(found)
             case End(why):

@@ -64,11 +64,13 @@ class Damage:
         begin: the first byte of the damaged part.
         end: the first byte after it.
         what: what is wrong, a sentence without its full stop.
+        cut: whether nothing was changed, and the file only ends before its recorder had written its end.
     """
 
     begin: int
     end: int
     what: str
+    cut: bool = False
 
 
 @dataclass
@@ -352,7 +354,7 @@ class _Examination:
             )
         else:
             what = f"the file ends within its summary: it was cut, and its data, up to byte {at}, is whole"
-        return Damage(at, self._size, what)
+        return Damage(at, self._size, what, cut=True)
 
     def _checksum(self, stated: int, end: int) -> list[Damage]:
         """Compare the data section with its checksum, when nothing else is wrong with it."""

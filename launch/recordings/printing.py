@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.table import Table
 
-from manyhands.launch.recordings.audit import Audit
+from manyhands.launch.recordings.audit import Audit, AuditVerdict
 from manyhands.launch.recordings.findings import Check, CheckVerdict, UncheckedTicks, verdicts
 from manyhands.launch.recordings.integrity import Damage
 from manyhands.launch.recordings.replay import Replayed
 from manyhands.launch.run.display import promise_lines, say
-from manyhands.nodes.observer.health import PROMISES, Promise, PromiseState, grouped, holds, missed, parties
+from manyhands.nodes.observer.health import PROMISES, Promise, PromiseState, grouped, missed, parties
 
 
 def print_damage(out: Console, name: str, damage: Sequence[Damage]) -> None:
@@ -79,28 +79,30 @@ def print_audit(out: Console, name: str, audit: Audit) -> None:
         say(out, f"broken: {check.party}: {check.name}: {sentence(check)}")
     if certificate.holds:
         say(out, f"certificate {certificate.remark}: proved again, and this session's")
-    count = verdicts(audit.checks)
-    say(
-        out,
-        f"{name}: {verdict_text(audit)}; {count[CheckVerdict.HOLDS]} checks hold, {count[CheckVerdict.BROKEN]} do not; "
-        f"{count[CheckVerdict.ASSUMPTION]} assumptions of the certificate did not hold, and "
-        f"{count[CheckVerdict.ENFORCED]} were enforced; {count[CheckVerdict.UNCHECKED]} had nothing to compare"
-        f"{_left_out(checks)}",
-    )
+    for fault in audit.faults:
+        say(out, f"the session failed: {fault}")
+    say(out, f"{name}: {verdict_text(audit)}{_left_out(checks)}")
 
 
 def verdict_text(audit: Audit) -> str:
     """What the audit has found, in one line: what it says holds is what the certificate needs."""
-    if audit.holds:
-        needed = [row for row in missed(audit.promises) if PROMISES[Promise(row.promise)].needed]
+    count = verdicts(audit.checks)
+    compared = len(audit.checks) - count[CheckVerdict.UNCHECKED]
+    kept = f"{compared - count[CheckVerdict.BROKEN] - count[CheckVerdict.MISSING]} of {compared} checks"
+    if count[CheckVerdict.ASSUMPTION]:
+        missed_ones = count[CheckVerdict.ASSUMPTION]
+        kept += f", {missed_ones} of them {'an assumption' if missed_ones == 1 else 'assumptions'} that did not hold"
+    needed = [row for row in grouped(missed(audit.promises)) if PROMISES[Promise(row.promise)].needed]
+    if audit.verdict is AuditVerdict.HOLDS:
         enforced = dict.fromkeys(row.promise for row in needed if row.state == PromiseState.ENFORCED)
-        by_force = f", or enforced ({', '.join(enforced)})" if enforced else ""
-        return f"holds: all that the certificate needs was kept{by_force}"
-    lacks = [
-        f"{row.promise} {row.state} ({parties(row.who)})" for row in grouped(missed(audit.promises)) if not holds([row])
-    ]
-    broken = [f"{check.name} of {check.party}" for check in audit.broken]
-    return f"does not hold: {'; '.join(lacks or broken)}"
+        return f"holds ({kept})" + (f"; enforced: {', '.join(enforced)}" if enforced else "")
+    lacks = [f"{row.promise} ({parties(row.who)})" for row in needed if row.state == PromiseState.UNCHECKED]
+    if audit.verdict is AuditVerdict.UNCHECKED:
+        return f"not checked: {'; '.join(lacks)}; what is there holds ({kept})"
+    broken = [f"{row.promise} ({parties(row.who)})" for row in needed if row.state == PromiseState.BROKEN]
+    broken = broken or [f"{check.name} of {check.party}" for check in audit.broken]
+    unchecked = f"; not checked: {'; '.join(lacks)}" if lacks else ""
+    return f"does not hold: broken: {'; '.join(broken)}{unchecked} ({kept})"
 
 
 def _unchecked(check: Check) -> list[str]:

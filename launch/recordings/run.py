@@ -520,10 +520,22 @@ class Reading:
         for what, found, most in (
             ("numbers", values, MOST_VALUES),
             ("figures and conditions", self._others, MOST_OTHERS),
-            ("bytes of attachments", self._attached, MOST_ATTACHED_BYTES),
         ):
             if found > most:
                 raise RecordingError(f"{self._path}: found more than {most} {what}; expected a recording of fewer")
+        require_attached(self._path, self._attached)
+
+
+def require_attached(path: Path, size: int) -> None:
+    """Refuse a recording whose attachments so far have ``size`` bytes, if that is too much.
+
+    Raises:
+        RecordingError: it is.
+    """
+    if size > MOST_ATTACHED_BYTES:
+        raise RecordingError(
+            f"{path}: found more than {MOST_ATTACHED_BYTES} bytes of attachments; expected a recording of fewer"
+        )
 
 
 def read_topics(
@@ -534,18 +546,24 @@ def read_topics(
     Raises:
         RecordingError: as :func:`read_run`.
     """
-    from mcap.records import Metadata
+    from mcap.records import Attachment, Metadata
 
     from manyhands.launch.recordings.mcap import End, parts
 
     reading: Reading | None = None
+    attached: list[Attachment] = []  # before the metadata, where another program may have put them
     for part in parts(path, progress):
         match part:
+            case Attachment() if reading is None:
+                attached.append(part)
+                require_attached(path, sum(len(one.data) for one in attached))
             case Metadata(name, texts) if name == METADATA and reading is None:
                 try:
                     reading = Reading(path, Recorded.from_metadata(texts), wanted)
                 except ValueError as error:
                     raise RecordingError(f"{path}: {error}") from error
+                for one in attached:
+                    reading.take(one)
             case End(why) if reading is None:
                 raise RecordingError(
                     f"{path}: found no metadata of a session ({why or 'another file'}); expected a recording"

@@ -10,6 +10,7 @@ from manyhands.nodes.bundle import SIMULATED, Bundle, Common, CouplingBundle, De
 from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.device.node import DeviceNode
+from manyhands.nodes.device.plugin import PluginDriver
 from manyhands.nodes.environment.core import Core
 from manyhands.nodes.environment.node import EnvironmentNode, EnvironmentTelemetry
 from manyhands.nodes.lifetime import Sight, Stopped
@@ -158,6 +159,7 @@ class SimulatedProcess:
         moved: Callable[[str, Driver, VirtualClock], Driver],
         guest: Guest | None = None,
         witness: Witness | None = None,
+        led: Callable[[Link, Scheduler], Link] | None = None,
     ) -> None:
         """A process of this bundle; nothing of it runs yet.
 
@@ -170,7 +172,9 @@ class SimulatedProcess:
             moved: makes another driver of a device's own, by its name.
             guest: the guest that leads it; None for an honest process.
             witness: looks at every tick of the environment.
+            led: what a hostile node makes of each of its links to a peer; None for an honest one.
         """
+        self._lead = led
         self._witness = witness
         self.name, self.pid, self._moved, self._guest = bundle.common.name, pid, moved, guest
         self.life, self.code = VirtualLife(), 0
@@ -212,6 +216,8 @@ class SimulatedProcess:
 
     def _led(self, link: WireLink) -> Link:
         """A link to a peer, under the guest's control if a guest leads the process."""
+        if self._lead is not None:
+            return self._lead(link, self._scheduler)
         if self._guest is None:
             return link
         return GuestLink(link, self._guest, self._scheduler, self._bundle.common.period)
@@ -223,7 +229,9 @@ class SimulatedProcess:
             case DeviceBundle() as bundle:
                 limits = [float("inf") if most is None else most for most in bundle.limits.force]
                 own = self._moved(self.name, driver_of(bundle), clock)
-                driver = LimitedDriver(own, self.name, limits, self._violate)
+                # a driver of another package is held to its word by the node, which has to know it for one
+                plugin = isinstance(own, PluginDriver)
+                driver: Driver = own if plugin else LimitedDriver(own, self.name, limits, self._violate)
                 node = DeviceNode(bundle, driver, clock)
                 if self._guest is not None:
                     self._guest.lead(node, bundle, self._scheduler)

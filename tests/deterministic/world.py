@@ -6,7 +6,8 @@ import itertools
 import math
 import traceback
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Final
 
 from chaos_kinds import PROMISE
@@ -15,6 +16,7 @@ from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.topology import topology
 from manyhands.launch.run.breaches import Assumptions, ShiftCoupling, UserIncidents
+from manyhands.launch.run.broadcast import describe
 from manyhands.launch.run.conductor import Conductor
 from manyhands.launch.run.recovery import RestartBudget
 from manyhands.launch.run.states import (
@@ -35,10 +37,12 @@ from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.environment.membership import Members
 from manyhands.nodes.environment.node import EnvironmentNode
 from manyhands.nodes.lifetime import Stopped
+from manyhands.nodes.observer.health_model import HealthModel
 from manyhands.protocol.clock import Instant, from_seconds
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
-from manyhands.protocol.messages import Probe, SignalMessage, Telemetry
+from manyhands.protocol.messages import Probe, Report, SignalMessage, Telemetry
+from manyhands.protocol.transport import Link
 
 from .guests import Guest
 from .process import SimulatedProcess, Witness
@@ -60,6 +64,7 @@ class SimulatedSession:
         scheduler: its time.
         conductor: the product's conductor.
         assumptions: the product's judgement of what devices measure.
+        health: the product's judgement of the promises.
         processes: the living processes, by node.
         violations: what did not hold, in words.
         notes: what happened lately, in words.
@@ -78,6 +83,7 @@ class SimulatedSession:
         moved: Callable[[str, Driver, VirtualClock], Driver] = lambda _name, driver, _clock: driver,
         guest: Guest | None = None,
         witness: Witness | None = None,
+        led: Mapping[str, Callable[[Link, Scheduler], Link]] = MappingProxyType({}),
     ) -> None:
         """Start every process of a session; nothing goes on before :meth:`Scheduler.run`.
 
@@ -90,16 +96,21 @@ class SimulatedSession:
             moved: makes another driver of each device's own, by its name.
             guest: leads one of the devices, from a remote machine; None for a session of honest users.
             witness: looks at every tick and every telemetry; None for nobody.
+            led: by hostile node, what it makes of each of its links to a peer; these nodes are remote, too.
         """
+        self._led = led
         self.scheduler = Scheduler(seed)
         self.random = self.scheduler.random
         self.graph = topology(prepared.session)
         self._bundles = cut(prepared, RunPlan(clock, None, "wire://hub"))
         budget = RestartBudget(10**9)
         self._guest, self._witness = guest, witness
+        self.health = HealthModel(describe(prepared, clock, "ipc", ticks).terms)
         self._energy = UserIncidents(self.graph, prepared.session.period)
-        remote = frozenset() if guest is None else frozenset({guest.name})
+        remote = frozenset(led) if guest is None else frozenset({guest.name})
         self.conductor = Conductor(self.graph, prepared.id, prepared.session.name, ticks, remote, budget=budget)
+        sites = prepared.session.sites
+        self.conductor.ids.update({name: self._bundles[name].common.certificate for name in sites})
         self.assumptions = Assumptions(prepared, self.graph, clock, self.conductor.rungs)
         self.shifts: list[ShiftCoupling] = []
         self._moved = moved
@@ -182,11 +193,20 @@ class SimulatedSession:
         pid = next(self._pids)
         guest = self._guest if self._guest is not None and name == self._guest.name else None
         process = SimulatedProcess(
-            self._bundles[name], pid, self._wires, self.note, self.violate, self._moved, guest, self._witness
+            self._bundles[name],
+            pid,
+            self._wires,
+            self.note,
+            self.violate,
+            self._moved,
+            guest,
+            self._witness,
+            self._led.get(name),
         )
         self.processes[name] = process
         self.assumptions.forget(name)
         self._energy.forget(name)
+        self.health.forget(name)
         if self.conductor.phase is SessionPhase.RUNNING and guest is None:
             self.conductor.started(name, pid)
             self.restarts += 1
@@ -246,7 +266,11 @@ class SimulatedSession:
         elif not isinstance(message, Probe):
             self.heard += 1
             self.note(f"the supervisor hears of {sender}: {type(message).__name__}")
+        if isinstance(message, Report):
+            self.health.take(sender, message.ticks, {**message.figures, **message.counts})
         self._obey(self.conductor.receive(sender, message, self.scheduler.now))
+        if isinstance(message, Telemetry) and self.conductor.states.get(sender) is NodeState.RUNNING:
+            self.health.take(sender, message.tick, message.figures)
         if isinstance(message, Telemetry) and self.conductor.states.get(sender) is NodeState.RUNNING:
             if self._witness is not None:
                 self._witness.hear(sender, message)

@@ -13,6 +13,11 @@ WIDE_EXAMPLES: Final = 100
 """Random cases of each property that states no number of its own."""
 
 
+def searched(few: int, many: int) -> int:
+    """The number of cases of a search that has a target of its own: `MANYHANDS_SEARCHED` states it there."""
+    return int(os.environ.get("MANYHANDS_SEARCHED", cases(few, many)))
+
+
 def cases(few: int, many: int) -> int:
     """The number of cases of one search: ``few`` in `make test`, ``many`` in `make test-long`."""
     return many if WIDE else few

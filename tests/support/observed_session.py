@@ -64,6 +64,7 @@ def judged(*frames: bytes, about: About = ABOUT) -> bytes:
         elif isinstance(message, Condition):
             shown = message
     model.look(shown.states, shown.silent, shown.elapsed)
+    model.conclude()  # the environment has no frame of its own here, so nobody else is found to have moved anyone
     return encode(replace(shown, promises=model.rows()))
 
 

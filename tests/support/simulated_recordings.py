@@ -86,6 +86,8 @@ def written(
     core = RecorderCore(recorded, attachments, START)
     for node, role in recorded.roles.items():
         own = {trace: values for (of, trace), values in rows.items() if of == node}
+        if not own:
+            continue
         there = np.isfinite(next(iter(own.values()))).all(axis=1)
         for begin in range(0, len(there), EVERY):
             end = min(begin + EVERY, len(there))

@@ -18,7 +18,7 @@ from manyhands.launch.cli import app
 from manyhands.launch.plan.bundles import RunPlan as Way
 from manyhands.launch.plan.bundles import cut
 from manyhands.launch.plan.prepare import Prepared, prepare
-from manyhands.launch.recordings.audit import Audit, audit
+from manyhands.launch.recordings.audit import Audit, AuditVerdict, audit
 from manyhands.launch.recordings.audit_coupling import recompute_coupling
 from manyhands.launch.recordings.audit_device import recompute_device
 from manyhands.launch.recordings.checks import bounded, period_assumed
@@ -411,7 +411,9 @@ def test_a_coupling_killed_before_it_could_report_is_not_called_forged(prepared:
     # of a recording without a word of that less is known
     done = audited(written(tmp_path / "s.mcap", *parts, rows, frozen=False))
     assert broken(done) == {}
-    assert [(gap.begin, gap.end) for gap in found(done, "environment", "work").gaps] == [(200, 400)]
+    # and the first row of its return may be of another tick than the environment's
+    assert [(gap.begin, gap.end) for gap in found(done, "environment", "work").gaps] == [(200, 400), (400, 402)]
+    assert done.verdict is AuditVerdict.UNCHECKED
 
 
 def test_a_recording_from_before_the_events_is_audited() -> None:
@@ -492,8 +494,7 @@ def invoke(*arguments: str | Path) -> tuple[int, str, str]:
 def test_the_command_agrees(recording: Path) -> None:
     code, out, _ = invoke("audit", recording)
     assert code == 0
-    assert f"{recording}: holds: " in out.splitlines()[-1]
-    assert out.splitlines()[-1].endswith("had nothing to compare")
+    assert out.splitlines()[-1] == f"{recording}: holds (58 of 58 checks)"
     assert "proved again, and this session's" in out
     code, out, _ = invoke("audit", recording, "--json")
     told = json.loads(out)

@@ -14,8 +14,11 @@ from typer.testing import CliRunner
 from manyhands.launch.cli import app
 from manyhands.launch.recordings.info import read_info
 from manyhands.launch.recordings.recording import RecordingError
+from manyhands.launch.recordings.run import read_run
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.coverage import Coverage, Gap, missing_by_party
+from manyhands.nodes.recorder.format import METADATA
+from manyhands.nodes.recorder.mcap import Tape
 
 from ...support.small_recordings import ATTACHED, RECORDED, STARTED, condition, cut_recording, observation, recording
 
@@ -103,7 +106,7 @@ def test_the_command_reports_damage_and_fails_only_with_check(tmp_path: Path) ->
     runner = CliRunner()
     result = runner.invoke(app, ["info", str(path), "--json", "--check"])
     assert (result.exit_code, json.loads(result.stdout)["damaged"]) == (0, [])
-    assert "whole" in runner.invoke(app, ["info", str(path)]).stdout
+    assert "intact: all checksums match" in runner.invoke(app, ["info", str(path)]).stdout
     at = whole.index(b"jsonschema") if b"jsonschema" in whole else len(whole) // 2
     path.write_bytes(whole[:at] + b"X" + whole[at + 1 :])
     for arguments, code in (([], 0), (["--check"], 1)):
@@ -128,3 +131,17 @@ def test_a_condition_alone_is_a_recording_without_ticks(tmp_path: Path) -> None:
     path.write_bytes(core.cut() + core.end())
     info = read_info(path)
     assert (info.first, info.ticks, info.duration, info.missing) == (None, 0, 0.0, {})
+
+
+def test_it_lists_the_attachments_that_every_other_command_reads(tmp_path: Path) -> None:
+    """Wherever they stand, also before the metadata; of two with one name the first."""
+    tape = Tape("manyhands")
+    tape.attach("session.yaml", "application/yaml", b"first", STARTED)
+    tape.metadata(METADATA, RECORDED.as_metadata())
+    tape.attach("session.yaml", "application/yaml", b"the second", STARTED)
+    tape.attach("certificate.json", "application/json", b"{}", STARTED)
+    tape.finish()
+    path = tmp_path / "run.mcap"
+    path.write_bytes(tape.take())
+    read = {name: len(data) for name, data in read_run(path).attachments.items()}
+    assert read_info(path).attachments == read == {"session.yaml": 5, "certificate.json": 2}
