@@ -69,7 +69,8 @@ def origin_may_connect(headers: Headers) -> bool:
         return False
     if parts.scheme in ("http", "https"):
         return host is not None and is_loopback(host)
-    return bool(parts.scheme)  # "null" has none: a page that hides its origin
+    # "null" has no scheme: a page that hides its origin; an extension of a browser is no application of this user's
+    return bool(parts.scheme) and not parts.scheme.endswith("-extension")
 
 
 def request_of(head: bytes) -> tuple[str, list[tuple[bytes, bytes]]]:

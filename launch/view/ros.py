@@ -11,7 +11,8 @@ is bounded twice: by its size, and by a ring that keeps the latest samples of ea
 
 The key of a topic holds its domain, name, type and the hash of the type's definition (REP-2016). Each sample has an
 attachment: sequence number, time of sending, id of the publisher. This layout is the one of rmw_zenoh from 0.1.2, 0.2.4
-and 0.6.0 on: ROS 2 Jazzy, Kilted and Rolling. Humble has no hashes of types, so no message gets to it or from it.
+and 0.6.0 on: ROS 2 Jazzy, Kilted, Lyrical and Rolling. Humble has no hashes of types, so no message gets to it or from
+it.
 """
 
 from __future__ import annotations

@@ -118,7 +118,10 @@ class Token:
 
     def fits(self, given: object) -> bool:
         """Whether ``given`` is this token; the comparison takes the same time for every wrong token of its length."""
-        return isinstance(given, str) and hmac.compare_digest(given.encode(), self._text.encode())
+        if not isinstance(given, str):
+            return False
+        # JSON may hold half of a surrogate pair, which is no character and has no UTF-8
+        return hmac.compare_digest(given.encode(errors="surrogatepass"), self._text.encode())
 
     def reveal(self) -> str:
         """The token as text, for the address that is printed once."""

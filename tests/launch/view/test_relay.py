@@ -50,6 +50,8 @@ def head(target: str = "/", host: str = "127.0.0.1:8765", more: str = "") -> byt
         (["https://app.foxglove.dev.evil.example"], False),
         (["https://app.foxglove.dev", "https://evil.example"], False),
         (["null"], False),
+        (["chrome-extension://abcdefghijklmnop"], False),
+        (["moz-extension://01234567"], False),
         (["https://[bad"], False),
         ([""], False),
     ],
