@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test test-long guests lint types imports pytest campaign attack fuzz datagrams wan far-user scenes world-peers flood loop watched soak users linked-users chaos faults lateness hostile remote pictures page benchmark curve docs docs-pictures clean
+.PHONY: demo test test-long guests lint types imports pytest campaign attack heavy limits worlds fuzz datagrams wan far-user scenes world-peers flood loop watched soak users linked-users chaos faults lateness honest hostile blamed remote pictures page benchmark curve docs docs-pictures clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -27,8 +27,8 @@ WORKERS ?= 2
 # the order is tests/conftest.py's; a test that waits for ever ends the run (pyproject.toml), and is not begun again
 SPREAD  := --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 # matrices of ten rows: more threads in BLAS only wait for each other, and for the other test process
-pytest test-long campaign attack scenes world-peers: export OMP_NUM_THREADS = 1
-pytest test-long campaign attack scenes world-peers: export OPENBLAS_NUM_THREADS = 1
+pytest test-long campaign attack worlds scenes world-peers: export OMP_NUM_THREADS = 1
+pytest test-long campaign attack worlds scenes world-peers: export OPENBLAS_NUM_THREADS = 1
 # where it is set, every process of every session that a test starts would compile the product and the tests anew
 pytest test-long campaign attack: export PYTHONDONTWRITEBYTECODE =
 pytest: $(VENV)/.installed
@@ -61,6 +61,22 @@ KIND ?= series
 attack: $(VENV)/.installed
 	$(BIN)/python -m tests.attack.campaign --kind "$(KIND)" --claims $(CLAIMS) --seconds $$(($(MINUTES) * 60)) --processes 2 --seed $(SEED)
 
+# hostile files of up to 1 MB, of every shape: each is proved, or refused beforehand, within ten seconds of a processor
+FILES ?= 1000
+heavy: $(VENV)/.installed
+	$(BIN)/python -m tests.attack.heavy --files $(FILES) --seed $(SEED)
+
+# what a refusal states, against where design itself begins to refuse: so many refusals, each limit within 1 %
+REFUSALS ?= 200
+limits: $(VENV)/.installed
+	$(BIN)/python -m tests.attack.limits --refusals $(REFUSALS) --seed $(SEED)
+
+# 500 random worlds with poles from 0.01 to 1000/s, against an LMI of other code, and 500 networks whose stiffnesses span up
+# to 22 decades: twenty minutes
+WORLDS ?= 500
+worlds: $(VENV)/.installed
+	MANYHANDS_SEARCHED=$(WORLDS) $(BIN)/pytest tests/design/test_rational_worlds.py tests/design/test_far_apart.py
+
 # coverage-guided fuzzing of all that strangers can send, ten minutes at the default; see tests/fuzz/README.md
 FUZZ_SECONDS ?= 600
 fuzz: $(VENV)/.installed
@@ -80,10 +96,12 @@ wan: $(VENV)/.installed
 far-user: $(VENV)/.installed
 	$(BIN)/python -m tests.support.far_user 60
 
-# 500 random scenes with contacts and friction in closed loop, every account checked: about three minutes. Then 500 with
+# 500 random scenes with contacts and friction in closed loop, every account checked: about three minutes. Then tools on
+# the axes, edges, corners and faces of every pair of shapes, 100,000 searched steps: three minutes. Then 500 scenes with
 # devices in wall time, within the certified delay and far beyond, and hostile hands: ten minutes
 scenes: $(VENV)/.installed
 	MANYHANDS_SCENES=500 $(BIN)/pytest -n $(WORKERS) tests/launch/test_simulation_scene.py
+	$(BIN)/python -m tests.deterministic.edges --steps 100000 --seed $(SEED)
 	$(BIN)/python -m tests.deterministic.lateness --scenes --sessions 500 --ticks 500 --seed $(SEED)
 
 # a wall and stones rendered by ours and as others do it, in the same hands, in simulated time; exits 1 if one of ours gives
@@ -120,11 +138,27 @@ SESSIONS ?= 1000
 lateness: $(VENV)/.installed
 	$(BIN)/python -m tests.deterministic.lateness --sessions $(SESSIONS) --ticks 2000 --seed $(SEED)
 
-# hostile guests within their bounds in simulated sessions, and honest ones that may not notice; a failing seed runs again
+# a hundred honest sessions in real time with faults, open clutches and freezing, recorded and audited: five minutes
+RECORDINGS ?= 100
+honest: $(VENV)/.installed
+	$(BIN)/python -m tests.deterministic.honest --recordings $(RECORDINGS) --seed $(SEED)
+
+# waves of any magnitude at the faces of wave links, a million ticks with exact accounts; guests behind wave links who send
+# what they like; hostile guests within their bounds in simulated sessions, and honest ones that may not notice; a failing
+# seed runs again. Then 200 hostile parties of any kind: no honest party may be named for what they do
 RUNS ?= 1000
 hostile: $(VENV)/.installed
+	$(BIN)/python -m tests.deterministic.magnitudes --seed $(SEED)
+	$(BIN)/python -m tests.deterministic.seats --seed $(SEED)
 	$(BIN)/python -m tests.deterministic.hostile --runs $(RUNS) --seed $(SEED)
 	$(BIN)/python -m tests.deterministic.hostile --runs 200 --seed $(SEED) --honest
+	$(BIN)/python -m tests.deterministic.blame --runs 200 --seed $(SEED)
+
+# twenty hostile guests in real processes over encrypted sockets: no honest party may be named for what they do, and the
+# guest is; a quarter of an hour
+GUESTS ?= 20
+blamed: $(VENV)/.installed
+	$(BIN)/python -m tests.system.blame --runs $(GUESTS) --seed $(SEED)
 
 # a remote user over every kind of network, beside what others do, in simulated time: five minutes on two idle cores
 remote: $(VENV)/.installed

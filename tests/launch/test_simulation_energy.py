@@ -145,6 +145,18 @@ class TestSentences:
         assert sentence.startswith("dy was beyond its limits")
         assert sentence.endswith("of others it had received 2.5 J, 2 J of it from cx (dx)")
 
+    @pytest.mark.parametrize("colocate", ["true", "false"])
+    def test_a_device_in_one_process_with_its_coupling_is_named_with_it(self, colocate: str) -> None:
+        """Such a device had no couplings here: it read "right_seat ()", and "nobody else has moved it" of a victim."""
+        graph = topology(load_session(EXAMPLE.with_name("ball.yaml"), [f"colocate={colocate}"]))
+        incidents = UserIncidents(graph, T)
+        (sentence,) = incidents.receive("environment", self.told(100, stops_right_seat=1.0, given_right_seat=1.25))
+        assert sentence.startswith("right_seat (right) was beyond its energy budget")
+        incidents.receive("left", self.told(150, let_go=1.0))
+        (sentence,) = incidents.receive("environment", self.told(199, moved_right_seat__left_seat=14.8))
+        assert sentence.startswith("left was beyond its limits")
+        assert sentence.endswith("of others it had received 14.8 J, 14.8 J of it from right_seat (right)")
+
     def test_a_device_that_moved_itself_is_reported_so(self) -> None:
         incidents = self.incidents()
         incidents.receive("dy", self.told(100, let_go=1.0))

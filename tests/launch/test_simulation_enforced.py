@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from manyhands.design.certificate import content, identity
+from manyhands.design.certificate import content, from_content, identity
 from manyhands.design.models.environment import DeclaredEnvironment, ProxyEnvironment
 from manyhands.design.proof.prove import prove
 from manyhands.launch.cli import app
@@ -354,6 +354,44 @@ def test_the_exact_proof_refuses_other_springs(file: Path, stiffness: Any, level
         else:
             assert not refused
             assert kept == ["kept by the proxy test at every tick, whatever positions are proposed"]
+
+
+@pytest.mark.usefixtures("importable")
+def test_a_tank_is_in_the_certificate_the_proof_the_bundle_and_the_ledger(file: Path, tmp_path: Path) -> None:
+    tank = [*PROXIES, "environment.tank=0.25"]
+    session = load_session(file, tank)
+    assert type(session).model_validate(session.as_plain()) == session
+    prepared = prepare(session)
+    assert prepared.certificate is not None
+    data = content(prepared.certificate)
+    assert data["environment"]["tank"] == 0.25
+    assert "tank" not in content(prepare(load_session(file, PROXIES)).certificate)["environment"]  # type: ignore[arg-type]
+    assert from_content(data | {"id": identity(data)}).loop.environment == prepared.loop.environment
+    findings = prove(data | {"id": identity(data)})
+    assert all(finding.holds for finding in findings)
+    (kept,) = [finding.argument for finding in findings if finding.enforced]
+    assert kept.endswith("gives out at most the 0.25 J of its tank, which counts as stored")
+    forged = data | {"environment": data["environment"] | {"tank": -1e-9}}
+    failing = [finding.condition for finding in prove(forged | {"id": identity(forged)}) if not finding.holds]
+    assert failing[0] == "the tank of the world is not negative"
+    bundle = environment_bundle(session)
+    save(bundle, tmp_path / "b")
+    assert load(tmp_path / "b", EnvironmentBundle).energy_at_start == 0.25
+    older = json.loads((tmp_path / "b").read_text())
+    del older["tank"]
+    (tmp_path / "older").write_text(json.dumps(older))
+    assert load(tmp_path / "older", EnvironmentBundle).energy_at_start == 0.0
+    ledger = Simulation(prepared).ledgers["environment"]
+    assert ledger.total == 0.25
+    shown = CliRunner().invoke(app, ["design", str(file), "-o", str(tmp_path / "c.json"), "--set", tank[0], "--set",
+                                     tank[1], "--set", tank[2], "--set", tank[3]])  # fmt: skip
+    assert "give out at most the 0.25 J of their tank" in " ".join(shown.stdout.split())
+    verified = CliRunner().invoke(app, ["verify", str(tmp_path / "c.json")])
+    assert "the world gives out at most the 0.25 J of its tank" in verified.stdout
+    with pytest.raises(NotCertified, match="the environment differs"):
+        read_certificate(tmp_path / "c.json", load_session(file, PROXIES))
+    with pytest.raises(SessionError, match=r"environment\.tank: found .*; expected 0 for a model that returns forces"):
+        load_session(file, ["environment.tank=0.25"])
 
 
 @pytest.mark.parametrize(

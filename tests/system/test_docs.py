@@ -132,6 +132,23 @@ def test_citations_resolve() -> None:
     assert cited <= known
 
 
+def test_citations_of_documents_resolve() -> None:
+    """In decisions and pages a key stands alone in brackets, or with others, with or without a link to the list."""
+    known = set(re.findall(r"\*\*(\w+)\*\*:", (ROOT / "docs" / "references.md").read_text()))
+    pages = [path for path in (ROOT / "docs").rglob("*.md") if path.name != "references.md"]
+    lists = [found for path in pages for found in re.findall(r"\[([A-Z][A-Za-z]+\d{4}[\w,\s]*)\]", path.read_text())]
+    cited = {key for found in lists for key in re.split(r",\s+", found)}
+    assert {"Rakhsha2019", "Secchi2003", "Acary2016", "Kim2017", "Peyrl2008", "MartinDorel2017", "Devadze2020"} <= cited
+    assert cited <= known
+
+
+def test_references_stand_in_one_list_in_order() -> None:
+    text = (ROOT / "docs" / "references.md").read_text()
+    listed = re.findall(r"^- \*\*(\w+)\*\*:", text.partition("\n## ")[0], flags=re.MULTILINE)
+    assert listed == re.findall(r"\*\*(\w+)\*\*:", text)
+    assert listed == sorted(set(listed), key=str.casefold)
+
+
 def test_the_readmes_two_commands_are_targets() -> None:
     text = (ROOT / "README.md").read_text()
     targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE))
