@@ -15,6 +15,7 @@ from manyhands.protocol.messages import Observation
 
 from ..support.commands import MANYHANDS, run
 
+TRACES = ("x", "f_v", "ledger", "tau_us", "instants", "interface")  # what a device in wall time owes in every tick
 TICKS = 250  # no multiple of the ticks between two telemetry messages
 
 
@@ -60,7 +61,9 @@ def test_a_session_in_real_time_audits_to_the_end(tmp_path: Path) -> None:
             assert (found[device, name]["verdict"], found[device, name]["unchecked"]) == ("holds", []), found[
                 device, name
             ]
-        assert found[device, "interface"]["numbers"] > 0.9 * audit["ticks"]  # the last ones may be unsent at the end
+        # of the ticks that it owed: a busy machine may leave its coupling out for a while, and the last may be unsent
+        owed = found[device, "rows"]["numbers"] / len(TRACES)
+        assert found[device, "interface"]["numbers"] > 0.9 * owed > 0.0
         assert found[device, "interface"]["tolerance"] == 0.0
 
 

@@ -57,7 +57,7 @@ def test_a_linked_users_death_is_not_felt_by_the_other(overrides: tuple[str, ...
     nodes = nodes_of(outcome)
     assert nodes.keys() == NODES
     assert all(node["ledger"]["margin"] >= PROMISE for node in nodes.values())
-    _, f = rows_of(recording_of(outcome), "dy")
+    _, f = rows_of(recording_of(outcome), "dy", linked=True)
     assert 0.0 < largest_step(f) <= STEP * steps_of(overrides)
 
 
@@ -92,5 +92,5 @@ def test_an_environment_that_comes_back_drops_no_force_at_once() -> None:
     assert (outcome.code, outcome.faults) == (130, ())
     assert nodes_of(outcome)["environment"]["incidents"]["restarts"] == 1
     for port in PORTS:
-        _, f = rows_of(recording_of(outcome), port)
+        _, f = rows_of(recording_of(outcome), port, linked=True)
         assert 0.0 < largest_step(f) <= RIPPLE
