@@ -19,6 +19,8 @@ from manyhands.design.problem import HapticLoop
 
 MOST_TRIED: Final = 12  # ports, and states of the environment beside them, up to which changes are tried
 
+IN_PROPORTION: Final = ", the rest of its block in proportion"
+
 _STATES = 48
 _CLOSE = 1e-3  # relative: how closely a limit is found
 _BELOW = (1.0 - _CLOSE, 0.985, 0.96)  # parts of a limit at which it is tried
@@ -73,7 +75,9 @@ def what_helps(loop: HapticLoop, coupling: Coupling, excesses: Sequence[Excess],
         each = set(limits.values())
         meaning = "stiffness plus 2/T times its damping" if damped else "stiffness"
         figure = each.pop() if len(each) == 1 else " and ".join(f"{limit} at {name}" for name, limit in limits.items())
-        out.append(f"a {meaning} below {figure}")
+        # a given state space is softened as a whole; of its stiffness alone nothing was tried
+        whole = any(not isinstance(coupling[excess.block], SpringDamper) for excess in excesses)
+        out.append(f"a {meaning} below {figure}{IN_PROPORTION if whole else ''}")
     most = max(excess.over for excess in excesses)
     ports = {port for excess in excesses for port in loop.partition.blocks[excess.block]}
 

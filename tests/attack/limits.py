@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from manyhands.design.errors import DesignError, Infeasible
+from manyhands.design.limits import IN_PROPORTION
 from manyhands.design.models.coupling import Partition, SpringDamper
 from manyhands.design.models.environment import (
     DeclaredEnvironment,
@@ -148,6 +149,7 @@ def _changed(case: Case, way: str, by: float) -> Case | None:
     """The case with a change by the stated figure, nearer to what is refused by a factor; None if it has no figure."""
     names, loop = case.loop.partition.names, case.loop
     if match := re.fullmatch(r"a stiffness( plus 2/T times its damping)? below (.*)", way):
+        whole = match[1] or way.endswith(IN_PROPORTION)
         stated = re.findall(r"([\d.e+]+) N/m(?: at (\w+))?", match[2])
         stiffness, damping = list(case.stiffness), list(case.damping)
         for i, name in enumerate(names):
@@ -155,7 +157,7 @@ def _changed(case: Case, way: str, by: float) -> Case | None:
             has = stiffness[i] + (2.0 / loop.period * damping[i] if match[1] else 0.0)
             if has > figure:
                 stiffness[i] *= figure / has
-                damping[i] *= figure / has if match[1] else 1.0
+                damping[i] *= figure / has if whole else 1.0
         return case._replace(stiffness=tuple(stiffness), damping=tuple(damping))
     if match := re.fullmatch(r"devices with an osp above ([\d.e+-]+) N\*s/m", way):
         least = float(match[1]) / by

@@ -60,3 +60,23 @@ def test_several_blocks_each_have_their_limit(words: str) -> None:
     assert any(way.startswith(words) for way in error.relax)
     assert "a stiffness below 2740 N/m at c0 and 1000 N/m at c1" in error.relax
     assert faults(case, error) == []
+
+
+def test_a_given_state_space_is_softened_as_a_whole() -> None:
+    """Its damping counts with its stiffness, and a softer spring beside the same damper would not help."""
+    network = Network(("p0",), (), (NetworkLink(("p0", GROUND), 500.0, 0.0),))
+    loop = HapticLoop(
+        session="given",
+        period=5e-4,
+        ports=("p0",),
+        devices=(DeviceLevel("d0", (0,), np.array([[4.19]])),),
+        partition=Partition(("c0",), ((0,),)),
+        environment=network,
+    )
+    case = Case(loop, (20_000.0,), (1.5,), linear=True)
+    error = case.refusal()
+    (way,) = (way for way in error.relax if way.startswith("a stiffness below"))
+    assert way.endswith(" N/m, the rest of its block in proportion")
+    assert faults(case, error) == []
+    limit = float(way.split()[3])
+    assert case._replace(stiffness=(0.99 * limit,)).refusal() is not None
