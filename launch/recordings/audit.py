@@ -317,7 +317,9 @@ class _AuditRun:
             else:
                 self._follow_guard(name, device, x, f, blocks.f, courses[name])
                 out += self._device(name, device, courses[name])
-                jumped = np.array([k for k, happened in courses[name].before.items() if happened.jumped], dtype=np.intp)
+                jumped = np.array(
+                    [k for k, happened in courses[name].before.items() if happened.may_be_zero], dtype=np.intp
+                )
                 sent_on = np.ix_(jumped, self._ports[name])
                 f[sent_on] = np.where(f[sent_on] == 0.0, np.nan, f[sent_on])  # a zero force is in no coupling's row
             self._next()
@@ -422,8 +424,8 @@ class _AuditRun:
         changed += [k for k, happened in course.before.items() if happened.leaves]
         known = there(again.sent)
         unknown = ~known & (np.arange(len(x)) >= min(changed, default=len(x)))
-        jumped = [k for k, happened in course.before.items() if happened.jumped or happened.unknown]
-        unknown[jumped] |= ~known[jumped]  # it may have exerted the zero force of another tick
+        astray = [k for k, happened in course.before.items() if happened.may_be_zero or happened.unknown]
+        unknown[astray] |= ~known[astray]
         same = known & (again.exerted == its_f).all(axis=1)
         x[np.ix_(known, own)], x[np.ix_(unknown, own)] = again.sent[known], np.nan
         f[np.ix_(same, own)], f[np.ix_(unknown, own)] = asked[np.ix_(same, own)], np.nan

@@ -316,7 +316,7 @@ def recompute_in_wall_time(
             may_let_go = rows.let_go is not None and k >= rows.let_go
             freed += max(0, state.periods_to(sampled, applied, happened.released > 0) - 1)
             asked = rows.asked[k]
-            if happened.jumped:  # by the zero force of a later tick; the coupling may have answered another force then
+            if happened.may_be_zero:  # the coupling's row then has its answer to another signal
                 asked = np.where(rows.f[k] == 0.0, 0.0, asked)
             stopped = bool(rows.stopped[k]) and applied - sampled > LONGEST_GAP
             moved = may_let_go or state.guard.leaving

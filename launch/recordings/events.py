@@ -33,6 +33,8 @@ class Happening:
     Attributes:
         began: whether this is the first row of a process, which begins at rest and at rung 0.
         jumped: whether the session had gone on without the node since the tick for which it sent its signal.
+        follows: whether it is the first row of a process in the place of another, which may have sent its own signal of
+            that tick before it ended.
         released: number of periods without force.
         rung: the rung that the node changed to in a tick without a row; None if it did not.
         leaves: whether a device begins to let go for good with this row's sample.
@@ -41,10 +43,16 @@ class Happening:
 
     began: bool = False
     jumped: bool = False
+    follows: bool = False
     released: int = 0
     rung: int | None = None
     leaves: bool = False
     unknown: str = ""
+
+    @property
+    def may_be_zero(self) -> bool:
+        """Whether a device's force may be the zero force of another tick, which is in no row of its couplings."""
+        return self.jumped or self.follows
 
 
 @dataclass(frozen=True)
@@ -87,7 +95,7 @@ class Course:
     def resampled(self) -> NDArray[np.bool_]:
         """The ticks at which the node may have been elsewhere when it sent its signal than its row states."""
         out = np.zeros(self.ticks, dtype=np.bool_)
-        out[[k for k, h in self.before.items() if h.released or h.jumped or (h.began and k > 0)]] = True
+        out[[k for k, h in self.before.items() if h.released or h.may_be_zero]] = True
         for gap in self.unknown:
             out[gap.begin : gap.end] = True
         return out
@@ -194,7 +202,7 @@ class _Process:
         out: dict[int, Happening] = {}
         first = int(rows[0])
         if self.recorded:
-            out[first] = Happening(began=True, jumped=self.late)
+            out[first] = Happening(began=True, jumped=self.late, follows=first > 0)
         if first != self.begin:
             out[first] = replace(out.get(first, Happening()), unknown="its first rows are missing")
         for i in np.flatnonzero(np.diff(rows) != 1):
