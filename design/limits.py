@@ -24,7 +24,7 @@ IN_PROPORTION: Final = ", the rest of its block in proportion"
 _STATES = 48
 _CLOSE = 1e-3  # relative: how closely a limit is found
 _BELOW = (1.0 - _CLOSE, 0.985, 0.96)  # parts of a limit at which it is tried
-_STEPS = 12  # halvings, in logarithms; each search is over a factor of at most _WIDEST
+_STEPS = 12  # from a limit down to a part of 1/_WIDEST of it, in logarithms; then halvings
 _WIDEST = 50.0
 
 Coupling = tuple[CouplingBlock, ...]
@@ -118,7 +118,8 @@ def _greatest(helps: Callable[[float], bool], most: float) -> float | None:
     """The greatest part of ``most`` below which a change helps, up to a relative 0.1 %; None if there is none.
 
     Beside an environment that lacks passivity a gain may certify a coupling only close below its limit, and not a
-    softer one. Such a gap is no limit to state: what is a little less has to help as well.
+    softer one. Such a gap is no limit to state: what is a little less has to help as well. The search begins at the
+    top, for a program that fails at one number far below would otherwise be taken for the limit.
     """
 
     def well(part: float) -> bool:
@@ -126,12 +127,14 @@ def _greatest(helps: Callable[[float], bool], most: float) -> float | None:
 
     if well(most):
         return most
-    low, high = most / _WIDEST, most
-    if not well(low):
-        return None
-    for _ in range(_STEPS):
-        if high / low < 1.0 + _CLOSE:
+    high = most
+    for low in (most * _BELOW[0], *(most * math.pow(_WIDEST, -step / _STEPS) for step in range(1, _STEPS + 1))):
+        if well(low):
             break
+        high = low
+    else:
+        return None
+    while high / low > 1.0 + _CLOSE:
         middle = math.sqrt(low * high)
         low, high = (middle, high) if well(middle) else (low, middle)
     return low

@@ -100,10 +100,9 @@ def check_spring_damper(name: str, coupling: SpringDamper, Lambda: Matrix, T: fl
         )
     inverse = np.linalg.inv(np.linalg.cholesky(Lambda))
     limit = 2.0 / T * float(np.linalg.eigvalsh(Lambda)[0])
-    for part, damped in (
-        (T / 2.0 * coupling.stiffness, False),
-        (T / 2.0 * coupling.stiffness + coupling.damping, True),
-    ):
+    # where there is a damping, its sum with the stiffness is the stricter of both, and the limit to state
+    both = T / 2.0 * coupling.stiffness + coupling.damping
+    for part, damped in ((both, bool(coupling.damping.any())), (T / 2.0 * coupling.stiffness, False)):
         used = float(np.linalg.eigvalsh(symmetric_part(inverse @ part @ inverse.T))[-1])
         if not used < 1.0 - _EDGE:
             raise TooStiff(name, used, limit, T, kappa, damped)
@@ -150,6 +149,7 @@ def check_block(name: str, block: StateSpace, K: Matrix, T: float, kappa: float 
             ("give every mode of the coupling some damping, and every direction a spring of positive stiffness",),
         )
     limit = 1.0 / float(np.linalg.eigvalsh(K)[-1])
+    beyond: list[TooStiff] = []
     for point in (1.0, -1.0):
         compliance = block.response(point).real
         # (z-1)/(Tz) vanishes at z = 1, so that a skew part, however small, outweighs the symmetric part there
@@ -169,7 +169,9 @@ def check_block(name: str, block: StateSpace, K: Matrix, T: float, kappa: float 
                 f"coupling {name}: V({point:g}) is not positive, so that V_hat is output strictly passive at no level",
                 ("put a spring of positive stiffness between hand and tool in every direction",),
             )
-        raise TooStiff(name, 1.0 / (softest * limit), limit, T, kappa, point == -1.0)
+        beyond.append(TooStiff(name, 1.0 / (softest * limit), limit, T, kappa, point == -1.0))
+    if beyond:  # at -1 the damping counts as well, so that both limits may be passed
+        raise max(beyond, key=lambda error: error.over)
     V_hat = transformed_coupling(block, K, T)
     for angle in np.linspace(np.pi / _FREQUENCIES, np.pi, _FREQUENCIES):
         response = V_hat.response(np.exp(1j * angle))

@@ -128,7 +128,9 @@ class StateSpace:
             steady = np.linalg.solve(-states if continuous else np.eye(n) - states, entering)
         except np.linalg.LinAlgError:
             raise ValueError(f"found a pole at {'s = 0' if continuous else 'z = 1'}, expected a static gain") from None
-        return cls(states, entering, leaving, static - leaving @ steady, static)
+        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused with a sentence
+            direct = static - leaving @ steady
+        return cls(states, entering, leaving, direct, static)
 
     @classmethod
     def static(cls, D: ArrayLike) -> StateSpace:

@@ -241,11 +241,15 @@ class Energy:
         return self._bucket[party] - self._own[party] + self._held[party]
 
     def bound(self, stored: float) -> None:
-        """Limit the store to ``stored`` J: the energy dissipated since is taken from each owner's part."""
+        """Limit the store to ``stored`` J: the energy dissipated since is taken from each owner's part.
+
+        Rounding may have left less than 0 J stored, which counts as 0.
+        """
         if self._ticks:
             self._post()
+        stored = max(0.0, stored)
         total = self._returned + sum(self._own)
         if total > stored:
-            part = max(0.0, stored) / total
+            part = stored / total
             self._returned *= part
             self._own = [part * energy for energy in self._own]

@@ -62,8 +62,8 @@ def test_several_blocks_each_have_their_limit(words: str) -> None:
     assert faults(case, error) == []
 
 
-def test_a_given_state_space_is_softened_as_a_whole() -> None:
-    """Its damping counts with its stiffness, and a softer spring beside the same damper would not help."""
+def test_where_a_block_has_a_damping_the_stated_limit_counts_it() -> None:
+    """A softer spring beside the same damper would not help; of a given state space the whole block is softened."""
     network = Network(("p0",), (), (NetworkLink(("p0", GROUND), 500.0, 0.0),))
     loop = HapticLoop(
         session="given",
@@ -73,10 +73,11 @@ def test_a_given_state_space_is_softened_as_a_whole() -> None:
         partition=Partition(("c0",), ((0,),)),
         environment=network,
     )
-    case = Case(loop, (20_000.0,), (1.5,), linear=True)
-    error = case.refusal()
-    (way,) = (way for way in error.relax if way.startswith("a stiffness below"))
-    assert way.endswith(" N/m, the rest of its block in proportion")
-    assert faults(case, error) == []
-    limit = float(way.split()[3])
-    assert case._replace(stiffness=(0.99 * limit,)).refusal() is not None
+    for linear in (False, True):
+        case = Case(loop, (20_000.0,), (1.5,), linear=linear)
+        error = case.refusal()
+        way = error.relax[0]
+        assert way.startswith("a stiffness plus 2/T times its damping below 1.67")
+        assert way.endswith(", the rest of its block in proportion") == linear
+        assert faults(case, error) == []
+        assert case._replace(stiffness=(0.99 * float(way.split()[8]),)).refusal() is not None

@@ -12,6 +12,7 @@ Theorem 3 exactly if phi < 1. It shares no code and no coordinates with the desi
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import cvxpy as cp
@@ -95,7 +96,9 @@ class RationalWorld:
         strict = [P >> _STRICT * np.eye(n), (M + M.T) / 2.0 >> _STRICT * np.eye(n + m)]
         program = cp.Problem(cp.Minimize(phi), strict)
         try:
-            program.solve(solver=cp.CLARABEL)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)  # an answer that may be inaccurate is taken as one, below
+                program.solve(solver=cp.CLARABEL)
         except cp.error.SolverError:
             return float("nan")
         return float(phi.value) if program.status in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE) else float("nan")

@@ -42,6 +42,15 @@ def test_every_joule_that_is_received_is_somebodys(supplies: list[list[float]]) 
         assert energy.moved[i][i] == 0.0
 
 
+def test_a_world_without_energy_that_rounds_below_zero_limits_nothing() -> None:
+    energy = accounts(2)
+    energy.bound(-1e-18)
+    energy.supply([1.0, 0.0])
+    energy.bound(-1e-18)
+    energy.supply([0.0, -0.5])
+    assert (energy.given, energy.unowned) == ([0.0, 0.0], 0.5)
+
+
 @settings(max_examples=cases(50, 100))
 @given(supplies=ticks)
 def test_a_single_supplier_is_charged_with_all_that_others_receive(supplies: list[list[float]]) -> None:
