@@ -161,7 +161,7 @@ def test_infeasible_is_one_object_too() -> None:
     said = one_object(result)
     assert set(said) == KEYS | {"reason", "relax"}
     assert (said["status"], said["id"], said["coupling"]) == ("infeasible", None, None)
-    assert "704.9 N/m, is not below" in said["reason"]
+    assert "its stiffness plus 2/T times its damping, 779.3 N/m, is not below" in said["reason"]
     assert "a shorter delay inside the tick" in said["relax"]
 
 
