@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test test-long guests lint types imports pytest campaign attack heavy limits worlds fuzz datagrams wan far-user scenes world-peers flood loop watched soak users linked-users chaos faults lateness honest hostile blamed remote pictures page benchmark curve docs docs-pictures clean
+.PHONY: demo test test-long guests lint types imports pytest campaign attack heavy limits worlds fuzz datagrams wan far-user scenes world-peers flood loop watched soak users linked-users chaos faults lateness inertia honest hostile blamed remote pictures page benchmark curve docs docs-pictures clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -137,6 +137,11 @@ faults: $(VENV)/.installed
 SESSIONS ?= 1000
 lateness: $(VENV)/.installed
 	$(BIN)/python -m tests.deterministic.lateness --sessions $(SESSIONS) --ticks 2000 --seed $(SEED)
+
+# an adversary within a device's stated mass and its hand's force, 100,000 searched ticks: two minutes
+TICKS ?= 100000
+inertia: $(VENV)/.installed
+	$(BIN)/python -m tests.deterministic.inertia --ticks $(TICKS) --seed $(SEED)
 
 # a hundred honest sessions in real time with faults, open clutches and freezing, recorded and audited: five minutes
 RECORDINGS ?= 100

@@ -32,6 +32,7 @@ MODULES = [
     "nodes/device/colocated",
     "nodes/device/core",
     "nodes/device/drivers",
+    "nodes/device/inertia",
     "nodes/device/interface",
     "nodes/device/node",
     "nodes/device/pointer",

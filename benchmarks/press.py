@@ -208,7 +208,7 @@ def press(form: str, hold: float) -> Press:
         float(np.std(f[-half:])) * 1e3,
         float(np.mean(x[-second:]) - np.mean(x[-half : -half + second])) * 1e6,
         min(node["interface"]["min"] for node in devices) * 1e3,
-        -prepared.session.faults.tank * 1e3,
+        -prepared.session.faults.tank.energy * 1e3,
         sum(node["late"] for node in devices) / sum(node["ticks"] for node in devices),
         float(np.mean(tau > certificate.tau * 1e6)),
         outcome.notices,

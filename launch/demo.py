@@ -30,7 +30,7 @@ from manyhands.launch.recordings.plots import save as save_picture
 from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.recordings.run import RecordedRun, read_run, rows_of
 from manyhands.launch.run.display import say, status
-from manyhands.launch.run.outcome import Outcome, joules
+from manyhands.launch.run.outcome import Outcome, by_and_by, joules
 from manyhands.launch.run.session_run import run_session
 from manyhands.launch.session import Session
 from manyhands.launch.simulation import Simulation
@@ -224,7 +224,7 @@ def verdict(report: Mapping[str, Any]) -> tuple[str, bool]:
     """
     nodes, lateness = report["nodes"], report.get("lateness")
     tank = 0.0 if lateness is None else lateness["tank"]
-    broken = [name for name, node in nodes.items() if not _kept(node, tank)]
+    broken = [name for name, node in nodes.items() if not _kept(node)]
     moving = [name for name, n in nodes.items() if "peak_speed" in n and n["final_speed"] >= SETTLED * n["peak_speed"]]
     promises = f"promises broken by {', '.join(broken)}" if broken else f"all {len(nodes)} promises were kept"
     rest = f"not every device came to rest ({', '.join(moving)})" if moving else "every device came to rest"
@@ -236,15 +236,15 @@ def verdict(report: Mapping[str, Any]) -> tuple[str, bool]:
         late, ticks = (sum(node[key] for node in devices) for key in ("late", "ticks"))
         beyond = sum(node["tau_breaches"] for node in devices)
         parts += [
-            f"the least energy account was {joules(least)} (bound {joules(0.0 - tank)})",
+            f"the least energy account was {joules(least)} (bound {joules(0.0 - tank)}{by_and_by(lateness)})",
             f"{late} of {ticks} ticks were late, {beyond} beyond the certified τ",
             f"{joules(enforced)} was held back by enforcement",
         ]
     return "; ".join(parts), not broken and not moving
 
 
-def _kept(node: Mapping[str, Any], tank: float) -> bool:
+def _kept(node: Mapping[str, Any]) -> bool:
     """Whether a party kept its ledger, and a device its interface account, above their bounds."""
     margin = node["ledger"].get("margin", 0.0) if "ledger" in node else 0.0
-    account = node["interface"]["min"] if "interface" in node else 0.0
-    return bool(margin >= -LEDGER_ROUNDING and account >= -tank - LEDGER_ROUNDING)
+    account = node["interface"]["margin"] if "interface" in node else 0.0
+    return bool(min(margin, account) >= -LEDGER_ROUNDING)

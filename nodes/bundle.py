@@ -29,6 +29,8 @@ from manyhands.design.levels.contract import DeviceShare
 from manyhands.design.models.coupling import loop_gain
 from manyhands.design.models.scene import ContactScene, scene_of
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix
+from manyhands.nodes.device.allowance import Allowance
+from manyhands.nodes.device.inertia import Inertia
 from manyhands.nodes.device.specification import NO_DELAY, DeviceTiming
 from manyhands.nodes.environment.energy import EnergyBudget
 from manyhands.nodes.factory import FactoryName
@@ -397,6 +399,8 @@ _KINDS: Final[Mapping[str, tuple[type[Any], Callable[[Any], Source]]]] = {
 
 MAX_FILE_BYTES = 256 * 2**20
 
+NOTHING = Allowance(0.0)
+
 SIMULATED = "simulated"
 REALTIME = "realtime"
 CLOCKS = (REALTIME, SIMULATED)
@@ -429,7 +433,8 @@ class DeviceBundle:
         source: what moves the device.
         limits: the limits of the device.
         time: :data:`WALL` or :data:`OWN`, the time in which the source moves the device.
-        tank: E_0, what lateness may put into the loop in the whole session, J; None where it is counted alone.
+        allowance: what lateness may put into the loop; None where it is counted alone.
+        inertia: what is stated of the device's mass and its hand; None where nothing is.
 
     Raises:
         ValueError: Delta_D is not symmetric positive definite with a row for each port, the axes of the source are not
@@ -442,7 +447,8 @@ class DeviceBundle:
     source: Source
     limits: Limits
     time: str = OWN
-    tank: float | None = None
+    allowance: Allowance | None = None
+    inertia: Inertia | None = None
 
     def __post_init__(self) -> None:
         m = len(self.common.ports)
@@ -455,8 +461,8 @@ class DeviceBundle:
             raise ValueError(f"found a source of {self.source.axes} axes; expected {m}, one a port")
         if self.osp.shape != (m, m) or np.any(self.osp != self.osp.T) or not np.linalg.eigvalsh(self.osp)[0] > 0.0:
             raise ValueError(f"found an osp of shape {self.osp.shape}; expected {m} x {m}, symmetric positive definite")
-        if self.tank is not None and not 0.0 <= self.tank < math.inf:
-            raise ValueError(f"found a tank of {self.tank} J; expected a finite number, at least 0")
+        if self.inertia is not None and len(self.inertia.mass) != m:
+            raise ValueError(f"found an inertia of {len(self.inertia.mass)} axes; expected {m}, one a port")
         _require_few_rungs(self.rungs)
         if not self.rungs:
             raise ValueError("found no rung; expected that of the certificate")
@@ -470,9 +476,9 @@ class DeviceBundle:
         return self.source.timing if isinstance(self.source, PluginDevice) else NO_DELAY
 
     @property
-    def allowed(self) -> float:
-        """How far the device's ledger may fall below 0, J: in wall time by its tank, where it has one."""
-        return self.tank or 0.0 if self.time == WALL else 0.0
+    def allowed(self) -> Allowance:
+        """How far the device's ledger may fall below 0: in wall time by what lateness may put in."""
+        return self.allowance if self.allowance is not None and self.time == WALL else NOTHING
 
     @cached_property
     def promises(self) -> tuple[DevicePromise, ...]:
@@ -744,7 +750,7 @@ def decoded(data: Any, kind: type[_B], path: Path) -> _B:
         BundleError: the object is no bundle of that kind.
     """
     try:
-        given = {**_BEFORE.get(kind, {}), **data}
+        given = {**_BEFORE[kind](data), **data} if kind in _BEFORE else data
         return kind(**{field.name: _READ[field.name](given[field.name]) for field in dataclasses.fields(kind)})
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise _no_bundle(path, kind, error) from error
@@ -860,7 +866,9 @@ _READ: dict[str, Any] = {
     "tool_step": _bounds,
     "feedthrough": dict,
     "osp": array,
-    "tank": lambda tank: None if tank is None else float(tank),
+    "tank": float,
+    "allowance": lambda data: None if data is None else Allowance(float(data["energy"]), float(data["power"])),
+    "inertia": lambda data: None if data is None else Inertia(*(floats(data[key]) for key in ("mass", "hand", "step"))),
     "rungs": lambda rungs: tuple(map(_device_rung, rungs)),
     "time": lambda time: time,
     "softer": lambda rungs: tuple(CouplingRung(system(r["block"]), array(r["K"]), array(r["level"])) for r in rungs),
@@ -869,5 +877,11 @@ _READ: dict[str, Any] = {
     "feedthrough_rungs": lambda all_: {name: tuple(array(D) for D in rungs) for name, rungs in all_.items()},
 }
 
-_BEFORE: dict[type, dict[str, Any]] = {EnvironmentBundle: {"tank": 0.0}}
+_BEFORE: dict[type, Callable[[Any], dict[str, Any]]] = {
+    EnvironmentBundle: lambda _: {"tank": 0.0},
+    DeviceBundle: lambda data: {
+        "inertia": None,
+        "allowance": None if data.get("tank") is None else {"energy": data["tank"], "power": 0.0},
+    },
+}
 """What bundles of recordings have that were written before an entry was there."""

@@ -59,9 +59,12 @@ class Ledger:
         minimum: the least total so far, J; at most the total with which the ledger began.
         ticks: the number of ticks entered.
         at: the number of ticks after which the total was least; 0 where it never fell below its beginning.
+        allowed: how far the total may be below 0 now, J.
+        margin: the least distance of the total from its bound so far, J; negative for a broken promise. The bound is
+            0; for a device whose lateness is bounded it is less by what lateness may have put in.
     """
 
-    __slots__ = ("_allowed", "at", "minimum", "ticks", "total")
+    __slots__ = ("allowed", "at", "margin", "minimum", "ticks", "total")
 
     def __init__(self, allowed: float = 0.0, stored: float = 0.0) -> None:
         """No energy is entered yet.
@@ -70,18 +73,11 @@ class Ledger:
             allowed: how far the total may fall below 0, J.
             stored: V(psi_0), the energy that the party stores at the start, J.
         """
-        self._allowed = allowed
+        self.allowed = allowed
         self.total = stored
         self.minimum = stored
+        self.margin = stored + allowed
         self.ticks = self.at = 0
-
-    @property
-    def margin(self) -> float:
-        """The least total's distance from its bound, J; negative for a broken promise.
-
-        The bound is 0; for a device whose lateness is bounded it is less by what lateness may put in.
-        """
-        return self.minimum + self._allowed
 
     def enter(self, energy: float) -> None:
         """Add one tick's T (y^T u - y^T Delta y - u^T Phi u), J."""
@@ -90,6 +86,8 @@ class Ledger:
         if self.total < self.minimum:
             self.minimum = self.total
             self.at = self.ticks
+        if self.total + self.allowed < self.margin:
+            self.margin = self.total + self.allowed
 
 
 Vector = NDArray[np.float64]

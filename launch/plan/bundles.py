@@ -171,14 +171,17 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
     # where several couplings share a device, the certificate is one
     coupling_at = {port: name for name, ports in session.blocks_by_name.items() for port in ports}
     bundles: dict[str, Bundle] = {}
-    tank = session.faults.enforced_tank if prepared.certified else None  # without a certificate, no promise
+    allowance = session.faults.enforced_tank if prepared.certified else None  # without a certificate, no promise
     for name in session.devices:
         own_rungs = rungs[coupling_at[session.ports_of(name)[0]]]
         of_device = tuple(DeviceRung(rung.tau, rung.period_tolerance, rung.share) for rung in own_rungs)
         limits = limits_at(session, commons[name].ports)
         osp = matrix(session.osp_level(name))
         time = WALL if session.in_wall_time(name, run.clock) else OWN
-        bundles[name] = DeviceBundle(commons[name], osp, of_device, _source(session, name), limits, time, tank)
+        inertia = session.devices[name].inertia
+        bundles[name] = DeviceBundle(
+            commons[name], osp, of_device, _source(session, name), limits, time, allowance, inertia
+        )
     tools = _widest(
         [tool_bounds(session, [rung.block for rung in of_one]) for of_one in zip(*rungs.values(), strict=True)]
     )

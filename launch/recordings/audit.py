@@ -282,7 +282,7 @@ class _AuditRun:
             found = [check for check in (*out, *assumed) if check.party == name]
             missed = (CheckVerdict.ASSUMPTION, CheckVerdict.ENFORCED)
             within = all(check.verdict not in missed for check in found) and not courses[name].released
-            promised = device.time != WALL or device.tank is not None or within
+            promised = device.time != WALL or device.allowance is not None or within
             if self._session.devices[name].word is None:  # otherwise its ledger lacks the work of a person's hand
                 out.append(bounded(self._run, name, device.allowed, promised))
             out += [*limits_kept(self._run, name, device, courses[name]), *assumed]
@@ -339,7 +339,7 @@ class _AuditRun:
         """What the certificate assumes of a device's delays and periods."""
         taus = {0: bundle.rungs[0].tau} | {tick + 1: bundle.rungs[rung].tau for tick, rung in course.in_force}
         tolerance = bundle.rungs[0].period_tolerance  # every rung of a ladder has that of the certificate
-        enforced = bundle.time == WALL and bundle.tank is not None
+        enforced = bundle.time == WALL and bundle.allowance is not None
         return [
             delay_assumed(self._run, name, taus, enforced, bundle.time == WALL and bundle.timing.latency > 0.0),
             period_assumed(self._run, name, tolerance, enforced),
@@ -479,7 +479,7 @@ class _AuditRun:
                 gaps=gaps,
             ),
             ordered(run, name, instants, course, self._presence.owed[name], from_seconds(bundle.timing.latency)),
-            account_bounded(name, account, bundle.tank),
+            account_bounded(name, account, instants[:, 1], bundle.allowance),
             self._compare(
                 "ledger",
                 name,

@@ -19,7 +19,8 @@ from manyhands.launch.recordings.events import Course
 from manyhands.launch.recordings.findings import EXACT, Check, CheckVerdict, UncheckedTicks, compare, first_of
 from manyhands.launch.recordings.run import RecordedRun, rows_of, there
 from manyhands.nodes import telemetry as names
-from manyhands.nodes.bundle import SIMULATED, WALL, DeviceBundle
+from manyhands.nodes.bundle import NOTHING, SIMULATED, WALL, DeviceBundle
+from manyhands.nodes.device.allowance import Allowance
 from manyhands.protocol.channels import INSTANT_NAMES
 
 Array = NDArray[np.float64]
@@ -78,13 +79,13 @@ def figures_agree(run: RecordedRun, node: str) -> Check:
     return compare("figures", node, what, ("E",), trace, reported, owed=compared)
 
 
-def bounded(run: RecordedRun, node: str, allowed: float = 0.0, promised: bool = True) -> Check:
+def bounded(run: RecordedRun, node: str, allowed: Allowance = NOTHING, promised: bool = True) -> Check:
     """A ledger of ``node`` is never below 0. It includes the work of every hand, a person's at a browser as well.
 
     Args:
         run: the recording.
         node: its name.
-        allowed: how far the ledger may fall below 0, J: of a device in wall time, its tank.
+        allowed: how far the ledger may fall below 0: of a device in wall time, by what lateness may put in.
         promised: whether the node promised that bound. A device in wall time without a tank did not, if an assumption
             of the certificate did not hold: then lateness may have put in what is missing.
 
@@ -95,13 +96,16 @@ def bounded(run: RecordedRun, node: str, allowed: float = 0.0, promised: bool = 
     total = trace[np.isfinite(trace)]
     work = float(np.abs(np.diff(total, prepend=0.0)).sum())
     tolerance = LEDGER_ROUNDING * work
-    bound = f"-{allowed:g} J, its tank" if allowed else "0"
+    bound = f"-{allowed}, its tank" if allowed != NOTHING else "0"
     what = f"its ledger never fell below {bound}: it kept its promise"
     if not promised:
         what = "its ledger is never below 0, as within the certificate; what lateness puts in is not enforced"
     source = f"{LEDGER_ROUNDING:g} of the sum of its increments' magnitudes: rounding"
-    wrong = trace < -allowed - tolerance
-    first = first_of(wrong, ("E",), trace, np.full_like(trace, 0.0 - allowed))
+    most = np.full_like(trace, allowed.energy)
+    if allowed.power:
+        most = _allowed_by(allowed, rows_of(run, node, names.INSTANTS)[:, 0])
+    wrong = trace < -most - tolerance
+    first = first_of(wrong, ("E",), trace, 0.0 - most)
     verdict = CheckVerdict.HOLDS if len(total) else CheckVerdict.UNCHECKED
     if first is not None:
         verdict = CheckVerdict.BROKEN if promised else CheckVerdict.ASSUMPTION
@@ -120,26 +124,32 @@ def bounded(run: RecordedRun, node: str, allowed: float = 0.0, promised: bool = 
     )
 
 
-def account_bounded(node: str, account: Array, tank: float | None) -> Check:
-    """The account e_k of a device in wall time is never below -E_0; where it is counted alone, 0 is an assumption.
+def _allowed_by(allowance: Allowance, at: Array) -> Array:
+    """E_0 + P t, ticks x 1, J, at these instants since tick 0, ns."""
+    return np.array([[allowance.by(t)] for t in np.nan_to_num(at) * 1e-9])
+
+
+def account_bounded(node: str, account: Array, at: Array, allowance: Allowance | None) -> Check:
+    """The account e_k of a device in wall time is never below -(E_0 + P t); counted alone, 0 is an assumption.
 
     Args:
         node: the device.
         account: recorded, ticks x 1, J.
-        tank: E_0, J; None where nothing bounds the account.
+        at: the instants a_k, ns since tick 0.
+        allowance: E_0 and P; None where nothing bounds the account.
     """
     known = account[np.isfinite(account)]
     tolerance = LEDGER_ROUNDING * float(np.abs(np.diff(known, prepend=0.0)).sum())
-    least = 0.0 - (tank or 0.0)
+    least = 0.0 - (np.zeros_like(account) if allowance is None else _allowed_by(allowance, at))
     wrong = account < least - tolerance
-    first = first_of(wrong, ("e",), account, np.full_like(account, least))
-    if tank is None:
+    first = first_of(wrong, ("e",), account, least)
+    if allowance is None:
         what = "its account is never below 0, as within the certificate; nothing bounds it in this session"
     else:
-        what = f"lateness put in no more than its tank of {1e3 * tank:g} mJ"
+        what = f"lateness put in no more than its tank of {allowance}"
     verdict = CheckVerdict.HOLDS if len(known) else CheckVerdict.UNCHECKED
     if first is not None:
-        verdict = CheckVerdict.ASSUMPTION if tank is None else CheckVerdict.BROKEN
+        verdict = CheckVerdict.ASSUMPTION if allowance is None else CheckVerdict.BROKEN
     remark = f"least account {1e3 * min(0.0, float(known.min())):.4g} mJ" if len(known) else ""
     source = f"{LEDGER_ROUNDING:g} of the sum of its increments' magnitudes: rounding"
     return Check(

@@ -147,7 +147,8 @@ def _certificate(prepared: Prepared) -> CertificateAbout:
         delta_D={name: float(np.linalg.eigvalsh(session.osp_level(name))[0]) for name in session.devices},
         ladder=() if prepared.ladder is None else tuple(prepared.ladder.taus[1:]),
         enforced=tuple(prepared.loop.enforced),
-        tank=session.faults.tank,
+        tank=session.faults.tank.energy,
+        power=session.faults.tank.power,
         bounded=session.faults.enforced_tank is not None,
         taus={} if prepared.world is None else {device: proof.tau for device, proof in proofs.items()},
     )

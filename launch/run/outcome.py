@@ -128,13 +128,16 @@ def node_entry(role: Role, report: Report, restarts: int = 0) -> dict[str, Any]:
             "seconds": figures.get(names.SUSPENDED_TIME, 0.0) / 1e6,
             "energy": figures.get(names.SUSPENDED_ENERGY, 0.0),
         }
-    if {names.INTERFACE, names.INTERFACE_LEAST} <= figures.keys():
+    if {names.INTERFACE, names.INTERFACE_LEAST, names.INTERFACE_MARGIN} <= figures.keys():
         entry["interface"] = {
             "min": figures[names.INTERFACE_LEAST],
+            "margin": figures[names.INTERFACE_MARGIN],
             "final": figures[names.INTERFACE],
             "changed_ticks": int(min(max(figures.get(names.INTERFACE_TICKS, 0.0), 0.0), MAX_COUNT)),
             "kept_back": figures.get(names.INTERFACE_KEPT_BACK, 0.0),
             "offset": figures.get(names.INTERFACE_OFFSET, 0.0),
+            "asked": figures.get(names.FORCE_ASKED, 0.0),
+            "given": figures.get(names.FORCE_GIVEN, 0.0),
         }
     if {names.ENFORCED_TICKS, names.ENFORCED_ENERGY} <= figures.keys():
         entry["enforcement"] = {
@@ -226,8 +229,24 @@ def lateness_entry(prepared: Prepared, clock: str) -> dict[str, Any] | None:
         "tau": min(certificate.tau for certificate in prepared.certificates),
         "period_tolerance": min(certificate.period_tolerance for certificate in prepared.certificates),
         "enforced": session.faults.enforced_tank is not None,
-        "tank": session.faults.tank,
+        "tank": session.faults.tank.energy,
+        "power": session.faults.tank.power,
     }
+
+
+def _given(entries: Mapping[str, Mapping[str, Any]]) -> str:
+    """How much of the force that was asked for the device gave that gave least, to follow; empty for no force."""
+    parts = {name: min(1.0, one["given"] / one["asked"]) for name, one in entries.items() if one["asked"] > 0.0}
+    if not parts:
+        return ""
+    least = min(parts, key=parts.__getitem__)
+    return f"; {100.0 * parts[least]:.4g} % of the force asked was given, or more ({least})"
+
+
+def by_and_by(lateness: Mapping[str, Any]) -> str:
+    """By what power the bound of an account falls, to follow it; empty for none."""
+    power = lateness.get("power", 0.0)
+    return f", falling by {1e3 * power:g} mW" if power else ""
 
 
 def lateness_sentence(report: Mapping[str, Any]) -> str | None:
@@ -251,15 +270,16 @@ def lateness_sentence(report: Mapping[str, Any]) -> str | None:
                 f"; the process of {name} was suspended for {slept['seconds']:.3g} s, which put in "
                 f"{joules(slept['energy'])}"
             )
+    given = _given(entries)
     if promise is None:
-        return f"lateness: nothing is proved, and it was only counted; {lowest}"
+        return f"lateness: nothing is proved, and it was only counted; {lowest}{given}"
     proved = f"lateness: proved up to τ = {1e3 * promise['tau']:.4g} ms"
     if promise["enforced"]:
         changed, kept = (sum(entry[key] for entry in entries.values()) for key in ("changed_ticks", "kept_back"))
         beyond = f"enforced beyond: {changed} {'tick' if changed == 1 else 'ticks'} changed, {joules(kept)} kept back"
     else:
         beyond = "only counted beyond"
-    return f"{proved}, {beyond}; {lowest}, bound {joules(0.0 - promise['tank'])}"
+    return f"{proved}, {beyond}; {lowest}, bound {joules(0.0 - promise['tank'])}{by_and_by(promise)}{given}"
 
 
 def felt_links(session: Session, figures: Mapping[str, Mapping[str, float]]) -> dict[str, FeltLink]:

@@ -85,6 +85,7 @@ from manyhands.launch.session.limits import (
 from manyhands.launch.session.matrices import Entry, Rational
 from manyhands.launch.session.motion import MOTION_FORM, Motion, TraceData, motion_of, read_trace, trace_from_numbers
 from manyhands.nodes.bundle import TIMES, WALL
+from manyhands.nodes.device.inertia import Inertia
 from manyhands.nodes.device.intent import ALLOWED, Formula, FormulaError
 from manyhands.nodes.device.specification import DeviceTiming, DriverWord
 from manyhands.nodes.factory import DRIVERS
@@ -243,9 +244,12 @@ _ROUNDING: Final = 1e-12  # rounding error of the eigenvalues of a difference, r
 _per_axis: Final = PerAxis(OSP_LEVEL)
 _SIMULATED, _TRACE, _BROWSER = _DRIVERS = ("simulated", "trace", "browser")
 _ELSEWHERE: Final = ("mass", "damping", "hand")
-"""Keys of a simulated mechanism; no device has them that something else moves."""
+"""Keys of a simulated mechanism; a recorded motion has none of them."""
 
-_OF_A_PLUGIN: Final = ("parameters", "sample_age", "age_jitter", "actuation_delay", "axis_map", "scale")
+_NOT_OF_A_PLUGIN: Final = ("damping", "hand")
+"""Those that a driver of another package has itself. Of its mass a session may state the least."""
+
+_OF_A_PLUGIN: Final = ("parameters", "sample_age", "age_jitter", "actuation_delay", "axis_map", "scale", "step")
 """Keys of a driver of another package; no other device has them."""
 
 _AGE: Final = Quantity("a time", "s", least=0.0, most=LONGEST_PERIOD)
@@ -323,6 +327,13 @@ def _mass(value: object, info: ValidationInfo) -> object:
     return None if value is None else _MASS(value, info)
 
 
+_STEP: Final = PerAxis(Quantity("a step", "m", least=0.0))
+
+
+def _step(value: object, info: ValidationInfo) -> object:
+    return None if value is None else _STEP(value, info)
+
+
 def _trace(value: object, info: ValidationInfo) -> object:
     return motion_of(value, info.data.get("dof", 1), info.context)
 
@@ -358,7 +369,7 @@ class Device(SessionModel):
                 },
                 {
                     "if": {"properties": {"driver": {"not": {"enum": [*_DRIVERS]}}}, "required": ["driver"]},
-                    "then": {"allOf": [without("trace", *_ELSEWHERE), {"properties": {"time": {"const": WALL}}}]},
+                    "then": {"allOf": [without("trace", *_NOT_OF_A_PLUGIN), {"properties": {"time": {"const": WALL}}}]},
                 },
             ]
         }
@@ -392,6 +403,9 @@ class Device(SessionModel):
     scale: Annotated[float | None, BeforeValidator(optional(_SCALE))] = Field(
         default=None, description="with a driver's factory, by how much motions grow from the device to the session"
     )
+    step: Annotated[tuple[float, ...] | None, BeforeValidator(_step), WithJsonSchema(_STEP.json_schema)] = Field(
+        default=None, description="with a driver's factory and a mass, the step of its displacements in m"
+    )
     time: Annotated[Literal["wall", "own"], BeforeValidator(Choice(TIMES))] = Field(
         default="wall",
         description="under the realtime clock, wall: it goes on by the wall clock; own: by one period a tick",
@@ -400,7 +414,7 @@ class Device(SessionModel):
         default=None, description="with driver: trace, the recorded motion"
     )
     mass: Annotated[tuple[float, ...] | None, BeforeValidator(_mass), WithJsonSchema(_MASS.json_schema)] = Field(
-        default=None, description="the moving mass in kg, greater than 0: a number, or one for each axis"
+        default=None, description="the least moving mass in kg, greater than 0: a number, or one for each axis"
     )
     damping: Annotated[tuple[float, ...] | None, BeforeValidator(_damping), WithJsonSchema(_DAMPING.json_schema)] = (
         defaulted(None, "the damping in N·s/m, at least the OSP level: a number, or one for each axis")
@@ -417,6 +431,16 @@ class Device(SessionModel):
     def timing(self) -> DeviceTiming:
         """The age of its samples and the delay of its forces."""
         return DeviceTiming(self.sample_age or 0.0, self.age_jitter, self.actuation_delay or 0.0)
+
+    @property
+    def inertia(self) -> Inertia | None:
+        """What is stated of its mass and its hand; None where nothing is.
+
+        A recorded motion has no mass. A pointer may jump, so that nothing bounds the force of a hand that follows it.
+        """
+        if self.mass is None or self.driver == _BROWSER:
+            return None
+        return Inertia(self.mass, self.limits.hand, self.step or (0.0,) * self.dof)
 
     @property
     def word(self) -> DriverWord | None:
@@ -523,9 +547,11 @@ class Device(SessionModel):
         """The problems of a device that a driver of another package moves."""
         if self.trace is not None:
             yield Problem(("trace",), f"trace {here}", "'driver: trace', or no trace")
-        for key in _ELSEWHERE:
+        for key in _NOT_OF_A_PLUGIN:
             if getattr(self, key) is not None:
                 yield Problem((key,), f"{key} {here}", f"no {key}: the driver's device and its user have their own")
+        if self.step is not None and self.mass is None:
+            yield Problem(("step",), f"a step without a mass {here}", "the least moving mass as well, or no step")
         if self.time != WALL:
             yield Problem(("time",), f"time: {self.time} {here}", f"time: {WALL}, for a driver follows the clock")
         if self.age_jitter is not None and self.age_jitter > (self.sample_age or 0.0):

@@ -49,6 +49,7 @@ from manyhands.launch.session.limits import (
     DEFAULT_FORCE,
     DEFAULT_SPEED,
     HAND_ENERGY,
+    HAND_FORCE,
     HAND_POWER,
     LONGEST_PERIOD,
     MAX_DOF,
@@ -540,6 +541,7 @@ def require_spring_or_damper(stiffness: float | Interval, damping: float | Inter
 _FORCE: Final = Quantity("a limit of the force", "N", above=0.0, smallest=MIN_POSITIVE)
 _DISPLACEMENT: Final = Quantity("a limit of the displacement", "m", above=0.0, smallest=MIN_POSITIVE)
 _SPEED: Final = Quantity("a limit of the speed", "m/s", above=0.0, smallest=MIN_POSITIVE)
+_HAND: Final = Quantity("the greatest force of its hand", "N", above=0.0, smallest=MIN_POSITIVE)
 _POWER: Final = Quantity("a power put into the others", "W", above=0.0, smallest=MIN_POSITIVE)
 _ENERGY: Final = Quantity("an energy put into the others", "J", above=0.0, smallest=MIN_POSITIVE)
 
@@ -566,7 +568,8 @@ class PortLimits(SessionModel):
     """The limits at a device's ports; every tuple has one entry for each axis.
 
     The units are those of a translational axis; a rotational axis has N·m, rad and rad/s. The device clips a force that
-    exceeds its limit, and lets go when a displacement or a speed does. Power and energy are limits of the whole device.
+    exceeds its limit, and lets go when a displacement or a speed does. Nothing limits its hand: what is stated of it is
+    believed until a motion shows more. Power and energy are limits of the whole device.
     """
 
     dof: SkipJsonSchema[Dof] = Field(alias=DEVICE_AXES, exclude=True, repr=False)
@@ -578,6 +581,9 @@ class PortLimits(SessionModel):
     )
     speed: Annotated[tuple[float, ...], BeforeValidator(PerAxis(_SPEED))] = defaulted(
         DEFAULT_SPEED, "the greatest speed in m/s: a number, or one for each axis"
+    )
+    hand: Annotated[tuple[float, ...], BeforeValidator(PerAxis(_HAND))] = defaulted(
+        HAND_FORCE, "the greatest force in N by which its hand speeds it up: a number, or one for each axis"
     )
     power: Annotated[float, BeforeValidator(_power), WithJsonSchema(_POWER.json_schema)] = defaulted(
         None, "the power in W that it may put into the other users for as long as it likes"

@@ -68,6 +68,9 @@ DEFAULT_DISPLACEMENT: Final = 10.0
 """m; rad on a rotational axis."""
 DEFAULT_SPEED: Final = 100.0
 """m/s; rad/s on a rotational axis."""
+HAND_FORCE: Final = 50.0
+"""N; N·m on a rotational axis. The most by which a hand speeds a device up, where a session states nothing: above what
+the joints of a finger can control, and below a shoulder's [Tan1994]_."""
 HAND_POWER: Final = 40.0
 """W; the most that a hand puts into others, where a session states nothing: 20 N at 2 m/s."""
 HAND_ENERGY: Final = 100.0
@@ -84,8 +87,12 @@ DEFAULT_WINDOW: Final = 60.0
 """s."""
 DEFAULT_TANK: Final = 5e-3
 """J; a device of Example 1 may then be pushed with 2 N for 7 ms after its force should have ended."""
+DEFAULT_TANK_POWER: Final = 1e-3
+"""W; see docs/decisions/0030-lateness-in-joules.md for what a machine spends, and what a hand can feel."""
 LARGEST_TANK: Final = 10.0
 """J; 1 kg at 4.5 m/s."""
+LARGEST_TANK_POWER: Final = 1.0
+"""W."""
 
 # wave links
 LONGEST_INTERVAL: Final = 0.01

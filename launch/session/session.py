@@ -25,7 +25,15 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self, TypeAlias
 
 import numpy as np
-from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    ValidationError,
+    WithJsonSchema,
+    model_validator,
+)
 
 from manyhands.design.models.brief import brief_names
 from manyhands.launch.session.design import TRANSPARENCY, Design, full_matrix
@@ -60,12 +68,14 @@ from manyhands.launch.session.fields import (
     refusal,
     refuse,
 )
-from manyhands.launch.session.forms import one_key_of
+from manyhands.launch.session.forms import either, mapping_of, one_key_of
 from manyhands.launch.session.limits import (
     DEFAULT_RESTARTS,
     DEFAULT_TANK,
+    DEFAULT_TANK_POWER,
     DEFAULT_WINDOW,
     LARGEST_TANK,
+    LARGEST_TANK_POWER,
     LONGEST_WINDOW,
     MAX_COUPLINGS,
     MAX_DEVICES,
@@ -82,6 +92,7 @@ from manyhands.launch.session.objects import plain_value, tree_of
 from manyhands.launch.session.wave_link import WaveLink
 from manyhands.launch.session.yaml import SessionTree, apply_overrides, read_tree, replaced
 from manyhands.nodes.bundle import REALTIME, WALL
+from manyhands.nodes.device.allowance import Allowance
 from manyhands.nodes.factory import FactoryName
 from manyhands.protocol.channels import CHANNELS, Channel, Rate
 from manyhands.protocol.messages import Role
@@ -212,9 +223,30 @@ def with_single_ports(value: object) -> object:
 
 _RESTARTS: Final = Whole("restarts", 0, MAX_RESTARTS)
 _TANK: Final = Quantity("a tank", "J", least=0.0, most=LARGEST_TANK)
+_TANK_POWER: Final = Quantity("a power", "W", least=0.0, most=LARGEST_TANK_POWER)
 _WINDOW: Final = Quantity("a window", "s", above=0.0, most=LONGEST_WINDOW, smallest=MIN_POSITIVE)
 _BREACHES: Final = ("warn", "soften", "stop")
 _LATENESS: Final = ("enforce", "count")
+
+
+def _allowance(value: object) -> object:
+    """A tank: E_0 alone, or energy and power."""
+    if isinstance(value, Allowance):
+        return value
+    if not isinstance(value, Mapping):
+        return Allowance(_TANK(value))
+    if set(value) != {"energy", "power"}:
+        raise refuse(f"a mapping with {listed(value)}", "{energy: ..., power: ...} in J and W, or a number in J")
+    return Allowance(_TANK(value["energy"]), _TANK_POWER(value["power"]))
+
+
+def _plain_allowance(tank: Allowance) -> object:
+    return {"energy": tank.energy, "power": tank.power} if tank.power else tank.energy
+
+
+_TANK_FORM: Final = either(
+    _TANK.json_schema, mapping_of({"energy": _TANK.json_schema, "power": _TANK_POWER.json_schema})
+)
 
 
 class Faults(SessionModel):
@@ -232,14 +264,16 @@ class Faults(SessionModel):
     lateness: Annotated[Literal["enforce", "count"], BeforeValidator(Choice(_LATENESS))] = Field(
         default="enforce", description="what bounds the energy of lateness at a device in wall time: enforce or count"
     )
-    tank: Annotated[float, BeforeValidator(_TANK)] = Field(
-        default=DEFAULT_TANK,
-        description="with lateness: enforce, what lateness may put in through each device in the whole session, in J",
+    tank: Annotated[
+        Allowance, BeforeValidator(_allowance), WithJsonSchema(_TANK_FORM), PlainSerializer(_plain_allowance)
+    ] = Field(
+        default=Allowance(DEFAULT_TANK, DEFAULT_TANK_POWER),
+        description="with lateness: enforce, what lateness may put in through each device: {energy, power} in J and W",
     )
 
     @property
-    def enforced_tank(self) -> float | None:
-        """E_0, J; None where lateness is counted alone."""
+    def enforced_tank(self) -> Allowance | None:
+        """E_0 and P; None where lateness is counted alone."""
         return self.tank if self.lateness == "enforce" else None
 
 

@@ -15,22 +15,24 @@ passive hand take in r^T d, of which the device burns at least d^T Delta_D d / h
 the couplings have been given e(k) less than the device took in. At delays and periods that the certificate covers,
 e(k) >= f^T K f / 2 >= 0. Beyond, e falls by the energy that lateness has put into the loop.
 
-**The bound.** The interface keeps e(k) >= -E_0 for every sequence of delays, by two means: how far x' follows x, and
-how strongly and for how long a force acts. The proofs are in docs/decisions/0030-lateness-in-joules.md. They rest on
-one inequality. Whatever the couplings answer to a motion w, a tick adds to e - f^T K f / 2 at least
+**The bound.** The interface keeps e(k) >= -(E_0 + P t) for every sequence of delays, by two means: how far x' follows
+x, and how strongly and for how long a force acts. The proofs are in docs/decisions/0030-lateness-in-joules.md. They
+rest on one inequality. Whatever the couplings answer to a motion w, a tick adds to e - f^T K f / 2 at least
 
     f(k-1)^T w - m w^T Delta_D w / T + c g^T T Delta_D^-1 g,    m = share + a^2/(b - c),
     a = 1/2 - share kappa,    b = kappa a,
 
-with the c of the certificate's device. So B = E_0 + e - f^T K f / 2 is known before the answer, and the
+with the c of the certificate's device. So B = E_0 + P t + e - f^T K f / 2 is known before the answer, and the
 interface chooses w so that B stays above what the force may still cost until it is replaced or ends,
 
     R = h p(r),    p(r) = max over v of r^T v - v^T Delta_D v  <=  r^T Delta_D^-1 r / 4,
 
-with h the time left, and v within the device's limit of speed. So the bound rests on that limit: e(k) >= -E_0 for every
-motion that keeps it on each axis in the mean over each piece. A faster one costs more than R holds by at most
-h (r^T Delta_D^-1 r / 4 - p(r)) a piece. The guard sees it at the next sample at the earliest. Then the account is below
--E_0 by no more than this excess, and nothing is exerted until the motion has paid for it.
+with h the time left, and v within the device's limit of speed. Where a mass and the hand's force are stated, v is
+within what they allow as well (:mod:`manyhands.nodes.device.inertia`), until a motion shows that they are not so. So
+the bound rests on that limit and on these statements: it holds for every motion that keeps them, on each axis and in
+the mean over each piece. A faster one costs more than R holds by at most h (r^T Delta_D^-1 r / 4 - p(r)) a piece. It is
+seen at the next sample at the earliest. Then the account is below its bound by no more than this excess, and nothing is
+exerted until the motion has paid for it.
 
 Of all motions that keep B >= R it takes the nearest to the real one. All that is missing stays as an offset x - x',
 which is made up slowly, as far as the account pays for it. A force that lasts longer than B pays for ends by itself.
@@ -52,6 +54,8 @@ from numpy.typing import NDArray
 from manyhands.design.levels.contract import DeviceShare
 from manyhands.nodes.arithmetic import Floats, dot, linear_map, minus
 from manyhands.nodes.bundle import DeviceBundle
+from manyhands.nodes.device.allowance import Allowance
+from manyhands.nodes.device.inertia import Inertia, Reach
 from manyhands.nodes.timeouts import timeouts
 from manyhands.protocol.clock import Duration, Instant, from_seconds
 
@@ -71,9 +75,17 @@ class InterfaceAccount:
         f: the force f(k) that the couplings sent last, N.
         exerted: the force that the device exerts, N.
         until: the instant at which it ends by itself, since tick 0's; None where it is held.
+        broken: the axis that has moved further than the stated inertia allows, which no longer counts since; or None.
     """
 
-    def __init__(self, osp: Matrix, promise: DeviceShare, T: float, speed: Sequence[float]) -> None:
+    def __init__(
+        self,
+        osp: Matrix,
+        promise: DeviceShare,
+        T: float,
+        speed: Sequence[float],
+        inertia: Inertia | None = None,
+    ) -> None:
         """Begin at rest in x = 0, without a force; time begins with the first sample.
 
         Args:
@@ -81,8 +93,10 @@ class InterfaceAccount:
             promise: kappa, share and c of the rung that the session begins with.
             T: period, s.
             speed: the device's limit of speed on each axis, m/s; a faster device lets go.
+            inertia: what is stated of the device's mass and its hand; None where nothing is.
         """
         self._T, self._speed = T, tuple(speed)
+        self._reach = None if inertia is None else Reach(inertia)
         joins = bool(np.any(osp - np.diag(np.diag(osp))))
         self._least: Floats = [float(np.linalg.eigvalsh(osp)[0])] * len(speed) if joins else np.diag(osp).tolist()
         self.burn = linear_map(osp)
@@ -97,6 +111,7 @@ class InterfaceAccount:
         self._since = Instant(0)  # from which on the present force is exerted and not yet among the parts
         self._parts: list[tuple[Floats, int, int]] = []  # forces since the last sample, with beginning and end, ns
         self._moved: Floats | None = None  # w(k), until its answer
+        self.broken: int | None = None
         self.change(promise)
 
     def change(self, promise: DeviceShare) -> None:
@@ -132,6 +147,13 @@ class InterfaceAccount:
         parts = [(r, (end - begin) * _NS) for r, begin, end in acted]
         h = (at - known) * _NS
         d = minus(x, last)
+        reach = self._reach
+        before = None if reach is None else reach.fastest
+        if reach is not None:
+            reach.saw(d, parts)
+            if reach.broken is not None:  # what was stated is not so: from now on the limit of speed alone counts
+                self.broken, self._reach = reach.broken, None
+                before = None
         mean = parts[0][0]
         spread = 0.0
         if len(parts) > 1:
@@ -143,8 +165,19 @@ class InterfaceAccount:
         if len(parts) > 1:
             limits = zip(d, self._speed, strict=True)
             within = [v if abs(way) <= _ROUNDING * v * h else math.inf for way, v in limits]
-            cost = min(cost, sum(time * self.cost(r, within) for r, time in parts))
+            cost = min(cost, self._most_of(parts, within, before))
         self.balance -= cost
+
+    def _most_of(self, parts: Sequence[tuple[Floats, float]], within: Sequence[float], u: Floats | None) -> float:
+        """The most that forces r (N), which acted for h (s) each, can have cost from a speed of at most u on, J."""
+        reach, total = self._reach, 0.0
+        for r, h in parts:
+            if reach is None or u is None:
+                total += h * self.cost(r, within)
+            else:
+                total += h * self.cost(r, list(map(min, within, reach.speeds(u, r, h))))
+                u = reach.grown(u, r, h)
+        return total
 
     def _close(self, at: Instant) -> None:
         """Keep how long the present force was exerted until ``at``, and how long none was after its end."""
@@ -164,7 +197,49 @@ class InterfaceAccount:
 
         With a latency the forces before it may still act when a sample is taken.
         """
-        return self._since, sum((end - begin) * _NS * self.cost(r) for r, begin, end in self._parts)
+        parts = [(r, (end - begin) * _NS) for r, begin, end in self._parts]
+        return self._since, self._most_of(parts, self._speed, self._fastest)
+
+    @property
+    def _fastest(self) -> Floats | None:
+        """The bound u at the last sample, m/s."""
+        return None if self._reach is None else self._reach.fastest
+
+    def costs(self, r: Floats, begin: Instant, h: float) -> float:
+        """The most that r (N) can cost if it acts for h (s) from ``begin`` on, J.
+
+        Until ``begin`` the forces act that do so already.
+        """
+        reach = self._reach
+        if reach is None:
+            return h * self.cost(r)
+        return h * self.cost(r, list(map(min, self._speed, reach.speeds(self._at_most(begin), r, h))))
+
+    def lasts(self, r: Floats, begin: Instant, paid: float) -> float:
+        """For how long r (N) may act from ``begin`` on where ``paid`` (J, at least 0) is there for it, s.
+
+        With an inertia it is the greater of paid/p(r) and the h of  sum |r_i| (u_i h + a_i h^2 / 2) = paid,  for what
+        the motion burns is left out there.
+        """
+        power = self.cost(r)
+        if power == 0.0:
+            return math.inf
+        reach = self._reach
+        if reach is None or paid == 0.0:
+            return paid / power
+        rate, growth = reach.work(self._at_most(begin), r)
+        return max(paid / power, 2.0 * paid / (rate + math.sqrt(rate * rate + 2.0 * growth * paid)))
+
+    def _at_most(self, begin: Instant) -> Floats:
+        """The bound u at ``begin``, m/s: grown from the last sample on by the forces that act until then."""
+        reach = self._reach
+        if reach is None:
+            raise AssertionError("asked only where an inertia is stated")
+        u = reach.fastest
+        for r, first, end in self._parts:
+            u = reach.grown(u, r, (end - first) * _NS)
+        left = (begin - max(self._since, self._at or self._since)) * _NS
+        return reach.grown(u, self.exerted, left) if left > 0.0 else u
 
     def cost(self, r: Floats, speed: Sequence[float] | None = None) -> float:
         """p(r), W: the most that r (N) can cost in a second, the greatest r^T v - v^T Delta_D v.
@@ -248,7 +323,11 @@ class DeviceInterface:
 
     Attributes:
         account: the account.
-        tank: what is left of E_0, at least 0, J; it gains what the motion leaves over, up to a bound.
+        tank: what is left of E_0 + P t, at least 0, J; it gains what the motion leaves over, up to a bound.
+        allowed: E_0 + P t, how far e(k) may be below 0 now, J.
+        margin: the least e(k) + E_0 + P t so far, J.
+        asked: the impulse of the forces that the couplings asked for within the limits, all axes added, N*s.
+        given: the impulse of those that were exerted, N*s.
         ticks: the number of ticks in which the motion or the force was changed.
         kept_back: the energy that the changed motions kept from being lost, J.
         offset: the greatest offset so far between the device and the motion sent, of any axis, m.
@@ -265,8 +344,9 @@ class DeviceInterface:
         T: float,
         speed: Sequence[float],
         longest: Duration,
-        E_0: float | None,
+        allowance: Allowance | None,
         latency: Duration = Duration(0),  # noqa: B008 -- a number
+        inertia: Inertia | None = None,
     ) -> None:
         """Begin at rest in x = 0, with a full tank.
 
@@ -278,13 +358,16 @@ class DeviceInterface:
             T: period, s.
             speed: the device's limit of speed on each axis, m/s; a faster device lets go.
             longest: the longest time from a sample on for which its force is held, ns.
-            E_0: what lateness may put into the loop in the whole session, J; None for no bound.
+            allowance: E_0 and P, what lateness may put into the loop; None for no bound.
             latency: how much older than its call each sample is, and how much later than its call each force acts,
                 together, ns.
+            inertia: what is stated of the device's mass and its hand; None where nothing is.
         """
-        self.account = InterfaceAccount(osp, promise, T, speed)
-        self._bounded = E_0 is not None
-        self.tank = self._E_0 = 0.0 if E_0 is None else E_0
+        self.account = InterfaceAccount(osp, promise, T, speed, inertia)
+        self._bounded = allowance is not None
+        self._allowance = allowance or Allowance(0.0)
+        self.tank = self.allowed = self.margin = self._allowance.energy
+        self._first: Instant | None = None  # of all samples
         self._T, self._longest, self._latency, self._speed = T, longest, latency, tuple(speed)
         self._tau = self._expected = tau
         self._tolerance = tolerance
@@ -297,9 +380,11 @@ class DeviceInterface:
         self._exact = True  # whether the device knew where it was then
         self._sample: tuple[Floats, Instant, Floats, float] | None = None  # sent, and not booked yet
         self._answer: Floats | None = None  # likewise
-        self._power = 0.0  # of the exerted force, W
+        self._power = 0.0  # of the exerted force at the limit of speed, W
         self._booked, self._changed = 0.0, False
         self.ticks, self.kept_back, self.offset = 0, 0.0, 0.0
+        self.asked = self.given = self._limited = 0.0
+        self._wanted = self._size = 0.0  # of the present force, asked for and exerted, N
 
     @property
     def exerted(self) -> Floats:
@@ -333,6 +418,7 @@ class DeviceInterface:
         if last is not None and at > last:
             self.speed = math.dist(x, self._x) / ((at - last) * _NS)
         self._x, self._at = x, at
+        self._grow(at)
         w = minus(goal, before)
         gain = account.least_gain(w)
         left = self._left(at)
@@ -350,7 +436,8 @@ class DeviceInterface:
         acts = max(acts, at)
         left = self._left(acts)
         expected = max(0.0, max(self._tau, self._expected) - (acts - at) * _NS)
-        reserve = committed + (min(left, expected) * self._power if self._power > 0.0 else 0.0)
+        exerted = self._power > 0.0
+        reserve = committed + (account.costs(account.exerted, acts, min(left, expected)) if exerted else 0.0)
         own = minus(goal, self._goal)
         offset = minus(self._goal, before)
         part = 1.0 if max(map(abs, offset)) <= REST else min(1.0, self._T / RECOVERY)
@@ -368,8 +455,8 @@ class DeviceInterface:
         account.received(kept, gain)
         self._book()
         paid = self.tank - committed
-        if self._power > 0.0 and paid < left * self._power:
-            end = max(now, Instant(acts + int(max(0.0, 1e9 * paid / self._power))))
+        if exerted and paid < account.costs(account.exerted, acts, left):
+            end = max(now, Instant(acts + int(1e9 * account.lasts(account.exerted, acts, max(0.0, paid)))))
             if account.until is None or end < account.until:
                 self.shortened, account.until = True, end
         return self._sent
@@ -386,6 +473,7 @@ class DeviceInterface:
             at: the present instant.
         """
         self._answer = f
+        self._limited = sum(map(abs, held))
         if not self._bounded:
             return held, None
         account, T, sampled = self.account, self._T, at if self._at is None else self._at
@@ -406,15 +494,17 @@ class DeviceInterface:
         if power > 0.0:
             acts, spent = account.ahead
             acts = max(acts, sampled)
-            spent += min(max(0.0, (at - acts) * _NS), self._left(acts)) * before if before > 0.0 else 0.0
+            still = min(max(0.0, (at - acts) * _NS), self._left(acts))
+            spent += account.costs(account.exerted, acts, still) if before > 0.0 else 0.0
             paid = max(0.0, self.tank - spent + account.least_gain(self._best(f)))
             needed = (1.0 + self._tolerance) * T + expected - late
-            if needed * power > paid:
-                ratio = self._part(held, paid / needed)
-                held, self._power = [ratio * force for force in held], paid / needed
+            if account.costs(held, at, needed) > paid:
+                ratio = self._part(held, at, needed, paid)
+                held = [ratio * force for force in held]
+                self._power = account.cost(held)
                 self._changed = True
-            if paid < longest * self._power:
-                until = Instant(at + int(1e9 * paid / self._power))
+            if paid < account.costs(held, at, longest):
+                until = Instant(at + int(1e9 * account.lasts(held, at, paid)))
         self.ticks += self._changed
         return held, until
 
@@ -432,6 +522,9 @@ class DeviceInterface:
         """
         self._settle()
         before = self.account.until
+        self.asked += self._wanted * max(0, at - self._since) * _NS
+        self.given += self._size * max(0, (at if before is None else min(before, at)) - self._since) * _NS
+        self._wanted, self._size = self._limited, sum(map(abs, exerted))
         self._exact = x is not None
         if x is not None:
             self.account.sampled(x, at)
@@ -440,6 +533,7 @@ class DeviceInterface:
         if self._bounded:
             self.tank = min(self.tank, self._most(self._power))
         self.account.exert(exerted, at, until)
+        self.margin = min(self.margin, self.account.energy + self.allowed)
         return at if before is None else min(before, at)
 
     def released(self, at: Instant) -> None:
@@ -464,9 +558,17 @@ class DeviceInterface:
             self._answer = None
         self._book()
 
+    def _grow(self, at: Instant) -> None:
+        """Put P into the tank, for the time since the sample before."""
+        first = self._first = at if self._first is None else self._first
+        if self._allowance.power > 0.0:
+            allowed = self._allowance.by((at - first) * _NS)
+            self.tank += allowed - self.allowed
+            self.allowed = allowed
+
     def _most(self, power: float) -> float:
         """The most that the tank may hold, J, so that an hour's motion does not pay for a minute's lateness."""
-        return self._E_0 + ROOM * (self._T + max(self._tau, self._expected)) * power
+        return self._allowance.energy + ROOM * (self._T + max(self._tau, self._expected)) * power
 
     def _book(self) -> None:
         """Take over what the account has booked since the last call."""
@@ -479,12 +581,12 @@ class DeviceInterface:
         until = self.account.until
         return math.inf if until is None else max(0.0, (until - at) * _NS)
 
-    def _part(self, r: Floats, allowed: float) -> float:
-        """The greatest part s of r whose cost in a second is at most ``allowed`` (W), to a thousandth from below."""
+    def _part(self, r: Floats, begin: Instant, h: float, paid: float) -> float:
+        """The greatest part s of r that costs at most ``paid`` (J) in h (s) from ``begin`` on, to a thousandth."""
         low, high = 0.0, 1.0
         for _ in range(10):
             middle = 0.5 * (low + high)
-            if self.account.cost([middle * force for force in r]) <= allowed:
+            if self.account.costs([middle * force for force in r], begin, h) <= paid:
                 low = middle
             else:
                 high = middle
@@ -532,6 +634,7 @@ def interface_of(bundle: DeviceBundle) -> DeviceInterface:
         T,
         bundle.limits.speed,
         longest,
-        bundle.tank,
+        bundle.allowance,
         from_seconds(bundle.timing.latency),
+        bundle.inertia,
     )

@@ -378,7 +378,7 @@ def plugin_driver(device: PluginDevice, bundle: DeviceBundle) -> PluginDriver:
                 "mechanism moves in real time"
             )
         limits = bundle.limits.force, bundle.limits.displacement, bundle.limits.speed
-        if found := list(promises_too_much(stated, axis_map, limits, device.timing)):
+        if found := list(promises_too_much(stated, axis_map, limits, device.timing, bundle.inertia)):
             raise FactoryError(
                 f"devices.{bundle.common.name}: the session promises more than its driver {name} states: "
                 + "; ".join(found)

@@ -18,6 +18,8 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from manyhands.nodes.device.inertia import Inertia
+
 ROUNDING = 1e-9
 """Relative; a limit that is stated in another frame than it is compared in is rounded."""
 
@@ -97,8 +99,8 @@ class DeviceSpecification:
         speed: the greatest speed of each axis that the driver measures rightly, m/s.
         timing: the age of its samples and the delay of its forces.
         axes: names of its axes in their order, which a session's ``axis_map`` refers to; numbers from 0 unless given.
-        mass: the moving mass that a push meets on each axis, kg (or kg·m²); None where it is not known. The suite of
-            ``check-driver`` alone uses it.
+        mass: the least moving mass that a push meets on each axis, kg (or kg·m²); None where it is not known. A session
+            may state no greater one.
         moved_by_force: whether its forces move it. A source of motion, such as a tracker or a driven stage, states
             False: ``check-driver`` then skips what a push would show.
         hardware: whether forces act on a real mechanism, in real time. A simulated counterpart states False: it moves
@@ -167,6 +169,7 @@ def promises_too_much(
     axis_map: AxisMap,
     limits: tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]],
     timing: DeviceTiming,
+    inertia: Inertia | None = None,
 ) -> Iterator[str]:
     """A sentence for each number of a session that promises more than its driver states.
 
@@ -175,6 +178,7 @@ def promises_too_much(
         axis_map: of the session.
         limits: of the session, by port: force (N), displacement (m) and speed (m/s).
         timing: of the session.
+        inertia: of the session; None where it states none.
     """
     c = axis_map.scale
     own = ((stated.force, 1.0 / c, "N"), (stated.displacement, c, "m"), (stated.speed, c, "m/s"))
@@ -183,6 +187,12 @@ def promises_too_much(
             most = factor * of_driver[axis]
             if promised[port] > most * (1.0 + ROUNDING):
                 yield f"limits.{what}: found {promised[port]:g} {unit}; expected at most {most:g} {unit}"
+                break
+    if inertia is not None and stated.mass is not None:
+        for port, axis in enumerate(axis_map.axes):
+            least = stated.mass[axis] / (c * c)  # x = c X and f = F/c
+            if inertia.mass[port] > least * (1.0 + ROUNDING):
+                yield f"mass: found {inertia.mass[port]:g} kg; expected at most {least:g} kg"
                 break
     for what, promise, own_time in (
         ("sample_age", timing.sample_age, stated.timing.sample_age),

@@ -315,6 +315,10 @@ class DeviceTelemetry:
         return (suspended if self.suspended else {}) | {
             names.INTERFACE: interface.account.energy,
             names.INTERFACE_LEAST: interface.account.least,
+            names.INTERFACE_MARGIN: interface.margin,
+            names.QUICKER: float(interface.account.broken is not None),
+            names.FORCE_ASKED: interface.asked,
+            names.FORCE_GIVEN: interface.given,
             names.INTERFACE_TICKS: float(interface.ticks),
             names.INTERFACE_KEPT_BACK: interface.kept_back,
             names.INTERFACE_OFFSET: interface.offset,

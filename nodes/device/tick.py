@@ -67,7 +67,7 @@ class DeviceTick(ABC):
         self._exerted = driver.exerted if isinstance(driver, PluginDriver) else None
         self.driver = driver
         self.guard = guard or Guard(bundle.limits, common.period, common.ports)
-        self.core = DeviceCore(*bundle.promises[0], common.period, bundle.allowed)
+        self.core = DeviceCore(*bundle.promises[0], common.period, bundle.allowed.energy)
         self.x = self.sent = self._zero
         self.x_a: Floats | None = None
         self.instants: Instants = NO_INSTANTS
@@ -210,6 +210,7 @@ class WallTimeTick(DeviceTick):
         # not before the force is applied: ZeroMQ's thread may send x(k) only while this one waits
         self._count(self.driver.intended_work())
         self.core.sample(self.sent, interface.speed)
+        self.core.ledger.allowed = interface.allowed
         self.core.apply(self._asked, self.work)
 
     def _count(self, work: float) -> None:

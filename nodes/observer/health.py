@@ -68,6 +68,7 @@ class Promise(StrEnum):
     DELAY = "delay"
     PERIOD = "period"
     LATENESS = "lateness energy"
+    INERTIA = "stated inertia"
     FORCE = "force limits"
     LEVEL = "declared level"
     LINK = "wave link"
@@ -125,6 +126,11 @@ PROMISES: Final[Mapping[Promise, PromiseText]] = MappingProxyType({
         "lateness puts in no more energy than faults.tank", True,
         "See whether its process was stopped, its clock changed, or its limit of speed is too low for its motion; "
         "with faults: {lateness: enforce} it is bounded for motions within that limit.",
+    ),
+    Promise.INERTIA: PromiseText(
+        "it is no quicker than its stated mass and its hand's force allow", False,
+        "State a lesser mass or a stronger hand (devices: mass, limits.hand), or a step of its displacements. Until "
+        "then the reserve for lateness rests on the limit of speed, and late ticks take more of its force.",
     ),
     Promise.FORCE: PromiseText(
         "its forces stay within their limits, about which the certificate is", True,

@@ -97,6 +97,7 @@ class Terms:
             Promise.DELAY: late,
             Promise.PERIOD: late,
             Promise.LATENESS: late and bool(self.wall),
+            Promise.INERTIA: late and bool(self.wall),
             Promise.FORCE: True,
             Promise.LEVEL: bool(self.enforced),
             Promise.LINK: bool(self.linked),
@@ -456,7 +457,13 @@ class HealthModel:
         cost = {"ticks": self._total(node, names.INTERFACE_TICKS, figures), "J": put_in}
         if self._terms.bounded:
             self._count(Promise.LATENESS, node, node, self._grown(node, names.INTERFACE_TICKS, figures), at, cost)
-        if Promise.LATENESS in self._made and put_in > self._terms.tank + LEDGER_ROUNDING:
+        if Promise.INERTIA in self._made and figures.get(names.QUICKER, 0.0) > 0.0:
+            entry = self._entries.get((Promise.INERTIA, node)) or self._begin(
+                Promise.INERTIA, node, PromiseState.BROKEN, at
+            )
+            entry.remark = f"{node} moved further in a tick than its stated mass and its hand's force allow"
+        margin = figures.get(names.INTERFACE_MARGIN, self._terms.tank - put_in)
+        if Promise.LATENESS in self._made and margin < -LEDGER_ROUNDING:
             entry = self._entries.get((Promise.LATENESS, node))
             if entry is None or entry.state is not PromiseState.BROKEN:
                 entry = self._begin(Promise.LATENESS, node, PromiseState.BROKEN, at)

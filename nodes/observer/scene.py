@@ -106,7 +106,8 @@ class CertificateAbout:
         delta_D: the least eigenvalue of each device's level, N*s/m.
         ladder: the delays that the further rungs cover, s.
         enforced: parties whose level is enforced at run time instead of proved.
-        tank: E_0, what lateness may put in through each device in wall time, J.
+        tank: E_0, what lateness may put in through each device in wall time at once, J.
+        power: P, what it may put in besides for as long as it likes, W.
         bounded: whether the devices keep to that bound; otherwise lateness is counted alone.
         taus: the longest delay by device, s, in a session with wave links, whose sites have certificates of their own;
             ``tau`` is then the shortest of them.
@@ -121,6 +122,7 @@ class CertificateAbout:
     tank: float
     bounded: bool
     taus: Mapping[str, float] = field(default_factory=dict)
+    power: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -331,6 +333,7 @@ def _certificate(data: Any) -> CertificateAbout:
             "tank": _number(data["tank"]),
             "bounded": _flag(data["bounded"]),
             "taus": _numbers(data["taus"]),
+            "power": _number(data.get("power", 0.0)),
         }
     )
 

@@ -17,11 +17,18 @@ from manyhands.protocol.messages import Role
 
 from ..support.small_recordings import RECORDED
 
-PROMISE = {"tau": 0.0007, "period_tolerance": 0.25, "enforced": True, "tank": 0.005}
+PROMISE = {"tau": 0.0007, "period_tolerance": 0.25, "enforced": True, "tank": 0.005, "power": 0.001}
 
 
 def device(least: float = 0.0, final_speed: float = 0.0, margin: float = 0.005) -> dict[str, Any]:
-    account = {"min": least, "final": 0.02, "changed_ticks": 3, "kept_back": 0.0005, "offset": 0.0}
+    account = {
+        "min": least,
+        "margin": 0.005 + least,
+        "final": 0.02,
+        "changed_ticks": 3,
+        "kept_back": 0.0005,
+        "offset": 0.0,
+    }
     return {
         **{"ticks": 1000, "late": 5, "tau_breaches": 2, "peak_speed": 0.4, "final_speed": final_speed},
         **{"interface": account, "ledger": {"min": 0.0, "final": 0.02, "at": 0, "margin": margin}},
@@ -38,7 +45,8 @@ def test_a_run_that_kept_everything() -> None:
     sentence, kept = verdict(report(device(least=-0.002)))
     assert kept
     assert sentence == (
-        "all 4 promises were kept, and every device came to rest; the least energy account was -2 mJ (bound -5 mJ); "
+        "all 4 promises were kept, and every device came to rest; the least energy account was -2 mJ (bound "
+        "-5 mJ, falling by 1 mW); "
         "10 of 2000 ticks were late, 4 beyond the certified τ; 1 mJ was held back by enforcement"
     )
 

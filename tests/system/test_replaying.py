@@ -53,7 +53,7 @@ def test_a_session_in_real_time_audits_to_the_end(tmp_path: Path) -> None:
     run("launch", "example1", "--duration", "1", "--record", path, "--set", "design.tau=0.001")
     out = run("audit", path)
     for device in ("dx", "dy", "dz"):
-        assert f"{device}: lateness put in no more than its tank of 5 mJ: least account " in out
+        assert f"{device}: lateness put in no more than its tank of 5 mJ and 1 mW: least account " in out
     audit = json.loads(run("audit", path, "--json"))
     found = {(check["party"], check["name"]): check for check in audit["checks"]}
     for device in ("dx", "dy", "dz"):

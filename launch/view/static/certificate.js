@@ -28,7 +28,7 @@ export class Certificate {
       row("levels", certificate.enforced.length ? `proved; enforced at run time: ${certificate.enforced.join(", ")}` : "all proved"),
     ];
     byId("certificate-table").tBodies[0].replaceChildren(...rows);
-    say(byId("account-bound"), `≥ ${quantity(-certificate.tank, "J")}`);
+    say(byId("account-bound"), `≥ ${quantity(-certificate.tank, "J")}${certificate.power ? ` − ${quantity(certificate.power, "W")} t` : ""}`);
     this.parties = Object.keys(about.nodes).map((name) => this.party(name, certificate));
     byId("parties-table").tBodies[0].replaceChildren(...this.parties.map((party) => party.row));
   }
@@ -38,7 +38,7 @@ export class Certificate {
     const { certificate, clock } = this.about;
     const proved = `proved up to ${us(certificate.tau)}`;
     if (clock !== "realtime") return proved;
-    const tank = quantity(certificate.tank, "J");
+    const tank = `${quantity(certificate.tank, "J")}${certificate.power ? ` and ${quantity(certificate.power, "W")}` : ""}`;
     return `${proved}, ${certificate.bounded ? `enforced beyond (tank ${tank})` : `counted beyond (bound ${tank})`}`;
   }
 

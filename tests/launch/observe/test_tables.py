@@ -186,7 +186,10 @@ def test_list_and_top_name_what_is_not_kept_and_whom_it_is_about() -> None:
     top = printed(scene, 140)
     assert "running, 2 s; broken" in top
     assert "force limits: broken by d since 3.4 s (7 ticks)" in top
-    assert "kept: passivity, delay, period, lateness energy, motion limits, presence, punctuality, pace" in top
+    assert (
+        "kept: passivity, delay, period, lateness energy, stated inertia, motion limits, presence, punctuality, pace"
+        in top
+    )
     rows = [row for row in session_object(scene)["promises"] if row["state"] == "broken"]
     assert [(row["promise"], row["who"], row["since"], row["cost"]) for row in rows] == [
         ("force limits", ["d"], 3.4, {"ticks": 7.0})

@@ -39,7 +39,7 @@ KEYS = [
     *(names.LEDGER, names.LEDGER_MIN, names.PEAK_SPEED, names.FINAL_SPEED, names.LATE, names.TAU, names.PERIOD),
     *(names.TAU_BREACHES, names.CLIPPED, names.SATURATED, names.REFUSED, f"{names.REFUSED}x", "dropped_", "p50", "max"),
     *(names.LEDGER_MIN_TICK, names.LEDGER_MARGIN, names.FROZEN_TICKS, names.JUMPS, names.RELEASED, names.RUNG),
-    *(names.INTERFACE, names.INTERFACE_LEAST, names.INTERFACE_TICKS, names.INTERFACE_KEPT_BACK),
+    *(names.INTERFACE, names.INTERFACE_LEAST, names.INTERFACE_MARGIN, names.INTERFACE_TICKS, names.INTERFACE_KEPT_BACK),
     *("late_own", f"{names.WAITED_TICKS}x", f"{names.WAITED_TIME}x", f"{names.FROZEN_LATE}x"),
 ]
 some_names = st.sampled_from(KEYS) | st.text("abc[/]\n" + chr(27), min_size=1, max_size=8).filter(str.isprintable)
@@ -166,11 +166,13 @@ def test_the_whole_and_its_file(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["run.json"]
 
 
-PROMISE = {"tau": 0.00085, "period_tolerance": 0.25, "enforced": True, "tank": 0.005}
+POWER = 1e-3  # W
+PROMISE = {"tau": 0.00085, "period_tolerance": 0.25, "enforced": True, "tank": 0.005, "power": POWER}
 
 
-def late(least: float, ticks: float = 0.0, kept_back: float = 0.0) -> Report:
+def late(least: float, ticks: float = 0.0, kept_back: float = 0.0, asked: float = 0.0, given: float = 0.0) -> Report:
     account = {names.INTERFACE: 0.02, names.INTERFACE_LEAST: least, names.INTERFACE_TICKS: ticks}
+    account |= {names.INTERFACE_MARGIN: 0.005 + least, names.FORCE_ASKED: asked, names.FORCE_GIVEN: given}
     return Report(100, {**HONEST.figures, **account, names.INTERFACE_KEPT_BACK: kept_back}, {}, {})
 
 
@@ -182,18 +184,25 @@ def late(least: float, ticks: float = 0.0, kept_back: float = 0.0) -> Report:
             {"dx": late(0.0), "dy": late(0.0)},
             PROMISE,
             "lateness: proved up to τ = 0.85 ms, enforced beyond: 0 ticks changed, 0 mJ kept back; no account fell "
-            "below 0, bound -5 mJ",
+            "below 0, bound -5 mJ, falling by 1 mW",
         ),
         (
             {"dx": late(-1e-3, 1.0, 2e-4), "dy": late(-0.0025, 6.0, 1e-4), "dz": HONEST},
             PROMISE,
             "lateness: proved up to τ = 0.85 ms, enforced beyond: 7 ticks changed, 0.3 mJ kept back; least account "
-            "-2.5 mJ (dy), bound -5 mJ",
+            "-2.5 mJ (dy), bound -5 mJ, falling by 1 mW",
         ),
         (
             {"dx": late(-312.0)},
             {**PROMISE, "tau": 0.0, "enforced": False},
-            "lateness: proved up to τ = 0 ms, only counted beyond; least account -312 J (dx), bound -5 mJ",
+            "lateness: proved up to τ = 0 ms, only counted beyond; least account -312 J (dx), bound -5 mJ, "
+            "falling by 1 mW",
+        ),
+        (
+            {"dx": late(0.0, asked=4.0, given=3.9), "dy": late(0.0, asked=1.0, given=1.0), "dz": late(0.0)},
+            PROMISE,
+            "lateness: proved up to τ = 0.85 ms, enforced beyond: 0 ticks changed, 0 mJ kept back; no account fell "
+            "below 0, bound -5 mJ, falling by 1 mW; 97.5 % of the force asked was given, or more (dx)",
         ),
         (
             {"dx": late(-312.0)},
@@ -251,10 +260,10 @@ def test_a_promise_about_lateness_needs_a_certificate_and_a_device_in_wall_time(
         session = load_session(SESSIONS / "example1.yaml", ["design.tau=0.0003", *settings])
         return lateness_entry(prepare(session, uncertified=uncertified), clock)
 
-    expected = {"tau": 0.0003, "period_tolerance": 0.0, "enforced": True, "tank": 0.005}
+    expected = {"tau": 0.0003, "period_tolerance": 0.0, "enforced": True, "tank": 0.005, "power": POWER}
     assert promise("realtime") == expected
     counted = promise("realtime", "faults.lateness=count", "faults.tank=0.002", "devices.dx.time=own")
-    assert counted == {**expected, "enforced": False, "tank": 0.002}
+    assert counted == {**expected, "enforced": False, "tank": 0.002, "power": 0.0}
     assert promise("simulated") is None
     assert promise("realtime", *(f"devices.{name}.time=own" for name in ("dx", "dy", "dz"))) is None
     assert promise("realtime", "design.coupling=none", uncertified=True) is None

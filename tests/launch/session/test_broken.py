@@ -29,9 +29,9 @@ TABLE = {
     "alias-of-itself": (2, "devices.dx", "alias of itself", "something else"),
     "too-deep": (2, "", "nesting deeper than 32", "flatter"),
     # keys
-    "unknown-key": (4, "devices.dx.mas", "unknown key 'mas'", "limits, hand (did you mean 'mass'?)"),
+    "unknown-key": (4, "devices.dx.mas", "unknown key 'mas'", "limits and 1 more (did you mean 'mass'?)"),
     "unknown-top-key": (2, "perod", "unknown key 'perod'", "did you mean 'period'?"),
-    "missing-key": (4, "devices.dx", "no key 'mass'", "the moving mass in kg"),
+    "missing-key": (4, "devices.dx", "no key 'mass'", "the least moving mass in kg"),
     "missing-design": (1, "", "no key 'design'", "design, "),
     "empty-value": (2, "period", "nothing", "a period in s"),
     "devices-not-a-mapping": (3, "devices", "a list of 2", "a mapping"),
@@ -76,7 +76,7 @@ TABLE = {
     "limits-negative": (4, "devices.dx.limits.displacement", "-0.2", "in m greater than 0"),
     "limits-infinite": (4, "devices.dx.limits.speed", ".inf", "in m/s greater than 0, and finite"),
     "limits-unit": (4, "devices.dx.limits.speed", "'2 m/s'", "a number in m/s, without the unit"),
-    "limits-key": (4, "devices.dx.limits.forse", "unknown key 'forse'", "speed, power, energy (did you mean 'force'?)"),
+    "limits-key": (4, "devices.dx.limits.forse", "unknown key 'forse'", "hand, power, energy (did you mean 'force'?)"),
     "limits-number": (4, "devices.dx.limits", "8", "a mapping with the keys force, displacement, speed"),
     "limits-per-axis": (4, "devices.dx.limits.force", "a list of 2", "a list of 1, one for each axis"),
     # hands

@@ -69,7 +69,7 @@ def test_a_traced_device_has_a_motion_and_no_mechanism(tmp_path: Path) -> None:
         ("devices.dx.driver=simulated", "devices.dx.trace", "trace with 'driver: simulated'", "or no trace"),
         ("devices.dx.driver=browsr", "devices.dx.driver", "'browsr'", "did you mean 'browser'?"),
         ("devices.dy.driver=trace", "devices.dy", "no key 'trace'", "the recorded motion"),
-        ("devices.dx={dof: 1, osp: 1, driver: browser}", "devices.dx", "no key 'mass'", "the moving mass in kg"),
+        ("devices.dx={dof: 1, osp: 1, driver: browser}", "devices.dx", "no key 'mass'", "the least moving mass in kg"),
         (HELD.format("{motion: sin(t)}"), "devices.dy", "motion", "person"),
         (HELD.format("{force: [0, 1]}"), "devices.dy", "force", "person"),
         (HELD.format("{stiffness: [0, 9]}"), "devices.dy", "0", "pointer"),

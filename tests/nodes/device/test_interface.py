@@ -6,126 +6,17 @@ speed), what the couplings answer, and when each sample is taken, each force app
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
-from manyhands.design.levels.contract import DeviceShare
-from manyhands.design.levels.device import device_share, least_gain
 from manyhands.nodes.arithmetic import Floats
-from manyhands.nodes.device.interface import DeviceInterface
-from manyhands.protocol.clock import Duration, Instant
+from manyhands.protocol.clock import Instant
 
-T = 1e-3
-TICK = 1_000_000  # ns
-SPEED = 1.0
-E_0 = 5e-3
-STALE = Duration(6 * TICK)
-Array = NDArray[np.float64]
-
-OSP = {
-    "one axis": np.array([[1.37]]),
-    "two axes": np.diag([0.5, 4.0]),
-    "joined axes": np.array([[2.0, 0.9], [0.9, 1.0]]),
-}
-
-
-def promise(tau: float, above: float) -> DeviceShare:
-    """What a certificate with this delay (s) promises, with kappa a part ``above`` its least."""
-    kappa = least_gain(tau / T) * (1.0 + above)
-    share = device_share(kappa, tau / T)
-    return DeviceShare(kappa, share.share, share.c)
-
-
-@dataclass
-class Course:
-    """What a device did, as the definition of e needs it: pieces of constant force, and ticks with their answers."""
-
-    pieces: list[tuple[Array, Array, float]] = field(default_factory=list)
-    ticks: list[tuple[Array, Array, Array]] = field(default_factory=list)
-
-    def energy(self, osp: Array, promised: DeviceShare) -> float:
-        """e by its definition, J."""
-        K = promised.kappa * T * np.linalg.inv(osp)
-        received = 0.0
-        for w, f, before in self.ticks:
-            y = (w + K @ (f - before)) / T
-            received += T * float(f @ y) - T * promised.share * float(y @ osp @ y)
-        done = sum(float(r @ d) - float(d @ osp @ d) / h for r, d, h in self.pieces if h > 0.0)
-        return received - done
-
-
-class Device:
-    """A device that an adversary moves; it books every piece of its motion exactly.
-
-    Its time is that of its forces: with a latency, in ns, a sample has the place of so much earlier.
-
-    Attributes:
-        beyond: by tick, the energy that a motion beyond the limit of speed has cost more than any within it, J.
-    """
-
-    def __init__(self, osp: Array, promised: DeviceShare, tau: float, tank: float | None, latency: int = 0) -> None:
-        m = len(osp)
-        self.osp, self.promised, self.latency = osp, promised, latency
-        self.interface = DeviceInterface(osp, promised, tau, 0.0, T, (SPEED,) * m, STALE, tank, Duration(latency))
-        self.x, self.now, self.f = np.zeros(m), 0, np.zeros(m)
-        self.sent = np.zeros(m)
-        self.course = Course()
-        self.exerted, self.until = np.zeros(m), None
-        self.places = [(-latency, self.x), (0, self.x)]
-        self.beyond = [0.0]
-
-    def move(self, velocity: Array, until: int) -> None:
-        """Move at a constant velocity, m/s; the force may end by itself on the way."""
-        ends = self.until
-        for at in [until] if ends is None or not self.now < ends < until else [ends, until]:
-            h = (at - self.now) * 1e-9
-            r = self.exerted if ends is None or self.now < ends else np.zeros(len(self.x))
-            d = velocity * h
-            self.course.pieces.append((r, d, h))
-            if h > 0.0:
-                cost = float(r @ d) - float(d @ self.osp @ d) / h
-                self.beyond[-1] += max(0.0, cost - h * self.interface.account.cost(r.tolist()))
-            self.x, self.now = self.x + d, at
-            self.places.append((at, self.x))
-
-    def _taken(self) -> Array:
-        at = self.now - self.latency
-        while self.places[1][0] < at:
-            del self.places[0]
-        (begin, first), (end, last) = self.places[:2]
-        return last if end <= at else first + (last - first) * ((at - begin) / (end - begin))
-
-    def send(self) -> None:
-        x = self._taken().tolist()
-        sent = np.array(self.interface.send(x, x, Instant(self.now)))
-        if self.interface.shortened:
-            assert self.until is None or self.now <= self.interface.until <= self.until
-            self.until = self.interface.until
-        self.w, self.sent = sent - self.sent, sent
-        self.beyond.append(0.0)
-
-    def answer(self, f: Floats, known: bool = True) -> None:
-        held, until = self.interface.force(f, f, Instant(self.now))
-        self.course.ticks.append((self.w, np.array(f), self.f))
-        self.f = np.array(f)
-        self.exerted, self.until = np.array(held), until
-        known = known and not self.latency
-        self.interface.applied(self.x.tolist() if known else None, Instant(self.now), held, until)
-
-    @property
-    def energy(self) -> float:
-        return self.course.energy(self.osp, self.promised)
-
-    @property
-    def scale(self) -> float:
-        """The size of the terms of the sums, J, of which rounding is a part."""
-        return 1.0 + sum(abs(float(r @ d)) for r, d, _ in self.course.pieces)
+from ...support.moved_device import E_0, OSP, SPEED, TICK, Array, Device, T, promise
 
 
 def unit(m: int) -> st.SearchStrategy[list[float]]:

@@ -16,6 +16,7 @@ from manyhands.launch.session import load_session
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import REALTIME, SIMULATED, DeviceBundle, Limits, PluginDevice, load, save
 from manyhands.nodes.device.drivers import driver_of
+from manyhands.nodes.device.inertia import Inertia
 from manyhands.nodes.device.plugin import DriverFailure, GivenForces, PluginDriver, made_driver
 from manyhands.nodes.device.specification import AxisMap, DeviceSpecification, DeviceTiming
 from manyhands.nodes.device.tick import WallTimeTick
@@ -42,12 +43,14 @@ def example1() -> Prepared:
     return prepare(load_session(SESSIONS / "example1.yaml"))
 
 
-def bundle_for(device: PluginDevice, clock: str = REALTIME, **limits: tuple[float, ...]) -> DeviceBundle:
+def bundle_for(
+    device: PluginDevice, clock: str = REALTIME, inertia: Inertia | None = None, **limits: tuple[float, ...]
+) -> DeviceBundle:
     """The bundle of a device of Example 1, moved by another driver."""
     bundle = cut(example1(), RunPlan(clock, None, ""))["dx"]
     assert isinstance(bundle, DeviceBundle)
     within: dict[str, Any] = {"force": (8.0,), "displacement": (0.2,), "speed": (2.0,)} | limits
-    return replace(bundle, source=device, limits=Limits(**within))
+    return replace(bundle, source=device, limits=Limits(**within), inertia=inertia)
 
 
 def named(**parameters: Any) -> FactoryName:
@@ -145,6 +148,17 @@ def test_limits_are_compared_at_the_ports() -> None:
     driver_of(bundle_for(device, force=(4.0,), displacement=(0.4,), speed=(4.0,))).close()
     with pytest.raises(FactoryError, match="found 8 N; expected at most 4 N"):
         driver_of(bundle_for(device, force=(8.0,)))
+
+
+def test_a_mass_is_compared_at_the_ports() -> None:
+    """With the scale 2 a quarter of the mass is felt there: twice the way, and half the force."""
+    device, own = (
+        PluginDevice(named(mass=0.2), 1, scale=2.0),
+        {"force": (4.0,), "displacement": (0.4,), "speed": (4.0,)},
+    )
+    driver_of(bundle_for(device, inertia=Inertia((0.05,), (50.0,), (0.0,)), **own)).close()
+    with pytest.raises(FactoryError, match=r"mass: found 0.06 kg; expected at most 0.05 kg"):
+        driver_of(bundle_for(device, inertia=Inertia((0.06,), (50.0,), (0.0,)), **own))
 
 
 def test_hardware_is_refused_under_the_simulated_clock() -> None:
@@ -249,7 +263,7 @@ def test_the_account_is_kept_with_the_force_that_was_exerted() -> None:
     accounts = []
     for clip in (8.0, 0.5):
         bundle = bundle_for(PluginDevice(named(clip=clip), 1))
-        tick = WallTimeTick(replace(bundle, time="wall", tank=None), driver_of(bundle))
+        tick = WallTimeTick(replace(bundle, time="wall", allowance=None), driver_of(bundle))
         for k in range(50):
             at = Instant(k * 1_000_000)
             tick.sample(k, at)

@@ -58,7 +58,8 @@ def test_a_session_that_is_well_keeps_all_its_promises() -> None:
     rows = model(TERMS, ("dx", 100, quiet), ("world", 100, {"frozen": 0.0, "began@0": 1.0})).rows()
     assert {row.state for row in rows} == {"kept"}
     assert [row.promise for row in rows] == [
-        "passivity", "delay", "period", "lateness energy", "force limits", "motion limits", "presence", "punctuality",
+        "passivity", "delay", "period", "lateness energy", "stated inertia", "force limits", "motion limits",
+        "presence", "punctuality",
         "pace",
     ]  # fmt: skip
     assert (session_health(rows), holds(rows), summary(rows)) == (Health.OK, True, "")

@@ -1,0 +1,167 @@
+"""A device behind its interface that an adversary moves: every piece of its motion is booked exactly.
+
+The adversary chooses everything that the device does not: where the device moves, what the couplings answer, and when
+each sample is taken and each force applied.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manyhands.design.levels.contract import DeviceShare
+from manyhands.design.levels.device import device_share, least_gain
+from manyhands.nodes.arithmetic import Floats
+from manyhands.nodes.device.allowance import Allowance
+from manyhands.nodes.device.inertia import Inertia
+from manyhands.nodes.device.interface import DeviceInterface
+from manyhands.protocol.clock import Duration, Instant
+
+T = 1e-3
+TICK = 1_000_000  # ns
+SPEED = 1.0
+E_0 = 5e-3
+STALE = Duration(6 * TICK)
+Array = NDArray[np.float64]
+
+GRID: Final = 100_000
+"""ns; a device that is pushed has a place at every such instant, so that samples with a latency are true."""
+
+OSP = {
+    "one axis": np.array([[1.37]]),
+    "two axes": np.diag([0.5, 4.0]),
+    "joined axes": np.array([[2.0, 0.9], [0.9, 1.0]]),
+}
+
+
+def promise(tau: float, above: float) -> DeviceShare:
+    """What a certificate with this delay (s) promises, with kappa a part ``above`` its least."""
+    kappa = least_gain(tau / T) * (1.0 + above)
+    share = device_share(kappa, tau / T)
+    return DeviceShare(kappa, share.share, share.c)
+
+
+@dataclass
+class Course:
+    """What a device did, as the definition of e needs it: pieces of constant force, and ticks with their answers."""
+
+    pieces: list[tuple[Array, Array, float]] = field(default_factory=list)
+    ticks: list[tuple[Array, Array, Array]] = field(default_factory=list)
+
+    def energy(self, osp: Array, promised: DeviceShare) -> float:
+        """e by its definition, J."""
+        K = promised.kappa * T * np.linalg.inv(osp)
+        received = 0.0
+        for w, f, before in self.ticks:
+            y = (w + K @ (f - before)) / T
+            received += T * float(f @ y) - T * promised.share * float(y @ osp @ y)
+        done = sum(float(r @ d) - float(d @ osp @ d) / h for r, d, h in self.pieces if h > 0.0)
+        return received - done
+
+
+class Device:
+    """A device that an adversary moves; it books every piece of its motion exactly.
+
+    Its time is that of its forces: with a latency, in ns, a sample has the place of so much earlier.
+
+    Attributes:
+        velocity: of a device that is pushed, m/s.
+        beyond: by tick, the energy that a motion beyond the limit of speed has cost more than any within it, J.
+    """
+
+    def __init__(
+        self,
+        osp: Array,
+        promised: DeviceShare,
+        tau: float,
+        tank: float | None,
+        latency: int = 0,
+        inertia: Inertia | None = None,
+        speed: float = SPEED,
+        power: float = 0.0,
+    ) -> None:
+        m = len(osp)
+        self.osp, self.promised, self.latency = osp, promised, latency
+        allowed = None if tank is None else Allowance(tank, power)
+        self.interface = DeviceInterface(
+            osp, promised, tau, 0.0, T, (speed,) * m, STALE, allowed, Duration(latency), inertia
+        )
+        self.x, self.now, self.f = np.zeros(m), 0, np.zeros(m)
+        self.sent, self.velocity = np.zeros(m), np.zeros(m)
+        self.course = Course()
+        self.exerted, self.until = np.zeros(m), None
+        self.places = [(-latency, self.x), (0, self.x)]
+        self.beyond = [0.0]
+
+    def move(self, velocity: Array, until: int) -> None:
+        """Move at a constant velocity, m/s; the force may end by itself on the way."""
+        ends = self.until
+        for at in [until] if ends is None or not self.now < ends < until else [ends, until]:
+            h = (at - self.now) * 1e-9
+            r = self.exerted if ends is None or self.now < ends else np.zeros(len(self.x))
+            d = velocity * h
+            self.course.pieces.append((r, d, h))
+            if h > 0.0:
+                cost = float(r @ d) - float(d @ self.osp @ d) / h
+                self.beyond[-1] += max(0.0, cost - h * self.interface.account.cost(r.tolist()))
+            self.x, self.now = self.x + d, at
+            self.places.append((at, self.x))
+
+    def push(self, ways: Array, brakes: Array, until: int, true: Inertia) -> None:
+        """Brake at once to so much of the velocity, and then speed up by so much of what inertia and hand allow.
+
+        Args:
+            ways: by axis, from -1 to 1.
+            brakes: by axis, from 0 to 1.
+            until: the end, ns.
+            true: what the device really weighs, and how strong its hand really is.
+        """
+        self.velocity = v = brakes * self.velocity
+        while self.now < until:
+            at = min(until, self.now - self.now % GRID + GRID)
+            if self.until is not None and self.now < self.until < at:
+                at = self.until
+            h = (at - self.now) * 1e-9
+            r = self.exerted if self.until is None or self.now < self.until else np.zeros(len(self.x))
+            a = ways * (np.array(true.hand) + np.abs(r)) / np.array(true.mass)
+            d = v * h + 0.5 * a * h * h
+            self.course.pieces.append((r, d, h))
+            self.x, self.now, self.velocity = self.x + d, at, v + a * h
+            v = self.velocity
+            self.places.append((at, self.x))
+
+    def _taken(self) -> Array:
+        at = self.now - self.latency
+        while self.places[1][0] < at:
+            del self.places[0]
+        (begin, first), (end, last) = self.places[:2]
+        return last if end <= at else first + (last - first) * ((at - begin) / (end - begin))
+
+    def send(self) -> None:
+        x = self._taken().tolist()
+        sent = np.array(self.interface.send(x, x, Instant(self.now)))
+        if self.interface.shortened:
+            assert self.until is None or self.now <= self.interface.until <= self.until
+            self.until = self.interface.until
+        self.w, self.sent = sent - self.sent, sent
+        self.beyond.append(0.0)
+
+    def answer(self, f: Floats, known: bool = True) -> None:
+        held, until = self.interface.force(f, f, Instant(self.now))
+        self.course.ticks.append((self.w, np.array(f), self.f))
+        self.f = np.array(f)
+        self.exerted, self.until = np.array(held), until
+        known = known and not self.latency
+        self.interface.applied(self.x.tolist() if known else None, Instant(self.now), held, until)
+
+    @property
+    def energy(self) -> float:
+        return self.course.energy(self.osp, self.promised)
+
+    @property
+    def scale(self) -> float:
+        """The size of the terms of the sums, J, of which rounding is a part."""
+        return 1.0 + sum(abs(float(r @ d)) for r, d, _ in self.course.pieces)
