@@ -15,6 +15,7 @@ from manyhands.nodes import peer_link as peer_link_module
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.environment.late_arrivals import BURST, SHARE
 from manyhands.nodes.environment.node import EnvironmentNode
+from manyhands.nodes.observer.health import missed
 from manyhands.protocol.clock import from_seconds
 from manyhands.protocol.gate import DRIFT, MOST_PERIODS, Bounds, Gate
 from manyhands.protocol.messages import Role, SignalMessage, Telemetry
@@ -186,10 +187,13 @@ class Innocence:
                 self.guest is not None and not self._told and self._blames(sentence)
             ):  # otherwise the sentence may state the fact
                 found.append((Wrong.NAMED, sentence))
+        world.health.conclude()
+        # the rows of health are where a report, the page and top name whom a promise that was not kept is about
+        named = [*told, *(" ".join(row.who) for row in missed(world.health.rows()))]
         if (
             acted
             and self._told_by(world)
-            and not any(self.guest is not None and self.guest in sentence for sentence in told)
+            and not any(self.guest is not None and self.guest in sentence for sentence in named)
         ):
             found.append((Wrong.UNNAMED, f"{self.guest} was frozen or stopped"))
         found += [(Wrong.ENDED, fault) for fault in world.conductor.faults]
