@@ -30,7 +30,7 @@ from manyhands.launch.recordings.plots import save as save_picture
 from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.recordings.run import RecordedRun, read_run, rows_of
 from manyhands.launch.run.display import say, status
-from manyhands.launch.run.outcome import Outcome, by_and_by, joules
+from manyhands.launch.run.outcome import Outcome, falling, joules
 from manyhands.launch.run.session_run import run_session
 from manyhands.launch.session import Session
 from manyhands.launch.simulation import Simulation
@@ -236,7 +236,7 @@ def verdict(report: Mapping[str, Any]) -> tuple[str, bool]:
         late, ticks = (sum(node[key] for node in devices) for key in ("late", "ticks"))
         beyond = sum(node["tau_breaches"] for node in devices)
         parts += [
-            f"the least energy account was {joules(least)} (bound {joules(0.0 - tank)}{by_and_by(lateness)})",
+            f"the least energy account was {joules(least)} (bound {joules(0.0 - tank)}{falling(lateness)})",
             f"{late} of {ticks} ticks were late, {beyond} beyond the certified τ",
             f"{joules(enforced)} was held back by enforcement",
         ]

@@ -243,7 +243,7 @@ def _given(entries: Mapping[str, Mapping[str, Any]]) -> str:
     return f"; {100.0 * parts[least]:.4g} % of the force asked was given, or more ({least})"
 
 
-def by_and_by(lateness: Mapping[str, Any]) -> str:
+def falling(lateness: Mapping[str, Any]) -> str:
     """By what power the bound of an account falls, to follow it; empty for none."""
     power = lateness.get("power", 0.0)
     return f", falling by {1e3 * power:g} mW" if power else ""
@@ -279,7 +279,7 @@ def lateness_sentence(report: Mapping[str, Any]) -> str | None:
         beyond = f"enforced beyond: {changed} {'tick' if changed == 1 else 'ticks'} changed, {joules(kept)} kept back"
     else:
         beyond = "only counted beyond"
-    return f"{proved}, {beyond}; {lowest}, bound {joules(0.0 - promise['tank'])}{by_and_by(promise)}{given}"
+    return f"{proved}, {beyond}; {lowest}, bound {joules(0.0 - promise['tank'])}{falling(promise)}{given}"
 
 
 def felt_links(session: Session, figures: Mapping[str, Mapping[str, float]]) -> dict[str, FeltLink]:
