@@ -29,7 +29,7 @@ from manyhands.design.levels.contract import DeviceShare
 from manyhands.design.models.coupling import loop_gain
 from manyhands.design.models.scene import ContactScene, scene_of
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix
-from manyhands.nodes.device.allowance import Allowance
+from manyhands.nodes.device.allowance import LatenessAllowance
 from manyhands.nodes.device.inertia import Inertia
 from manyhands.nodes.device.specification import NO_DELAY, DeviceTiming
 from manyhands.nodes.environment.energy import EnergyBudget
@@ -399,7 +399,7 @@ _KINDS: Final[Mapping[str, tuple[type[Any], Callable[[Any], Source]]]] = {
 
 MAX_FILE_BYTES = 256 * 2**20
 
-NOTHING = Allowance(0.0)
+NOTHING = LatenessAllowance(0.0)
 
 SIMULATED = "simulated"
 REALTIME = "realtime"
@@ -447,7 +447,7 @@ class DeviceBundle:
     source: Source
     limits: Limits
     time: str = OWN
-    allowance: Allowance | None = None
+    allowance: LatenessAllowance | None = None
     inertia: Inertia | None = None
 
     def __post_init__(self) -> None:
@@ -476,7 +476,7 @@ class DeviceBundle:
         return self.source.timing if isinstance(self.source, PluginDevice) else NO_DELAY
 
     @property
-    def allowed(self) -> Allowance:
+    def allowed(self) -> LatenessAllowance:
         """How far the device's ledger may fall below 0: in wall time by what lateness may put in."""
         return self.allowance if self.allowance is not None and self.time == WALL else NOTHING
 
@@ -867,7 +867,7 @@ _READ: dict[str, Any] = {
     "feedthrough": dict,
     "osp": array,
     "tank": float,
-    "allowance": lambda data: None if data is None else Allowance(float(data["energy"]), float(data["power"])),
+    "allowance": lambda data: None if data is None else LatenessAllowance(float(data["energy"]), float(data["power"])),
     "inertia": lambda data: None if data is None else Inertia(*(floats(data[key]) for key in ("mass", "hand", "step"))),
     "rungs": lambda rungs: tuple(map(_device_rung, rungs)),
     "time": lambda time: time,

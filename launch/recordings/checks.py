@@ -20,7 +20,7 @@ from manyhands.launch.recordings.findings import EXACT, Check, CheckVerdict, Unc
 from manyhands.launch.recordings.run import RecordedRun, rows_of, there
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import NOTHING, SIMULATED, WALL, DeviceBundle
-from manyhands.nodes.device.allowance import Allowance
+from manyhands.nodes.device.allowance import LatenessAllowance
 from manyhands.protocol.channels import INSTANT_NAMES
 
 Array = NDArray[np.float64]
@@ -79,7 +79,7 @@ def figures_agree(run: RecordedRun, node: str) -> Check:
     return compare("figures", node, what, ("E",), trace, reported, owed=compared)
 
 
-def bounded(run: RecordedRun, node: str, allowed: Allowance = NOTHING, promised: bool = True) -> Check:
+def bounded(run: RecordedRun, node: str, allowed: LatenessAllowance = NOTHING, promised: bool = True) -> Check:
     """A ledger of ``node`` is never below 0. It includes the work of every hand, a person's at a browser as well.
 
     Args:
@@ -124,12 +124,12 @@ def bounded(run: RecordedRun, node: str, allowed: Allowance = NOTHING, promised:
     )
 
 
-def _allowed_by(allowance: Allowance, at: Array) -> Array:
+def _allowed_by(allowance: LatenessAllowance, at: Array) -> Array:
     """E_0 + P t, ticks x 1, J, at these instants since tick 0, ns."""
     return np.array([[allowance.by(t)] for t in np.nan_to_num(at) * 1e-9])
 
 
-def account_bounded(node: str, account: Array, at: Array, allowance: Allowance | None) -> Check:
+def account_bounded(node: str, account: Array, at: Array, allowance: LatenessAllowance | None) -> Check:
     """The account e_k of a device in wall time is never below -(E_0 + P t); counted alone, 0 is an assumption.
 
     Args:

@@ -92,7 +92,7 @@ from manyhands.launch.session.objects import plain_value, tree_of
 from manyhands.launch.session.wave_link import WaveLink
 from manyhands.launch.session.yaml import SessionTree, apply_overrides, read_tree, replaced
 from manyhands.nodes.bundle import REALTIME, WALL
-from manyhands.nodes.device.allowance import Allowance
+from manyhands.nodes.device.allowance import LatenessAllowance
 from manyhands.nodes.factory import FactoryName
 from manyhands.protocol.channels import CHANNELS, Channel, Rate
 from manyhands.protocol.messages import Role
@@ -231,16 +231,16 @@ _LATENESS: Final = ("enforce", "count")
 
 def _allowance(value: object) -> object:
     """A tank: E_0 alone, or energy and power."""
-    if isinstance(value, Allowance):
+    if isinstance(value, LatenessAllowance):
         return value
     if not isinstance(value, Mapping):
-        return Allowance(_TANK(value))
+        return LatenessAllowance(_TANK(value))
     if set(value) != {"energy", "power"}:
         raise refuse(f"a mapping with {listed(value)}", "{energy: ..., power: ...} in J and W, or a number in J")
-    return Allowance(_TANK(value["energy"]), _TANK_POWER(value["power"]))
+    return LatenessAllowance(_TANK(value["energy"]), _TANK_POWER(value["power"]))
 
 
-def _plain_allowance(tank: Allowance) -> object:
+def _plain_allowance(tank: LatenessAllowance) -> object:
     return {"energy": tank.energy, "power": tank.power} if tank.power else tank.energy
 
 
@@ -265,14 +265,14 @@ class Faults(SessionModel):
         default="enforce", description="what bounds the energy of lateness at a device in wall time: enforce or count"
     )
     tank: Annotated[
-        Allowance, BeforeValidator(_allowance), WithJsonSchema(_TANK_FORM), PlainSerializer(_plain_allowance)
+        LatenessAllowance, BeforeValidator(_allowance), WithJsonSchema(_TANK_FORM), PlainSerializer(_plain_allowance)
     ] = Field(
-        default=Allowance(DEFAULT_TANK, DEFAULT_TANK_POWER),
+        default=LatenessAllowance(DEFAULT_TANK, DEFAULT_TANK_POWER),
         description="with lateness: enforce, what lateness may put in through each device: {energy, power} in J and W",
     )
 
     @property
-    def enforced_tank(self) -> Allowance | None:
+    def enforced_tank(self) -> LatenessAllowance | None:
         """E_0 and P; None where lateness is counted alone."""
         return self.tank if self.lateness == "enforce" else None
 

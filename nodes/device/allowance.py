@@ -1,4 +1,4 @@
-"""What lateness may put into the loop through one device (:class:`Allowance`).
+"""What lateness may put into the loop through one device (:class:`LatenessAllowance`).
 
 The interface of a device keeps its account e(k) >= -(E_0 + P t) (docs/decisions/0030-lateness-in-joules.md). E_0 is for
 the single late tick. P is for a machine that is late now and then: a mean power so small that a hand does not feel it.
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Allowance:
+class LatenessAllowance:
     """The energy and the power that lateness may put in.
 
     Attributes:

@@ -1,4 +1,4 @@
-"""How far a device can move in a short time, by its inertia (:class:`Inertia`, :class:`Reach`).
+"""How far a device can move in a short time, by its inertia (:class:`Inertia`, :class:`SpeedBound`).
 
 A mechanism with a least mass m on an axis, in a hand that pushes with at most F_h, cannot jump. Under a force r its
 speed grows by at most
@@ -62,7 +62,7 @@ class Inertia:
                 raise ValueError(f"{what}: found {values!r:.60}; expected finite numbers, at least {least:g}")
 
 
-class Reach:
+class SpeedBound:
     """The speed that each axis of one device may have at most, from what it was seen to do.
 
     Attributes:

@@ -54,8 +54,8 @@ from numpy.typing import NDArray
 from manyhands.design.levels.contract import DeviceShare
 from manyhands.nodes.arithmetic import Floats, dot, linear_map, minus
 from manyhands.nodes.bundle import DeviceBundle
-from manyhands.nodes.device.allowance import Allowance
-from manyhands.nodes.device.inertia import Inertia, Reach
+from manyhands.nodes.device.allowance import LatenessAllowance
+from manyhands.nodes.device.inertia import Inertia, SpeedBound
 from manyhands.nodes.timeouts import timeouts
 from manyhands.protocol.clock import Duration, Instant, from_seconds
 
@@ -96,7 +96,7 @@ class InterfaceAccount:
             inertia: what is stated of the device's mass and its hand; None where nothing is.
         """
         self._T, self._speed = T, tuple(speed)
-        self._reach = None if inertia is None else Reach(inertia)
+        self._reach = None if inertia is None else SpeedBound(inertia)
         joins = bool(np.any(osp - np.diag(np.diag(osp))))
         self._least: Floats = [float(np.linalg.eigvalsh(osp)[0])] * len(speed) if joins else np.diag(osp).tolist()
         self.burn = linear_map(osp)
@@ -344,7 +344,7 @@ class DeviceInterface:
         T: float,
         speed: Sequence[float],
         longest: Duration,
-        allowance: Allowance | None,
+        allowance: LatenessAllowance | None,
         latency: Duration = Duration(0),  # noqa: B008 -- a number
         inertia: Inertia | None = None,
     ) -> None:
@@ -365,7 +365,7 @@ class DeviceInterface:
         """
         self.account = InterfaceAccount(osp, promise, T, speed, inertia)
         self._bounded = allowance is not None
-        self._allowance = allowance or Allowance(0.0)
+        self._allowance = allowance or LatenessAllowance(0.0)
         self.tank = self.allowed = self.margin = self._allowance.energy
         self._first: Instant | None = None  # of all samples
         self._T, self._longest, self._latency, self._speed = T, longest, latency, tuple(speed)

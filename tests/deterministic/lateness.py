@@ -53,7 +53,7 @@ from manyhands.nodes.bundle import (
     SimulatedHand,
 )
 from manyhands.nodes.coupling.core import CouplingCore
-from manyhands.nodes.device.allowance import Allowance
+from manyhands.nodes.device.allowance import LatenessAllowance
 from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.device.intent import intent_from
 from manyhands.nodes.device.simulated import HeldDeviceDriver, IntentHand, Intention, Plant, device_of
@@ -348,7 +348,7 @@ class Late:
     """One device in wall time, with the instants of its loop, and a latency of its own in ns."""
 
     def __init__(
-        self, bundle: DeviceBundle, allowance: Allowance | None, latency: int = 0, hostile: bool = False
+        self, bundle: DeviceBundle, allowance: LatenessAllowance | None, latency: int = 0, hostile: bool = False
     ) -> None:
         if hostile:
             assert isinstance(bundle.source, SimulatedHand)
@@ -391,7 +391,7 @@ def run(
     prepared: Prepared,
     plan: Plan,
     ticks: int,
-    allowance: Allowance | None,
+    allowance: LatenessAllowance | None,
     latency: int = 0,
     hostile: Sequence[str] = (),
     clutched: bool = False,
@@ -550,12 +550,12 @@ def outcome_of_session(prepared: Prepared, seed: int, ticks: int, part: float, s
     hostile = [name for name in prepared.session.devices if scenes and chance.random() < 0.4]
     period, tau = from_seconds(prepared.session.period), from_seconds(prepared.certificate.tau)
 
-    def course(kind: str, allowance: Allowance | None, weaker: float = 1.0) -> Course:
+    def course(kind: str, allowance: LatenessAllowance | None, weaker: float = 1.0) -> Course:
         latency = int(part * tau)
         plan = Plan(tau - latency, period, kind, seed)
         return run(prepared, plan, ticks, allowance, latency, hostile, scenes, weaker)
 
-    tank = Allowance(E_0, POWER)
+    tank = LatenessAllowance(E_0, POWER)
     stronger = None if scenes else course("beyond", tank, weaker=3.0)
     return Outcome(seed, scenes, course("covered", tank), course("beyond", tank), course("beyond", None), stronger)
 

@@ -21,7 +21,7 @@ from manyhands.launch.recordings.run import RecordedRun, read_run
 from manyhands.launch.session import load_session
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.arithmetic import Floats
-from manyhands.nodes.device.allowance import Allowance
+from manyhands.nodes.device.allowance import LatenessAllowance
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.tick_events import Kind, events_in
@@ -239,17 +239,19 @@ def test_a_recording_without_instants_says_so(prepared: Prepared, told: Told, tm
 
 def test_what_lateness_put_in_is_compared_with_the_tank() -> None:
     account, at = np.array([[0.0], [1e-3], [-2e-3], [np.nan], [-1e-3]]), 1e9 * np.arange(5.0)
-    kept = account_bounded("d", account, at, Allowance(2e-3))
+    kept = account_bounded("d", account, at, LatenessAllowance(2e-3))
     assert (kept.verdict, kept.numbers, kept.remark) == (CheckVerdict.HOLDS, 4, "least account -2 mJ")
-    exceeded = account_bounded("d", account, at, Allowance(1.9e-3))
+    exceeded = account_bounded("d", account, at, LatenessAllowance(1.9e-3))
     assert (exceeded.verdict, exceeded.differing) == (CheckVerdict.BROKEN, 1)
     assert exceeded.first is not None
     assert exceeded.first.tick == 2
-    assert account_bounded("d", account, at, Allowance(1e-3, 0.5e-3)).verdict is CheckVerdict.HOLDS  # 2 mJ after 2 s
-    assert account_bounded("d", account, at, Allowance(1e-3, 0.4e-3)).verdict is CheckVerdict.BROKEN
+    assert (
+        account_bounded("d", account, at, LatenessAllowance(1e-3, 0.5e-3)).verdict is CheckVerdict.HOLDS
+    )  # 2 mJ after 2 s
+    assert account_bounded("d", account, at, LatenessAllowance(1e-3, 0.4e-3)).verdict is CheckVerdict.BROKEN
     assert account_bounded("d", account, at, None).verdict is CheckVerdict.ASSUMPTION
     assert account_bounded("d", account[:2], at[:2], None).verdict is CheckVerdict.HOLDS
-    assert account_bounded("d", account[3:4], at[3:4], Allowance(1e-3)).verdict is CheckVerdict.UNCHECKED
+    assert account_bounded("d", account[3:4], at[3:4], LatenessAllowance(1e-3)).verdict is CheckVerdict.UNCHECKED
 
 
 @pytest.mark.parametrize("what", REALTIME)

@@ -41,7 +41,7 @@ def session() -> dict[str, Any]:
                 "force": f"{near(push)!r}*pulse(t, {near(0.03)!r}, {near(0.2)!r})",
                 "motion": f"{near(0.001)!r}*sin({near(25.0)!r}*t)",
             },
-            "limits": {"force": near(40.0), "displacement": near(0.5), "speed": near(5.0)},
+            "limits": {"force": near(40.0), "displacement": near(0.5), "speed": near(5.0), "hand": near(50.0)},
         }
         for name, push in zip(DEVICES, (2.0, -1.5, 1.0), strict=True)
     }

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from manyhands.design.levels.contract import DeviceShare
 from manyhands.design.levels.device import device_share, least_gain
 from manyhands.nodes.arithmetic import Floats
-from manyhands.nodes.device.allowance import Allowance
+from manyhands.nodes.device.allowance import LatenessAllowance
 from manyhands.nodes.device.inertia import Inertia
 from manyhands.nodes.device.interface import DeviceInterface
 from manyhands.protocol.clock import Duration, Instant
@@ -85,7 +85,7 @@ class Device:
     ) -> None:
         m = len(osp)
         self.osp, self.promised, self.latency = osp, promised, latency
-        allowed = None if tank is None else Allowance(tank, power)
+        allowed = None if tank is None else LatenessAllowance(tank, power)
         self.interface = DeviceInterface(
             osp, promised, tau, 0.0, T, (speed,) * m, STALE, allowed, Duration(latency), inertia
         )

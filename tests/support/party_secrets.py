@@ -43,10 +43,10 @@ def _numbers(plain: object) -> _Lists:
 def shared_with(name: str, bundles: Mapping[str, Mapping[str, Any]]) -> set[float]:
     """The others' numbers that ``name`` may know: its devices' K and limits a coupling, D_V the environment.
 
-    The rungs' timing, kappa, share and c are the session's, and every device's; so is the tank.
+    The rungs' timing, kappa, share and c are the session's, and every device's; so is what lateness may put in.
     """
     shared: list[object] = [
-        [bundles[device][key] for key in ("rungs", "tank")] for device in distinctive_session.DEVICES
+        [bundles[device][key] for key in ("rungs", "allowance")] for device in distinctive_session.DEVICES
     ]
     if name in distinctive_session.COUPLINGS:
         device = bundles[distinctive_session.COUPLINGS[name]]

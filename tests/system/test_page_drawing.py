@@ -124,7 +124,9 @@ def browser() -> Iterator[Browser]:
         yield found
 
 
-@pytest.mark.parametrize("name", SESSIONS)
+@pytest.mark.parametrize(
+    "name", [name if name in ("pair", "tray") else pytest.param(name, marks=pytest.mark.long) for name in SESSIONS]
+)
 def test_no_label_overlaps_another_wherever_the_bodies_are(name: str, browser: Browser) -> None:
     about = SESSIONS[name]
     late = {"tau_breaches": 14.0, "interface_ticks": 3.0, "interface": -1e-4, "interface_min": -2e-4, "ledger": 0.1,

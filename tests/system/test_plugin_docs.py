@@ -16,6 +16,7 @@ from ..support.commands import MANYHANDS, manyhands_command, run
 
 ROOT = Path(__file__).parents[2]
 PAGES = {"drivers": ("my_joystick.py", "joystick.yaml"), "models": ("my_world.py", "room.yaml")}
+EITHER = ["drivers", pytest.param("models", marks=pytest.mark.long)]
 
 
 def manyhands(*arguments: str, cwd: Path, path: str = "") -> subprocess.CompletedProcess[str]:
@@ -50,7 +51,7 @@ def test_a_page_is_followed_from_its_template_to_a_recording(page: str, tmp_path
         assert ("runs the code of the" in done.stderr) == runs_code, command
 
 
-@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize("page", EITHER)
 def test_it_runs_in_real_time_and_its_device_is_let_go(page: str, tmp_path: Path) -> None:
     written(page, tmp_path)
     session, report = PAGES[page][1], tmp_path / "report.json"
@@ -144,7 +145,7 @@ CODELESS = (
 
 
 @pytest.mark.usefixtures("own_interrupt")
-@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize("page", EITHER)
 def test_commands_that_need_no_code_run_none(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     written(page, tmp_path)
     template, session = PAGES[page]
@@ -162,7 +163,7 @@ def test_commands_that_need_no_code_run_none(page: str, tmp_path: Path, monkeypa
     assert "this code ran" in ran.stderr
 
 
-@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize("page", EITHER)
 def test_a_bundle_from_elsewhere_runs_its_code_only_where_the_user_names_it(page: str, tmp_path: Path) -> None:
     written(page, tmp_path)
     template, session = PAGES[page]

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.nodes.device.inertia import Inertia, Reach
+from manyhands.nodes.device.inertia import Inertia, SpeedBound
 
 from ...deterministic.inertia import course
 from ...support.cases import cases
@@ -24,7 +24,7 @@ def test_a_motion_that_inertia_allows_stays_within_the_bounds(
     motion: list[list[tuple[float, float, float, float]]],
 ) -> None:
     """Between two displacements up to three forces act; the device brakes at once, and speeds up as it can."""
-    reach, v = Reach(STATED), 0.0
+    reach, v = SpeedBound(STATED), 0.0
     for between in motion:
         far, u = 0.0, reach.fastest
         moved, parts = 0.0, []
@@ -44,7 +44,7 @@ def test_a_motion_that_inertia_allows_stays_within_the_bounds(
 
 
 def test_a_bound_of_the_speed_is_found_again_after_a_fast_motion() -> None:
-    reach = Reach(STATED)
+    reach = SpeedBound(STATED)
     for _ in range(3):
         reach.saw([1e-3], [([0.0], 1e-3)])
     assert reach.fastest[0] == pytest.approx(1.0 + 0.05)  # |d|/t, and half of what 100 m/s^2 add in a tick
@@ -56,7 +56,7 @@ def test_a_bound_of_the_speed_is_found_again_after_a_fast_motion() -> None:
 def test_a_step_of_the_encoder_is_no_motion() -> None:
     """A device at rest whose displacement flickers by a step, between two readings in 0.1 ms."""
     for step, broken in ((1e-5, False), (0.0, True)):
-        reach = Reach(Inertia((0.2,), (20.0,), (step,)))
+        reach = SpeedBound(Inertia((0.2,), (20.0,), (step,)))
         for k in range(20):
             reach.saw([0.0 if k % 2 else 1e-5], [([0.0], 1e-4)])
         assert (reach.broken is not None) == broken
