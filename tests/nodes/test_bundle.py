@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import stat
 from pathlib import Path
 
@@ -18,9 +19,12 @@ from manyhands.nodes.bundle import (
     DeviceBundle,
     DeviceRung,
     EnvironmentBundle,
+    decoded,
+    encoded,
     load,
     save,
 )
+from manyhands.nodes.device.allowance import LatenessAllowance
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 
@@ -43,6 +47,14 @@ def test_round_trip_is_exact(prepared: Prepared, tmp_path: Path) -> None:
         again = tmp_path / f"{name}.again"
         save(read, again)
         assert again.read_bytes() == path.read_bytes()
+
+
+def test_a_devices_bundle_of_an_older_recording_has_a_tank_and_no_inertia(prepared: Prepared, tmp_path: Path) -> None:
+    data = json.loads(encoded(cut(prepared, RunPlan("realtime", tmp_path, "ipc:///nowhere"))["dx"]))
+    del data["allowance"], data["inertia"]
+    for tank, allowance in ((2e-3, LatenessAllowance(2e-3)), (None, None)):
+        older = decoded({**data, "tank": tank}, DeviceBundle, tmp_path)
+        assert (older.allowance, older.inertia) == (allowance, None)
 
 
 def test_a_node_is_given_its_own_part_and_nothing_else(prepared: Prepared, tmp_path: Path) -> None:
