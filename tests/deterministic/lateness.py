@@ -187,7 +187,8 @@ def scene_tree(rng: Generator) -> Tree:
             press = [2.0 * PUSH * b * part for b, part in zip(osp, way, strict=True)]
             hand["force"] = [f"{f:.5f}*pulse(t, {20 * T}, {400 * T})" for f in press]
         mass = [round(float(10.0 ** rng.uniform(math.log10(0.02), math.log10(2.0))), 4) for _ in osp]
-        return {"osp": osp, "mass": mass, "hand": hand}
+        # springs of 1000 N/m that contacts stretch by centimetres
+        return {"osp": osp, "mass": mass, "hand": hand, "limits": {"hand": 500.0}}
 
     tree = scene_session(scene, {tool.name: device(tool) for tool in scene.tools}, random_design(rng, T), T)
     return {**tree, "couplings": random_blocks(rng, scene.ports), "faults": {"tank": E_0}}

@@ -17,7 +17,7 @@ def test_a_demonstration_in_real_time(tmp_path: Path) -> None:
     assert "without coupling, as seven processes in real time: " in result.stdout, result.stderr
     *_, last = result.stdout.splitlines()
     assert last.startswith("all 7 promises were kept, and ")
-    assert "(bound -5 mJ)" in last
+    assert "(bound -5 mJ, falling by 1 mW)" in last
     assert result.exit_code == ("not every device came to rest" in last)
     pictures = {path.stem for path in tmp_path.glob("*.png")}
     assert pictures == {

@@ -42,9 +42,9 @@ def test_the_page_of_a_session_that_is_dragged_and_hurt() -> None:
         wide = open_page(browser, address, 1280, "light", wrong)
         picture(wide, PICTURES, "running-1280-light")
 
-        until(wide, "#lateness", "text", has="proved up to 4000 µs, enforced beyond (tank 5.00 mJ)")
+        until(wide, "#lateness", "text", has="proved up to 4000 µs, enforced beyond (tank 5.00 mJ and 1.00 mW)")
         until(wide, '[data-account="left"]', "text", has="J")
-        until(wide, "#account-bound", "text", equals="≥ -5.00 mJ")
+        until(wide, "#account-bound", "text", equals="≥ -5.00 mJ − 1.00 mW t")
 
         x, y = centre(wide, LEFT)
         wide.mouse.move(x, y)
