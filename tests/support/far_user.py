@@ -266,8 +266,8 @@ class Line:
     holds: bool
 
 
-def bounds(run: RecordedRun, rows: Rows, report: Mapping[str, Any], tanks: Sequence[float]) -> list[Line]:
-    """Every ledger and interface account, and the two-port; ``tanks`` are the session's and the wave link's, J.
+def bounds(run: RecordedRun, rows: Rows, report: Mapping[str, Any], tank: float) -> list[Line]:
+    """Every ledger and interface account, and the two-port; ``tank`` is the wave link's, J.
 
     What has entered the two-port at both ends is added up at the instants of the user's figures. The two clocks differ
     by less than a wave needs, so neither end has heard of anything that the other had not done by then.
@@ -280,7 +280,10 @@ def bounds(run: RecordedRun, rows: Rows, report: Mapping[str, Any], tanks: Seque
             ledger = node["ledger"]
             lines.append(_at_least(f"{name}: least ledger", ledger["min"], ledger["min"] - ledger["margin"]))
         if "interface" in node:
-            lines.append(_at_least(f"{name}: least interface account", node["interface"]["min"], -tanks[0]))
+            account = node["interface"]
+            lines.append(
+                _at_least(f"{name}: least interface account", account["min"], account["min"] - account["margin"])
+            )
     (t, at_user), (t_world, at_world) = (
         (
             _at(rows, node, [tick for tick, of in run.figures[node] if key in of]),
@@ -289,7 +292,7 @@ def bounds(run: RecordedRun, rows: Rows, report: Mapping[str, Any], tanks: Seque
         for node, key in (("cx", WAVE_LEDGER), ("environment", f"{WAVE_LEDGER}_cx"))
     )
     both = np.array(at_user) + np.interp(t, t_world, at_world)
-    lines.append(_at_least("wave link: least energy that has entered it", float(both.min()), -2.0 * tanks[1]))
+    lines.append(_at_least("wave link: least energy that has entered it", float(both.min()), -2.0 * tank))
     return lines
 
 
@@ -365,7 +368,7 @@ def in_real_time(wire: Wire, folder: Path, seconds: float) -> Found:
         "ticks of frozen users": str(nodes["environment"].get("incidents", {}).get("frozen", 0)),
     }
     close, common = compared(folder, rows)
-    promised = bounds(recorded, rows, report, (session.faults.tank, session.wave_links["cx"].tank))
+    promised = bounds(recorded, rows, report, session.wave_links["cx"].tank)
     promised.insert(0, Line("faults of the run", "; ".join(ended) or "none", "none", not ended))
     return Found(promised, close, [*common, *(Line(what, figure, "", True) for what, figure in besides.items())])
 
