@@ -367,7 +367,7 @@ class DeviceInterface:
         self._bounded = allowance is not None
         self._allowance = allowance or LatenessAllowance(0.0)
         self.tank = self.allowed = self.margin = self._allowance.energy
-        self._first: Instant | None = None  # of all samples
+        self._first: Instant | None = None  # instant of a force
         self._T, self._longest, self._latency, self._speed = T, longest, latency, tuple(speed)
         self._tau = self._expected = tau
         self._tolerance = tolerance
@@ -383,7 +383,8 @@ class DeviceInterface:
         self._power = 0.0  # of the exerted force at the limit of speed, W
         self._booked, self._changed = 0.0, False
         self.ticks, self.kept_back, self.offset = 0, 0.0, 0.0
-        self.asked = self.given = self._limited = 0.0
+        self.asked = self.given = 0.0
+        self._limited: Floats = self._sent  # what the couplings asked for last, within the limits, N
         self._wanted = self._size = 0.0  # of the present force, asked for and exerted, N
 
     @property
@@ -418,7 +419,6 @@ class DeviceInterface:
         if last is not None and at > last:
             self.speed = math.dist(x, self._x) / ((at - last) * _NS)
         self._x, self._at = x, at
-        self._grow(at)
         w = minus(goal, before)
         gain = account.least_gain(w)
         left = self._left(at)
@@ -473,7 +473,7 @@ class DeviceInterface:
             at: the present instant.
         """
         self._answer = f
-        self._limited = sum(map(abs, held))
+        self._limited = held
         if not self._bounded:
             return held, None
         account, T, sampled = self.account, self._T, at if self._at is None else self._at
@@ -524,12 +524,13 @@ class DeviceInterface:
         before = self.account.until
         self.asked += self._wanted * max(0, at - self._since) * _NS
         self.given += self._size * max(0, (at if before is None else min(before, at)) - self._since) * _NS
-        self._wanted, self._size = self._limited, sum(map(abs, exerted))
+        self._wanted, self._size = sum(map(abs, self._limited)), sum(map(abs, exerted))
         self._exact = x is not None
         if x is not None:
             self.account.sampled(x, at)
             self._book()
         self._since = at
+        self._grow(at)
         if self._bounded:
             self.tank = min(self.tank, self._most(self._power))
         self.account.exert(exerted, at, until)
@@ -559,7 +560,7 @@ class DeviceInterface:
         self._book()
 
     def _grow(self, at: Instant) -> None:
-        """Put P into the tank, for the time since the sample before."""
+        """Put P into the tank, for the time since the force before."""
         first = self._first = at if self._first is None else self._first
         if self._allowance.power > 0.0:
             allowed = self._allowance.by((at - first) * _NS)
