@@ -103,7 +103,7 @@ def bounded(run: RecordedRun, node: str, allowed: LatenessAllowance = NOTHING, p
     source = f"{LEDGER_ROUNDING:g} of the sum of its increments' magnitudes: rounding"
     most = np.full_like(trace, allowed.energy)
     if allowed.power:
-        most = _allowed_by(allowed, rows_of(run, node, names.INSTANTS)[:, 0])
+        most = _allowed_by(allowed, rows_of(run, node, names.INSTANTS)[:, 1])  # the power is booked at a_k
     wrong = trace < -most - tolerance
     first = first_of(wrong, ("E",), trace, 0.0 - most)
     verdict = CheckVerdict.HOLDS if len(total) else CheckVerdict.UNCHECKED
