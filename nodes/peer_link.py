@@ -254,6 +254,10 @@ class PeerLink:
         self.tick = tick
         return True
 
+    def take_other(self, values: Floats) -> bool:
+        """Put the signal of :attr:`other_tick` into the node's ``values``; returns whether it was admitted."""
+        return self.take(self.other_frame, values, self.other_tick)
+
     def settle(self, tick: int) -> None:
         """Finish ``tick``, once its force is applied; a peer in a process of its own needs nothing more."""
 

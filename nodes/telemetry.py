@@ -79,7 +79,8 @@ TAU_WORST = "tau_worst_us"  # since the last telemetry
 WAITED_IN = "waited:"  # and the coupling: a trace of the telemetry's ticks in which the others waited for it
 WAITED_TICKS = "waited_ticks_"  # and the coupling: ticks in which the others waited for it alone
 WAITED_TIME = "waited_us_"  # and the coupling: how long the others waited in them
-FROZEN_LATE = "frozen_late_"  # and the coupling: times that it was frozen for being late
+FROZEN_LATE = "frozen_late_"  # and the coupling: times that it was frozen for being silent
+OVERDUE = "overdue_"  # and the coupling: ticks in which it was held, for its signal had not come
 PERIOD_BREACHES = "period_breaches"  # ticks later after the one before than the certificate assumes
 DROPPED_TELEMETRY = "dropped_telemetry"
 DROPPED_LOG = "dropped_log"
@@ -219,24 +220,27 @@ class CouplingLateness:
     Attributes:
         ticks: the ticks in which it came after the others, or not at all.
         time: how long the others waited in them, us.
-        frozen: how often it was frozen for being late.
+        frozen: how often it was frozen for being silent.
+        held: the ticks in which it was held.
     """
 
     ticks: int
     time: float
     frozen: int
+    held: int = 0
 
     def sentence(self, name: str) -> str:
         """The figures as a sentence; ``name`` is that of the coupling."""
         return (
-            f"the others waited for {name} in {self.ticks} ticks, {self.time / 1e6:.3g} s in all, and it was frozen "
-            f"for that {self.frozen} times"
+            f"the others waited for {name} in {self.ticks} ticks, {self.time / 1e6:.3g} s in all; its tool rested for "
+            f"{self.held} ticks, and it was frozen {self.frozen} times"
         )
 
 
 def lateness_counts(lateness: Mapping[str, CouplingLateness]) -> dict[str, int]:
-    """Late ticks by coupling, and how often it was frozen for them."""
+    """Late ticks by coupling, how often it was frozen, and in how many it was held."""
     ticks = {f"{WAITED_TICKS}{name}": one.ticks for name, one in lateness.items()}
+    ticks |= {f"{OVERDUE}{name}": one.held for name, one in lateness.items()}
     return ticks | {f"{FROZEN_LATE}{name}": one.frozen for name, one in lateness.items()}
 
 
@@ -247,11 +251,16 @@ def lateness_times(lateness: Mapping[str, CouplingLateness]) -> dict[str, float]
 
 def lateness_of(name: str, counts: Mapping[str, float], figures: Mapping[str, float]) -> CouplingLateness | None:
     """The environment's figures of the coupling ``name``; None where they are missing or out of range."""
-    values = (counts.get(WAITED_TICKS + name), figures.get(WAITED_TIME + name), counts.get(FROZEN_LATE + name, 0.0))
-    ticks, time, frozen = (math.nan if value is None else value for value in values)
-    if not (0.0 < ticks < math.inf and 0.0 <= time < math.inf and 0.0 <= frozen < math.inf):
+    values = (
+        counts.get(WAITED_TICKS + name),
+        figures.get(WAITED_TIME + name),
+        counts.get(FROZEN_LATE + name, 0.0),
+        counts.get(OVERDUE + name, 0.0),
+    )
+    ticks, time, frozen, held = (math.nan if value is None else value for value in values)
+    if not all(0.0 <= value < math.inf for value in (ticks, time, frozen, held)) or not ticks + held:
         return None
-    return CouplingLateness(int(ticks), time, int(frozen))
+    return CouplingLateness(int(ticks), time, int(frozen), int(held))
 
 
 def energy_figures(energy: Energy, parties: tuple[str, ...]) -> dict[str, float]:

@@ -9,6 +9,7 @@
 | ``leaving@k`` | device | 1: with the sample of tick k it begins to let go, by the ramp and for good |
 | ``frozen:cx@k`` | environment | 1: from tick k on the coupling cx was sent no force |
 | ``returned:cx@k`` | environment | 1: from tick k on it was again |
+| ``held:cx@k`` | environment | ticks, from tick k on, in which cx was held, for its signal had not come |
 | ``raised@k`` | environment | 1: in tick k it raised the forces of all couplings again by the ramp |
 | ``linked:cx@k`` | environment | 1: in tick k the tool took its place from the first wave of a life of cx's wave link |
 
@@ -25,10 +26,10 @@ from enum import StrEnum
 from typing import Final, NamedTuple
 
 MOST_EVENTS: Final = 512
-"""The most events of one telemetry; further releases are only counted in the figure of all releases, which shows it."""
+"""The most events of one telemetry; further releases and holds are only counted in the figures, which show it."""
 
 _FIGURE: Final = re.compile(
-    r"(?:(began|jumped|released|rung|leaving|raised)|(frozen|returned|linked):(.+))@([0-9]{1,15})"
+    r"(?:(began|jumped|released|rung|leaving|raised)|(frozen|returned|held|linked):(.+))@([0-9]{1,15})"
 )
 _MOST_VALUE: Final = 2.0**53
 
@@ -43,6 +44,7 @@ class Kind(StrEnum):
     LEAVING = "leaving"
     FROZEN = "frozen"
     RETURNED = "returned"
+    HELD = "held"
     LINKED = "linked"
     RAISED = "raised"
 
@@ -65,6 +67,7 @@ class TickEvents:
     def __init__(self) -> None:
         """No event yet, and no telemetry."""
         self._figures: dict[str, float] = {}
+        self._held: dict[str, int] = {}  # by coupling, the tick since which it has been held without a break
         self._next: int | None = None  # the tick after the last row of the last telemetry
 
     def release(self, tick: int) -> None:
@@ -88,6 +91,16 @@ class TickEvents:
     def activate(self, tick: int, coupling: str) -> None:
         """Record that the environment sends ``coupling`` its force again from ``tick`` on."""
         self._figures[f"{Kind.RETURNED}:{coupling}@{tick}"] = 1.0
+
+    def hold(self, tick: int, coupling: str) -> None:
+        """Record that ``coupling`` was held in ``tick``."""
+        first = self._held.get(coupling, tick)
+        name = f"{Kind.HELD}:{coupling}@{first}"
+        if self._figures.get(name) != float(tick - first):  # it was not held in the tick before
+            first, name = tick, f"{Kind.HELD}:{coupling}@{tick}"
+        self._held[coupling] = first
+        if name in self._figures or len(self._figures) < MOST_EVENTS:
+            self._figures[name] = tick - first + 1.0
 
     def raise_again(self, tick: int) -> None:
         """Record that the environment raised the forces of all couplings again in ``tick``, by the ramp."""

@@ -1,6 +1,6 @@
 """How long the parties of a session wait for each other: one table, in ticks, for both clocks.
 
-In real time all parties wait for the one that misses a tick, so every wait has an end: the environment freezes the
+In real time all parties wait for the one that misses a tick, so every wait has an end: the environment holds the
 coupling, and a device lets go of a stale force. Under the simulated clock time stands still during a wait. There a
 party is given up only when the supervisor reports that it is lost.
 """
@@ -12,11 +12,20 @@ from dataclasses import dataclass
 from manyhands.nodes.bundle import SIMULATED, Common
 from manyhands.protocol.clock import Duration, from_seconds
 
-FREEZE_TICKS = 3
-"""Periods that the environment waits for a coupling once the signal of any other coupling for the tick is there."""
+HOLD_TICKS = 3
+"""Periods that the environment waits for a coupling once the signal of any other for the tick is there; then it holds
+the coupling."""
 
 STALE_TICKS = 5
 """A device that has waited this many periods for its force applies zero force until one comes."""
+
+PATIENCE_TICKS = 100
+"""The most periods in which a coupling that is not heard is held, and after which forces rise by the ramp again.
+
+The ramp takes as long (:data:`manyhands.nodes.environment.clutch.RAMP`), so that holding never costs a user more than
+freezing does. A busy machine makes a process wait for some milliseconds, and for thirty now and then. Devices let go
+meanwhile, but the motion that they send afterwards is within their limit of speed.
+"""
 
 LISTEN_TICKS = 32
 """Ticks between two looks at the supervisor's messages, while all signals come; a node that waits looks at once."""
@@ -32,25 +41,27 @@ class Timeouts:
     """How long a node waits, ns of real time.
 
     Attributes:
-        freeze: the environment waits so long for a coupling; None for no end.
+        hold: the environment waits so long for a coupling, and holds it then; None for no end.
         stale: a device waits so long for a force; None for no end.
         again: a node waits so long for an answer before it sends its signal once more.
         look: the longest single wait, after which the node looks at its supervisor.
         turn: the wait for one signal of an ordinary tick, before the node looks what else it has received.
+        patience: after this time the environment takes the devices to have let go; None where time stands still.
     """
 
-    freeze: Duration | None
+    hold: Duration | None
     stale: Duration | None
     again: Duration
     look: Duration
     turn: Duration
+    patience: Duration | None
 
 
 def timeouts(common: Common) -> Timeouts:
     """The timeouts of a session's nodes."""
     if common.clock == SIMULATED:
-        return Timeouts(None, None, _LOST_IN_SIMULATION, LOOK, LOOK)
+        return Timeouts(None, None, _LOST_IN_SIMULATION, LOOK, LOOK, None)
     period = from_seconds(common.period)
-    freeze = Duration(FREEZE_TICKS * period)
+    hold, patience = Duration(HOLD_TICKS * period), Duration(PATIENCE_TICKS * period)
     stale, turn = Duration(STALE_TICKS * period), Duration(2 * period)
-    return Timeouts(freeze, stale, freeze, min(LOOK, freeze), min(LOOK, turn))
+    return Timeouts(hold, stale, hold, min(LOOK, hold), min(LOOK, turn), patience)

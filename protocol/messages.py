@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from manyhands.protocol.limits import MAX_TEXT
 
-PROTOCOL_VERSION: Final[int] = 4
+PROTOCOL_VERSION: Final[int] = 5
 """The version of SPEC.md that this code speaks."""
 
 Values: TypeAlias = NDArray[np.float64]

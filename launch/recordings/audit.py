@@ -513,6 +513,7 @@ class _AuditRun:
             self._at_the_world([*couplings], names.FREE_POSITION),
             self._at_the_world([*couplings], names.FORCE),
             courses,
+            {name: fitted(held, run.ticks) for name, held in self._presence.held.items()},
             {name: wave_feedthrough(wave.b, bundle.common.period) for name, wave in bundle.waves.items()},
         )
         sign = first_sign(run, ENVIRONMENT)

@@ -52,6 +52,7 @@ class Blocks:
         p: ticks x m, m; NaN where a coupling has no row.
         f: the forces that they handed on, ticks x m, N; NaN where a coupling has no row.
         courses: what happened between each coupling's rows.
+        held: by coupling in the tick, the ticks in which it was held; it need not have a row in them.
         faces: D_V = T b^-1 of the couplings with a wave link, m/N, by coupling. Their p and f are those of the world's
             end, which the environment records itself: it has no force limits, and no rungs.
     """
@@ -61,6 +62,7 @@ class Blocks:
     p: Array
     f: Array
     courses: Mapping[str, Course]
+    held: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
     faces: Mapping[str, Array] = field(default_factory=dict)
 
     @property
@@ -84,6 +86,14 @@ class Blocks:
         out = np.zeros(len(self.f), dtype=np.bool_)
         for name, most in self.limits.items():
             out |= (np.abs(self.f[:, self.ports[name]]) >= np.array(most)).any(axis=1)
+        return out
+
+    @property
+    def holding(self) -> NDArray[np.bool_]:
+        """Ticks x m, true where the coupling of a port was held."""
+        out = np.zeros(self.p.shape, dtype=np.bool_)
+        for name, held in self.held.items():
+            out[:, self.ports[name]] = held[:, None]
         return out
 
     def ends(self) -> tuple[Array, Array]:
@@ -160,20 +170,33 @@ def recompute_environment(
         return out
     core = environment_core(bundle, blocks.D_V, tuple(blocks.ports.values()))
     limits = [(blocks.ports[name], Saturation(most)) for name, most in blocks.limits.items()]
-    complete, begin, why = there(blocks.p), *sign
+    holding = blocks.holding
+    p = np.where(holding & np.isnan(blocks.p), 0.0, blocks.p)  # the core does not read p of a block that is held
+    complete, begin, why = there(p), *sign
+    held = [
+        (block, blocks.ports[name].tolist(), name) for block, name in enumerate(blocks.ports) if name in blocks.held
+    ]
     for k in range(ticks):
         if not complete[k]:
             if k < ticks - 1 and complete[k:].any():
                 out.gaps.append(UncheckedTicks(k, ticks, "a coupling has no row there: what follows is not checked"))
             break
-        f = core.react(blocks.p[k].tolist())
+        answered: dict[int, float] = {}  # forces of blocks that are held, by port
+        for block, ports, name in held:
+            if blocks.held[name][k]:
+                answered.update(zip(ports, core.holding_force(block, blocks.p[k, ports].tolist()), strict=True))
+                core.clutches.hold(block)
+        f = core.react(p[k].tolist())
         core.settle()
-        if k >= begin and (core.tools != tools[k].tolist() or _forces(f, limits, m) != blocks.f[k].tolist()):
+        for port, force in answered.items():
+            f[port] = force
+        found = np.array(_forces(f, limits, m))
+        if k >= begin and not (core.tools == tools[k].tolist() and np.array_equal(found, blocks.f[k], equal_nan=True)):
             out.gaps.append(
                 UncheckedTicks(k, ticks, f"{why}, and a clutch has moved: forces and masses are not checked")
             )
             break
-        out.tools[k], out.forces[k] = core.tools, _forces(f, limits, m)
+        out.tools[k], out.forces[k] = core.tools, found
         if bundle.masses:
             out.masses[k] = core.masses
         if core.ledger is not None:
@@ -241,13 +264,19 @@ def increments(
         restrained: number of ticks in which a clutch was limited by an energy budget.
     """
     ends, size = blocks.ends()
-    unknown = changed & ~silent  # of a coupling that returns the environment has heard nothing before its first row
-    unknown[1:] &= ~silent[:-1]
+    holding = blocks.holding
+    for k in np.flatnonzero(holding.any(axis=1)):  # what is held rests, whatever its row states
+        ends[k, holding[k]] = ends[k - 1, holding[k]] if k else 0.0
+        size[k, holding[k]] = size[k - 1, holding[k]] if k else 0.0
+    unknown = changed & ~(
+        silent | holding
+    )  # of a coupling that returns the environment has heard nothing before its first row
+    unknown[1:] &= ~(silent | holding)[:-1]
     ends[unknown] = np.nan
     rest = np.zeros((1, tools.shape[1]))
     step_e = np.diff(np.vstack([rest, tools]), axis=0)
     step_c = np.diff(np.vstack([rest, ends]), axis=0)
-    f = np.where(silent, 0.0, np.where(unknown, np.nan, blocks.f))
+    f = np.where(silent | holding, 0.0, np.where(unknown, np.nan, blocks.f))
     still = f == 0.0
     work = np.where(still, 0.0, f * np.where(still, 0.0, step_c))
     w = step_e / T
@@ -268,7 +297,7 @@ def increments(
     # a last offset is dropped once after each freeze, and after each time that a budget has limited a clutch
     allowed = restrained
     for own in blocks.ports.values():
-        silent = still[sign:, own].all(axis=1)
+        silent = (still & ~holding)[sign:, own].all(axis=1)
         allowed += int((silent & ~np.concatenate([[False], silent[:-1]])).sum())
     most = LET_GO * np.linalg.norm(f, axis=1)
     with np.errstate(invalid="ignore"):

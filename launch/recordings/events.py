@@ -156,6 +156,16 @@ def frozen_in(figures: Figures, coupling: str, rows: NDArray[np.bool_], done: ND
     return out
 
 
+def held_in(figures: Figures, coupling: str, ticks: int) -> NDArray[np.bool_]:
+    """The ticks in which the environment held a coupling, by the environment's events."""
+    out = np.zeros(ticks, dtype=np.bool_)
+    for _, values in figures:
+        for event in events_in(values):
+            if event.kind is Kind.HELD and event.peer == coupling:
+                out[event.tick : event.tick + event.value] = True
+    return out
+
+
 def jumped_over(figures: Figures, ticks: int) -> NDArray[np.bool_]:
     """The ticks that a node did not do, since the session had gone on without it, by its own events."""
     out = np.zeros(ticks, dtype=np.bool_)

@@ -1,9 +1,10 @@
 """Which ticks each party of a recorded session owed, and whether their rows are whole.
 
 A party owes every tick of the recording except those that it took no part in. Only the environment states these: it
-records from which tick on it sent a coupling no force, and which ticks it did not do itself. A device cannot complete
-a tick without the forces of all its couplings. Where nobody states why rows are absent, they are not checked, and
-neither are those in which a number is not finite. What a party states of its own absence excuses nothing.
+records from which tick on it sent a coupling no force, in which ticks it held one, and which ticks it did not do
+itself. A device cannot complete a tick without the forces of all its couplings. Where nobody states why rows are
+absent, they are not checked, and neither are those in which a number is not finite. What a party states of its own
+absence excuses nothing.
 
 A user behind a wave link counts its ticks by its own clock. There the environment's ticks are taken :data:`SLACK`
 wider.
@@ -18,7 +19,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.launch.recordings.events import frozen_in, jumped_over
+from manyhands.launch.recordings.events import frozen_in, held_in, jumped_over
 from manyhands.launch.recordings.findings import EXACT, Check, CheckVerdict, UncheckedTicks, gaps_of
 from manyhands.launch.recordings.run import RecordedRun, rows_of, there
 from manyhands.launch.session import Session
@@ -45,6 +46,7 @@ class Presence:
     Attributes:
         owed: by node, its own ticks of the recording that are to be checked.
         frozen: by coupling in the tick, the ticks in which the environment sent it no force.
+        held: by coupling in the tick, those in which it was held; a coupling need not have a row in them.
     """
 
     def __init__(self, run: RecordedRun, session: Session, ledgers: frozenset[str]) -> None:
@@ -62,14 +64,16 @@ class Presence:
         done = rows[ENVIRONMENT] | jumped
         self.owed: dict[str, Flags] = {ENVIRONMENT: ~jumped}
         self.frozen: dict[str, Flags] = {}
+        self.held: dict[str, Flags] = {}
         excused: dict[str, Flags] = {}
         for name in session.couplings:
             rate, linked = run.recorded.rate_of(name), name in run.recorded.linked
             own = np.zeros(ticks, dtype=np.bool_) if linked else fitted(rows[name], ticks)
             frozen = frozen_in(figures, name, own, done)
-            if not linked:
-                self.frozen[name] = frozen
             absent = frozen | jumped
+            if not linked:
+                self.frozen[name], self.held[name] = frozen, held_in(figures, name, ticks)
+                absent |= self.held[name]
             if linked:
                 absent = _wider(absent, round(SLACK / run.period))
             at = np.minimum(own_ticks_before(np.arange(run.ticks_of(name)), 1.0 / rate), ticks - 1)

@@ -473,7 +473,8 @@ class BreachPolicy:
         longest = max(late.longest for late in self._late[Breach.DELAY].values())
         beyond = f"; none is certified for more than {_ms(most)}" if longest > most else ""
         softened = ", ".join(sorted(self._softened))
-        return f"; softened to what is certified for {_ms(max(self._softened.values()))}: {softened}{beyond}"
+        certified = _ms(max(self._softened.values()))
+        return f"; softened, once their users let go, to what is certified for {certified}: {softened}{beyond}"
 
 
 _NEXT: Final = (
@@ -566,15 +567,16 @@ class Assumptions:
         return deeds
 
     def _late_ticks(self, telemetry: Telemetry) -> dict[str, list[int]]:
-        """The ticks in which each coupling was late; a notice names those that were frozen for more than a few."""
+        """The ticks in which each coupling was late; a notice names those that were held in more than a few."""
         for name, lateness in names.lateness_by_coupling(telemetry.figures, telemetry.figures).items():
-            often = lateness.ticks > max(ALLOWED * telemetry.tick, LEAST)
-            if lateness.frozen and often and name not in self.waited_for:
+            most = max(ALLOWED * telemetry.tick, LEAST)
+            if lateness.held > most and lateness.ticks > LEAST and name not in self.waited_for:
                 self.waited_for.append(name)
         if self.waited_for:
             self.notices[Cause.WAITS] = (
-                f"made the others wait, and were frozen for it: {', '.join(self.waited_for)}; no other coupling is "
-                "softened for that; the report has how often and how long (late_couplings)"
+                f"came late again and again: {', '.join(self.waited_for)}; their tools rest in the ticks that they "
+                "miss, nobody waits for them any more, and no other coupling is softened for that; the report has how "
+                "often and how long (late_couplings)"
             )
         traces = {name: telemetry.traces.get(names.WAITED_IN + name) for name in self._couplings}
         return {name: ticks.ravel().astype(int).tolist() for name, ticks in traces.items() if ticks is not None}

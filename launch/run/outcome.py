@@ -158,7 +158,8 @@ def node_entry(role: Role, report: Report, restarts: int = 0) -> dict[str, Any]:
     late = names.lateness_by_coupling(counts, figures)
     if late:
         entry["late_couplings"] = {
-            name: {"ticks": one.ticks, "seconds": one.time / 1e6, "frozen": one.frozen} for name, one in late.items()
+            name: {"ticks": one.ticks, "seconds": one.time / 1e6, "frozen": one.frozen, "held": one.held}
+            for name, one in late.items()
         }
     granted = {key.removeprefix(names.REALTIME): n > 0 for key, n in figures.items() if key.startswith(names.REALTIME)}
     if granted:

@@ -10,7 +10,7 @@ import numpy as np
 
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.arithmetic import Floats
-from manyhands.nodes.bundle import CouplingBundle
+from manyhands.nodes.bundle import REALTIME, CouplingBundle
 from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.lifetime import Life
 from manyhands.nodes.peer_link import PeerLink, Received, WaveRow
@@ -79,16 +79,17 @@ class Block:
         """Listen for f_v(k), at most ``timeout``.
 
         Returns:
-            SIGNAL when :attr:`applied` is the force of ``tick``. DECLINED when :attr:`applied` is zero, and belongs to
-            the later tick ``environment.other_tick``. RECONNECTED when the environment is back; p(k) is then sent
-            again, if it was sent before. NOTHING otherwise.
+            SIGNAL when :attr:`applied` is the force of ``tick``. DECLINED when :attr:`applied` belongs to the later
+            tick ``environment.other_tick``: it is zero, or holds the block's end. RECONNECTED when the environment is
+            back; p(k) is then sent again, if it was sent before. NOTHING otherwise.
         """
         environment = self.environment
         received = environment.hear(self._f, tick, timeout, self)
         if received is Received.SIGNAL:
             self.applied = self.core.limited(self._f)
         elif received is Received.DECLINED:
-            self.applied = [0.0] * len(self._f)
+            environment.take_other(self._f)
+            self.applied = self.core.limited(self._f)
             self.jumps += 1
         elif received is Received.RECONNECTED:
             self._next_rung = 0  # an environment that greets the block has put D_V of rung 0 into its loop
@@ -119,8 +120,11 @@ class Block:
         self._filled += 1
 
     def on_other_tick(self, peer_link: PeerLink, other: int, awaited: int) -> bool:
-        """Stop waiting at a zero force of a later tick: the session has gone on without this block."""
-        return other > awaited and peer_link.other_zero
+        """Stop waiting at the force of a later tick: the session has gone on without this block.
+
+        It is zero, or in real time the force that holds the block's end (:mod:`manyhands.nodes.environment.clutch`).
+        """
+        return other > awaited and (peer_link.other_zero or self._common.clock == REALTIME)
 
     def on_notice(self, peer_link: PeerLink, message: Rung | Absent) -> bool:
         """Note the environment's change of rung; the zero force that follows is the first of the new rung."""

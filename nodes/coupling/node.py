@@ -2,8 +2,8 @@
 
 It receives x of its own ports from the devices and sends p to the environment. It then receives f_v of its own ports
 and sends it to the devices. It keeps no time of its own: the devices pace it. Where the environment has gone on without
-this coupling, it sends a zero force of a later tick. The coupling sends that force to its devices, and goes on at the
-tick after.
+this coupling, it sends the force of a later tick: zero, or what the spring exerts from a tool at rest. The coupling
+sends that force to its devices, and goes on at the tick after.
 """
 
 from __future__ import annotations
@@ -208,7 +208,7 @@ class CouplingNode:
             control: the line to the supervisor.
 
         Returns:
-            The tick answered: ``tick``, or a later one with zero force. None if the node should end.
+            The tick answered: ``tick``, or a later one. None if the node should end.
         """
         asked = began = self._clock.now()
         while True:

@@ -115,6 +115,10 @@ class Within(PeerLink):
             self.other_tick, self.other_zero = self._block.environment.other_tick, True
         return result
 
+    def take_other(self, values: Floats) -> bool:
+        """Do nothing: :meth:`hear` has put the block's force into the values."""
+        return True
+
     def settle(self, tick: int) -> None:
         """Step the block once the force is applied, and send its telemetry when the rows are full."""
         self._block.settle(tick)

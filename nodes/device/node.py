@@ -6,8 +6,8 @@ was due. The schedule then goes on at the next multiple of T, so that devices st
 age of its samples and the delay of its forces, both count in tau, and not in the loop's lateness.
 
 A device whose force is stale lets go and runs free: in every period it samples, guards and keeps its ledger, without
-force. It sends its x(k) again in every period until a coupling answers, or sends a zero force of a later tick, with
-which the device goes on.
+force. It sends its x(k) again in every period until a coupling answers, by the force of this tick or of a later one,
+with which the device goes on.
 
 What the device itself does in a tick, from driver to ledger, is in :mod:`manyhands.nodes.device.tick`. A device in wall
 time feels lateness. Between it and its couplings stands its interface (:mod:`manyhands.nodes.device.interface`), which
@@ -165,8 +165,11 @@ class DeviceNode:
         return self._account.report(self.device.core, self.device.guard, self.peer_links, self._rung)
 
     def on_other_tick(self, peer_link: PeerLink, other: int, awaited: int) -> bool:
-        """Stop waiting at a zero force of a later tick: the session has gone on without this device."""
-        return other > awaited and peer_link.other_zero
+        """Stop waiting at the force of a later tick: the session has gone on without this device.
+
+        It is zero, or in real time the force of a coupling that was held.
+        """
+        return other > awaited and (peer_link.other_zero or self._stale > 0)
 
     def on_notice(self, peer_link: PeerLink, message: Rung | Absent) -> bool:
         """Note the coupling's change of rung; the zero force that follows is the first of the new rung."""
@@ -201,7 +204,7 @@ class DeviceNode:
         the device sends them its sample of it, with a message why the ticks in between are missing.
 
         Returns:
-            The tick that the couplings answer: ``tick``, or a later one with zero force. None where no force came in
+            The tick that the couplings answer: ``tick``, or a later one. None where no force came in
             time and the device has let go, and where the node should end.
         """
         timeouts, peer_links = self._timeouts, self.peer_links
@@ -211,7 +214,7 @@ class DeviceNode:
         def react(peer_link: PeerLink, result: Received, tick: int) -> int:
             if result is Received.DECLINED:
                 tick = peer_link.tick = peer_link.other_tick
-                peer_link.put(f, [0.0] * len(peer_link.peer.ports))
+                peer_link.take_other(f)
                 for other in peer_links:  # a coupling that answered the earlier tick must answer this one as well
                     if other.tick != tick:
                         other.notify(Absent(self._common.name))  # no sample comes for the ticks in between

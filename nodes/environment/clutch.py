@@ -21,6 +21,14 @@ offset, at most LET_GO, is let go in one tick in which the force on the tool pus
 gives up -f_e^T o >= 0, and never gains. So that such a tick comes, the lag aims at an offset of half LET_GO on that
 side of zero.
 
+**Holding** (:meth:`Clutch.hold`). A coupling whose p(k) has not come in time is held for this tick: both ends rest,
+
+    x_e(k) = x_e(k-1),      x_c(k) = x_c(k-1),      f_c(k) = D_V^{-1} (x_c(k-1) - p(k)),
+
+so that f_e^T (x_e(k) - x_e(k-1)) = f_c^T (x_c(k) - x_c(k-1)) = 0, which is as lossless. The user's own spring goes on
+from a tool at rest, and nobody waits: f_c is found when p(k) comes (:func:`held_force`). No offset arises, and the
+tick after is as if none had been between.
+
 **A restraint** (:meth:`Clutch.restrain`) is a greatest s for a party that is beyond its energy budget
 (:mod:`manyhands.nodes.environment.energy`): s falls to it at once, and rises with it no faster than the ramp.
 
@@ -59,6 +67,9 @@ WORK_OFF: Final = 5e-3
 
 LET_GO: Final = 1e-6
 """Euclidean norm of the offset that may be given up in one tick, m: less than a hand feels or a sensor resolves."""
+
+
+_SINGULAR: Final = 1e12  # condition of a block's D_V above which it counts as singular
 
 
 class ClutchPhase(Enum):
@@ -112,6 +123,7 @@ class Clutch:
         phase: coupled, leaving, frozen or joining.
         ratio: s of the last tick; 0 from the moment it is frozen.
         settled: whether s = 1 and x_e = x_c.
+        held: whether both ends rest in the next tick.
         fresh: whether it is no longer settled, and :meth:`seize` has not set the tool's position yet.
         reference: r = x_e(k-1) - s x_c(k-1) + s p(k), m, so that x_e(k) = r + s D_V f_c(k).
         ready: whether the offset of this tick may be let go.
@@ -129,6 +141,7 @@ class Clutch:
         "_x_c",
         "_x_e",
         "fresh",
+        "held",
         "phase",
         "ports",
         "ratio",
@@ -150,13 +163,29 @@ class Clutch:
         self._at = self._most = float(ramp)  # j and its greatest permitted value, ticks
         self._p: Floats = [0.0] * len(ports)
         self._x_c = self._x_e = self.reference = self._p
-        self.fresh = self.ready = self.rests = False
+        self.fresh = self.held = self.ready = self.rests = False
         self._last = 1.0  # s of the tick before
 
     @property
     def offset(self) -> Floats:
         """x_e - x_c, m: 0 where the clutch is settled; where it is frozen, that of its last tick with s > 0."""
         return [0.0] * len(self.ports) if self.settled else _difference(self._x_e, self._x_c)
+
+    def end(self, x_e: Floats) -> Floats | None:
+        """x_c(k-1), m, where ``x_e``, m, are the tools of the tick before; None where the block has no end yet."""
+        if self.phase in (ClutchPhase.FROZEN, ClutchPhase.JOINING):
+            return None
+        return ports_of(x_e, self) if self.settled or self.fresh else self._x_c
+
+    def hold(self) -> bool:
+        """Hold both ends in the next tick; returns whether the clutch ceases to be settled.
+
+        A frozen clutch does so anyway. One that is joining takes no reference in it.
+        """
+        if self.phase is ClutchPhase.FROZEN:
+            return False
+        self.held = True
+        return self._unsettle()
 
     def seize(self, x_e: Floats) -> None:
         """Take the tool's position x_e(k-1), m, which is x_c(k-1) as well: the clutch was settled so far."""
@@ -168,7 +197,7 @@ class Clutch:
         self.phase = NEXT[self.phase, event]
         if self.phase is ClutchPhase.FROZEN:
             self._at = self.ratio = 0.0
-            self.reference, self.ready = self._x_e, False
+            self.reference, self.ready, self.held = self._x_e, False, False
         return self.phase is not ClutchPhase.COUPLED and self._unsettle()
 
     def restrain(self, ratio: float) -> bool:
@@ -194,6 +223,9 @@ class Clutch:
         if self.phase is ClutchPhase.FROZEN:
             self.reference = self._x_e
             return
+        if self.held:
+            self.ratio, self.reference = 0.0, self._x_e
+            return
         if self.phase is ClutchPhase.JOINING:
             self._p = p  # with no force x_c(k) is p(k)
             self.reference = self._x_e
@@ -207,7 +239,7 @@ class Clutch:
         at = before + (by if -1.0 <= by <= 1.0 else math.copysign(1.0, by))
         if at > most:
             at = most
-        if at != before:
+        if at != before or self.ratio == 0.0:  # it may have been held in the tick before
             self._at, self.ratio = at, math.sin(0.5 * math.pi * at / ramp) ** 2
         ratio = self.ratio
         self.reference = [e + ratio * (to - c) for e, to, c in zip(x_e, p, x_c, strict=True)]
@@ -263,6 +295,10 @@ class Clutch:
         """
         ratio = self.ratio
         self._x_e = [at + ratio * by for at, by in zip(self.reference, deflection, strict=True)]
+        if self.held:  # its force is not 0, as it is behind a clutch that is open
+            self.held = self.rests = False
+            self._last = 1.0
+            return self._x_e
         if self.phase is not ClutchPhase.FROZEN:
             self._x_c = [at + by for at, by in zip(self._p, deflection, strict=True)]
         self.rests, self._last = ratio == self._last == 0.0, ratio
@@ -312,6 +348,10 @@ class Clutches:
         """
         self.handle(self.all[block], ClutchEvent.ENGAGE)
 
+    def presses(self, block: int) -> bool:
+        """Whether the block's user may lean on its tool: its clutch neither leaves nor is open."""
+        return self.all[block].phase is ClutchPhase.COUPLED
+
     def disengage(self, block: int) -> None:
         """Lower s to 0 from its present value; then the block is frozen."""
         self.handle(self.all[block], ClutchEvent.DISENGAGE)
@@ -319,6 +359,12 @@ class Clutches:
     def handle(self, clutch: Clutch, event: ClutchEvent) -> None:
         """Apply ``event`` to one of the clutches, and keep :attr:`unsettled`."""
         if clutch.handle(event):
+            self.unsettled.append(clutch)
+
+    def hold(self, block: int) -> None:
+        """Hold the block's tool, and the end of its coupling, in the next tick."""
+        clutch = self.all[block]
+        if clutch.hold():
             self.unsettled.append(clutch)
 
     def exchanged(self, block: int, D_V: Vector, whole: Vector) -> Vector:
@@ -413,6 +459,36 @@ class Clutches:
                 clutch.halt()
                 return True
         return False
+
+
+def held_force(clutch: Clutch, x_e: Floats, D_V: Vector, p: Floats) -> Floats:
+    """f_c(k) of a block that is held, N: D_V^{-1} (x_c(k-1) - p(k)).
+
+    A block without an end yet has no force.
+
+    Args:
+        clutch: the block's clutch.
+        x_e: the tools' positions of the tick before, m, all ports.
+        D_V: the couplings' feedthrough, m x m, m/N.
+        p: the block's free tool position, m.
+    """
+    end = clutch.end(x_e)
+    if end is None:
+        return [0.0] * len(clutch.ports)
+    found: Floats = np.linalg.solve(_own(clutch, D_V), np.array(_difference(end, p))).tolist()
+    return found
+
+
+def holdable(clutch: Clutch, D_V: Vector) -> bool:
+    """Whether D_V of the block is regular, so that a force can hold its end; under a certificate it is.
+
+    There its symmetric part is positive definite (docs/decisions/0015-the-clutch.md).
+    """
+    return bool(np.linalg.cond(_own(clutch, D_V)) < _SINGULAR)
+
+
+def _own(clutch: Clutch, D_V: Vector) -> Vector:
+    return D_V[np.ix_(clutch.ports, clutch.ports)]
 
 
 def ports_of(values: Floats, clutch: Clutch) -> Floats:

@@ -48,6 +48,8 @@ from manyhands.nodes.environment.clutch import (
     Clutch,
     Clutches,
     ClutchEvent,
+    held_force,
+    holdable,
     ports_of,
     ports_of_blocks,
     require_within,
@@ -175,6 +177,18 @@ class EnvironmentCore:
             self._bound()
         if self.energy.restrained:
             self.clutches.restrain()
+
+    def load(self, block: int) -> float:
+        """The greatest force at the block's tools in the last tick, N."""
+        return max(map(abs, ports_of(self._f, self.clutches.all[block])))
+
+    def holdable(self, block: int) -> bool:
+        """Whether a force can hold the end of the block's coupling: whether its D_V is regular."""
+        return holdable(self.clutches.all[block], self._D_V)
+
+    def holding_force(self, block: int, p: Floats) -> Floats:
+        """f_c(k), N, of a block that is held in this tick, from its p(k), m (:func:`held_force`)."""
+        return held_force(self.clutches.all[block], self._x_e, self._D_V, p)
 
     @property
     def tools(self) -> Floats:

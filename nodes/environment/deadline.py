@@ -1,11 +1,11 @@
 """When the environment stops waiting for couplings that have not come. Pure: instants go in, a decision comes out.
 
 The node looks, decides, and acts on the decision, again and again until the tick is complete. In real time the node
-gives up a missing coupling once it has kept others waiting for ``freeze``. The others wait from the instant at which
+gives up a missing coupling once it has kept others waiting for ``hold``. The others wait from the instant at which
 the node finds the first of their signals, but at the latest from one period after the wait began. They never wait
 before the instant at which their devices sample.
 
-Under the simulated clock ``freeze`` and ``stale`` are None: then no coupling is ever given up.
+Under the simulated clock ``hold`` and ``patience`` are None: then no coupling is ever given up.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Deadline:
         """Begin to wait; no signal is there yet.
 
         Args:
-            timeouts: the timeouts, of which ``freeze`` and ``stale`` are used.
+            timeouts: the timeouts, of which ``hold`` and ``patience`` are used.
             period: T, ns.
             due: when the devices sample the present tick.
             began: when the tick before was answered.
@@ -80,10 +80,10 @@ class Deadline:
             later: whether no coupling is awaited before a later tick.
             early: whether any coupling has sent a signal of a later tick; such a coupling waits as well.
         """
-        freeze, stale = self._timeouts.freeze, self._timeouts.stale
+        hold, patience = self._timeouts.hold, self._timeouts.patience
         elapsed = now - self._began
-        forget = stale is not None and elapsed > stale
-        pardon = freeze is not None and elapsed > freeze and not present
+        forget = patience is not None and elapsed > patience
+        pardon = hold is not None and elapsed > hold and not present
         if present:
             self._first = max(self._due, min(self._first, now, Instant(self._began + self._period)))
         elif later:
@@ -92,7 +92,7 @@ class Deadline:
         elif early:
             self._first = min(self._first, now)
         waited = now - self._first
-        if freeze is not None and waited >= freeze and missing and self.listened:
+        if hold is not None and waited >= hold and missing and self.listened:
             self._first = _NOBODY_WAITS
             return Decision(Step.GIVE_UP, forget, pardon, Duration(waited))
         return Decision(Step.LISTEN, forget, pardon)

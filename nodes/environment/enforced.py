@@ -30,7 +30,17 @@ from numpy.typing import NDArray
 from manyhands.design.models.statespace import StateSpace
 from manyhands.nodes.arithmetic import Floats
 from manyhands.nodes.environment.chatter import Chatter
-from manyhands.nodes.environment.clutch import RAMP, Blocks, Clutch, Clutches, ports_of_blocks, require_within
+from manyhands.nodes.environment.clutch import (
+    RAMP,
+    Blocks,
+    Clutch,
+    Clutches,
+    held_force,
+    holdable,
+    ports_of,
+    ports_of_blocks,
+    require_within,
+)
 from manyhands.nodes.environment.energy import Energy, EnergyBudget
 from manyhands.nodes.environment.model import AskedModel
 from manyhands.nodes.passivity import Ledger, PassivityController
@@ -258,6 +268,18 @@ class EnforcedCore:
     def figures(self) -> Mapping[str, float]:
         """What the law counts itself, by the names of :mod:`manyhands.nodes.telemetry`."""
         return self._law.figures
+
+    def load(self, block: int) -> float:
+        """The greatest force at the block's tools in the last tick, N."""
+        return max(map(abs, ports_of(self._f.tolist(), self.clutches.all[block])))
+
+    def holdable(self, block: int) -> bool:
+        """Whether a force can hold the end of the block's coupling: whether its D_V is regular."""
+        return holdable(self.clutches.all[block], self._D_V)
+
+    def holding_force(self, block: int, p: Floats) -> Floats:
+        """f_c(k), N, of a block that is held in this tick, from its p(k), m (:func:`held_force`)."""
+        return held_force(self.clutches.all[block], self._x_e.tolist(), self._D_V, p)
 
     def exchange(self, block: int, D_V: Vector) -> None:
         """Change the feedthrough of a frozen block.

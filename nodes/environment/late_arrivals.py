@@ -100,7 +100,7 @@ class LateArrivals:
             arrivals: when each signal was there, ns, and the coupling's index, in the order in which they were read.
 
         Returns:
-            The indices of the couplings to freeze: their buckets are full.
+            The indices of the couplings that are not waited for from now on: their buckets are full.
         """
         period, allowed = self._period, self.allowance
         base = before = max(due, arrivals[0][0])
@@ -127,6 +127,10 @@ class LateArrivals:
         """Note that the wait of ``tick`` was for the couplings ``who``, which could not come in time: no charge."""
         for index in who:
             self.lately[index].append(tick)
+
+    def full(self, index: int, tick: int) -> bool:
+        """Whether the coupling's bucket has leaked too little by ``tick`` to wait for it again."""
+        return self._level[index] - SHARE * (tick - self._at[index]) > BURST
 
     def _charge(self, index: int, tick: int, waited: int) -> bool:
         """Charge one late tick; returns whether the bucket is full."""

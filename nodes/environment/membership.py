@@ -1,8 +1,13 @@
 """The membership of each coupling in the session: active, frozen, rejoining or gone, and what changes it.
 
-The environment waits in every tick for the couplings that are active. A coupling that stays silent is frozen: its tool
-stays where it is, its user feels no force, and the others go on (docs/decisions/0015-the-clutch.md). A coupling that
-is late again and again is frozen as well (:mod:`manyhands.nodes.environment.late_arrivals`).
+The environment waits in every tick for the couplings that are active. A coupling that does not come in time is *held*:
+its tool rests for as long, and the others go on. When its signal comes it is answered at once, with the force of its
+spring from a tool at rest, and with the tick that it goes on after (:mod:`manyhands.nodes.environment.clutch`). A
+coupling that is late again and again is not waited for any more, and is held whenever it is late
+(:mod:`manyhands.nodes.environment.late_arrivals`).
+
+A coupling that stays silent for :data:`~manyhands.nodes.timeouts.PATIENCE_TICKS` ticks is frozen: its user feels no
+force (docs/decisions/0015-the-clutch.md).
 
 A frozen coupling that sends a signal is rejoining: the environment waits for it once more. With its signal of the
 present tick it is active, and its clutch raises its force by a ramp. A coupling that sends a signal and then stays
@@ -16,7 +21,7 @@ and the supervisor's messages change memberships, and memberships move the clutc
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from enum import StrEnum
 from typing import Final
 
@@ -30,6 +35,7 @@ from manyhands.nodes.peer_link import PeerLink, Received
 from manyhands.nodes.relink import follow
 from manyhands.nodes.supervisor_line import ControlLine, Word
 from manyhands.nodes.tick_events import TickEvents
+from manyhands.nodes.timeouts import PATIENCE_TICKS
 from manyhands.protocol.clock import Duration, Instant
 from manyhands.protocol.messages import Absent, Reaction, Refusal, RefusalCode, Rung, Shift, Values
 
@@ -38,6 +44,7 @@ class Membership(StrEnum):
     """The state of a coupling in the session."""
 
     ACTIVE = "active"
+    HELD = "held"
     REJOINING = "rejoining"
     FROZEN = "frozen"
     GONE = "gone"
@@ -49,8 +56,8 @@ class MembershipEvent(StrEnum):
     SIGNAL = "its signal of the tick"
     BEHIND = "a signal of an earlier tick"
     AHEAD = "a signal of a later tick"
+    OVERDUE = "nothing in time"
     SILENT = "nothing, though others are there"
-    LATE = "its signal, after all others again and again"
     PAUSES = "that it has lost a device"
     LOST = "that its process is gone"
     FLOODED = "more stray frames than any honest peer sends"
@@ -60,11 +67,19 @@ class MembershipEvent(StrEnum):
 TRANSITIONS: Final[Mapping[tuple[Membership, MembershipEvent], Membership]] = {
     (Membership.ACTIVE, MembershipEvent.SIGNAL): Membership.ACTIVE,
     (Membership.ACTIVE, MembershipEvent.BEHIND): Membership.ACTIVE,  # the answer that it has missed is sent again
-    (Membership.ACTIVE, MembershipEvent.SILENT): Membership.FROZEN,
-    (Membership.ACTIVE, MembershipEvent.LATE): Membership.FROZEN,
+    (Membership.ACTIVE, MembershipEvent.OVERDUE): Membership.HELD,
+    (Membership.ACTIVE, MembershipEvent.SILENT): Membership.FROZEN,  # nothing could hold its end
     (Membership.ACTIVE, MembershipEvent.PAUSES): Membership.FROZEN,
     (Membership.ACTIVE, MembershipEvent.LOST): Membership.GONE,
     (Membership.ACTIVE, MembershipEvent.FLOODED): Membership.GONE,
+    (Membership.HELD, MembershipEvent.SIGNAL): Membership.ACTIVE,
+    (Membership.HELD, MembershipEvent.BEHIND): Membership.HELD,  # it is answered, and goes on after the answer's tick
+    (Membership.HELD, MembershipEvent.AHEAD): Membership.HELD,
+    (Membership.HELD, MembershipEvent.OVERDUE): Membership.HELD,
+    (Membership.HELD, MembershipEvent.SILENT): Membership.FROZEN,
+    (Membership.HELD, MembershipEvent.PAUSES): Membership.FROZEN,
+    (Membership.HELD, MembershipEvent.LOST): Membership.GONE,
+    (Membership.HELD, MembershipEvent.FLOODED): Membership.GONE,
     (Membership.REJOINING, MembershipEvent.SIGNAL): Membership.ACTIVE,
     (Membership.REJOINING, MembershipEvent.BEHIND): Membership.REJOINING,
     (Membership.REJOINING, MembershipEvent.AHEAD): Membership.REJOINING,
@@ -86,6 +101,8 @@ TRANSITIONS: Final[Mapping[tuple[Membership, MembershipEvent], Membership]] = {
 }
 """Every transition. An event that has no entry for a state cannot happen in it, and changes nothing."""
 
+_THERE: Final = (Membership.ACTIVE, Membership.HELD)
+
 _SHOWS_ITSELF: Final = (MembershipEvent.SIGNAL, MembershipEvent.BEHIND, MembershipEvent.AHEAD)
 
 FIRST_PAUSE: Final = 8  # ticks
@@ -98,6 +115,14 @@ MOST_AHEAD = 2**16
 
 A resumed environment begins at the tick of the last telemetry, and its couplings may be ahead by that much.
 """
+
+STREAK: Final = 3
+"""Ticks in which a member is held before a signal of an earlier tick counts for the tick that is awaited."""
+
+LIGHT: Final = 0.2
+"""Force at a tool, N, below which its clutch opens for a change of rung: what a finger hardly feels."""
+
+_UNTIL_HEARD: Final = 2**62  # a tick that no session reaches
 
 LEAD = 3
 """Ticks that a coupling has for its way back; the environment does not wait for it in them.
@@ -112,7 +137,7 @@ class MembershipRecord:
     """The membership of one coupling.
 
     Attributes:
-        state: active, rejoining, frozen or gone.
+        state: active, held, rejoining, frozen or gone.
         absences: how often the coupling was frozen or lost.
         since: the tick at which it became active last.
         joins: whether it has never been active.
@@ -137,17 +162,17 @@ class MembershipRecord:
         self.state = after
         if after is before:
             return False
-        if after is Membership.ACTIVE:
-            self.since, self.joins = tick, False
-        elif before is Membership.ACTIVE:
+        if after in _THERE:
+            if before not in _THERE:
+                self.since, self.joins = tick, False
+            return True
+        if before in _THERE:
             self.absences += 1
             self._misses = 0 if tick - self.since >= FORGIVEN else self._misses + 1
-            if event is MembershipEvent.LATE:  # it was late in many ticks already, so the pause begins at once
-                self._misses = max(1, self._misses)
         elif event is MembershipEvent.SILENT:
             self._misses += 1
         # the first silence brings no pause: it can happen to any process once
-        if event in (MembershipEvent.SILENT, MembershipEvent.LATE) and self._misses:
+        if event is MembershipEvent.SILENT and self._misses:
             self._until = tick + min(FIRST_PAUSE << min(self._misses - 1, 16), LONGEST_PAUSE)
         return True
 
@@ -169,15 +194,20 @@ class Member:
         membership: its state in the session.
         rung: the rung of the ladder that it runs.
         wanted: the rung that it is to run.
-        due: while it is rejoining, the first tick in which the environment waits for it.
+        due: while it is held or rejoining, the first tick in which the environment waits for it.
         early: a later tick and the frame of the signal that came for it too early; None where there is none.
         arrived: when its latest signal was read, ns.
-        frozen_late: how often it was frozen for being late or silent.
+        frozen_late: how often it was frozen for being silent.
+        waived: whether it is not waited for at present, for it was late too often.
+        held: the ticks in which it was held.
+        streak: of them, those since its tool moved last.
+        silent: of them, those since it was heard last.
         linked: whether it is there by a wave link in real time: it is never waited for.
     """
 
     __slots__ = (
-        "arrived", "due", "early", "frozen_late", "index", "linked", "membership", "peer_link", "rung", "wanted",
+        "arrived", "due", "early", "frozen_late", "held", "index", "linked", "membership", "peer_link", "rung",
+        "silent", "streak", "waived", "wanted",
     )  # fmt: skip
 
     def __init__(self, peer_link: PeerLink, index: int, state: Membership, linked: bool = False) -> None:
@@ -187,15 +217,22 @@ class Member:
         self.due = 0
         self.early: tuple[int, bytes] | None = None
         self.arrived = Instant(0)
-        self.frozen_late = 0
+        self.frozen_late = self.held = self.streak = self.silent = 0
+        self.waived = False
 
     def missing(self, tick: int) -> bool:
         """Whether the environment waits for its signal of ``tick``."""
         if self.peer_link.tick == tick or self.linked:
             return False
+        if self.membership.state in _THERE and self.waived:
+            return False
         return self.membership.state is Membership.ACTIVE or (
-            self.membership.state is Membership.REJOINING and self.due <= tick
+            self.membership.state in (Membership.HELD, Membership.REJOINING) and self.due <= tick
         )
+
+
+def _never() -> bool:
+    return False
 
 
 class Members:
@@ -211,6 +248,8 @@ class Members:
         last: the tick after the session's last; 0 for a session without an end.
         log: receives the members that were frozen, lost or returned; None for no log.
         events: the same with their ticks, for the recording.
+        waives: whether any member is not waited for.
+        over: whether the devices have sampled the tick that is awaited, or will before an answer reaches them.
         ahead: the latest tick of a signal that came from ahead of a resumed environment.
     """
 
@@ -251,6 +290,10 @@ class Members:
         self.order = list(self.all)
         self._of = {member.peer_link.peer.name: member for member in self.all}
         self._resumes, self._tick = resumes, 0
+        self._p: Floats = []  # of all ports, of the call of hear
+        self._answer: Floats = []
+        self.over: Callable[[], bool] = _never
+        self.waives = False
         self.ahead = self.last = 0
         self.log: Log | None = None
         self.events = TickEvents()
@@ -264,7 +307,7 @@ class Members:
     @property
     def frozen(self) -> int:
         """How many couplings are not active."""
-        return sum(member.membership.state is not Membership.ACTIVE for member in self.all)
+        return sum(member.membership.state not in _THERE for member in self.all)
 
     @property
     def absences(self) -> int:
@@ -278,12 +321,13 @@ class Members:
 
     def hear(self, member: Member, p: Floats, tick: int, timeout: Duration) -> Received:
         """Listen to one member for its signal of ``tick``, at most ``timeout``, and put it into ``p``, m."""
-        self._tick = tick
+        self._tick, self._p = tick, p
         early = member.early
         if early is not None and early[0] <= tick:
             member.early = None
             received = Received.NOTHING
             if early[0] < tick:
+                member.peer_link.other_tick, member.peer_link.other_frame = early
                 self.on_other_tick(member.peer_link, early[0], tick)
             elif member.peer_link.take(early[1], p, tick):
                 received = Received.SIGNAL
@@ -292,22 +336,62 @@ class Members:
         if received is Received.SIGNAL:
             if member.membership.state is not Membership.ACTIVE and not self._activated(member, tick):
                 received = Received.NOTHING
+        elif received is Received.DECLINED and member.peer_link.tick == tick:  # it came for an earlier tick
+            received = Received.SIGNAL
+            self._activated(member, tick)
         elif received is Received.RECONNECTED:
             self._welcome_back(member, tick)
         elif received is Received.FLOODED:
             self._event(member, MembershipEvent.FLOODED, tick)
         return received
 
+    def overdue(self, member: Member, tick: int) -> None:
+        """Wait no longer for a member that is silent while the signals of others are there.
+
+        It is held until it is heard. A member that is rejoining is frozen, and so is one whose block has no force that
+        could hold its end.
+        """
+        if member.membership.state is Membership.REJOINING or not self._core.holdable(member.index):
+            self.give_up(member, tick)
+        else:
+            self._event(member, MembershipEvent.OVERDUE, tick)
+            member.due = _UNTIL_HEARD
+
     def give_up(self, member: Member, tick: int) -> None:
-        """Freeze a member that is silent while the signals of others are there."""
+        """Freeze a silent member."""
         member.frozen_late += 1
         self._event(member, MembershipEvent.SILENT, tick)
 
-    def exclude(self, member: Member, tick: int) -> None:
-        """Freeze a member that is late again and again. Its signal of ``tick`` gets no answer, so that it pauses."""
-        member.frozen_late += 1
-        member.peer_link.tick = -1
-        self._event(member, MembershipEvent.LATE, tick)
+    def waive(self, member: Member) -> None:
+        """Wait for a member no longer: it is late again and again, and is held whenever it is."""
+        member.waived = self.waives = True
+
+    def hold(self, tick: int, still: Callable[[int, int], bool]) -> None:
+        """Hold every member whose signal of ``tick`` has not come; freeze those that were silent for too long.
+
+        Args:
+            tick: k.
+            still: whether a member, by its index, was late too often for the environment to wait for it at a tick.
+        """
+        if self.waives:
+            for member in self.all:
+                member.waived = member.waived and still(member.index, tick)
+            self.waives = any(member.waived for member in self.all)
+        for member in self.all:
+            if member.linked or member.peer_link.tick == tick:
+                continue
+            if member.membership.state is Membership.ACTIVE:
+                self.overdue(member, tick)
+            if member.membership.state is not Membership.HELD:
+                continue
+            member.held += 1
+            member.streak += 1
+            member.silent += 1
+            if member.silent > PATIENCE_TICKS:
+                self.give_up(member, tick)
+            else:
+                self._core.clutches.hold(member.index)
+                self.events.hold(tick, member.peer_link.peer.name)
 
     def read_last(self, member: Member) -> None:
         """Read ``member`` last from now on: as long as the node waits for it first, other late members go unseen."""
@@ -331,7 +415,7 @@ class Members:
         """
         self.events.raise_again(tick)
         for member in self.all:
-            if not member.linked and member.membership.state is Membership.ACTIVE and member.wanted == member.rung:
+            if not member.linked and member.membership.state in _THERE and member.wanted == member.rung:
                 self._core.clutches.freeze(member.index)
                 self._core.clutches.engage(member.index)
         self.forget()
@@ -362,6 +446,8 @@ class Members:
 
         The node calls this after the forces of a tick are found and before they are sent. One tick at s = 0 is not
         enough: the force's step to 0 would then belong to one rung, and its delay to the next.
+        A clutch opens for a change only while its tool meets less than :data:`LIGHT`. Who leans on a wall would fall
+        through it meanwhile; until then the device's interface bounds what lateness costs.
         Where the certificate covers no mixture of rungs, no coupling changes before all that are to change rest.
         """
         if not self._shifting:
@@ -369,8 +455,11 @@ class Members:
         core = self._core
         changing = [member for member in self.active if member.wanted != member.rung]
         resting = [member for member in changing if core.clutches.all[member.index].rests]
-        for member in changing:
-            if member not in resting:
+        opening = [member for member in changing if member not in resting]
+        pressed = [core.clutches.presses(member.index) and core.load(member.index) > LIGHT for member in opening]
+        for member, presses in zip(opening, pressed, strict=True):
+            # where all change in one tick, no clutch opens before all can
+            if not (presses if self._independent else any(pressed)):
                 core.clutches.disengage(member.index)
         if not self._independent and (resting != changing or len({member.wanted for member in self.all}) > 1):
             return
@@ -393,9 +482,12 @@ class Members:
         member = self._of[peer_link.peer.name]
         if other > awaited:
             return self._keep_ahead(member, other, awaited)
-        if other == awaited - 1 and peer_link.tick == other:
+        held = member.membership.state is Membership.HELD
+        if peer_link.tick == other and (held or other == awaited - 1):
             peer_link.send_again()  # the answer was sent, and lost on its way
             return False
+        if held:
+            return other > peer_link.tick and self._go_on(member, awaited)  # an honest coupling's ticks rise
         if not self.active:
             member.membership.pardon()
         if self._event(member, MembershipEvent.BEHIND, awaited):
@@ -403,6 +495,30 @@ class Members:
             member.due = min(awaited + LEAD, self.last - 1) if self.last else awaited + LEAD
         if member.membership.state is Membership.REJOINING:
             peer_link.send_zero(Reaction, max(member.due, awaited) - 1)
+        return False
+
+    def _go_on(self, member: Member, awaited: int) -> bool:
+        """Answer a held member, whose signal of an earlier tick has come; it goes on after the tick of the answer.
+
+        It is held in ``awaited`` as well where its device would sample too late for it. A member that is a little late
+        in every tick would be held for ever. So after :data:`STREAK` ticks its signal counts for ``awaited``, and it
+        waits for the others.
+
+        Returns:
+            Whether its signal counts for ``awaited``.
+        """
+        peer_link = member.peer_link
+        if not peer_link.take_other(self._p):
+            return False
+        if member.streak >= STREAK:
+            member.due, peer_link.tick = awaited, awaited
+            return True
+        through = awaited if self.over() else awaited - 1
+        member.due, member.silent = through + 1, 0
+        if not self._answer:
+            self._answer = [0.0] * len(self._p)
+        peer_link.put(self._answer, self._core.holding_force(member.index, peer_link.share(self._p)))
+        peer_link.send(Reaction, through, peer_link.stamp, self._answer)
         return False
 
     def on_notice(self, peer_link: PeerLink, message: Rung | Absent) -> bool:
@@ -455,13 +571,16 @@ class Members:
 
     def _activated(self, member: Member, tick: int) -> bool:
         """Whether its signal of ``tick`` activates it."""
-        if member.membership.state is Membership.REJOINING and tick < member.due:
+        state = member.membership.state
+        sent_on = state is Membership.REJOINING or (state is Membership.HELD and member.due < _UNTIL_HEARD)
+        if sent_on and tick < member.due:
             # sent before the coupling received the zero force that sends it on to a later tick
             member.peer_link.tick = -1
             return False
         if member.membership.pauses(tick):
             member.peer_link.tick = -1  # ignored; the coupling sends it again, also after the pause
             return False
+        member.silent = member.streak = 0
         # where another rung is wanted the clutch stays open: the rung is changed first
         if self._event(member, MembershipEvent.SIGNAL, tick) and member.wanted == member.rung:
             self._core.clutches.engage(member.index)
@@ -502,12 +621,16 @@ class Members:
         self._feedthrough, self._digests = dict(feedthrough), dict(digests)
 
     def _event(self, member: Member, event: MembershipEvent, tick: int) -> bool:
-        was_active = member.membership.state is Membership.ACTIVE
+        was_there = member.membership.state in _THERE
         if not member.membership.on(event, tick):
             return False
-        if member.membership.state is Membership.ACTIVE:
+        is_there = member.membership.state in _THERE
+        if was_there and is_there:
+            self._sort()
+            return True
+        if is_there:
             self.events.activate(tick, member.peer_link.peer.name)
-        elif was_active:
+        elif was_there:
             self.events.freeze(tick, member.peer_link.peer.name)
         if self.log is not None and (noted := _NOTED.get(member.membership.state)) is not None:
             self.log.note(noted, peer=member.peer_link.peer.name, tick=tick, heard=event.value)
@@ -521,7 +644,7 @@ class Members:
         self.active = [member for member in self.all if member.membership.state is Membership.ACTIVE]
         self.all_active = len(self.active) == len(self.all)
         self.anybody_out = any(
-            member.membership.state is not Membership.ACTIVE and not (member.linked and member.membership.joins)
+            member.membership.state not in _THERE and not (member.linked and member.membership.joins)
             for member in self.all
         )
         self.awaited = any(not member.linked for member in self.active)

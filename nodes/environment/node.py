@@ -252,7 +252,7 @@ class EnvironmentNode:
         world = WorldEnds([end for end in ends if isinstance(end, WorldEnd)]) if self._clocked else None
         later = self._later = TelemetryLater(control) if self._clocked else None
         clock, account, late = self._clock, self._account, self._late
-        stale, give_way = self._timeouts.stale, way_giver()
+        patience, give_way = self._timeouts.patience, way_giver()
         p: Floats = [0.0] * len(self._common.ports)
         # the first wait begins with the epoch: before it devices send nothing, and silence has no meaning
         epoch, period = start.epoch, self._period
@@ -260,6 +260,7 @@ class EnvironmentNode:
         self._due = now
         pace, datagrams = Pace(Instant(epoch), period, now), self._datagrams
         self._pace = pace
+        members.over = lambda: clock.now() > self._due - CROSSING * period
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):
             life.look(now)
             if tick % LISTEN_TICKS == 0 and (word := control.listen()) is not None:
@@ -290,10 +291,12 @@ class EnvironmentNode:
                 now = clock.now()
             else:
                 now = members.order[-1].arrived
-            if stale is not None and now - self._due > late.allowance:  # otherwise no coupling was late
+            if patience is not None and now - self._due > late.allowance:  # otherwise no coupling was late
                 self._judge(members, tick, self._due - answered < CROSSING * period)
-            if stale is not None and now - answered > stale:
+            if patience is not None and now - answered > patience:
                 members.let_in_again(tick)
+            if patience is not None and (members.waives or not members.all_active):
+                members.hold(tick, late.full)
             f = core.react(p)
             if core.failure is not None:
                 life.fail(f"{self._common.name}: {core.failure}")
@@ -342,7 +345,10 @@ class EnvironmentNode:
         """Read the signals of an ordinary tick, one after the other; returns False at the first that does not come."""
         turn, clock = self._timeouts.turn, self._clock
         for member in members.order:
-            if members.hear(member, p, tick, turn) is not Received.SIGNAL:
+            if member.waived:
+                if members.hear(member, p, tick, NOT_AT_ALL) is Received.SIGNAL:
+                    member.arrived = clock.now()
+            elif members.hear(member, p, tick, turn) is not Received.SIGNAL:
                 self._pass_over(member, members, p, tick)
                 return False
             member.arrived = clock.now()
@@ -371,7 +377,7 @@ class EnvironmentNode:
         arrivals = [
             (member.arrived, member.index)
             for member in members.order
-            if member.membership.state is Membership.ACTIVE and not member.linked
+            if member.membership.state is Membership.ACTIVE and not member.linked and member.peer_link.tick == tick
         ]
         if not arrivals:
             return
@@ -379,7 +385,7 @@ class EnvironmentNode:
         for member in members.active:
             late.begin(member.index, member.membership.since)
         for index in late.judge(tick, self._due, crossed, arrivals):
-            members.exclude(members.all[index], tick)
+            members.waive(members.all[index])
         # a signal that was read at once may have come at any time before, so such members keep their order
         least = AT_ONCE * self._period
         members.order.sort(key=lambda member: max(least, late.added[member.index]))
@@ -429,7 +435,7 @@ class EnvironmentNode:
                 case Step.GIVE_UP:
                     self._late.missed(tick, [member.index for member in missing], decision.waited)
                     for member in missing:
-                        members.give_up(member, tick)
+                        members.overdue(member, tick)
                 case Step.LISTEN:
                     life.look(now)
                     while (word := control.listen()) is not None:
@@ -502,10 +508,10 @@ class EnvironmentNode:
         late, all_ = self._late, () if members is None else members.all
         return {
             member.peer_link.peer.name: names.CouplingLateness(
-                late.ticks[member.index], late.waited[member.index] / 1e3, member.frozen_late
+                late.ticks[member.index], late.waited[member.index] / 1e3, member.frozen_late, member.held
             )
             for member in all_
-            if late.ticks[member.index]
+            if late.ticks[member.index] or member.held
         }
 
     def _figures(self) -> dict[str, float]:

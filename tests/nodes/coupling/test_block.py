@@ -13,7 +13,7 @@ import pytest
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
-from manyhands.nodes.bundle import CouplingBundle
+from manyhands.nodes.bundle import REALTIME, CouplingBundle
 from manyhands.nodes.coupling.block import Block
 from manyhands.nodes.peer_link import PeerLink, Received, handshake_of, hello_to
 from manyhands.protocol.clock import Duration, RealtimeClock
@@ -47,6 +47,10 @@ def world() -> MessageLink:
 
 @pytest.fixture
 def block(bundle: CouplingBundle, world: MessageLink) -> Block:
+    return block_of(bundle, world)
+
+
+def block_of(bundle: CouplingBundle, world: MessageLink) -> Block:
     common = bundle.common
     (peer,) = (peer for peer in common.peers if not peer.binds)
     own = hello_to(common, peer, bundle.block.D)
@@ -98,6 +102,17 @@ def test_zero_force_of_a_later_tick_orders_the_block_there(block: Block, world: 
     assert (block.jumps, block.report().counts["jumps"]) == (1, 1)
     block.settle(7)
     assert block.ticks == block.report().ticks == 8
+
+
+def test_in_real_time_a_force_of_a_later_tick_orders_the_block_there_too_for_its_end_was_held(
+    bundle: CouplingBundle, world: MessageLink
+) -> None:
+    block = block_of(dataclasses.replace(bundle, common=dataclasses.replace(bundle.common, clock=REALTIME)), world)
+    step(block, world, 0, 0.001, 1.5)
+    block.send(np.array([0.001]), 1, 0)
+    world.say(force(7, 0.25))
+    assert block.hear(1, NOW) is Received.DECLINED
+    assert (block.environment.other_tick, block.applied) == (7, [0.25])
 
 
 @pytest.mark.parametrize("stray", [force(7, 0.5), force(0, 0.0), force(0, 0.5)])

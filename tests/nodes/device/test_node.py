@@ -292,8 +292,8 @@ def test_it_hears_again_and_goes_on_where_the_session_is(alone: Callable[..., Al
     assert len(second.traces["x"]) == report.ticks - 77  # the tick that was over is its first
 
 
-def test_a_nonzero_force_of_a_later_tick_is_not_followed(alone: Callable[..., Alone]) -> None:
+def test_a_force_of_a_later_tick_is_exerted_and_the_device_goes_on_after_it(alone: Callable[..., Alone]) -> None:
     one = alone(lambda _tick: Force(77, 0, np.array([0.5])), periods=40)
-    assert one.node.report().counts["jumps"] == 0
-    assert one.node.report().ticks == SILENT
-    assert {force for _, force in one.hand.exerted} == {1.0, 0.0}
+    assert one.node.report().counts["jumps"] == 1
+    assert one.node.report().ticks == 78
+    assert {force for _, force in one.hand.exerted} == {1.0, 0.0, 0.5}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 import numpy as np
@@ -25,7 +25,7 @@ from ...support.reaction import react
 
 T = 1e-3
 EPS = float(np.finfo(np.float64).eps)
-Deed = Literal["freeze", "engage", "disengage"]
+Deed = Literal["freeze", "engage", "disengage", "hold"]
 
 
 class ClutchedLoop:
@@ -71,8 +71,10 @@ class Oracle:
         self.x_e, self.x_c = np.zeros(m), np.zeros(m)
         self.given_up = 0.0  # J, by the clutches in this tick
 
-    def step(self, p: np.ndarray, core: EnvironmentCore, before: list[tuple[float, bool]]) -> np.ndarray:
-        """f_c(k); ``before``: ratio and settled of each block before the core's tick."""
+    def step(
+        self, p: np.ndarray, core: EnvironmentCore, before: list[tuple[float, bool]], held: Sequence[int] = ()
+    ) -> np.ndarray:
+        """f_c(k); ``before``: ratio and settled of each block before the tick; ``held``: the blocks held in it."""
         m = len(p)
         S, r = np.ones(m), np.zeros(m)
         for i, block in enumerate(self.blocks):
@@ -88,6 +90,8 @@ class Oracle:
         f_e = -np.linalg.solve(np.eye(m) + self.E.D @ D, self.E.C @ self.eta + self.E.D @ r)
         f_c = S * f_e
         x_e, x_c = r + D @ f_e, p + self.D_V @ f_c
+        for i in held:
+            x_c[self.blocks[i]] = self.x_c[self.blocks[i]]
         moved = np.where(S > 0.0, x_c - self.x_c, 0.0)  # a frozen or joining block is not followed
         out_of, into = f_c * moved, f_e * (x_e - self.x_e)
         self.given_up = float(np.sum(into) - np.sum(out_of))
@@ -110,7 +114,8 @@ def states(core: EnvironmentCore, count: int) -> list[tuple[float, bool]]:
 
 
 partitions = st.sampled_from([[[0], [1], [2]], [[0, 2], [1]], [[2, 0, 1]], [[3, 1], [0, 4], [2]], [[0]]])
-deeds = st.lists(st.tuples(st.integers(0, 25), st.integers(0, 9), st.sampled_from(("freeze", "engage", "disengage"))))
+DEEDS = ("freeze", "engage", "disengage", "hold")
+deeds = st.lists(st.tuples(st.integers(0, 25), st.integers(0, 9), st.sampled_from(DEEDS)))
 
 
 # --- the phases
@@ -212,19 +217,28 @@ def test_no_energy_is_made_and_the_forces_are_the_whole_loops(
         at.setdefault(tick, []).append((block % len(blocks), deed))
     p, v = np.zeros(world.m), np.zeros(world.m)
     scale, given_up = 0.0, 0.0
+    ratios, were = [1.0] * len(blocks), []
     for k in range(tick + 60):
         for block, deed in at.get(k, ()):
             getattr(core.clutches, deed)(block)
         v = 0.97 * v + rng.normal(0.0, 2e-5, world.m)
         p = p + v
         told = p.copy()
-        before = states(core, len(blocks))
+        held = [i for i in range(len(blocks)) if core.clutches.all[i].held]
+        ratios = [ratios[i] if i in were else ratio for i, (ratio, _) in enumerate(states(core, len(blocks)))]
+        before = [(ratio, settled) for ratio, (_, settled) in zip(ratios, states(core, len(blocks)), strict=True)]
+        for i in held:  # its own force, whenever its p comes, holds its end
+            block = blocks[i]
+            force = np.array(core.holding_force(i, p[block].tolist()))
+            if core.clutches.all[i].phase is not ClutchPhase.JOINING:
+                end = p[block] + world.D_V[np.ix_(block, block)] @ force
+                np.testing.assert_allclose(end, oracle.x_c[block], rtol=0, atol=1e-14)
         allowed = [core.energy.ratio(i) for i in range(len(blocks))]
         for i, block in enumerate(blocks):
-            if pause and core.clutches.all[i].phase is ClutchPhase.FROZEN:
+            if pause and (i in held or core.clutches.all[i].phase is ClutchPhase.FROZEN):
                 told[block] = np.nan if pause == 1 else 1e9
         found = react(core, told).copy()
-        expected = oracle.step(p, core, before)
+        expected = oracle.step(p, core, before, held)
         scale = max(scale, float(np.max(np.abs(expected))))
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * scale + 1e-12)
         core.settle()
@@ -240,6 +254,9 @@ def test_no_energy_is_made_and_the_forces_are_the_whole_loops(
             assert oracle.given_up <= LET_GO * float(np.linalg.norm(oracle.f_e[block])) + oracle.rounding
         for i in range(len(blocks)):
             # rounded at most once on either side
+            if i in held:
+                assert core.clutches.all[i].ratio == 0.0
+                continue
             moved = abs(core.clutches.all[i].ratio - before[i][0])
             assert core.clutches.all[i].ratio <= allowed[i] + 1e-12
             # a restraint is obeyed at once
@@ -247,6 +264,7 @@ def test_no_energy_is_made_and_the_forces_are_the_whole_loops(
                 0.0,
                 pytest.approx(allowed[i]),
             )
+        were = held
     assert core.ledger is not None
     assert core.ledger.minimum >= 0.0
     assert core.ill_posed == 0

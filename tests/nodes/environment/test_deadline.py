@@ -14,7 +14,7 @@ BEGAN, PERIOD, FREEZE, STALE = 100.0, 1.0, 3.0, 5.0  # ms
 
 def in_real_time(due: float = BEGAN) -> Deadline:
     """A wait that begins at BEGAN, for a tick that the devices sample at ``due``, ms."""
-    return waiting(Timeouts(ns(FREEZE), ns(STALE), ns(FREEZE), ns(FREEZE), ns(2.0)), due)
+    return waiting(Timeouts(ns(FREEZE), ns(STALE), ns(FREEZE), ns(FREEZE), ns(2.0), ns(STALE)), due)
 
 
 def waiting(patience: Timeouts, due: float) -> Deadline:
@@ -137,7 +137,7 @@ def test_whoever_was_given_up_makes_nobody_wait_again_at_once() -> None:
 
 
 def test_under_the_simulated_clock_nobody_is_given_up_forgotten_or_pardoned() -> None:
-    deadline = waiting(Timeouts(None, None, ns(1.0), ns(1.0), ns(1.0)), BEGAN)
+    deadline = waiting(Timeouts(None, None, ns(1.0), ns(1.0), ns(1.0), None), BEGAN)
     deadline.listened = True
     for now in (1.0, 1e6):
         assert decide(deadline, BEGAN + now, "present", "missing") == Decision(Step.LISTEN, False, False)

@@ -99,6 +99,8 @@ def test_no_model_breaks_the_promise(kind: str, level: float, seed: int, clutche
     for k, p in enumerate(hands(rng, 300)):
         if clutched and k in events:
             events[k](k % 2)
+        if clutched and k % 17 == 5:
+            clutches.hold(k % 2)
         f = react(core, p)
         assert np.all(np.isfinite(f))
         if not clutched:  # an account of our own, from what is sent and received

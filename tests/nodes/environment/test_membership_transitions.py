@@ -20,6 +20,7 @@ from manyhands.nodes.environment.membership import (
 
 TO_SEAT = {
     Membership.ACTIVE: (),
+    Membership.HELD: (MembershipEvent.OVERDUE,),
     Membership.FROZEN: (MembershipEvent.PAUSES,),
     Membership.REJOINING: (MembershipEvent.PAUSES, MembershipEvent.BEHIND),
     Membership.GONE: (MembershipEvent.LOST,),
@@ -48,6 +49,7 @@ def test_only_active_or_awaited_members_are_missed_only_gone_ones_return() -> No
     out = {pair for pair in product(Membership, MembershipEvent) if pair not in TRANSITIONS}
     assert out == {
         (Membership.ACTIVE, MembershipEvent.RECONNECTED),
+        (Membership.HELD, MembershipEvent.RECONNECTED),
         (Membership.REJOINING, MembershipEvent.RECONNECTED),
         (Membership.FROZEN, MembershipEvent.RECONNECTED),
         (Membership.GONE, MembershipEvent.SIGNAL),
@@ -55,9 +57,9 @@ def test_only_active_or_awaited_members_are_missed_only_gone_ones_return() -> No
         (Membership.ACTIVE, MembershipEvent.AHEAD),
         (Membership.GONE, MembershipEvent.AHEAD),
         (Membership.GONE, MembershipEvent.SILENT),
-        (Membership.REJOINING, MembershipEvent.LATE),  # with a signal of the tick it is active
-        (Membership.FROZEN, MembershipEvent.LATE),
-        (Membership.GONE, MembershipEvent.LATE),
+        (Membership.REJOINING, MembershipEvent.OVERDUE),  # only who is there is held
+        (Membership.FROZEN, MembershipEvent.OVERDUE),
+        (Membership.GONE, MembershipEvent.OVERDUE),
         (Membership.GONE, MembershipEvent.FLOODED),
     }
 
@@ -77,7 +79,8 @@ def test_whatever_happens_a_pause_ends_and_absences_are_counted_once(
         allowed = {before, TRANSITIONS.get((before, event), before)}
         assert membership.state in allowed
         assert changed == (membership.state is not before)
-        if before is Membership.ACTIVE and changed:
+        there = (Membership.ACTIVE, Membership.HELD)
+        if before in there and membership.state not in there:
             absences += 1
         assert membership.absences == absences
     if membership.state is Membership.FROZEN:  # no member is kept out for longer
@@ -114,20 +117,22 @@ def test_repeated_waits_in_vain_double_the_pause() -> None:
 @pytest.mark.parametrize("event", [MembershipEvent.BEHIND, MembershipEvent.AHEAD, MembershipEvent.SIGNAL])
 def test_messages_in_its_pause_do_not_make_it_expected(event: MembershipEvent) -> None:
     membership = MembershipRecord()
-    membership.on(MembershipEvent.LATE, FORGIVEN)
+    for _ in range(2):  # the first silence brings no pause
+        membership.on(MembershipEvent.SILENT, FORGIVEN)
+        membership.on(MembershipEvent.BEHIND, FORGIVEN)
+    assert membership.state is Membership.FROZEN
     assert not any(membership.on(event, tick) for tick in range(FORGIVEN, FORGIVEN + FIRST_PAUSE))
     assert membership.state is Membership.FROZEN
     assert membership.on(event, FORGIVEN + FIRST_PAUSE)
 
 
-def test_repeated_lateness_pauses_from_the_first_time_on() -> None:
-    membership, tick, pauses = MembershipRecord(), FORGIVEN, []
-    for _ in range(8):
-        membership.on(MembershipEvent.LATE, tick)
-        pauses.append(pause_after(membership, tick))
-        tick += pauses[-1]
+def test_who_is_held_again_and_again_is_never_absent_and_its_membership_goes_on() -> None:
+    membership = MembershipRecord()
+    for tick in range(FORGIVEN, 4 * FORGIVEN):
+        assert membership.on(MembershipEvent.OVERDUE, tick)
+        assert not membership.on(MembershipEvent.BEHIND, tick)
         assert membership.on(MembershipEvent.SIGNAL, tick)
-    assert pauses == [FIRST_PAUSE << n for n in range(6)] + [LONGEST_PAUSE] * 2
+    assert (membership.state, membership.absences, membership.since) == (Membership.ACTIVE, 0, 0)
 
 
 @pytest.mark.parametrize(("stays", "pause"), [(FORGIVEN - 1, 2 * FIRST_PAUSE), (FORGIVEN, 0)])

@@ -110,6 +110,8 @@ def test_no_proposal_breaks_the_promise(
     for k, p in enumerate(hands(rng, 300)):
         if clutched and k in events:
             events[k](k % 2)
+        if clutched and k % 17 == 5:
+            clutches.hold(k % 2)
         f = react(core, p)
         assert np.all(np.isfinite(f))
         core.settle()
