@@ -88,6 +88,7 @@ class DeviceNode:
             self._run(start, life, control)
         finally:
             self.device.driver.release(self._now())
+            self.device.conclude(self._now())
         self._account.publish_rest(control, self.device.core, self.device.guard, self.peer_links)
 
     def _run(self, start: Start, life: Life, control: ControlLine) -> None:
@@ -101,6 +102,7 @@ class DeviceNode:
         sent_tick = -1  # the tick of the last sample
         if tick > 0:  # the session runs already, so this device joins at the next multiple of T
             slot = max(0, -((epoch - clock.now()) // period))
+            device.joins()
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):
             life.look(self._realtime.now())
             if turns % LISTEN_TICKS == 0 or self._free:
