@@ -65,7 +65,16 @@ from manyhands.launch.recordings.prepared import prepared_of
 from manyhands.launch.recordings.presence import Presence, fitted
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.replay import hand_of
-from manyhands.launch.recordings.run import RecordedRun, changed_after, first_sign, grown_in, rows_of, there
+from manyhands.launch.recordings.run import (
+    Figures,
+    RecordedRun,
+    at_telemetry,
+    changed_after,
+    first_sign,
+    grown_in,
+    rows_of,
+    there,
+)
 from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import (
@@ -78,6 +87,7 @@ from manyhands.nodes.bundle import (
 )
 from manyhands.nodes.device.core import Guard
 from manyhands.nodes.environment.clutch import LET_GO
+from manyhands.nodes.observer.given import FIGURES
 from manyhands.nodes.observer.health import PROMISES, SESSION, Promise, PromiseState, as_plain, holds
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
 from manyhands.nodes.tick_events import Kind, events_in
@@ -469,6 +479,7 @@ class _AuditRun:
                 again.account,
                 gaps=gaps,
             ),
+            *self._given(name, figures, again.given, gaps),
             self._compare(
                 "ended",
                 name,
@@ -652,6 +663,14 @@ class _AuditRun:
             at = self._of_link(ENVIRONMENT, name, trace) if name in linked else rows_of(self._run, name, trace)
             out[:, self._ports[name]] = at
         return out
+
+    def _given(self, name: str, figures: Figures, again: Array, gaps: Sequence[UncheckedTicks]) -> list[Check]:
+        """Check what a device says that its hand was given; recordings of older versions do not say it."""
+        told = at_telemetry(figures, FIGURES, len(again))
+        said = there(told)
+        what = "its hand was given so much of the force that was asked for, by force and by time"
+        found = np.where(said[:, None], again, np.nan)
+        return [compare("given", name, what, FIGURES, told, found, gaps=gaps, owed=said)] if said.any() else []
 
     def _compare(
         self,

@@ -88,8 +88,8 @@ class DeviceNode:
             self._run(start, life, control)
         finally:
             self.device.driver.release(self._now())
-            self.device.conclude(self._now())
         self._account.publish_rest(control, self.device.core, self.device.guard, self.peer_links)
+        self.device.conclude(self._now())  # for the report alone: telemetry ends with its last row
 
     def _run(self, start: Start, life: Life, control: ControlLine) -> None:
         clock, device, period = self._clock, self.device, self._period

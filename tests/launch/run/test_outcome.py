@@ -20,6 +20,7 @@ from manyhands.launch.run.outcome import lateness_entry, lateness_sentence, node
 from manyhands.launch.run.states import Incidents
 from manyhands.launch.session import load_session
 from manyhands.nodes import telemetry as names
+from manyhands.nodes.observer.given import FIGURES
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_COUNT
 from manyhands.protocol.messages import Report, Role
@@ -170,9 +171,14 @@ POWER = 1e-3  # W
 PROMISE = {"tau": 0.00085, "period_tolerance": 0.25, "enforced": True, "tank": 0.005, "power": POWER}
 
 
-def late(least: float, ticks: float = 0.0, kept_back: float = 0.0, asked: float = 0.0, given: float = 0.0) -> Report:
+def late(
+    least: float, ticks: float = 0.0, kept_back: float = 0.0, asked: float = 0.0, given: float = 0.0, away: float = 0.0
+) -> Report:
     account = {names.INTERFACE: 0.02, names.INTERFACE_LEAST: least, names.INTERFACE_TICKS: ticks}
     account |= {names.INTERFACE_MARGIN: 0.005 + least, names.FORCE_ASKED: asked, names.FORCE_GIVEN: given}
+    if asked:
+        times = (10e6, 1e6 * away, 0.0, 0.0)
+        account |= dict(zip(FIGURES[2:], times, strict=True))
     return Report(100, {**HONEST.figures, **account, names.INTERFACE_KEPT_BACK: kept_back}, {}, {})
 
 
@@ -199,10 +205,10 @@ def late(least: float, ticks: float = 0.0, kept_back: float = 0.0, asked: float 
             "falling by 1 mW",
         ),
         (
-            {"dx": late(0.0, asked=4.0, given=3.9), "dy": late(0.0, asked=1.0, given=1.0), "dz": late(0.0)},
+            {"dx": late(0.0, asked=4.0, given=3.9), "dy": late(0.0, asked=1.0, given=1.0, away=0.2), "dz": late(0.0)},
             PROMISE,
             "lateness: proved up to τ = 0.85 ms, enforced beyond: 0 ticks changed, 0 mJ kept back; no account fell "
-            "below 0, bound -5 mJ, falling by 1 mW; 97.5 % of the force asked was given, or more (dx)",
+            "below 0, bound -5 mJ, falling by 1 mW; least given: 97.5 % of the force asked (dx), 98 % by time (dy)",
         ),
         (
             {"dx": late(-312.0)},
@@ -219,6 +225,25 @@ def test_a_sentence_about_lateness(
     shown = StringIO()
     print_report(Console(file=shown, width=123), made)
     assert (sentence or "no sentence") in shown.getvalue() + "no sentence"
+
+
+def test_what_a_hand_was_given_is_a_share_by_force_and_one_by_time() -> None:
+    made = whole({"dx": late(0.0, asked=4.0, given=3.9, away=6.0), "dy": late(0.0), "dz": HONEST})
+    given = {"force": 0.975, "time": 0.4, "seconds": 10.0, "away": 6.0, "held_back": 0.0, "cut": 0.0}
+    assert made["nodes"]["dx"]["given"] == pytest.approx(given)
+    assert not [name for name in ("dy", "dz") if "given" in made["nodes"].get(name, {})]
+
+
+def test_a_hand_that_lacked_its_force_has_a_sentence_with_the_cause_and_what_helps() -> None:
+    remark = "dx was given 98 % of the force asked, and 40 % by time: for 6 s it had no answer. What helps: rest"
+    row = {"promise": "force given", "state": "broken", "who": ["dx"], "since": 1.0, "until": None, "cost": {"s": 6.0}}
+    made = whole({"dx": late(0.0, asked=4.0, given=3.9, away=6.0)}) | {"promises": [{**row, "remark": remark}]}
+    shown = StringIO()
+    print_report(Console(file=shown, width=200), made)
+    said = shown.getvalue().splitlines()
+    assert said.count(remark) == 1
+    assert said[-1].startswith("worst: force given: broken at dx since 1.0 s (6 s). ")
+    assert re.search(r" dx .* 97/40 ", shown.getvalue())
 
 
 def test_a_node_without_a_report_has_a_row_and_nothing_is_claimed_of_it() -> None:
