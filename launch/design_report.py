@@ -229,8 +229,10 @@ def print_report(console: Console, report: Mapping[str, Any], faults: Sequence[s
         say(console, felt)
     if sentence := lateness_sentence(report):
         say(console, sentence)
+    last = f"failed: {faults[0].splitlines()[0]}" if faults else verdict(promises) if promises else ""
     for lack in given_sentences(report):
-        say(console, lack)
+        if lack not in last:
+            say(console, lack)
     for node in report["nodes"].values():
         entry = node.get("energy", {})
         figures = {f"{names.MOVED}{pair}": joules for pair, joules in entry.get("moved", {}).items()}
@@ -245,10 +247,8 @@ def print_report(console: Console, report: Mapping[str, Any], faults: Sequence[s
         if counts:
             listed = ", ".join(f"{kind} {count}" for kind, count in counts.items())
             say(console, f"{name}: not admitted, or not as it came: {listed}")
-    if faults:
-        say(console, f"failed: {faults[0].splitlines()[0]}")
-    elif promises:
-        say(console, verdict(promises))
+    if last:
+        say(console, last)
 
 
 def _account(node: Mapping[str, Any], report: Mapping[str, Any]) -> str:

@@ -272,6 +272,7 @@ class LiveTable:
         self._line_at = 0.0
         self._phase: SessionPhase | None = None
         self._printed: set[str] = set()
+        self._lacking: set[str] = set()  # devices of which a line has said that they lack their force
         self.announced: set[str] = set()
         self._lost: str | None = None
 
@@ -309,6 +310,9 @@ class LiveTable:
         for row in progress.promises:
             if row.promise == Promise.PACE and row.remark and row.remark not in self.announced:
                 self.announced.add(row.remark)
+                say(self._console, f"! {row.remark}")
+            if row.promise == Promise.GIVEN and row.remark and not self._lacking.issuperset(row.who):
+                self._lacking.update(row.who)  # its figures change with every message
                 say(self._console, f"! {row.remark}")
         if progress.elapsed - self._line_at >= _LINE_EVERY:
             self._line_at = progress.elapsed

@@ -101,9 +101,12 @@ class GivenForce:
     @property
     def shares(self) -> str:
         """Both shares in words, for a sentence about a device that was given them."""
-        by_time = "" if self.by_time is None else f"{percent(self.by_time)} by time"
-        by_force = "" if self.by_force is None else f"{percent(self.by_force)} of the force asked"
-        return ", and ".join(text for text in (by_force, by_time) if text)
+        if self.by_time is None:
+            return ""
+        when = f"in {percent(self.by_time)} of the time"
+        if self.by_force is None:
+            return f"all of the force asked {when}"
+        return f"{percent(self.by_force)} of the force asked, and all of it {when}"
 
     def as_plain(self) -> dict[str, Any]:
         """As a JSON object for the report."""
@@ -128,19 +131,19 @@ class GivenForce:
         if most == 0.0:
             why, remedy = "its forces were lowered", "see its lateness"
         elif most == self.away:
-            why = f"for {self.away:.2g} s it had no answer in time, or its force rose again after that"
+            why = f"for {self.away:.2g} s of them it had no answer in time, or its force rose again after that"
             if often:
                 why += f"; {often} for coming after the others, which the machine that they share may have caused"
         elif most == self.held_back:
             why = (
-                f"for {self.held_back:.2g} s forces came so late that the reserve for lateness (faults.tank) held them "
-                "back"
+                f"for {self.held_back:.2g} s of them forces came so late that the reserve for lateness (faults.tank) "
+                "held them back"
             )
             remedy += ", or design for what this machine needs (design.tau: auto)"
         else:
-            why = f"for {self.cut:.2g} s its limits of force or motion cut the force"
+            why = f"for {self.cut:.2g} s of them its limits of force or motion cut the force"
             remedy = "raise these limits if the device can do more, or soften the world"
-        return f"{device} was given {self.shares}: {why}. What helps: {remedy}"
+        return f"in {self.time:.2g} s {device} was given {self.shares}: {why}. What helps: {remedy}"
 
 
 def shares_cell(by_force: float | None, by_time: float | None) -> str:

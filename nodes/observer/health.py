@@ -385,7 +385,8 @@ def verdict(rows: Iterable[PromiseStatus]) -> str:
     about, moved = PROMISES[Promise(first.promise)], first.remark.startswith(MOVED)
     if moved or first.remark.startswith(UNKNOWN_MOVER):
         text += f"; {first.remark}"
-    return f"{text}. {about.moved if moved else about.advice}" + (
+    advice = f"{first.remark}." if first.promise == Promise.GIVEN and first.remark else about.advice
+    return f"{text}. {about.moved if moved else advice}" + (
         f" Also broken: {', '.join(others)}." if others else ""
     )
 

@@ -239,10 +239,13 @@ def test_a_hand_that_lacked_its_force_has_a_sentence_with_the_cause_and_what_hel
     row = {"promise": "force given", "state": "broken", "who": ["dx"], "since": 1.0, "until": None, "cost": {"s": 6.0}}
     made = whole({"dx": late(0.0, asked=4.0, given=3.9, away=6.0)}) | {"promises": [{**row, "remark": remark}]}
     shown = StringIO()
-    print_report(Console(file=shown, width=200), made)
+    print_report(Console(file=shown, width=250), made)
     said = shown.getvalue().splitlines()
-    assert said.count(remark) == 1
-    assert said[-1].startswith("worst: force given: broken at dx since 1.0 s (6 s). ")
+    assert said[-1] == f"worst: force given: broken at dx since 1.0 s (6 s). {remark}."
+    assert shown.getvalue().count(remark) == 1
+    failed = StringIO()
+    print_report(Console(file=failed, width=250), made, ("a fault",))
+    assert failed.getvalue().splitlines()[-2:] == [remark, "failed: a fault"]
     assert re.search(r" dx .* 97/40 ", shown.getvalue())
 
 

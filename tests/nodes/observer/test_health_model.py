@@ -383,10 +383,10 @@ def test_a_hand_that_waits_for_answers_is_not_given_its_force_though_all_that_wa
     assert row is not None
     assert (row.state, row.who, row.since, row.cost) == (BROKEN, ("dx",), 2.0, {"s": pytest.approx(1.2)})
     assert row.remark == (
-        "dx was given 98 % of the force asked, and 40 % by time: for 1.2 s it had no answer in time, or its force rose "
-        "again after that; cx was frozen 9 times for coming after the others, which the machine that they share may "
-        "have caused. What helps: close other programs, use a longer period or colocate: true (manyhands doctor "
-        "compares them)"
+        "in 2 s dx was given 98 % of the force asked, and all of it in 40 % of the time: for 1.2 s of them it had no "
+        "answer in time, or its force rose again after that; cx was frozen 9 times for coming after the others, which "
+        "the machine that they share may have caused. What helps: close other programs, use a longer period or "
+        "colocate: true (manyhands doctor compares them)"
     )
     assert "at dx" in sentence(row)  # it is nobody's deed, least of all the deed of the one who lacks the force
     assert "by dx" not in sentence(row)
