@@ -63,6 +63,7 @@ from manyhands.launch.recordings.findings import EXACT, Check, CheckVerdict, Rec
 from manyhands.launch.recordings.integrity import Damage
 from manyhands.launch.recordings.prepared import prepared_of
 from manyhands.launch.recordings.presence import Presence, fitted
+from manyhands.launch.recordings.press import Press, presses
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.replay import hand_of
 from manyhands.launch.recordings.run import (
@@ -138,6 +139,7 @@ class Audit:
         checks: all of them.
         promises: how each promise stood, by the checks and by what the session recorded.
         faults: why the session failed, by its last recorded condition; empty where it did not.
+        presses: the stiffness that hands were given, where they held still.
     """
 
     session: str
@@ -147,6 +149,7 @@ class Audit:
     checks: tuple[Check, ...]
     promises: tuple[PromiseStatus, ...]
     faults: tuple[str, ...] = ()
+    presses: tuple[Press, ...] = ()
 
     @property
     def holds(self) -> bool:
@@ -180,6 +183,7 @@ class Audit:
             "promises": [as_plain(row) for row in self.promises],
             "faults": list(self.faults),
             "checks": [check.as_plain() for check in self.checks],
+            "presses": [press.as_plain() for press in self.presses],
         }
 
 
@@ -245,12 +249,15 @@ def audit(
         checks: tuple[Check, ...] = (Check("certificate", "session", what, CheckVerdict.BROKEN, remark=str(error)),)
         of_none = Promise.CERTIFICATE.value, PromiseState.BROKEN.value, (SESSION,)
         promises: tuple[PromiseStatus, ...] = (PromiseStatus(*of_none, remark=str(error)),)
+        pressed: tuple[Press, ...] = ()
     else:
         proved = Check("certificate", "session", what, CheckVerdict.HOLDS, remark=prepared.id)
         checks = (proved, *_file_checks(run, damage), *_AuditRun(prepared, run, progress).checks())
         promises = promises_of(prepared, run, checks)
+        pressed = presses(prepared, run)
     faults = run.conditions[-1][1].faults if run.conditions else ()
-    return Audit(recorded.session, recorded.certificate, recorded.clock, run.ticks, checks, promises, tuple(faults))
+    about = recorded.session, recorded.certificate, recorded.clock, run.ticks
+    return Audit(*about, checks, promises, tuple(faults), pressed)
 
 
 class _AuditRun:

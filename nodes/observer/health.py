@@ -386,9 +386,7 @@ def verdict(rows: Iterable[PromiseStatus]) -> str:
     if moved or first.remark.startswith(UNKNOWN_MOVER):
         text += f"; {first.remark}"
     advice = f"{first.remark}." if first.promise == Promise.GIVEN and first.remark else about.advice
-    return f"{text}. {about.moved if moved else advice}" + (
-        f" Also broken: {', '.join(others)}." if others else ""
-    )
+    return f"{text}. {about.moved if moved else advice}" + (f" Also broken: {', '.join(others)}." if others else "")
 
 
 def summary(rows: Iterable[PromiseStatus]) -> str:
