@@ -126,8 +126,8 @@ class Feed:
             if node.received is not None and cursor.received.get(name) != node.received:
                 cursor.received[name] = node.received
                 out[name]["figures"] = {figure: _rounded(value) for figure, value in node.figures.items()}
-                if (given := GivenForce.of(node.figures)) is not None and given.shares:
-                    out[name]["given"] = given.shares
+                if (given := GivenForce.of(node.figures)) is not None and (words := given.in_words()):
+                    out[name]["given"] = words
         return out
 
     def _new_buckets(self, cursor: Cursor) -> dict[str, Any]:

@@ -21,8 +21,9 @@ ENOUGH: Final = 0.9
 WINDOW: Final = 5.0
 """The time that the shares of a running session are about, s: as for its pace."""
 
-LEAST_TIME: Final = 1.0
-"""The time that a device must have taken part for before its shares are judged, s."""
+LEAST_TIME: Final = 2.0
+"""The time that a device must have taken part for before its shares are judged, s: one stall with its ramp is less
+than a tenth of it."""
 
 LEAST_FORCE: Final = 0.01
 """The mean force that must have been asked for before the share by force is judged, N: no hand feels less."""
@@ -98,12 +99,11 @@ class GivenForce:
         shares = [share for share in (self.by_force, self.by_time) if share is not None]
         return self.time < LEAST_TIME or all(share >= ENOUGH for share in shares)
 
-    @property
-    def shares(self) -> str:
-        """Both shares in words, for a sentence about a device that was given them."""
+    def in_words(self, span: str = "the time") -> str:
+        """Both shares over ``span``, for a sentence about a device that was given them; empty before any time."""
         if self.by_time is None:
             return ""
-        when = f"in {percent(self.by_time)} of the time"
+        when = f"in {percent(self.by_time)} of {span}"
         if self.by_force is None:
             return f"all of the force asked {when}"
         return f"{percent(self.by_force)} of the force asked, and all of it {when}"
@@ -143,7 +143,7 @@ class GivenForce:
         else:
             why = f"for {self.cut:.2g} s of them its limits of force or motion cut the force"
             remedy = "raise these limits if the device can do more, or soften the world"
-        return f"in {self.time:.2g} s {device} was given {self.shares}: {why}. What helps: {remedy}"
+        return f"{device} was given {self.in_words(f'the last {self.time:.2g} s')}: {why}. What helps: {remedy}"
 
 
 def shares_cell(by_force: float | None, by_time: float | None) -> str:

@@ -65,7 +65,7 @@ def test_the_session_says_whose_hand_lacks_its_force_and_accuses_nobody(prepared
     for node, messages in told.items():
         for of in messages if node == "environment" else ():
             model.take(node, of.tick, of.figures)
-    for seconds in (0.0, 1.0):  # the session goes on in the same way for long enough to judge it
+    for seconds in (0.0, 3.0):  # the session goes on in the same way for long enough to judge it
         for node in ("dx", "dy", "dz"):
             of = told[node][-1]
             longer = {name: value * (1.0 + seconds) for name, value in of.figures.items() if name.startswith("force_")}

@@ -78,7 +78,7 @@ def test_a_session_that_is_well_has_none() -> None:
         (
             observed("left", 100, NO_TRACE, **dict(zip(FIGURES, (9.0, 4.5, 2e6, 0.0, 1e6, 0.0), strict=True))),
             AlarmLevel.WARNING,
-            "left was given 50 % of the force asked, and all of it in 50 % of the time",
+            "left was given 50 % of the force asked, and all of it in 50 % of the last 2 s",
         ),
     ],
 )
