@@ -110,7 +110,7 @@ def averaged(rows: Array, period: float) -> Array:
     """The means of :data:`BLOCK` each, blocks x columns; NaN where a row is missing."""
     size = max(1, round(BLOCK / period))
     blocks = len(rows) // size
-    means: Array = rows[: blocks * size].reshape(blocks, size, -1).mean(axis=1)
+    means: Array = rows[: blocks * size].reshape(blocks, size, rows.shape[1]).mean(axis=1)
     return means
 
 

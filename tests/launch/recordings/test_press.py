@@ -68,4 +68,5 @@ def test_only_a_hand_that_is_still_under_a_constant_force_presses() -> None:
 def test_rows_are_averaged_in_whole_blocks() -> None:
     rows = np.arange(250.0)[:, None]
     assert averaged(rows, 1e-3).tolist() == [[49.5], [149.5]]
+    assert averaged(rows[:50], 1e-3).shape == (0, 1)
     assert BLOCK == 0.1
