@@ -62,12 +62,12 @@ class ForceGiven:
         "_absent",
         "_at",
         "_begins",
+        "_f",
         "_joins",
         "_left",
         "_loss",
         "_period",
         "_ramp",
-        "_raw",
         "_size",
         "_wanted",
         "_within",
@@ -87,7 +87,8 @@ class ForceGiven:
         self._joins = self._absent = self._left = False
         self._ramp = 0  # ticks that the force still rises
         self._loss = Loss.NONE  # of the present force
-        self._raw = self._within = 0.0  # the force that is asked for, and the part of it within the limits, N
+        self._f: Floats = []  # the force that is asked for, N
+        self._within: Floats = []  # the part of it within the limits, N
         self._wanted = self._size = 0.0  # of the present force, within the limits and exerted, N
 
     def joins(self) -> None:
@@ -110,8 +111,11 @@ class ForceGiven:
             self._joins = True
 
     def ask(self, f: Floats, within: Floats) -> None:
-        """The couplings ask for f (N), of which ``within`` is what the device's limits allow."""
-        self._raw, self._within = sum(map(abs, f)), sum(map(abs, within))
+        """The couplings ask for f (N), of which ``within`` is what the device's limits allow.
+
+        A hand waits for this force, so both lists are kept, and added up once it is exerted.
+        """
+        self._f, self._within = f, within
 
     def applied(self, at: Instant, ended: Instant, early: bool, exerted: Floats, lowered: bool) -> None:
         """The device exerts a force from ``at`` on: count the one before.
@@ -132,14 +136,15 @@ class ForceGiven:
         elif at > begins:
             self._count(max(since, begins), at, ended, early)
         self._at, self._absent = at, False
-        self._wanted, self._size = self._within, sum(map(abs, exerted))
+        raw, wanted, size = sum(map(abs, self._f)), sum(map(abs, self._within)), sum(map(abs, exerted))
+        self._wanted, self._size = wanted, size
         if self._ramp:
             self._ramp -= 1
             self._loss = Loss.AWAY
-        elif self._size >= ALL * self._raw:
+        elif size >= ALL * raw:
             self._loss = Loss.NONE
         else:
-            self._loss = Loss.HELD_BACK if lowered and self._within >= ALL * self._raw else Loss.CUT
+            self._loss = Loss.HELD_BACK if lowered and wanted >= ALL * raw else Loss.CUT
 
     def conclude(self, at: Instant, ended: Instant) -> None:
         """The process ends at ``at``; where the device had let go, the time since its last force counts as well."""
