@@ -32,6 +32,7 @@ MODULES = [
     "nodes/device/colocated",
     "nodes/device/core",
     "nodes/device/drivers",
+    "nodes/device/given",
     "nodes/device/inertia",
     "nodes/device/interface",
     "nodes/device/node",

@@ -31,9 +31,10 @@ from manyhands.design.wave_link import FELT_STIFFNESS, WaveLinkFace, WorldPromis
 from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK
 from manyhands.launch.plan.prepare import certify, haptic_loop
 from manyhands.launch.run.display import figure_table, printable, promise_lines, say, status, world_lines
-from manyhands.launch.run.outcome import lateness_sentence, rows_of, wave_link_sentences
+from manyhands.launch.run.outcome import given_sentences, lateness_sentence, rows_of, wave_link_sentences
 from manyhands.launch.session import Session
 from manyhands.nodes import telemetry as names
+from manyhands.nodes.observer.given import shares_cell
 from manyhands.nodes.observer.health import verdict
 
 if TYPE_CHECKING:
@@ -187,11 +188,12 @@ def print_findings(console: Console, findings: tuple[Finding, ...]) -> None:
 
 _PERIOD: Final = "period [µs]\np50/p99/p99.9/max"
 _LEDGER: Final = "ledger\nmin [J]"
+_GIVEN: Final = "given [%]\nforce/time"
 _REPORTED: Final = (
-    *("node", "ticks", "late", "τ [µs]\np50/p99/p99.9/max", _PERIOD, _LEDGER),
+    *("node", "ticks", "late", "τ [µs]\np50/p99/p99.9/max", _PERIOD, _GIVEN, _LEDGER),
     *("account\nmin/bound [J]", "speed [m/s]\npeak → final"),
 )
-_REPORT_RANKS: Final = {_PERIOD: 2, _LEDGER: 1}
+_REPORT_RANKS: Final = {_PERIOD: 3, _GIVEN: 2, _LEDGER: 1}
 
 
 def print_report(console: Console, report: Mapping[str, Any], faults: Sequence[str] = ()) -> None:
@@ -211,7 +213,9 @@ def print_report(console: Console, report: Mapping[str, Any], faults: Sequence[s
         ledger = f"{node['ledger']['min']:.1e}" if "ledger" in node else ""
         percentiles = ["/".join(f"{v:.0f}" for v in node.get(q, {}).values()) for q in ("tau_us", "period_us")]
         late = str(node.get("late", ""))
-        rows.append([name, str(node["ticks"]), late, *percentiles, ledger, _account(node, report), speeds])
+        shares = node.get("given", {})
+        given = shares_cell(shares.get("force"), shares.get("time"))
+        rows.append([name, str(node["ticks"]), late, *percentiles, given, ledger, _account(node, report), speeds])
     rows += [[name, "no report", *[""] * (len(_REPORTED) - 2)] for name in report.get("unreported", ())]
     table, left_out = figure_table(title, _REPORTED, rows, _REPORT_RANKS, console.width)
     console.print(table)
@@ -225,6 +229,10 @@ def print_report(console: Console, report: Mapping[str, Any], faults: Sequence[s
         say(console, felt)
     if sentence := lateness_sentence(report):
         say(console, sentence)
+    last = f"failed: {faults[0].splitlines()[0]}" if faults else verdict(promises) if promises else ""
+    for lack in given_sentences(report):
+        if lack not in last:
+            say(console, lack)
     for node in report["nodes"].values():
         entry = node.get("energy", {})
         figures = {f"{names.MOVED}{pair}": joules for pair, joules in entry.get("moved", {}).items()}
@@ -239,10 +247,8 @@ def print_report(console: Console, report: Mapping[str, Any], faults: Sequence[s
         if counts:
             listed = ", ".join(f"{kind} {count}" for kind, count in counts.items())
             say(console, f"{name}: not admitted, or not as it came: {listed}")
-    if faults:
-        say(console, f"failed: {faults[0].splitlines()[0]}")
-    elif promises:
-        say(console, verdict(promises))
+    if last:
+        say(console, last)
 
 
 def _account(node: Mapping[str, Any], report: Mapping[str, Any]) -> str:

@@ -80,6 +80,7 @@ WAITED_IN = "waited:"  # and the coupling: a trace of the telemetry's ticks in w
 WAITED_TICKS = "waited_ticks_"  # and the coupling: ticks in which the others waited for it alone
 WAITED_TIME = "waited_us_"  # and the coupling: how long the others waited in them
 FROZEN_LATE = "frozen_late_"  # and the coupling: times that it was frozen for being silent
+WAIVED = "waived_"  # and the coupling: times that it was late so often that nobody waited for it any more
 OVERDUE = "overdue_"  # and the coupling: ticks in which it was held, for its signal had not come
 PERIOD_BREACHES = "period_breaches"  # ticks later after the one before than the certificate assumes
 DROPPED_TELEMETRY = "dropped_telemetry"
@@ -108,6 +109,10 @@ INTERFACE_MARGIN = "interface_margin"  # J, the least distance of that account f
 QUICKER = "quicker"  # 1 where a device moved further than the stated mass and hand allow, otherwise 0
 FORCE_ASKED = "force_asked"  # N*s, the impulse of the forces that a device's couplings asked for within its limits
 FORCE_GIVEN = "force_given"  # N*s, of those that it exerted
+FORCE_TIME = "force_time_us"  # the time in which a device could be given a force (nodes/device/given.py)
+FORCE_AWAY = "force_away_us"  # those of it in which it had no valid answer, or its force rose again after that
+FORCE_HELD_BACK = "force_held_back_us"  # those in which the reserve for lateness lowered its force, or ended it early
+FORCE_CUT = "force_cut_us"  # those in which a limit cut its force
 INTERFACE_TICKS = "interface_ticks"  # ticks in which a device's interface changed a motion or a force
 INTERFACE_KEPT_BACK = "interface_kept_back"  # J that the changed motions kept from being lost
 INTERFACE_OFFSET = "interface_offset"  # m, the greatest offset between a device and the motion sent
@@ -222,18 +227,20 @@ class CouplingLateness:
         time: how long the others waited in them, us.
         frozen: how often it was frozen for being silent.
         held: the ticks in which it was held.
+        waived: how often it was late so often that nobody waited for it any more.
     """
 
     ticks: int
     time: float
     frozen: int
     held: int = 0
+    waived: int = 0
 
     def sentence(self, name: str) -> str:
         """The figures as a sentence; ``name`` is that of the coupling."""
         return (
-            f"the others waited for {name} in {self.ticks} ticks, {self.time / 1e6:.3g} s in all; its tool rested for "
-            f"{self.held} ticks, and it was frozen {self.frozen} times"
+            f"the others waited for {name} in {self.ticks} ticks, {self.time / 1e6:.3g} s in all, and then no more; "
+            f"its tool rested for {self.held} ticks, and it was frozen {self.frozen} times"
         )
 
 
@@ -241,6 +248,7 @@ def lateness_counts(lateness: Mapping[str, CouplingLateness]) -> dict[str, int]:
     """Late ticks by coupling, how often it was frozen, and in how many it was held."""
     ticks = {f"{WAITED_TICKS}{name}": one.ticks for name, one in lateness.items()}
     ticks |= {f"{OVERDUE}{name}": one.held for name, one in lateness.items()}
+    ticks |= {f"{WAIVED}{name}": one.waived for name, one in lateness.items()}
     return ticks | {f"{FROZEN_LATE}{name}": one.frozen for name, one in lateness.items()}
 
 
@@ -256,11 +264,12 @@ def lateness_of(name: str, counts: Mapping[str, float], figures: Mapping[str, fl
         figures.get(WAITED_TIME + name),
         counts.get(FROZEN_LATE + name, 0.0),
         counts.get(OVERDUE + name, 0.0),
+        counts.get(WAIVED + name, 0.0),
     )
-    ticks, time, frozen, held = (math.nan if value is None else value for value in values)
-    if not all(0.0 <= value < math.inf for value in (ticks, time, frozen, held)) or not ticks + held:
+    ticks, time, frozen, held, waived = (math.nan if value is None else value for value in values)
+    if not all(0.0 <= value < math.inf for value in (ticks, time, frozen, held, waived)) or not ticks + held:
         return None
-    return CouplingLateness(int(ticks), time, int(frozen), int(held))
+    return CouplingLateness(int(ticks), time, int(frozen), int(held), int(waived))
 
 
 def energy_figures(energy: Energy, parties: tuple[str, ...]) -> dict[str, float]:

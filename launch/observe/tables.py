@@ -27,6 +27,7 @@ from manyhands.launch.observe.sessions import Running, Seeing, Source
 from manyhands.launch.run.display import COLUMNS, RANKS, figure_table, heading, promise_lines, say, world_lines
 from manyhands.launch.run.states import NodeState
 from manyhands.nodes.json_number import json_number
+from manyhands.nodes.observer.given import FIGURES
 from manyhands.nodes.observer.health import Health, as_plain, summary
 from manyhands.nodes.observer.scene import NodeScene, Scene
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
@@ -201,7 +202,7 @@ def top_object(scene: Scene) -> dict[str, Any]:
     """The object that ``--json`` prints: that of :func:`session_object`, with figures, links, notices and faults."""
     found, links = session_object(scene), scene.felt_links
     for name, node in scene.nodes.items():
-        keys = {column.figure for column in COLUMNS} & node.figures.keys()
+        keys = {*(column.figure for column in COLUMNS), *FIGURES} & node.figures.keys()
         found["nodes"][name]["figures"] = {key: json_number(node.figures[key]) for key in sorted(keys)}
     found["links"] = [
         {"between": list(link.ends), "health": scene.link_health(link).value} for link in scene.about.links

@@ -63,9 +63,19 @@ from manyhands.launch.recordings.findings import EXACT, Check, CheckVerdict, Rec
 from manyhands.launch.recordings.integrity import Damage
 from manyhands.launch.recordings.prepared import prepared_of
 from manyhands.launch.recordings.presence import Presence, fitted
+from manyhands.launch.recordings.press import Press, presses
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.replay import hand_of
-from manyhands.launch.recordings.run import RecordedRun, changed_after, first_sign, grown_in, rows_of, there
+from manyhands.launch.recordings.run import (
+    Figures,
+    RecordedRun,
+    at_telemetry,
+    changed_after,
+    first_sign,
+    grown_in,
+    rows_of,
+    there,
+)
 from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import (
@@ -78,6 +88,7 @@ from manyhands.nodes.bundle import (
 )
 from manyhands.nodes.device.core import Guard
 from manyhands.nodes.environment.clutch import LET_GO
+from manyhands.nodes.observer.given import FIGURES
 from manyhands.nodes.observer.health import PROMISES, SESSION, Promise, PromiseState, as_plain, holds
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
 from manyhands.nodes.tick_events import Kind, events_in
@@ -128,6 +139,7 @@ class Audit:
         checks: all of them.
         promises: how each promise stood, by the checks and by what the session recorded.
         faults: why the session failed, by its last recorded condition; empty where it did not.
+        presses: the stiffness that hands were given, where they held still.
     """
 
     session: str
@@ -137,6 +149,7 @@ class Audit:
     checks: tuple[Check, ...]
     promises: tuple[PromiseStatus, ...]
     faults: tuple[str, ...] = ()
+    presses: tuple[Press, ...] = ()
 
     @property
     def holds(self) -> bool:
@@ -170,6 +183,7 @@ class Audit:
             "promises": [as_plain(row) for row in self.promises],
             "faults": list(self.faults),
             "checks": [check.as_plain() for check in self.checks],
+            "presses": [press.as_plain() for press in self.presses],
         }
 
 
@@ -235,12 +249,15 @@ def audit(
         checks: tuple[Check, ...] = (Check("certificate", "session", what, CheckVerdict.BROKEN, remark=str(error)),)
         of_none = Promise.CERTIFICATE.value, PromiseState.BROKEN.value, (SESSION,)
         promises: tuple[PromiseStatus, ...] = (PromiseStatus(*of_none, remark=str(error)),)
+        pressed: tuple[Press, ...] = ()
     else:
         proved = Check("certificate", "session", what, CheckVerdict.HOLDS, remark=prepared.id)
         checks = (proved, *_file_checks(run, damage), *_AuditRun(prepared, run, progress).checks())
         promises = promises_of(prepared, run, checks)
+        pressed = presses(prepared, run)
     faults = run.conditions[-1][1].faults if run.conditions else ()
-    return Audit(recorded.session, recorded.certificate, recorded.clock, run.ticks, checks, promises, tuple(faults))
+    about = recorded.session, recorded.certificate, recorded.clock, run.ticks
+    return Audit(*about, checks, promises, tuple(faults), pressed)
 
 
 class _AuditRun:
@@ -469,6 +486,7 @@ class _AuditRun:
                 again.account,
                 gaps=gaps,
             ),
+            *self._given(name, figures, again.given, gaps),
             self._compare(
                 "ended",
                 name,
@@ -653,6 +671,14 @@ class _AuditRun:
             at = self._of_link(ENVIRONMENT, name, trace) if name in linked else rows_of(self._run, name, trace)
             out[:, self._ports[name]] = at
         return out
+
+    def _given(self, name: str, figures: Figures, again: Array, gaps: Sequence[UncheckedTicks]) -> list[Check]:
+        """Check what a device says that its hand was given; recordings of older versions do not say it."""
+        told = at_telemetry(figures, FIGURES, len(again))
+        said = there(told)
+        what = "its hand was given so much of the force that was asked for, by force and by time"
+        found = np.where(said[:, None], again, np.nan)
+        return [compare("given", name, what, FIGURES, told, found, gaps=gaps, owed=said)] if said.any() else []
 
     def _compare(
         self,

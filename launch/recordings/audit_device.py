@@ -10,8 +10,9 @@ events are missing, the device is not checked from there on, until a new process
 **A device in wall time** (:func:`recompute_in_wall_time`) recorded the instants of its events: s(k), when x was
 sampled, a(k), when its force was applied, and when the force before had ended. Driver, guard, interface and core make
 the same calls as in the loop, with the forces that the couplings handed on. So x(s(k)), the motion that the couplings
-received, the exerted force and the account e(k) follow to the last bit. Free periods need no instants of their own: the
-device exerts no force in them, and a sample or a release in between does not cut its integration.
+received, the exerted force, the account e(k) and what the hand was given follow to the last bit. Free periods need no
+instants of their own: the device exerts no force in them, and a sample or a release in between does not cut its
+integration.
 
 The ledger sums up what the hand's intention did, free period by free period. The audit computes it in one piece from
 sample to sample. Only the rounding of these sums differs. In units in the last place of all the energy that was
@@ -44,8 +45,10 @@ from manyhands.nodes.arithmetic import Floats
 from manyhands.nodes.bundle import DeviceBundle
 from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.drivers import Driver
+from manyhands.nodes.device.telemetry import given_figures
 from manyhands.nodes.device.tick import WallTimeTick
 from manyhands.nodes.device.wall_time import LONGEST_GAP
+from manyhands.nodes.observer.given import FIGURES
 from manyhands.protocol.clock import Instant, from_seconds
 
 Array = NDArray[np.float64]
@@ -188,6 +191,7 @@ class RecomputedInWallTime:
         exerted: the force that the interface lets the device exert, ticks x axes, N.
         ended: when the force before had ended, ticks x 1, ns since tick 0.
         account: e(k), ticks x 1, J.
+        given: the force that its hand was given up to the tick, ticks x the figures of GivenForce.
         ledger: ticks x 1, J.
         tolerance: of the ledger, ticks x 1, J; 0 before the first free period.
         gaps: the ticks that could not be computed, with the reason.
@@ -200,6 +204,7 @@ class RecomputedInWallTime:
     exerted: Array
     ended: Array
     account: Array
+    given: Array
     ledger: Array
     tolerance: Array
     gaps: list[UncheckedTicks] = field(default_factory=list)
@@ -210,7 +215,8 @@ class RecomputedInWallTime:
         """All NaN, before anything is computed."""
         x, applied, sent, exerted = (np.full((ticks, axes), np.nan) for _ in range(4))
         ended, account, ledger = (np.full((ticks, 1), np.nan) for _ in range(3))
-        return cls(x, applied, sent, exerted, ended, account, ledger, np.zeros((ticks, 1)))
+        given = np.full((ticks, len(FIGURES)), np.nan)
+        return cls(x, applied, sent, exerted, ended, account, given, ledger, np.zeros((ticks, 1)))
 
 
 class _FollowedGuard(Guard):
@@ -233,11 +239,13 @@ class _FollowedGuard(Guard):
 class _WallState:
     """A device in wall time between two rows, with what its recording does not fix to the last bit."""
 
-    def __init__(self, bundle: DeviceBundle, driver: Driver) -> None:
-        """Device and hand begin at rest, at the first sample."""
+    def __init__(self, bundle: DeviceBundle, driver: Driver, joins: bool) -> None:
+        """Device and hand begin at rest, at the first sample; ``joins`` is whether the session ran already."""
         self._period = from_seconds(bundle.common.period)
         self.guard = _FollowedGuard(bundle.limits, bundle.common.period, bundle.common.ports)
         self.tick = WallTimeTick(bundle, driver, self.guard)
+        if joins:
+            self.tick.joins()
         self._applied: Instant | None = None
         self._energy = 0.0  # all that was exchanged so far, J
         self._released = 0
@@ -299,18 +307,18 @@ def recompute_in_wall_time(
         out.gaps.append(UncheckedTicks(0, ticks, why))
         return out
 
-    def begun(driver: Driver | str) -> _WallState:
-        return _WallState(bundle, given if isinstance(driver, str) else driver)
+    def begun(driver: Driver | str, joins: bool) -> _WallState:
+        return _WallState(bundle, given if isinstance(driver, str) else driver, joins)
 
     first = make()
     if isinstance(first, str):
         out.motion_gaps.append(UncheckedTicks(0, ticks, f"{first}: its motion and its ledger are not checked"))
-    state: _WallState | None = begun(first)
+    state: _WallState | None = begun(first, joins=False)
     nothing, freed = Happening(), 0
     for k in np.flatnonzero(there(rows.x) & there(rows.f) & there(rows.instants)).tolist():
         happened = course.before.get(k, nothing)
         if happened.began and k > 0:
-            state = begun(make())
+            state = begun(make(), joins=True)
         if state is not None:
             sampled, applied, ended = (Instant(int(at)) for at in rows.instants[k].tolist())
             may_let_go = rows.let_go is not None and k >= rows.let_go
@@ -345,6 +353,8 @@ def recompute_in_wall_time(
         if k in course.rungs:
             tick.change(course.rungs[k])
         out.ended[k, 0], out.account[k] = tick.instants[-1], tick.wall_interface.account.energy
+        figures = given_figures(tick.wall_interface.given)
+        out.given[k] = [figures[name] for name in FIGURES]
         if not out.motion_gaps:
             out.x[k], out.ledger[k], out.tolerance[k] = tick.x, tick.core.ledger.total, state.tolerance
             if tick.x_a is not None:

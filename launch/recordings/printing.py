@@ -70,6 +70,8 @@ def print_audit(out: Console, name: str, audit: Audit) -> None:
     for check in checks:
         if check.name == "account" and check.verdict is CheckVerdict.HOLDS:
             say(out, f"{check.party}: {check.what}: {check.remark}")
+    for press in audit.presses:
+        say(out, press.sentence())
     for line, _ in promise_lines(audit.promises):
         say(out, line)
     for check in checks:

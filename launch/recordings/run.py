@@ -614,6 +614,15 @@ def changed_after(figures: Figures, name: str, at_rest: float = 0.0) -> int | No
     return None
 
 
+def at_telemetry(figures: Figures, wanted: Sequence[str], ticks: int) -> Array:
+    """Figures by tick, ticks x figures: in the last tick of each telemetry message that has all of them, else NaN."""
+    out = np.full((ticks, len(wanted)), np.nan)
+    for tick, values in figures:
+        if 0 < tick <= ticks and all(name in values for name in wanted):
+            out[tick - 1] = [values[name] for name in wanted]
+    return out
+
+
 def grown_in(figures: Figures, name: str, ticks: int) -> NDArray[np.bool_]:
     """By tick, whether a count has grown between the telemetry messages around it; a new process counts from 0."""
     out, begin, before = np.zeros(ticks, dtype=np.bool_), 0, 0.0

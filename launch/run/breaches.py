@@ -567,10 +567,10 @@ class Assumptions:
         return deeds
 
     def _late_ticks(self, telemetry: Telemetry) -> dict[str, list[int]]:
-        """The ticks in which each coupling was late; a notice names those that were held in more than a few."""
+        """The ticks in which each coupling was late; a notice names those that nobody waits for since."""
         for name, lateness in names.lateness_by_coupling(telemetry.figures, telemetry.figures).items():
-            most = max(ALLOWED * telemetry.tick, LEAST)
-            if lateness.held > most and lateness.ticks > LEAST and name not in self.waited_for:
+            often = lateness.ticks > max(ALLOWED * telemetry.tick, LEAST)
+            if lateness.waived and often and name not in self.waited_for:
                 self.waited_for.append(name)
         if self.waited_for:
             self.notices[Cause.WAITS] = (

@@ -25,6 +25,7 @@ from manyhands.launch.run.states import NodeState, SessionPhase
 from manyhands.launch.session import Session
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.environment.chatter import MOST as MOST_REVERSALS
+from manyhands.nodes.observer.given import GivenForce, shares_cell
 from manyhands.nodes.observer.health import Promise, PromiseState, condensed, is_present, missed, sentence
 from manyhands.nodes.own_ticks import session_tick
 from manyhands.protocol.messages import PromiseStatus, Telemetry
@@ -52,17 +53,28 @@ class Column:
         return "" if value is None else format(value, self.form)
 
 
+@dataclass(frozen=True)
+class GivenColumn(Column):
+    """The column of the force that devices were given of the force asked, by force and by time, in percent."""
+
+    def cell(self, figures: Mapping[str, float]) -> str:
+        """Both shares since the device's start; empty if the node has none."""
+        given = GivenForce.of(figures)
+        return "" if given is None else shares_cell(given.by_force, given.by_time)
+
+
 COLUMNS: Final = (
     Column("late", names.LATE, ".0f", 1),
     Column("τ p50 [µs]", f"{names.TAU}_p50", ".0f", 4),
     Column("τ p99 [µs]", f"{names.TAU}_p99", ".0f", 2),
-    Column("rung", names.RUNG, ".0f", 5),
+    GivenColumn("given [%]", names.FORCE_TIME, "", 5),
+    Column("rung", names.RUNG, ".0f", 6),
     Column("frozen", names.FROZEN, ".0f", 3),
-    Column("speed [m/s]", names.SPEED, ".2e", 8),
-    Column("account [J]", names.INTERFACE, ".2e", 6),
-    Column("ledger [J]", names.LEDGER, ".2e", 7),
-    Column("margin [J]", names.LEDGER_MARGIN, ".2e", 9),
-    Column("refused", names.NOT_ADMITTED, ".0f", 10),
+    Column("speed [m/s]", names.SPEED, ".2e", 9),
+    Column("account [J]", names.INTERFACE, ".2e", 7),
+    Column("ledger [J]", names.LEDGER, ".2e", 8),
+    Column("margin [J]", names.LEDGER_MARGIN, ".2e", 10),
+    Column("refused", names.NOT_ADMITTED, ".0f", 11),
 )
 """In the order in which they are shown."""
 
@@ -183,9 +195,11 @@ def promise_lines(rows: Iterable[PromiseStatus], notices: Collection[str] = ()) 
 
 
 def _says_more(row: PromiseStatus) -> bool:
-    """Whether a row's remark has more than its cost: how a node is away, or how long the others waited."""
+    """Whether a row's remark has more than its cost: how a node is away, how long the others waited, or why a
+    hand lacks its force.
+    """
     away = row.promise == Promise.PRESENCE and row.state == PromiseState.BROKEN
-    return bool(row.remark) and (away or row.promise == Promise.PUNCTUALITY)
+    return bool(row.remark) and (away or row.promise in (Promise.PUNCTUALITY, Promise.GIVEN))
 
 
 _STYLES: Final = {
@@ -223,7 +237,7 @@ def say(console: Console, text: str) -> None:
 
 _FIXED: Final = ("node", "role", "tick", "rate\n[Hz]")
 
-RANKS: Final = {**{heading(column.title): column.rank for column in COLUMNS}, "role": 7}
+RANKS: Final = {**{heading(column.title): column.rank for column in COLUMNS}, "role": 8}
 """The columns that a narrow table leaves out; a name often makes the role clear."""
 
 _LINE_EVERY = 2.0  # s between two lines of progress without a terminal
@@ -258,6 +272,7 @@ class LiveTable:
         self._line_at = 0.0
         self._phase: SessionPhase | None = None
         self._printed: set[str] = set()
+        self._lacking: set[str] = set()  # devices of which a line has said that they lack their force
         self.announced: set[str] = set()
         self._lost: str | None = None
 
@@ -295,6 +310,9 @@ class LiveTable:
         for row in progress.promises:
             if row.promise == Promise.PACE and row.remark and row.remark not in self.announced:
                 self.announced.add(row.remark)
+                say(self._console, f"! {row.remark}")
+            if row.promise == Promise.GIVEN and row.remark and not self._lacking.issuperset(row.who):
+                self._lacking.update(row.who)  # its figures change with every message
                 say(self._console, f"! {row.remark}")
         if progress.elapsed - self._line_at >= _LINE_EVERY:
             self._line_at = progress.elapsed

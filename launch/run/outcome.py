@@ -21,7 +21,8 @@ from manyhands.launch.run.states import Incidents, SessionPhase
 from manyhands.launch.session import Session
 from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes import telemetry as names
-from manyhands.nodes.observer.health import as_plain
+from manyhands.nodes.observer.given import GivenForce, percent
+from manyhands.nodes.observer.health import Promise, as_plain, condensed, missed
 from manyhands.nodes.telemetry import PERCENTILES
 from manyhands.nodes.wave_link.felt import FeltLink, felt_link
 from manyhands.protocol.limits import MAX_COUNT
@@ -139,6 +140,8 @@ def node_entry(role: Role, report: Report, restarts: int = 0) -> dict[str, Any]:
             "asked": figures.get(names.FORCE_ASKED, 0.0),
             "given": figures.get(names.FORCE_GIVEN, 0.0),
         }
+    if (given := GivenForce.of(figures)) is not None:
+        entry["given"] = given.as_plain()
     if {names.ENFORCED_TICKS, names.ENFORCED_ENERGY} <= figures.keys():
         entry["enforcement"] = {
             "ticks": _count(figures[names.ENFORCED_TICKS]),
@@ -158,7 +161,13 @@ def node_entry(role: Role, report: Report, restarts: int = 0) -> dict[str, Any]:
     late = names.lateness_by_coupling(counts, figures)
     if late:
         entry["late_couplings"] = {
-            name: {"ticks": one.ticks, "seconds": one.time / 1e6, "frozen": one.frozen, "held": one.held}
+            name: {
+                "ticks": one.ticks,
+                "seconds": one.time / 1e6,
+                "frozen": one.frozen,
+                "held": one.held,
+                "waived": one.waived,
+            }
             for name, one in late.items()
         }
     granted = {key.removeprefix(names.REALTIME): n > 0 for key, n in figures.items() if key.startswith(names.REALTIME)}
@@ -235,13 +244,25 @@ def lateness_entry(prepared: Prepared, clock: str) -> dict[str, Any] | None:
     }
 
 
-def _given(entries: Mapping[str, Mapping[str, Any]]) -> str:
-    """How much of the force that was asked for the device gave that gave least, to follow; empty for no force."""
-    parts = {name: min(1.0, one["given"] / one["asked"]) for name, one in entries.items() if one["asked"] > 0.0}
-    if not parts:
-        return ""
-    least = min(parts, key=parts.__getitem__)
-    return f"; {100.0 * parts[least]:.4g} % of the force asked was given, or more ({least})"
+_LEAST_GIVEN: Final = {"force": "of the force asked", "time": "by time"}
+
+
+def _given(nodes: Mapping[str, Mapping[str, Any]]) -> str:
+    """The least share of the force asked that any device was given, by force and by time, to follow; empty for none."""
+    entries = {name: node["given"] for name, node in nodes.items() if "given" in node}
+    found = []
+    for share, words in _LEAST_GIVEN.items():
+        shares = {name: entry[share] for name, entry in entries.items() if share in entry}
+        if shares:
+            least = min(shares, key=shares.__getitem__)
+            found.append(f"{percent(shares[least])} {words} ({least})")
+    return f"; least given: {', '.join(found)}" if found else ""
+
+
+def given_sentences(report: Mapping[str, Any]) -> list[str]:
+    """Which devices were not given their force, why, and what helps: a sentence for each, of a whole report."""
+    rows = [row for row in missed(rows_of(report)) if row.promise == Promise.GIVEN]
+    return [row.remark for row in condensed(rows)]
 
 
 def falling(lateness: Mapping[str, Any]) -> str:
@@ -271,7 +292,7 @@ def lateness_sentence(report: Mapping[str, Any]) -> str | None:
                 f"; the process of {name} was suspended for {slept['seconds']:.3g} s, which put in "
                 f"{joules(slept['energy'])}"
             )
-    given = _given(entries)
+    given = _given(report["nodes"])
     if promise is None:
         return f"lateness: nothing is proved, and it was only counted; {lowest}{given}"
     proved = f"lateness: proved up to τ = {1e3 * promise['tau']:.4g} ms"

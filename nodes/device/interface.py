@@ -55,6 +55,7 @@ from manyhands.design.levels.contract import DeviceShare
 from manyhands.nodes.arithmetic import Floats, dot, linear_map, minus
 from manyhands.nodes.bundle import DeviceBundle
 from manyhands.nodes.device.allowance import LatenessAllowance
+from manyhands.nodes.device.given import ForceGiven
 from manyhands.nodes.device.inertia import Inertia, SpeedBound
 from manyhands.nodes.timeouts import timeouts
 from manyhands.protocol.clock import Duration, Instant, from_seconds
@@ -326,8 +327,7 @@ class DeviceInterface:
         tank: what is left of E_0 + P t, at least 0, J; it gains what the motion leaves over, up to a bound.
         allowed: E_0 + P t, how far e(k) may be below 0 now, J.
         margin: the least e(k) + E_0 + P t so far, J.
-        asked: the impulse of the forces that the couplings asked for within the limits, all axes added, N*s.
-        given: the impulse of those that were exerted, N*s.
+        given: how much of the force that was asked for the device exerted, by force and by time.
         ticks: the number of ticks in which the motion or the force was changed.
         kept_back: the energy that the changed motions kept from being lost, J.
         offset: the greatest offset so far between the device and the motion sent, of any axis, m.
@@ -383,9 +383,10 @@ class DeviceInterface:
         self._power = 0.0  # of the exerted force at the limit of speed, W
         self._booked, self._changed = 0.0, False
         self.ticks, self.kept_back, self.offset = 0, 0.0, 0.0
-        self.asked = self.given = 0.0
-        self._limited: Floats = self._sent  # what the couplings asked for last, within the limits, N
-        self._wanted = self._size = 0.0  # of the present force, asked for and exerted, N
+        self.given = ForceGiven(from_seconds(T))
+        self._whole: Instant | None = None  # when the present force ends if the account does not bring that nearer
+        self._next_whole: Instant | None = None  # likewise of the force that is decided and not applied yet
+        self._lowered = False  # whether the account lowers that force
 
     @property
     def exerted(self) -> Floats:
@@ -473,14 +474,15 @@ class DeviceInterface:
             at: the present instant.
         """
         self._answer = f
-        self._limited = held
+        self.given.ask(f, held)
+        self._lowered = False
         if not self._bounded:
             return held, None
         account, T, sampled = self.account, self._T, at if self._at is None else self._at
         late = max(0.0, (at - sampled) * _NS)
         self._expected += CALM * (min(late, LONGEST * T) - self._expected)
         expected = max(self._tau, self._expected)
-        until = Instant(sampled + self._longest)
+        until = self._next_whole = Instant(sampled + self._longest)
         before, power = self._power, account.cost(held)
         self._power = power
         longest = (until - at) * _NS
@@ -502,7 +504,7 @@ class DeviceInterface:
                 ratio = self._part(held, at, needed, paid)
                 held = [ratio * force for force in held]
                 self._power = account.cost(held)
-                self._changed = True
+                self._changed = self._lowered = True
             if paid < account.costs(held, at, longest):
                 until = Instant(at + int(1e9 * account.lasts(held, at, paid)))
         self.ticks += self._changed
@@ -521,10 +523,11 @@ class DeviceInterface:
             The instant at which the force before had ended.
         """
         self._settle()
-        before = self.account.until
-        self.asked += self._wanted * max(0, at - self._since) * _NS
-        self.given += self._size * max(0, (at if before is None else min(before, at)) - self._since) * _NS
-        self._wanted, self._size = sum(map(abs, self._limited)), sum(map(abs, exerted))
+        before, whole = self.account.until, self._whole
+        ended = at if before is None else min(before, at)
+        early = before is not None and whole is not None and before < whole
+        self.given.applied(at, ended, early, exerted, self._lowered)
+        self._whole = self._next_whole
         self._exact = x is not None
         if x is not None:
             self.account.sampled(x, at)
@@ -535,12 +538,18 @@ class DeviceInterface:
             self.tank = min(self.tank, self._most(self._power))
         self.account.exert(exerted, at, until)
         self.margin = min(self.margin, self.account.energy + self.allowed)
-        return at if before is None else min(before, at)
+        return ended
 
     def released(self, at: Instant) -> None:
-        """The device exerts no force from ``at`` on."""
+        """The device exerts no force from ``at`` on: no answer came in time."""
         until = self.account.until
         self.account.until = at if until is None else min(until, at)
+        self.given.let_go()
+
+    def conclude(self, at: Instant) -> None:
+        """The process ends at ``at``."""
+        until = self.account.until
+        self.given.conclude(at, at if until is None else min(until, at))
 
     def skipped(self) -> None:
         """The session has gone on to a later tick: the answer to the motion sent last will not be known."""

@@ -89,6 +89,7 @@ class DeviceNode:
         finally:
             self.device.driver.release(self._now())
         self._account.publish_rest(control, self.device.core, self.device.guard, self.peer_links)
+        self.device.conclude(self._now())  # for the report alone: telemetry ends with its last row
 
     def _run(self, start: Start, life: Life, control: ControlLine) -> None:
         clock, device, period = self._clock, self.device, self._period
@@ -101,6 +102,7 @@ class DeviceNode:
         sent_tick = -1  # the tick of the last sample
         if tick > 0:  # the session runs already, so this device joins at the next multiple of T
             slot = max(0, -((epoch - clock.now()) // period))
+            device.joins()
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):
             life.look(self._realtime.now())
             if turns % LISTEN_TICKS == 0 or self._free:

@@ -32,6 +32,7 @@ from manyhands.nodes import telemetry as names
 from manyhands.nodes.arithmetic import Floats
 from manyhands.nodes.bundle import Common, DeviceRung
 from manyhands.nodes.device.core import DeviceCore, Guard
+from manyhands.nodes.device.given import ForceGiven, Loss
 from manyhands.nodes.device.interface import DeviceInterface
 from manyhands.nodes.device.specification import NO_DELAY, DeviceTiming
 from manyhands.nodes.device.tick import NO_INSTANTS, Instants
@@ -104,6 +105,18 @@ class LatenessCounter:
     def figures(self) -> dict[str, int]:
         """Late ticks by cause, under the names of the report: ``late_own`` and so on."""
         return {f"late_{name.value}": count for name, count in self.counts.items()}
+
+
+def given_figures(given: ForceGiven) -> dict[str, float]:
+    """How much of the force that was asked for a device exerted."""
+    return {
+        names.FORCE_ASKED: given.asked,
+        names.FORCE_GIVEN: given.given,
+        names.FORCE_TIME: given.time / 1e3,
+        names.FORCE_AWAY: given.lost[Loss.AWAY] / 1e3,
+        names.FORCE_HELD_BACK: given.lost[Loss.HELD_BACK] / 1e3,
+        names.FORCE_CUT: given.lost[Loss.CUT] / 1e3,
+    }
 
 
 Times = tuple[Instant, Instant, Instant, Instant, Instant, Instant]
@@ -317,8 +330,7 @@ class DeviceTelemetry:
             names.INTERFACE_LEAST: interface.account.least,
             names.INTERFACE_MARGIN: interface.margin,
             names.QUICKER: float(interface.account.broken is not None),
-            names.FORCE_ASKED: interface.asked,
-            names.FORCE_GIVEN: interface.given,
+            **given_figures(interface.given),
             names.INTERFACE_TICKS: float(interface.ticks),
             names.INTERFACE_KEPT_BACK: interface.kept_back,
             names.INTERFACE_OFFSET: interface.offset,

@@ -120,6 +120,16 @@ class DeviceTick(ABC):
         if self.interface is not None:
             self.interface.skipped()
 
+    def joins(self) -> None:
+        """The device comes into a session that runs already: its force rises by the ramp first."""
+        if self.interface is not None:
+            self.interface.given.joins()
+
+    def conclude(self, at: Instant) -> None:
+        """The process ends at ``at``."""
+        if self.interface is not None:
+            self.interface.conclude(at)
+
     def change(self, rung: int) -> None:
         """Take the level and K of ``rung``; the last two forces are zero, so the ledger stays valid."""
         of = self._rungs[rung]
@@ -195,6 +205,8 @@ class WallTimeTick(DeviceTick):
     def exert(self, asked: Floats, at: Instant, recorded: Floats | None = None) -> Floats:
         """Exert what limits and account allow; where the force was recorded, N, exert that, and return the other."""
         held, until = self.wall_interface.force(asked, self.guard.clip(asked), at)
+        if self.guard.leaving:
+            self.wall_interface.given.leaves()
         self._held = exerted = held if recorded is None else recorded
         self._moved = self.driver.apply(exerted, at, until)
         self._asked, self._applied, self._until = asked, at, until

@@ -200,14 +200,28 @@ class Member:
         frozen_late: how often it was frozen for being silent.
         waived: whether it is not waited for at present, for it was late too often.
         held: the ticks in which it was held.
+        waivers: how often it was late so often that it is not waited for since.
         streak: of them, those since its tool moved last.
         silent: of them, those since it was heard last.
         linked: whether it is there by a wave link in real time: it is never waited for.
     """
 
     __slots__ = (
-        "arrived", "due", "early", "frozen_late", "held", "index", "linked", "membership", "peer_link", "rung",
-        "silent", "streak", "waived", "wanted",
+        "arrived",
+        "due",
+        "early",
+        "frozen_late",
+        "held",
+        "index",
+        "linked",
+        "membership",
+        "peer_link",
+        "rung",
+        "silent",
+        "streak",
+        "waived",
+        "waivers",
+        "wanted",
     )  # fmt: skip
 
     def __init__(self, peer_link: PeerLink, index: int, state: Membership, linked: bool = False) -> None:
@@ -217,7 +231,7 @@ class Member:
         self.due = 0
         self.early: tuple[int, bytes] | None = None
         self.arrived = Instant(0)
-        self.frozen_late = self.held = self.streak = self.silent = 0
+        self.waivers = self.frozen_late = self.held = self.streak = self.silent = 0
         self.waived = False
 
     def missing(self, tick: int) -> bool:
@@ -364,6 +378,7 @@ class Members:
 
     def waive(self, member: Member) -> None:
         """Wait for a member no longer: it is late again and again, and is held whenever it is."""
+        member.waivers += not member.waived
         member.waived = self.waives = True
 
     def hold(self, tick: int, still: Callable[[int, int], bool]) -> None:

@@ -508,7 +508,11 @@ class EnvironmentNode:
         late, all_ = self._late, () if members is None else members.all
         return {
             member.peer_link.peer.name: names.CouplingLateness(
-                late.ticks[member.index], late.waited[member.index] / 1e3, member.frozen_late, member.held
+                late.ticks[member.index],
+                late.waited[member.index] / 1e3,
+                member.frozen_late,
+                member.held,
+                member.waivers,
             )
             for member in all_
             if late.ticks[member.index] or member.held

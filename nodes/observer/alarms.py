@@ -92,8 +92,10 @@ _BROKEN: Final = {
     Promise.PERIOD: AlarmLevel.WARNING,
     Promise.FORCE: AlarmLevel.WARNING,
     Promise.PACE: AlarmLevel.WARNING,
+    Promise.GIVEN: AlarmLevel.WARNING,
 }
-"""The level of the alarm of a broken promise that is not a fault: an assumption of the certificate that does not hold.
+"""The level of the alarm of a broken promise that is not a fault: an assumption of the certificate that does not hold,
+or a hand that feels less than it should.
 """
 
 _STAYS_CERTIFIED: Final = "The session bounds what this may cost, and stays certified."

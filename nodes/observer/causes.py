@@ -27,7 +27,10 @@ BEFORE: Final = 1.0
 KEPT: Final = 128
 """The messages of the environment that are kept: twelve seconds of them."""
 
-_SUMS: Final = (names.MOVED, names.GIVEN, names.RECEIVED, names.SUPPLIED, names.SCALED, names.STOPS, names.WAITED_TICKS)
+_SUMS: Final = (
+    names.MOVED, names.GIVEN, names.RECEIVED, names.SUPPLIED, names.SCALED, names.STOPS, names.WAITED_TICKS,
+    names.FROZEN_LATE,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -110,6 +113,10 @@ class Causes:
         found = {name.removeprefix(names.WAITED_TICKS): self._grown(name, since, until)
                  for name in self._named(names.WAITED_TICKS)}  # fmt: skip
         return {name: ticks for name, ticks in found.items() if ticks > 0.0 and name not in own}
+
+    def frozen(self, couplings: Collection[str], since: float, until: float) -> dict[str, float]:
+        """How often each of these couplings was frozen for being late between two times, s."""
+        return {name: self._grown(f"{names.FROZEN_LATE}{name}", since, until) for name in couplings}
 
     def _received_of(self, receivers: Collection[str], since: float, until: float) -> dict[str, float]:
         """By supplier, J that the receivers took of its energy; of many parties only what each gave in all is known."""

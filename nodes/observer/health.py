@@ -18,6 +18,7 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import Any, Final
 
+from manyhands.nodes.observer.given import ENOUGH
 from manyhands.protocol.limits import MAX_SENTENCES
 from manyhands.protocol.messages import PromiseStatus
 
@@ -69,6 +70,7 @@ class Promise(StrEnum):
     PERIOD = "period"
     LATENESS = "lateness energy"
     INERTIA = "stated inertia"
+    GIVEN = "force given"
     FORCE = "force limits"
     LEVEL = "declared level"
     LINK = "wave link"
@@ -137,6 +139,11 @@ PROMISES: Final[Mapping[Promise, PromiseText]] = MappingProxyType({
         "Raise the limits of force, or soften the world: the certificate does not cover a force that was cut.",
         "The certificate does not cover a force that was cut. Lower the energy and power that the mover may put in "
         "(limits), or let it push less.",
+    ),
+    Promise.GIVEN: PromiseText(
+        f"at least {100.0 * ENOUGH:g} % of the force asked is given, by force and by time", False,
+        "Nothing of the certificate is lost, but a hand feels less than was asked for. Its line has the cause "
+        "and what helps.",
     ),
     Promise.LEVEL: PromiseText(
         "the environment keeps its declared level, by a passivity controller where it would not", True,
@@ -210,6 +217,8 @@ def _health_of(row: PromiseStatus) -> Health:
         return Health.BROKEN
     if row.state in (PromiseState.KEPT, PromiseState.UNJUDGED) or row.until is not None:
         return Health.OK
+    if row.promise == Promise.GIVEN:
+        return Health.ENFORCED  # what took the force is what keeps the session stable
     if row.state == PromiseState.BROKEN:
         return Health.SLOW if row.promise == Promise.PACE else Health.OK  # the nodes who are away show it themselves
     return Health.FROZEN if row.promise == Promise.PRESENCE else Health.ENFORCED
@@ -331,7 +340,7 @@ def cells(row: PromiseStatus) -> tuple[str, str, str, str, str]:
 
 def sentence(row: PromiseStatus) -> str:
     """A row that is not kept, as a sentence; what is the session's as a whole names nobody."""
-    by = "by" if row.state == PromiseState.BROKEN else "at"
+    by = "by" if row.state == PromiseState.BROKEN and row.promise != Promise.GIVEN else "at"  # whoever lacks a force
     cost = _cost_of(row)
     if row.state == PromiseState.UNJUDGED:
         return f"{row.promise}: {row.state}: {row.remark}"
@@ -371,13 +380,13 @@ def verdict(rows: Iterable[PromiseStatus]) -> str:
     also = [party for row in broken if row.promise == first.promise for party in row.who if party not in first.who]
     also = [party for party in also if party != SESSION]
     others = sorted({row.promise for row in broken} - {first.promise}, key=ORDER.__getitem__)
-    text = f"worst: {sentence(first)}" + (f", and by {parties(tuple(also))}" if also else "")
+    word = "at" if first.promise == Promise.GIVEN else "by"
+    text = f"worst: {sentence(first)}" + (f", and {word} {parties(tuple(also))}" if also else "")
     about, moved = PROMISES[Promise(first.promise)], first.remark.startswith(MOVED)
     if moved or first.remark.startswith(UNKNOWN_MOVER):
         text += f"; {first.remark}"
-    return f"{text}. {about.moved if moved else about.advice}" + (
-        f" Also broken: {', '.join(others)}." if others else ""
-    )
+    advice = f"{first.remark}." if first.promise == Promise.GIVEN and first.remark else about.advice
+    return f"{text}. {about.moved if moved else advice}" + (f" Also broken: {', '.join(others)}." if others else "")
 
 
 def summary(rows: Iterable[PromiseStatus]) -> str:

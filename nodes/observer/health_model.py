@@ -22,6 +22,7 @@ from typing import Final
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.device.specification import DriverWord
 from manyhands.nodes.observer.causes import BEFORE, Causes
+from manyhands.nodes.observer.given import WINDOW, GivenForce
 from manyhands.nodes.observer.health import (
     FREE_STATE,
     GRAVITY,
@@ -71,6 +72,7 @@ class Terms:
         seats: the device of each seat, by its coupling.
         drivers: the devices that drivers of other packages move, with what rests on their word.
         couplings: of each device.
+        together: whether couplings run in their devices' processes.
     """
 
     period: float
@@ -86,6 +88,13 @@ class Terms:
     seats: Mapping[str, str] = field(default_factory=dict)
     drivers: Mapping[str, DriverWord] = field(default_factory=dict)
     couplings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    together: bool = False
+
+    @property
+    def may_be_together(self) -> bool | None:
+        """Whether couplings run in their devices' processes; None where they cannot, for one has several devices."""
+        held = [name for own in self.couplings.values() for name in own]
+        return self.together if len(held) == len({*held}) else None
 
     @property
     def promises(self) -> Iterator[Promise]:
@@ -99,6 +108,7 @@ class Terms:
             Promise.LATENESS: late and bool(self.wall),
             Promise.INERTIA: late and bool(self.wall),
             Promise.FORCE: True,
+            Promise.GIVEN: self.realtime and bool(self.wall),
             Promise.LEVEL: bool(self.enforced),
             Promise.LINK: bool(self.linked),
             Promise.MOTION: True,
@@ -208,6 +218,7 @@ class HealthModel:
         self._pace = _Pace(terms.period)
         self._free: frozenset[str] = frozenset()
         self._made = {*terms.promises, Promise.BUDGET}
+        self._given = {name: _Given() for name in terms.wall}
         self._put_in = dict.fromkeys(terms.drivers, 0.0)  # by the users of these devices at least, J
         self._measure: set[str] = set()  # devices whose driver measures the force that they exert
         self._causes = Causes()
@@ -219,6 +230,8 @@ class HealthModel:
         for key, (before, latest) in self._counts.items():
             if key[0] == node:
                 self._counts[key] = before + latest, 0.0
+        if node in self._given:
+            self._given[node] = _Given()
         if self._terms.roles.get(node) is Role.ENVIRONMENT:
             self._causes.forget()
 
@@ -253,6 +266,8 @@ class HealthModel:
         if figures.get(names.WAVE_DEAF, 0.0) > 0.0:
             self._go_on(Promise.LINK, node, at)
         self._energy(node, at, figures)
+        if node in self._given and Promise.GIVEN in self._made:
+            self._judge_given(node, at, figures)
         if node in self._terms.drivers:
             self._driver(node, at, figures)
         if role is Role.ENVIRONMENT:
@@ -476,6 +491,22 @@ class HealthModel:
             bound = f"{self._terms.tank:.3g} J {kept_to}"
             entry.remark = f"{node}: lateness has put {put_in:.3g} J into the loop, more than the {bound}"
 
+    def _judge_given(self, node: str, at: float, figures: Mapping[str, float]) -> None:
+        """How much of the force that was asked for a device was given lately."""
+        now = GivenForce.of(figures)
+        if now is None:
+            return
+        since, lately = self._given[node].take(at, now)
+        if lately.enough:
+            self._end(Promise.GIVEN, node, at)
+            return
+        entry = self._entries.get((Promise.GIVEN, node))
+        if entry is None or not entry.lasts:
+            entry = self._begin(Promise.GIVEN, node, PromiseState.BROKEN, at)
+        own = self._own_couplings(node)
+        entry.cost["", "s"] = entry.cost.get(("", "s"), 0.0) + self._given[node].lacked
+        entry.remark = lately.sentence(node, self._causes.frozen(own, since, at), self._terms.may_be_together)
+
     def _driver(self, node: str, at: float, figures: Mapping[str, float]) -> None:
         """What a device's ledger shows of its user's work, and what its driver has measured of its force."""
         # what neither the device's promise nor lateness explains came from the hand; each process counts from 0
@@ -521,7 +552,7 @@ class HealthModel:
             if figures.get(f"{names.WAVE_DEAF}_{party}", 0.0) > 0.0:
                 self._go_on(Promise.LINK, party, at)
         for party, late in names.lateness_by_coupling(figures, figures).items():
-            if late.frozen and party in self._terms.roles:
+            if (late.frozen or late.waived) and party in self._terms.roles:
                 grown = self._grown(node, f"{names.WAITED_TICKS}{party}", figures)
                 cost = {"ticks": float(late.ticks), "s": late.time / 1e6, "times": float(late.frozen)}
                 self._count(Promise.PUNCTUALITY, party, node, grown, at, cost)
@@ -567,6 +598,33 @@ class HealthModel:
             entry = self._begin(*key, PromiseState.BROKEN, self.now)
             entry.remark = self._pace.sentence() if before is None else before.remark  # it is reported once
         self._entries[key].cost = {("", "x"): found, ("", "s"): self._pace.behind}
+
+
+_NOTHING_GIVEN: Final = GivenForce(0.0, 0.0, 0.0)
+
+
+class _Given:
+    """The force that one process of a device was asked for and gave, over the last :data:`WINDOW` of its time.
+
+    Attributes:
+        lacked: the time between the last two messages in which not all was given, s.
+    """
+
+    def __init__(self) -> None:
+        """Nothing is known yet."""
+        self._seen = deque([(0.0, _NOTHING_GIVEN)])
+        self.lacked = 0.0
+
+    def take(self, at: float, now: GivenForce) -> tuple[float, GivenForce]:
+        """Take in the sums up to ``at``, s; returns since when the window is, s, and what was given in it."""
+        if now.time < self._seen[-1][1].time:  # another process, of which no event came
+            self._seen = deque([(at, _NOTHING_GIVEN)])
+        seen = self._seen
+        self.lacked = max(0.0, now.lacking - seen[-1][1].lacking)
+        seen.append((at, now))
+        while len(seen) > 2 and now.time - seen[1][1].time >= WINDOW:
+            seen.popleft()
+        return seen[0][0], now.since(seen[0][1])
 
 
 class _Pace:

@@ -190,6 +190,7 @@ class About:
             seats=self.seats,
             drivers={name: node.driver for name, node in self.nodes.items() if node.driver is not None},
             couplings=self._couplings,
+            together=any(node.role is Role.COUPLING and node.process is not None for node in self.nodes.values()),
         )
 
     @property

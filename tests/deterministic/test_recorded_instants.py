@@ -36,7 +36,7 @@ from .world import SimulatedSession
 MS = 1_000_000  # ns
 TICKS = 650
 DEVICES = ("dx", "dy", "dz")
-OF_A_DEVICE = ("signal", "applied", "exerted", "interface", "ended", "instants", "account", "ledger", "bound")
+OF_A_DEVICE = ("signal", "applied", "exerted", "interface", "given", "ended", "instants", "account", "ledger", "bound")
 
 
 def faults(session: SimulatedSession) -> None:

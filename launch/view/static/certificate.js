@@ -45,9 +45,10 @@ export class Certificate {
   party(name, certificate) {
     const level = certificate.delta_D[name];
     const [total, least, account] = [html("td"), html("td"), html("td", { "data-account": name })];
+    const given = html("td", { "data-given": name });
     const shown = level === undefined ? "as designed" : `Δ ${number(level)} N·s/m`;
-    const cells = [html("th", { scope: "row" }, name), html("td", {}, shown), total, least, account];
-    return { name, total, least, account, row: html("tr", {}, ...cells) };
+    const cells = [html("th", { scope: "row" }, name), html("td", {}, shown), total, least, account, given];
+    return { name, total, least, account, given, row: html("tr", {}, ...cells) };
   }
 
   show(session) {
@@ -63,8 +64,10 @@ export class Certificate {
     const real = this.about.clock === "realtime";
     say(this.worst, real ? `${number(worst)} µs, ${number(most)} µs` : "none: the clock is simulated");
     this.worst.className = isBroken(promises, "delay") ? "broken" : "";
-    for (const { name, total, least, account } of this.parties) {
-      const { figures } = session.nodes.get(name);
+    for (const { name, total, least, account, given } of this.parties) {
+      const { figures, given: shares } = session.nodes.get(name);
+      if (shares !== undefined) say(given, shares);
+      given.className = isBroken(promises, "force given", name) ? "broken" : "";
       say(total, quantity(figures.ledger, "J"));
       say(least, quantity(figures.ledger_margin, "J"));
       least.className = isBroken(promises, "passivity", name) ? "broken" : "";

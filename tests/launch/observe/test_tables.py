@@ -25,6 +25,7 @@ from manyhands.launch.observe.tables import (
     top_object,
 )
 from manyhands.launch.run.display import COLUMNS
+from manyhands.nodes.observer import given
 from manyhands.nodes.observer.scene import Scene
 from manyhands.protocol.clock import Duration, Instant
 
@@ -143,7 +144,7 @@ def test_a_user_frozen_for_lateness_is_named_with_its_cost() -> None:
     late = {"waited_ticks_cx": 53.0, "waited_us_cx": 117e3, "waited_ticks_cy": 1.0, "waited_us_cy": 600.0}
     told = telemetry("environment", 100, **late, frozen_late_cx=2.0)
     text = printed(scene_of(told, judged(told, condition(), about=ABOUT)), 200)
-    assert "the others waited for cx in 53 ticks, 0.117 s in all, and it was frozen for that 2 times" in text
+    assert "the others waited for cx in 53 ticks, 0.117 s in all, and then no more; its tool rested for 0 ticks" in text
     assert "waited for cy" not in text
 
 
@@ -187,8 +188,8 @@ def test_list_and_top_name_what_is_not_kept_and_whom_it_is_about() -> None:
     assert "running, 2 s; broken" in top
     assert "force limits: broken by d since 3.4 s (7 ticks)" in top
     assert (
-        "kept: passivity, delay, period, lateness energy, stated inertia, motion limits, presence, punctuality, pace"
-        in top
+        "kept: passivity, delay, period, lateness energy, stated inertia, force given, motion limits, presence, "
+        "punctuality, pace" in top
     )
     rows = [row for row in session_object(scene)["promises"] if row["state"] == "broken"]
     assert [(row["promise"], row["who"], row["since"], row["cost"]) for row in rows] == [
@@ -232,3 +233,13 @@ def test_without_a_terminal_it_prints_every_two_seconds_and_finally() -> None:
         scene, watch(frames, scene, frames.clock, lambda: False), lambda seen: told.append(frames.clock.now() / 1e9)
     )
     assert told == pytest.approx([0.1 + PRINT_EVERY / 1e9, 0.1 + 2 * PRINT_EVERY / 1e9, 5.0])
+
+
+def test_top_shows_what_each_hand_was_given_by_force_and_by_time() -> None:
+    figures = dict(zip(given.FIGURES, (4.0, 3.9, 10e6, 5e6, 1e6, 0.0), strict=True))
+    scene = scene_of(telemetry("d", 300, **figures), telemetry("cx", 300))
+    top = printed(scene, 180)
+    assert "given" in top
+    assert "97/40" in top  # rounded down: what lacks something is not all
+    assert top_object(scene)["nodes"]["d"]["figures"] == figures
+    assert "-/40" in printed(scene_of(telemetry("d", 300, **{**figures, "force_asked": 0.0})), 180)

@@ -583,7 +583,7 @@ def the_environment(tick: int, **late: int) -> Telemetry:
     """Telemetry of an environment in which each of these couplings was late and held in so many ticks."""
     figures = {f"{names.WAITED_TICKS}{name}": float(ticks) for name, ticks in late.items()}
     figures |= {f"{names.WAITED_TIME}{name}": 900.0 * ticks for name, ticks in late.items()}
-    return Telemetry(tick, figures | {f"{names.OVERDUE}{name}": float(ticks) for name, ticks in late.items()}, {})
+    return Telemetry(tick, figures | {f"{names.WAIVED}{name}": 1.0 for name in late}, {})
 
 
 class Test_notices_of_a_run:

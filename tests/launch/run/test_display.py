@@ -9,8 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from manyhands.launch.run.display import COLUMNS, RANKS, figure_table, heading, late_line, say
-from manyhands.protocol.messages import Telemetry
+from manyhands.launch.plan.topology import Topology
+from manyhands.launch.run.display import COLUMNS, RANKS, LiveTable, figure_table, heading, late_line, say
+from manyhands.launch.run.outcome import Progress
+from manyhands.launch.run.states import SessionPhase
+from manyhands.protocol.messages import PromiseStatus, Telemetry
 
 TITLES = ("node", "role", "tick", "rate\n[Hz]", *(heading(column.title) for column in COLUMNS))
 cells = st.text(st.characters(categories=["L", "N"], max_codepoint=255), max_size=12)
@@ -36,7 +39,8 @@ def test_what_is_shown_is_whole_and_the_rest_is_named(width: int, rows: list[lis
 
 
 def test_a_usual_session_has_its_most_important_figures_in_80_columns() -> None:
-    row = ["environment", "environment", "123456", "1000", "12345", "1234", "1234", "0", "0", *["-1.23e-02"] * 4, "9"]
+    row = ["environment", "environment", "123456", "1000", "12345", "1234", "1234", "100/100", "0", "0",
+           *["-1.23e-02"] * 4, "9"]  # fmt: skip
     _, left_out = shown(80, [row])
     assert not {"node", "tick", "rate\n[Hz]", "late", "τ p50\n[µs]", "τ p99\n[µs]", "frozen"} & set(left_out)
     _, wide = shown(200, [row])
@@ -64,3 +68,12 @@ def test_a_terminal_breaks_a_sentence_between_words(terminal: bool, lines: int) 
 def test_late_ticks_are_each_devices_own(late: dict[str, int], said: str) -> None:
     telemetry = {name: Telemetry(2000, {"late": float(ticks)}, {}) for name, ticks in late.items()}
     assert late_line(telemetry | {"cx": Telemetry(2000, {"speed": 1.0}, {})}) == said
+
+
+def test_a_line_says_once_that_a_hand_lacks_its_force_though_its_figures_change() -> None:
+    out = io.StringIO()
+    table = LiveTable(Console(file=out, width=200), "s", Topology({}, {}, ()), 0)
+    for n in range(3):
+        row = PromiseStatus("force given", "broken", ("dx",), 1.0, remark=f"dx was given {n} %")
+        table(Progress(SessionPhase.RUNNING, {}, {}, {}, 0.1 * n, (), {}, promises=(row,)))
+    assert [line for line in out.getvalue().splitlines() if "given" in line] == ["! dx was given 0 %"]

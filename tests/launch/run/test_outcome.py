@@ -20,6 +20,7 @@ from manyhands.launch.run.outcome import lateness_entry, lateness_sentence, node
 from manyhands.launch.run.states import Incidents
 from manyhands.launch.session import load_session
 from manyhands.nodes import telemetry as names
+from manyhands.nodes.observer.given import FIGURES
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_COUNT
 from manyhands.protocol.messages import Report, Role
@@ -72,11 +73,18 @@ def test_an_honest_nodes_entry() -> None:
 
 
 def test_who_made_the_others_wait_and_for_how_long() -> None:
-    counts = {"waited_ticks_cz": 53, "frozen_late_cz": 2, "waited_ticks_cx": 1, "waited_ticks_cy": 4}
+    counts = {
+        "waited_ticks_cz": 53,
+        "frozen_late_cz": 2,
+        "overdue_cz": 9,
+        "waived_cz": 1,
+        "waited_ticks_cx": 1,
+        "waited_ticks_cy": 4,
+    }
     entry = node_entry(Role.ENVIRONMENT, Report(100, {"waited_us_cz": 117e3, "waited_us_cx": 600.0}, counts, {}))
     assert entry["late_couplings"] == {
-        "cz": {"ticks": 53, "seconds": 0.117, "frozen": 2},
-        "cx": {"ticks": 1, "seconds": 0.0006, "frozen": 0},
+        "cz": {"ticks": 53, "seconds": 0.117, "frozen": 2, "held": 9, "waived": 1},
+        "cx": {"ticks": 1, "seconds": 0.0006, "frozen": 0, "held": 0, "waived": 0},
     }
     assert "late_causes" not in entry
 
@@ -170,9 +178,14 @@ POWER = 1e-3  # W
 PROMISE = {"tau": 0.00085, "period_tolerance": 0.25, "enforced": True, "tank": 0.005, "power": POWER}
 
 
-def late(least: float, ticks: float = 0.0, kept_back: float = 0.0, asked: float = 0.0, given: float = 0.0) -> Report:
+def late(
+    least: float, ticks: float = 0.0, kept_back: float = 0.0, asked: float = 0.0, given: float = 0.0, away: float = 0.0
+) -> Report:
     account = {names.INTERFACE: 0.02, names.INTERFACE_LEAST: least, names.INTERFACE_TICKS: ticks}
     account |= {names.INTERFACE_MARGIN: 0.005 + least, names.FORCE_ASKED: asked, names.FORCE_GIVEN: given}
+    if asked:
+        times = (10e6, 1e6 * away, 0.0, 0.0)
+        account |= dict(zip(FIGURES[2:], times, strict=True))
     return Report(100, {**HONEST.figures, **account, names.INTERFACE_KEPT_BACK: kept_back}, {}, {})
 
 
@@ -199,10 +212,10 @@ def late(least: float, ticks: float = 0.0, kept_back: float = 0.0, asked: float 
             "falling by 1 mW",
         ),
         (
-            {"dx": late(0.0, asked=4.0, given=3.9), "dy": late(0.0, asked=1.0, given=1.0), "dz": late(0.0)},
+            {"dx": late(0.0, asked=4.0, given=3.9), "dy": late(0.0, asked=1.0, given=1.0, away=0.2), "dz": late(0.0)},
             PROMISE,
             "lateness: proved up to τ = 0.85 ms, enforced beyond: 0 ticks changed, 0 mJ kept back; no account fell "
-            "below 0, bound -5 mJ, falling by 1 mW; 97.5 % of the force asked was given, or more (dx)",
+            "below 0, bound -5 mJ, falling by 1 mW; least given: 97.5 % of the force asked (dx), 98 % by time (dy)",
         ),
         (
             {"dx": late(-312.0)},
@@ -219,6 +232,28 @@ def test_a_sentence_about_lateness(
     shown = StringIO()
     print_report(Console(file=shown, width=123), made)
     assert (sentence or "no sentence") in shown.getvalue() + "no sentence"
+
+
+def test_what_a_hand_was_given_is_a_share_by_force_and_one_by_time() -> None:
+    made = whole({"dx": late(0.0, asked=4.0, given=3.9, away=6.0), "dy": late(0.0), "dz": HONEST})
+    given = {"force": 0.975, "time": 0.4, "seconds": 10.0, "away": 6.0, "held_back": 0.0, "cut": 0.0}
+    assert made["nodes"]["dx"]["given"] == pytest.approx(given)
+    assert not [name for name in ("dy", "dz") if "given" in made["nodes"].get(name, {})]
+
+
+def test_a_hand_that_lacked_its_force_has_a_sentence_with_the_cause_and_what_helps() -> None:
+    remark = "dx was given 98 % of the force asked, and 40 % by time: for 6 s it had no answer. What helps: rest"
+    row = {"promise": "force given", "state": "broken", "who": ["dx"], "since": 1.0, "until": None, "cost": {"s": 6.0}}
+    made = whole({"dx": late(0.0, asked=4.0, given=3.9, away=6.0)}) | {"promises": [{**row, "remark": remark}]}
+    shown = StringIO()
+    print_report(Console(file=shown, width=250), made)
+    said = shown.getvalue().splitlines()
+    assert said[-1] == f"worst: force given: broken at dx since 1.0 s (6 s). {remark}."
+    assert shown.getvalue().count(remark) == 1
+    failed = StringIO()
+    print_report(Console(file=failed, width=250), made, ("a fault",))
+    assert failed.getvalue().splitlines()[-2:] == [remark, "failed: a fault"]
+    assert re.search(r" dx .* 97/40 ", shown.getvalue())
 
 
 def test_a_node_without_a_report_has_a_row_and_nothing_is_claimed_of_it() -> None:

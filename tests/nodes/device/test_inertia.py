@@ -112,9 +112,9 @@ def test_the_force_that_was_given_is_held_against_the_force_that_was_asked_for()
         following = device.now + (20 * TICK if k % 4 == 3 else TICK)
         given += float(device.exerted[0]) * 1e-9 * (min(device.until or following, following) - device.now) * (k < 19)
         device.move(np.array([0.0]), following)
-    assert device.interface.asked == pytest.approx(5.0 * (15e-3 + 4 * 20e-3))
-    assert device.interface.given < 0.5 * device.interface.asked
-    assert device.interface.given <= given * (1.0 + 1e-12)
+    assert device.interface.given.asked == pytest.approx(5.0 * (15e-3 + 4 * 20e-3))
+    assert device.interface.given.given < 0.5 * device.interface.given.asked
+    assert device.interface.given.given <= given * (1.0 + 1e-12)
 
 
 def test_a_power_fills_the_tank_and_lowers_the_bound() -> None:

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manyhands.nodes.observer.alarms import HOLD, MOST_ALARMS, UNHEARD, Alarm, AlarmLevel, Alarms
+from manyhands.nodes.observer.given import FIGURES
 from manyhands.nodes.observer.health import Health
 from manyhands.nodes.observer.scene import About, Scene
 from manyhands.protocol.clock import Instant, from_seconds
@@ -67,12 +68,17 @@ def test_a_session_that_is_well_has_none() -> None:
         (
             observed("environment", 100, NO_TRACE, waited_ticks_vl=53.0, waited_us_vl=117e3, frozen_late_vl=2.0),
             AlarmLevel.WARNING,
-            "waited for vl in 53 ticks, 0.117 s in all, and it was frozen for that 2 times",
+            "waited for vl in 53 ticks, 0.117 s in all, and then no more; its tool rested for 0 ticks",
         ),
         (
             observed("environment", 100, NO_TRACE, frozen=2.0, **{"frozen:vl@90": 1.0, "frozen:vr@95": 1.0}),
             AlarmLevel.WARNING,
             "vl is frozen: it takes no part, and the others go on; vr is frozen",
+        ),
+        (
+            observed("left", 100, NO_TRACE, **dict(zip(FIGURES, (9.0, 4.5, 2e6, 0.0, 1e6, 0.0), strict=True))),
+            AlarmLevel.WARNING,
+            "left was given 50 % of the force asked, and all of it in 50 % of the last 2 s",
         ),
     ],
 )

@@ -58,8 +58,8 @@ def test_a_session_that_is_well_keeps_all_its_promises() -> None:
     rows = model(TERMS, ("dx", 100, quiet), ("world", 100, {"frozen": 0.0, "began@0": 1.0})).rows()
     assert {row.state for row in rows} == {"kept"}
     assert [row.promise for row in rows] == [
-        "passivity", "delay", "period", "lateness energy", "stated inertia", "force limits", "motion limits",
-        "presence", "punctuality",
+        "passivity", "delay", "period", "lateness energy", "stated inertia", "force limits", "force given",
+        "motion limits", "presence", "punctuality",
         "pace",
     ]  # fmt: skip
     assert (session_health(rows), holds(rows), summary(rows)) == (Health.OK, True, "")
@@ -68,7 +68,7 @@ def test_a_session_that_is_well_keeps_all_its_promises() -> None:
 @pytest.mark.parametrize(
     ("terms", "promises"),
     [
-        (UNCERTIFIED, {"force limits", "motion limits", "presence", "punctuality", "pace"}),
+        (UNCERTIFIED, {"force limits", "force given", "motion limits", "presence", "punctuality", "pace"}),
         (SIMULATED, {"passivity", "force limits", "motion limits", "presence"}),
         (OWN_TIME,
          {"passivity", "delay", "period", "force limits", "motion limits", "presence", "punctuality", "pace"}),
@@ -357,3 +357,83 @@ def test_whatever_comes_the_rows_fit_a_condition(news: Sequence[tuple[object, ..
         assert decode(encode(sent), MAX_CONTROL_BYTES) == sent
         assert session_health(rows) in Health
         assert all(row.since is None or row.since >= 0.0 for row in rows)
+
+
+def told(at: float, asked: float, given: float, **seconds: float) -> Told:
+    """What dx has told of its force at ``at`` (s): impulses, and the time without all of it by its cause."""
+    figures = {"force_asked": asked, "force_given": given, "force_time_us": 1e6 * at}
+    kinds = ("away", "held_back", "cut")
+    figures |= {f"force_{kind}_us": 1e6 * seconds.get(kind, 0.0) for kind in kinds}
+    return "dx", round(at / T), figures
+
+
+def frozen(at: float, times: float) -> Told:
+    return "world", round(at / T), {"waited_ticks_cx": 9.0 * times, "waited_us_cx": 1e3, "frozen_late_cx": times}
+
+
+def of_force(found: HealthModel) -> PromiseStatus | None:
+    rows = [row for row in missed(found.rows()) if row.promise == Promise.GIVEN]
+    return rows[0] if rows else None
+
+
+def test_a_hand_that_waits_for_answers_is_not_given_its_force_though_all_that_was_asked_was_exerted() -> None:
+    """The coupling is frozen again and again: by force 98 % were given, while the hand felt next to nothing."""
+    found = model(replace(TERMS, couplings={"dx": ("cx",)}), frozen(2.0, 9.0), told(2.0, 1.0, 0.98, away=1.2))
+    row = of_force(found)
+    assert row is not None
+    assert (row.state, row.who, row.since, row.cost) == (BROKEN, ("dx",), 2.0, {"s": pytest.approx(1.2)})
+    assert row.remark == (
+        "dx was given 98 % of the force asked, and all of it in 40 % of the last 2 s: for 1.2 s of them it had no "
+        "answer in time, or its force rose again after that; cx was frozen 9 times for staying silent, which "
+        "the machine that they share may have caused. What helps: close other programs, use a longer period or "
+        "colocate: true (manyhands doctor compares them)"
+    )
+    assert "at dx" in sentence(row)  # it is nobody's deed, least of all the deed of the one who lacks the force
+    assert "by dx" not in sentence(row)
+    assert session_health(found.rows()) is Health.ENFORCED
+    assert holds(found.rows())  # the certificate is about energy, and stands
+
+
+@pytest.mark.parametrize(
+    ("terms", "seconds", "words"),
+    [
+        (replace(TERMS, together=True), {"away": 1.5}, "use a longer period (manyhands doctor)"),
+        (replace(TERMS, couplings={"dx": ("cx",), "dy": ("cx",)}), {"away": 1.5}, "use a longer period (manyhands"),
+        (TERMS, {"held_back": 1.5}, "the reserve for lateness (faults.tank) held them back"),
+        (TERMS, {"cut": 1.5, "away": 0.2}, "raise these limits if the device can do more, or soften the world"),
+    ],
+)
+def test_why_a_force_was_not_given_and_what_helps(terms: Terms, seconds: Mapping[str, float], words: str) -> None:
+    row = of_force(model(terms, told(2.0, 10.0, 9.9, **seconds)))
+    assert row is not None
+    assert words in row.remark
+    assert "frozen" not in row.remark
+
+
+@pytest.mark.parametrize(
+    ("terms", "one"),
+    [
+        (TERMS, told(1.9, 1.0, 0.0, away=1.9)),  # too short to judge
+        (TERMS, told(10.0, 50.0, 46.0, away=0.9)),
+        (TERMS, told(10.0, 1e-9, 0.0)),  # what was asked is nothing that a hand feels
+        (SIMULATED, told(10.0, 50.0, 5.0, away=9.0)),
+        (TERMS, ("dx", 10_000, {"force_asked": math.nan, "force_given": 0.0, "force_time_us": 1e7})),
+    ],
+)
+def test_what_is_enough_or_no_lack_at_all(terms: Terms, one: Told) -> None:
+    assert of_force(model(terms, one)) is None
+
+
+def test_a_lack_of_force_is_over_once_the_last_seconds_are_well() -> None:
+    found = model(TERMS, told(2.0, 10.0, 6.0, held_back=0.8), told(3.0, 15.0, 11.0, held_back=0.8))
+    row = of_force(found)
+    assert row is not None
+    assert row.until is None
+    for at in range(4, 8):
+        found.take(*told(float(at), 5.0 * at, 5.0 * at - 4.0, held_back=0.8))
+    row = of_force(found)
+    assert row is not None
+    assert row.until == 7.0  # in the five seconds before, more than nine tenths were given
+    found.take("dx", 8000, {"began@8000": 1.0})  # a new process counts from 0
+    found.take(*told(8.0, 40.0, 36.0, held_back=0.8))
+    assert session_health(found.rows()) is Health.OK
