@@ -293,6 +293,8 @@ def test_a_session_slower_than_its_period_says_so_with_the_ratio(ratio: float) -
     assert "of real time" in row.remark
     assert "of 1000 ticks a second" in row.remark
     assert "manyhands doctor" in row.remark
+    assert "colocate" not in row.remark
+    assert " or colocate: true (manyhands" in only(paced(ratio, 20.0, replace(TERMS, may_colocate=True))).remark
 
 
 def test_the_pace_is_reported_once_however_often_it_is_lost() -> None:
