@@ -1,8 +1,9 @@
 """Build hook: compiles the modules of the tick with mypyc (docs/decisions/0032-a-compiled-tick.md).
 
-The hook is off by default, and a wheel then is pure Python. It is switched on by an environment variable:
+Every wheel has it, with the tag of its platform. Hatch's own environment variable turns the hook off, for a wheel that
+is pure Python (py3-none-any):
 
-    HATCH_BUILD_HOOK_ENABLE_CUSTOM=true pip install .
+    HATCH_BUILD_NO_HOOKS=true pip install .
 
 Where there is no compiler, or it fails, the wheel is pure Python as well, and a warning gives the reason. An editable
 installation is never compiled: an extension would take precedence over the source that somebody edits.
@@ -10,6 +11,7 @@ installation is never compiled: an extension would take precedence over the sour
 
 from __future__ import annotations
 
+import importlib.util
 import shutil
 import subprocess
 import sys
@@ -92,11 +94,17 @@ def compiled(root: Path, folder: Path, modules: list[str] = MODULES) -> dict[str
         The extensions, by file the place in the wheel.
 
     Raises:
-        NotCompiled: there is no compiler, or no mypyc, or one of them failed.
+        NotCompiled: there is no compiler, no header or no mypyc, or one of them failed.
     """
     compiler = (sysconfig.get_config_var("CC") or "cc").split()[0]
     if shutil.which(compiler) is None:
         raise NotCompiled(f"found no C compiler {compiler}; expected one")
+    header = Path(sysconfig.get_path("include")) / "Python.h"
+    if not header.exists():
+        raise NotCompiled(f"found no {header}; expected the headers of this Python (python3-dev)")
+    for library in ("mypyc", "setuptools"):
+        if importlib.util.find_spec(library) is None:
+            raise NotCompiled(f"found no {library}; expected mypy[mypyc]")
     package = folder / "manyhands"
     package.mkdir()
     for file in (root / "src" / "manyhands").glob("*.py*"):
@@ -114,10 +122,16 @@ def compiled(root: Path, folder: Path, modules: list[str] = MODULES) -> dict[str
         check=False,
     )
     if done.returncode != 0:
-        raise NotCompiled((done.stderr or done.stdout).strip()[-2000:])
+        raise NotCompiled(_last_words(done.stderr or done.stdout))
     suffix = sysconfig.get_config_var("EXT_SUFFIX")
     found = [*folder.glob(f"*{suffix}"), *package.rglob(f"*{suffix}")]
     return {str(file): str(file.relative_to(folder)) for file in found}
+
+
+def _last_words(output: str) -> str:
+    """The last line of a failed compilation that says anything; a build's log is no place for a thousand others."""
+    said = [line.strip() for line in output.splitlines() if line.strip()]
+    return said[-1][:500] if said else "the compiler failed, and said nothing"
 
 
 class CompiledTick(BuildHookInterface[Any]):

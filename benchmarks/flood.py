@@ -251,7 +251,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         (folder / "session.yaml").write_text(
-            f"{shipped.read_text()}\nobservers: {{{OBSERVER}: {{reads: [telemetry]}}}}\n"
+            f"{shipped.read_text()}\nobservers: {{{OBSERVER}: {{reads: [telemetry]}}}}\ncolocate: false\n"
         )
         for command, option, target in (("invite", "--keys", "keys"), ("design", "-o", "certificate.json")):
             subprocess.run(  # noqa: S603 -- our own command

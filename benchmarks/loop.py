@@ -47,7 +47,7 @@ def prepare(folder: Path, colocated: bool = False) -> dict[str, object]:
     The session is designed for this machine, as ``launch`` does it without a certificate.
     """
     text = SESSION.read_text().replace("\ndesign:\n", "\ndesign:\n  tau: auto\n")
-    (folder / "session.yaml").write_text(f"{text}\ncolocate: true\n" if colocated else text)
+    (folder / "session.yaml").write_text(f"{text}\ncolocate: {str(colocated).lower()}\n")
     subprocess.run(  # noqa: S603 -- our own command
         [*MANYHANDS, "design", str(folder / "session.yaml"), "-o", str(folder / "certificate.json")],
         check=True,

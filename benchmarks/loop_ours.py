@@ -27,8 +27,7 @@ def install_compiled() -> bool:
     """Compile the package's tick into :data:`COMPILED`; returns whether that succeeded."""
     command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--upgrade", "--target", str(COMPILED)]
     shutil.rmtree(COMPILED, ignore_errors=True)  # an extension of an earlier build would pass for one of this
-    environment = {**os.environ, "HATCH_BUILD_HOOK_ENABLE_CUSTOM": "true"}
-    code = subprocess.run([*command, str(Path(__file__).parents[1])], env=environment, check=False).returncode  # noqa: S603
+    code = subprocess.run([*command, str(Path(__file__).parents[1])], check=False).returncode  # noqa: S603
     return code == 0 and any(COMPILED.glob("*.so"))
 
 

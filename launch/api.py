@@ -17,6 +17,7 @@ from manyhands.design.certificate import Certificate, certificate_of, content, r
 from manyhands.design.errors import CertificateError
 from manyhands.extras import explained, require
 from manyhands.launch.files import load_named
+from manyhands.launch.plan.colocation import Where, settle_colocation
 from manyhands.launch.plan.delay import settle_delay
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import Prepared, certify, prepare
@@ -266,7 +267,8 @@ def launch(
     """Run every device, coupling and the environment as processes of this machine, for as long as a ``with`` block.
 
     The session starts when the block is entered, and ends when it is left, or after ``duration``. In real time a
-    session that states no delay is designed for the one that is measured here, as the command does.
+    session that states no delay is designed for the one that is measured here, as the command does. On a machine with
+    fewer processors than processes, each coupling runs in its device's process, unless the session states ``colocate``.
 
     Args:
         session: the session, or what :func:`load` takes.
@@ -313,6 +315,7 @@ def launch(
     file = None if record is None else Path(record)
     if file is not None:
         require_suffix(file, RUN_SUFFIXES)
+    loaded, _ = settle_colocation(loaded, Where.of(realtime=clock == REALTIME), transport)
     plan = Plan(loaded)
     require_runnable(plan.graph, len(loaded.observers))
     require_engine(loaded)

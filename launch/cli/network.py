@@ -170,6 +170,7 @@ def invite(
     """
     with errors():
         from manyhands.launch.plan.bundles import invite as cut_bundle
+        from manyhands.launch.plan.colocation import Where, settle_colocation
         from manyhands.launch.plan.keys import load_folder, make_keys, run_keys
 
         wanted = nodes or []
@@ -182,7 +183,7 @@ def invite(
             refuse("found --json with NODE; expected it for keys alone")
         if not wanted and (output is not None or certificate is not None):
             refuse(f"found no NODE for {'-o' if output is not None else '--certificate'}; expected one of the session")
-        loaded = load_named(session, overrides)
+        loaded, _ = settle_colocation(load_named(session, overrides), Where.APART)  # as the launch with --remote will
         if keys is not None and not wanted:
             end(run_keys(loaded, keys, renew, out, err, as_json))
             return
@@ -288,6 +289,7 @@ def host(
         from manyhands.launch.design_report import progress_on
         from manyhands.launch.doctor.profile import drop_profile, outlived
         from manyhands.launch.doctor.rates import certified_lines
+        from manyhands.launch.plan.colocation import Where, settle_colocation
         from manyhands.launch.plan.engine import require_engine
         from manyhands.launch.plan.keys import load_folder, make_keys
         from manyhands.launch.plan.plan import Plan
@@ -304,7 +306,7 @@ def host(
         from manyhands.launch.plan.topology import require_runnable
         from manyhands.launch.run.session_run import run_session
 
-        loaded = load_named(session, overrides)
+        loaded, _ = settle_colocation(load_named(session, overrides), Where.HOSTED, "tcp")
         seats = seat_nodes(loaded)
         ticks = 0 if duration is None else ticks_of(loaded, duration)
         place = Listen.parse(listen)

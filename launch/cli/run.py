@@ -37,6 +37,7 @@ from manyhands.launch.cli.common import (
 )
 from manyhands.launch.design_report import print_report
 from manyhands.launch.files import claimed, load_named, require_target
+from manyhands.launch.plan.colocation import Where, settle_colocation
 from manyhands.launch.plan.engine import require_engine
 from manyhands.launch.plan.hosts import by_hand, hosts_of, require_hosts_alone
 from manyhands.launch.plan.keys import load_folder
@@ -185,7 +186,11 @@ def launch(
     certificate: CertificatePath = None,
     uncertified: Uncertified = False,
 ) -> None:
-    """Run every device, coupling and the environment as processes of their own, until --duration or Ctrl-C."""
+    """Run every device, coupling and the environment as processes of their own, until --duration or Ctrl-C.
+
+    In real time, on a machine with fewer processors than processes, each coupling runs in its device's process, unless
+    the session says otherwise: --set colocate=false, or true.
+    """
     with errors("design"), ExitStack() as claims:
         from manyhands.launch.doctor.profile import drop_profile, outlived
         from manyhands.launch.doctor.rates import certified_lines
@@ -207,6 +212,9 @@ def launch(
         if report is not None:
             require_target(report)
             claims.enter_context(claimed(report))
+        invited = bool(on or remote) or (uncertified and listen is not None)  # such an id has the form in it
+        where = Where.of(realtime=clock == REALTIME, elsewhere=invited)
+        loaded, processes = settle_colocation(loaded, where, transport or SCHEMES[0], not insecure)
         plan = Plan(loaded)
         require_runnable(plan.graph, len(loaded.observers))
         if ENVIRONMENT not in remote:
@@ -249,6 +257,8 @@ def launch(
             raise
         for line in certified_lines(prepared, settled, profile, time.time()) if clock == REALTIME else ():
             say(err, line)
+        if processes:
+            say(err, f"{loaded.name}: {processes}")
         warn_of_code(err, loaded, ways.remote - hosts.keys())
         for name in sorted(ways.remote):
             if name in hosts:
@@ -288,8 +298,8 @@ def demo(
 
         require_one_of("--clock", clock, CLOCKS)
         require_folder(output)
-        shipped = {name: load_named(Path(f"{name}.yaml"), []) for name in DEMO_SESSIONS}
-        shipped["example1-limited"] = load_named(Path("example1-uncoupled.yaml"), [*LIMITED])
+        shipped = {name: load_named(Path(f"{name}.yaml"), [_APART]) for name in DEMO_SESSIONS}
+        shipped["example1-limited"] = load_named(Path("example1-uncoupled.yaml"), [_APART, *LIMITED])
         require_runnable(Plan(shipped["example1"]).graph)
         ticks = ticks_of(shipped["example1"], duration, kept=True)
         shipped["example1"], profile = settle_delay(shipped["example1"], realtime=clock == REALTIME)
@@ -297,3 +307,4 @@ def demo(
 
 
 DEMO_SESSIONS = ("example1", "example1-centralised", "example1-uncoupled")
+_APART = "colocate=false"  # the paper's structure on every machine: a process for each block of V

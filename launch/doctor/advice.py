@@ -136,6 +136,13 @@ def advice(machine: Machine, measured: Measured, worth: Worth, chains: int) -> t
                 f"boot with the clock source tsc: found {machine.clock_source}", "clock readings without system calls"
             )
         )
+    if not machine.compiled:
+        found.append(
+            Advice(
+                "install manyhands as a wheel, where there is a C compiler: its tick is pure Python here",
+                "a compiled tick, whose delays were a quarter shorter where they were compared; the same numbers",
+            )
+        )
     if not machine.curve:
         found.append(Advice("install a libzmq with CURVE", "sessions over tcp, which are refused without encryption"))
     return tuple(found)

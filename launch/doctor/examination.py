@@ -17,17 +17,19 @@ from rich.text import Text
 from manyhands.launch.design_report import print_json
 from manyhands.launch.doctor.advice import QUANTILES, Advice, Worth, advice, stiffness_object
 from manyhands.launch.doctor.machine import Machine, examine
-from manyhands.launch.doctor.probe import MOST_PROCESSES, Measured, measure
+from manyhands.launch.doctor.probe import MOST_PROCESSES, Form, Measured, measure
 from manyhands.launch.doctor.profile import LEAST_KEPT, Profile, cache_folder, keep_profile
 from manyhands.launch.doctor.rates import form_figures, print_rates, rates_object
 from manyhands.launch.doctor.wakeup import Spread
 from manyhands.launch.files import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_OK
+from manyhands.launch.plan.colocation import Where, choose, settle_colocation
 from manyhands.launch.plan.delay import ProbeFailed, ProbeInterrupted
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import haptic_loop
 from manyhands.launch.plan.topology import chains_of, require_runnable
 from manyhands.launch.run.display import say
 from manyhands.launch.session import Session
+from manyhands.launch.session.design import AUTO
 from manyhands.nodes.realtime import Grant
 
 _WAYS = {
@@ -82,6 +84,7 @@ def machine_rows(machine: Machine) -> dict[str, str]:
         "real-time threads get": share,
         "locked memory": f"RLIMIT_MEMLOCK {memory}, {locks}",
         "Python": f"{machine.python}, {'with' if machine.gil else 'without'} a global lock",
+        "tick": "compiled" if machine.compiled else "pure Python; a wheel built beside a C compiler has it compiled",
         "ZeroMQ": f"{machine.zeromq} (pyzmq {machine.pyzmq}), CURVE {_yes(machine.curve)}, ipc {_yes(machine.ipc)}",
     }
 
@@ -154,6 +157,8 @@ def run_doctor(session: Session, seconds: float, out: Console, err: Console, as_
     Returns:
         The exit code.
     """
+    stated = session
+    session, _ = settle_colocation(stated, Where.HERE)
     plan = Plan(session)
     graph = plan.graph
     if not (math.isfinite(seconds) and LEAST_SECONDS <= seconds <= MOST_SECONDS):
@@ -174,12 +179,14 @@ def run_doctor(session: Session, seconds: float, out: Console, err: Console, as_
     except ProbeFailed as error:
         say(err, f"error: the probe failed: {error}")
         return EXIT_FAILED
-    advised = advice(machine, measured, worth, len(chains_of(graph)))
     now = time.time()
     profiles = {
         form: found if isinstance(found, str) else found.profile(form.plan(session), measured.each, now)
         for form, found in measured.forms.items()
     }
+    chosen = choose(stated, Where.HERE, len(machine.usable), of_both_forms(profiles, session.period))
+    better = colocation_advice(stated, len(machine.usable), of_both_forms(profiles, session.period))
+    advised = (*better, *advice(machine, measured, worth, len(chains_of(graph))))
     rates = list(form_figures(worth, profiles))
     kept = _keep(profiles.values(), err)
     if as_json:
@@ -188,9 +195,28 @@ def run_doctor(session: Session, seconds: float, out: Console, err: Console, as_
     print_machine(out, machine, measured.waking.granted)
     print_measured(out, measured, session.period)
     print_rates(out, session.name, rates)
+    if chosen.reason:
+        say(out, f"{session.name}, launched: {chosen.reason}")
     print_worth(out, measured, worth, advised)
     say(out, kept)
     return EXIT_OK
+
+
+def of_both_forms(profiles: Mapping[Form, Profile | str], period: float) -> dict[bool, Profile]:
+    """The profiles of a period that are long enough to be kept, by whether couplings were co-located."""
+    return {
+        form.colocated: profile
+        for form, profile in profiles.items()
+        if form.period == period and isinstance(profile, Profile) and profile.seconds >= LEAST_KEPT
+    }
+
+
+def colocation_advice(session: Session, processors: int, measured: Mapping[bool, Profile]) -> tuple[Advice, ...]:
+    """Advice to let the machine choose, where the session keeps couplings apart and the machine would not."""
+    free = choose(session.model_copy(update={"colocate": AUTO}), Where.HERE, processors, measured)
+    if session.colocate is not False or not free.colocate:
+        return ()
+    return (Advice("leave out colocate: false, which the session states", free.reason),)
 
 
 def _keep(profiles: Iterable[Profile | str], err: Console) -> str:

@@ -15,6 +15,7 @@ from typing import Any
 
 import zmq
 
+from manyhands.nodes.device import tick
 from manyhands.nodes.realtime import CAP_IPC_LOCK, CAP_SYS_NICE, Linux
 
 _CONTAINER_MARKS = (".dockerenv", "run/.containerenv", "run/systemd/container")
@@ -44,6 +45,7 @@ class Machine:
         pyzmq: version of its Python binding.
         curve: whether libzmq can encrypt (CURVE).
         ipc: whether libzmq can use Unix-domain sockets.
+        compiled: whether the modules of a tick are compiled.
     """
 
     kernel: str
@@ -65,6 +67,7 @@ class Machine:
     pyzmq: str
     curve: bool
     ipc: bool
+    compiled: bool
 
     def plain(self) -> dict[str, Any]:
         """The machine as plain data, for ``--json``."""
@@ -99,7 +102,13 @@ def examine(root: Path = Path("/")) -> Machine:
         pyzmq=zmq.__version__,
         curve=bool(zmq.has("curve")),
         ipc=bool(zmq.has("ipc")),
+        compiled=has_compiled_tick(),
     )
+
+
+def has_compiled_tick() -> bool:
+    """Whether the modules of a tick are extensions (docs/decisions/0032-a-compiled-tick.md)."""
+    return not str(tick.__file__).endswith(".py")
 
 
 def preemption(version: str) -> str:

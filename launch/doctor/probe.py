@@ -128,7 +128,7 @@ RATES: Final = (1e-3, 0.5e-3, 0.25e-3)
 
 def forms_of(session: Session) -> tuple[Form, ...]:
     """The forms in which a session is measured: each rate, co-located too where every coupling is of one device."""
-    together = (False, True) if all(len(session.devices_of(name)) == 1 for name in session.couplings) else (False,)
+    together = (False,) if session.shared_couplings else (False, True)
     periods = sorted({session.period, *RATES}, reverse=True)
     return tuple(Form(period, colocated) for period in periods for colocated in together)
 
@@ -198,7 +198,7 @@ def measure(
         ProbeFailed: a process did not start, did not answer, or ended early.
     """
     session, forms = plan.session, forms_of(plan.session)
-    own = Form(session.period, session.colocate)
+    own = Form(session.period, session.colocated)
     with Interrupt() as interrupt:
         show("how late a process wakes")
         with run_directory() as directory:
@@ -259,7 +259,7 @@ def at_rest(session: Session, form: Form | None = None) -> Session:
         form: its rate, and whether its couplings are co-located; by default its own.
     """
     if form is None:
-        form = Form(session.period, session.colocate)
+        form = Form(session.period, session.colocated)
     devices = {
         name: {"dof": device.dof, "axes": device.axes, "osp": 1.0, "driver": "simulated", "mass": 1.0,
                "hand": {"force": 0.0}}

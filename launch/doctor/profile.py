@@ -37,6 +37,7 @@ import zmq
 
 from manyhands import __version__
 from manyhands.design.files import open_regular, replacing
+from manyhands.launch.doctor.machine import has_compiled_tick
 from manyhands.launch.plan.plan import Plan
 from manyhands.nodes.realtime import may_raise
 
@@ -191,6 +192,7 @@ def profile_key(plan: Plan, transport: str, encrypted: bool, places: Mapping[str
         "processors": sorted(os.sched_getaffinity(0)),
         "fifo": may_raise(),
         "python": platform.python_version(),
+        "compiled": has_compiled_tick(),
         "zeromq": zmq.zmq_version(),
         "transport": transport,
         "encrypted": encrypted,

@@ -193,8 +193,7 @@ def _certified(certificate: Certificate, session: Session, profile: Profile | No
         f"{worth.weakest(0.0, 0.0):.4g} N/m without delay"
     )
     if profile is not None and not allowance(profile, T).covered and tau >= T:
-        may_be_together = not session.colocate and any(form.colocated for form in forms_of(session))
-        together = " or colocate=true" if may_be_together else ""
+        together = "" if session.colocated or session.shared_couplings else " or colocate=true"
         found, ticks = profile.tau.p995 * 1e-6, round(1.0 / (1.0 - QUANTILE))
         yield (
             f"one tick in {ticks} takes longer than {_ms(found)} here, and no certificate covers more than the "

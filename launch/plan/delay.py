@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from manyhands.launch.plan.colocation import Where, settle_colocation
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import NotCertified, must_measure
 from manyhands.launch.plan.topology import require_runnable
@@ -71,7 +72,8 @@ def settle_delay(
     from manyhands.launch.doctor.probe import PROFILE_TIME, Way, measure_profile
     from manyhands.launch.doctor.profile import allowance, keep_profile, kept_profile
 
-    plan = Plan(session)
+    form, _ = settle_colocation(session, Where.HERE, transport, encrypted)  # launch has done so; design measures, too
+    plan = Plan(form)
     way = Way.of_run(plan, transport, encrypted)
     profile = kept_profile(way.profile_key(plan), time.time())
     if not wanted:

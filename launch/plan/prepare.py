@@ -521,5 +521,6 @@ def _unproved_blocks(session: Session, loop: HapticLoop, why: DesignError | None
 
 
 def _uncertified_id(session: Session) -> str:
-    content = json.dumps(session.as_plain(), sort_keys=True)
+    settled = session.as_plain() | {"colocate": session.colocated}  # the word for "as the machine needs it" is no form
+    content = json.dumps(settled, sort_keys=True)
     return UNCERTIFIED + hashlib.sha256(content.encode()).hexdigest()

@@ -20,6 +20,7 @@ from manyhands.launch.plan.keys import Keys
 from manyhands.launch.plan.reach import Listen, ReachError, reach
 from manyhands.launch.plan.sites import certificate_files
 from manyhands.launch.session import SUPERVISOR, Session
+from manyhands.launch.session.errors import listed
 from manyhands.nodes.bundle import REALTIME, CouplingBundle, DeviceBundle
 from manyhands.nodes.invitation import Invitation
 from manyhands.nodes.seat_part import SeatPart
@@ -41,6 +42,13 @@ def seats_of(session: Session) -> dict[str, str]:
             f"{session.name}: found no wave link; expected a coupling with a wave_link for each user who comes and goes"
         )
     apart = [name for name in session.wave_links if name not in session.carriers]
+    if apart and session.shared_couplings:
+        shared = session.shared_couplings[0]
+        raise ReachError(
+            f"{session.name}: found the coupling {shared!r} of the devices {listed(session.devices_of(shared))}, with "
+            f"the seat {apart[0]!r}; expected couplings of one device each, for a guest runs a seat's device and "
+            "coupling in one process"
+        )
     if apart:
         raise ReachError(
             f"{session.name}: found colocate: false with the seat {apart[0]!r}; expected colocate: true, for a guest "

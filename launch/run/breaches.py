@@ -244,6 +244,7 @@ class BreachPolicy:
         covered: Mapping[str, Covered],
         ladder: CertifiedLadder | None,
         rungs: Mapping[str, int],
+        may_colocate: bool = False,
     ) -> None:
         """Begin without any telemetry.
 
@@ -253,7 +254,9 @@ class BreachPolicy:
             covered: what the certificate of each device covers.
             ladder: softer couplings; None where there are none.
             rungs: the rung that each coupling was changed to; the caller, which carries out decisions, updates it.
+            may_colocate: whether the couplings, now in processes of their own, could be in their devices'.
         """
+        self._at_most = _AT_MOST.format(" or colocate=true" if may_colocate else "")
         self._policy, self._chains, self._covered = policy, chains, covered
         self._ladder, self._rungs = ladder, rungs
         self._late: dict[Breach, dict[str, _LateTicks]] = {breach: {} for breach in Breach}
@@ -444,7 +447,9 @@ class BreachPolicy:
             named.append(device)
         late = self._late[breach]
         whole = all(self._covered[name].tau >= self._covered[name].period for name in named)
-        next_ = _AT_MOST if whole else _NEXT if all(one.in_tick for one in self._covered.values()) else _BESIDE_LINKS
+        next_ = (
+            self._at_most if whole else _NEXT if all(one.in_tick for one in self._covered.values()) else _BESIDE_LINKS
+        )
         if not any(self._covered[name].in_tick for name in named):
             next_ = _BEHIND_LINKS
         if breach is Breach.PERIOD:
@@ -487,7 +492,7 @@ _BEHIND_LINKS: Final = (
     "the delay is that of the user's own machine, and not of the network: close other programs there, or state a "
     "longer wave_link.tau or wave_link.period of its coupling"
 )
-_AT_MOST: Final = "close other programs, or use a longer period or colocate=true (manyhands doctor compares them)"
+_AT_MOST: Final = "close other programs, or use a longer period{} (manyhands doctor compares them)"
 
 
 def _beyond(found: Mapping[str, str], covered: Mapping[str, str], *more: str) -> str:
@@ -523,7 +528,9 @@ class Assumptions:
         waited_for: the couplings that made the others wait, and were frozen for it.
     """
 
-    def __init__(self, prepared: Prepared, graph: Topology, clock: str, rungs: Mapping[str, int]) -> None:
+    def __init__(
+        self, prepared: Prepared, graph: Topology, clock: str, rungs: Mapping[str, int], elsewhere: bool = False
+    ) -> None:
         """Begin without any telemetry.
 
         Args:
@@ -531,6 +538,7 @@ class Assumptions:
             graph: its nodes and links.
             clock: "realtime" or "simulated"; nothing is late under the simulated one.
             rungs: the rung of the ladder that each coupling was changed to.
+            elsewhere: whether nodes run on other machines.
         """
         session = prepared.session
         devices = [name for name, role in graph.nodes.items() if role is Role.DEVICE]
@@ -541,6 +549,7 @@ class Assumptions:
             {device: _covered(prepared, device) for device in devices},
             prepared.ladder,
             rungs,
+            not (elsewhere or graph.carriers or session.shared_couplings),
         )
         self._couplings = [name for name, role in graph.nodes.items() if role is Role.COUPLING]
         self._policy.take_waits(0, {})  # from tick 0 on, the environment reports which couplings were late

@@ -249,7 +249,7 @@ _DELAY: Final = Quantity("a delay inside the tick", "s", least=0.0, most=LONGEST
 _TOLERANCE: Final = Quantity("a part of the period", least=0.0, most=1.0)
 _DELAYS: Final = Items("delays", MAX_RUNGS, _DELAY, least=0)
 AUTO: Final = "auto"
-"""The word in place of a delay that is to be measured."""
+"""The word in place of a value that the machine decides, such as a delay that is to be measured."""
 _PART: Final = Quantity("a part", above=0.0, most=MOST)
 _ORDER: Final = Whole("states for each port", 1, MAX_PORT_ORDER)
 _ORDERS: Final = NamedParts(part_name("a coupling name"), MAX_COUPLINGS)

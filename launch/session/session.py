@@ -36,7 +36,7 @@ from pydantic import (
 )
 
 from manyhands.design.models.brief import brief_names
-from manyhands.launch.session.design import TRANSPARENCY, Design, full_matrix
+from manyhands.launch.session.design import AUTO, TRANSPARENCY, Design, full_matrix
 from manyhands.launch.session.device import Device
 from manyhands.launch.session.environment import (
     GROUND,
@@ -50,7 +50,6 @@ from manyhands.launch.session.environment import (
 from manyhands.launch.session.errors import SessionError, listed, one_of, show
 from manyhands.launch.session.fields import (
     Choice,
-    Flag,
     Items,
     NamedParts,
     Period,
@@ -336,6 +335,16 @@ def observer_problems(observers: Mapping[str, Observer], nodes: Mapping[str, Rol
             yield problem._replace(at=(*at, *problem.at))
 
 
+_COLOCATE_FORM: Final = either({"type": "boolean"}, {"const": AUTO})
+
+
+def _colocate(value: object) -> object:
+    """Whether couplings run in their devices' processes, or the word for what a machine decides."""
+    if value == AUTO or isinstance(value, bool):
+        return value
+    raise refuse(show(value), f"{AUTO}, true or false")
+
+
 _BEGUN_BY_OVERRIDES: Final = frozenset(
     {("design", "weights"), ("design", "weights", "W1"), ("design", "weights", "W2"), ("faults",)}
 )
@@ -362,7 +371,9 @@ class Session(SessionModel):
     observers: Annotated[
         dict[str, Observer], BeforeValidator(NamedParts(part_name("an observer name"), MAX_OBSERVERS, least=0))
     ] = Field(default={}, description="the observers by name, and the channels that each may read")
-    colocate: Flag = Field(default=False, description="whether each coupling runs in its device's process")
+    colocate: Annotated[bool | Literal["auto"], BeforeValidator(_colocate), WithJsonSchema(_COLOCATE_FORM)] = Field(
+        default=AUTO, description="whether each coupling runs in its device's process; auto: as the machine needs it"
+    )
     faults: Faults = Field(default=Faults(), description="what follows deaths of processes and breaches of delay")
 
     @model_validator(mode="before")
@@ -380,7 +391,7 @@ class Session(SessionModel):
         problems += islice(observer_problems(self.observers, self.roles), MAX_PROBLEMS)
         motions = {name: (d.trace, d.limits) for name, d in self.devices.items() if d.trace is not None}
         problems += islice(motion_problems(motions, self.period), MAX_PROBLEMS)
-        if not problems and self.colocate:
+        if not problems and self.colocated:
             problems += islice(self._colocation_problems(), MAX_PROBLEMS)
         if not problems:
             problems += islice(self._wave_link_problems(), MAX_PROBLEMS)
@@ -411,10 +422,9 @@ class Session(SessionModel):
 
     def _colocation_problems(self) -> Iterator[Problem]:
         """A problem for each coupling of several devices: it receives the motion of all, so no device may run it."""
-        for name in self.couplings:
-            if len(self.devices_of(name)) > 1:
-                found = f"true, with the coupling {name!r} of the devices {listed(self.devices_of(name))}"
-                yield Problem(("colocate",), found, "couplings of one device each, or false")
+        for name in self.shared_couplings:
+            found = f"true, with the coupling {name!r} of the devices {listed(self.devices_of(name))}"
+            yield Problem(("colocate",), found, "couplings of one device each, or false")
 
     def _series_problems(self) -> Iterator[Problem]:
         """A problem where compliance of a world that has none to be counted is to be counted in series."""
@@ -576,10 +586,32 @@ class Session(SessionModel):
         """The device of each port."""
         return {port: device for device in self.devices for port in self.ports_of(device)}
 
+    @property
+    def colocated(self) -> bool:
+        """Whether each coupling runs in its device's process; false where the session leaves it to the machine.
+
+        :func:`manyhands.launch.plan.colocation.settle_colocation` settles that before a run is planned.
+        """
+        return self.colocate is True
+
+    def with_colocation(self, colocate: bool) -> Self:
+        """This session with its couplings in their devices' processes, or with a process for each."""
+        return self.model_copy(update={"colocate": colocate})
+
     @cached_property
+    def shared_couplings(self) -> tuple[str, ...]:
+        """The couplings of several devices, which no device's process may run."""
+        return tuple(name for name in self.couplings if len(self.devices_of(name)) > 1)
+
+    @property  # not kept: a copy has what is kept (`with_colocation`)
     def carriers(self) -> Mapping[str, str]:
-        """The device of each coupling that runs in a device's process; empty without ``colocate``."""
-        return {name: self.devices_of(name)[0] for name in self.couplings} if self.colocate else {}
+        """The device of each coupling that runs in a device's process; empty where none does."""
+        return self._own_devices if self.colocated else {}
+
+    @cached_property
+    def _own_devices(self) -> Mapping[str, str]:
+        """The first device of each coupling, which is its only one where couplings are co-located."""
+        return {name: self.devices_of(name)[0] for name in self.couplings}
 
     @cached_property
     def blocks_by_name(self) -> Mapping[str, tuple[str, ...]]:

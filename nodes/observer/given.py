@@ -114,18 +114,18 @@ class GivenForce:
         times = {"seconds": self.time, "away": self.away, "held_back": self.held_back, "cut": self.cut}
         return {name: share for name, share in shares.items() if share is not None} | times
 
-    def sentence(self, device: str, frozen: Mapping[str, float], together: bool | None) -> str:
+    def sentence(self, device: str, frozen: Mapping[str, float], may_colocate: bool) -> str:
         """How much the hand of ``device`` was given, why it was not more, and what helps.
 
         Args:
             device: its name.
             frozen: how often each of its couplings was frozen for staying silent in that time.
-            together: whether couplings run in their devices' processes; None where they cannot.
+            may_colocate: whether couplings run in processes of their own, and could run in their devices'.
         """
         times = {name: f"{n:.0f} {'time' if n == 1.0 else 'times'}" for name, n in frozen.items() if n > 0.0}
         often = ", ".join(f"{name} was frozen {count}" for name, count in times.items())
         remedy = "close other programs, use a longer period" + (
-            " or colocate: true (manyhands doctor compares them)" if together is False else " (manyhands doctor)"
+            " or colocate: true (manyhands doctor compares them)" if may_colocate else " (manyhands doctor)"
         )
         most = max(self.away, self.held_back, self.cut)
         if most == 0.0:

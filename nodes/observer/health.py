@@ -171,7 +171,7 @@ PROMISES: Final[Mapping[Promise, PromiseText]] = MappingProxyType({
     ),
     Promise.PACE: PromiseText(
         "the session keeps up with the clock", False,
-        "Close other programs, use a longer period or colocate: true, and see manyhands doctor.",
+        "Close other programs or use a longer period; manyhands doctor compares rates and ways of running.",
     ),
 })  # fmt: skip
 """Every promise, the gravest first."""

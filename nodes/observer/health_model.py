@@ -72,7 +72,7 @@ class Terms:
         seats: the device of each seat, by its coupling.
         drivers: the devices that drivers of other packages move, with what rests on their word.
         couplings: of each device.
-        together: whether couplings run in their devices' processes.
+        may_colocate: whether couplings run in processes of their own, and could run in their devices'.
     """
 
     period: float
@@ -88,13 +88,7 @@ class Terms:
     seats: Mapping[str, str] = field(default_factory=dict)
     drivers: Mapping[str, DriverWord] = field(default_factory=dict)
     couplings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    together: bool = False
-
-    @property
-    def may_be_together(self) -> bool | None:
-        """Whether couplings run in their devices' processes; None where they cannot, for one has several devices."""
-        held = [name for own in self.couplings.values() for name in own]
-        return self.together if len(held) == len({*held}) else None
+    may_colocate: bool = False
 
     @property
     def promises(self) -> Iterator[Promise]:
@@ -215,7 +209,7 @@ class HealthModel:
         self._entries: dict[tuple[Promise, str], _Entry] = {}
         self._counts: dict[tuple[str, str], tuple[float, float]] = {}  # by node and figure: of former processes, latest
         self._seen: dict[tuple[str, str], float] = {}
-        self._pace = _Pace(terms.period)
+        self._pace = _Pace(terms.period, terms.may_colocate)
         self._free: frozenset[str] = frozenset()
         self._made = {*terms.promises, Promise.BUDGET}
         self._given = {name: _Given() for name in terms.wall}
@@ -505,7 +499,7 @@ class HealthModel:
             entry = self._begin(Promise.GIVEN, node, PromiseState.BROKEN, at)
         own = self._own_couplings(node)
         entry.cost["", "s"] = entry.cost.get(("", "s"), 0.0) + self._given[node].lacked
-        entry.remark = lately.sentence(node, self._causes.frozen(own, since, at), self._terms.may_be_together)
+        entry.remark = lately.sentence(node, self._causes.frozen(own, since, at), self._terms.may_colocate)
 
     def _driver(self, node: str, at: float, figures: Mapping[str, float]) -> None:
         """What a device's ledger shows of its user's work, and what its driver has measured of its force."""
@@ -630,8 +624,8 @@ class _Given:
 class _Pace:
     """How fast a session goes by the clock."""
 
-    def __init__(self, period: float) -> None:
-        self._period = period
+    def __init__(self, period: float, may_colocate: bool) -> None:
+        self._period, self._may_colocate = period, may_colocate
         self._seen: deque[tuple[float, float]] = deque()  # elapsed and session's time, s
         self._first: tuple[float, float] | None = None
         self.behind = 0.0  # s, since the first look
@@ -654,9 +648,9 @@ class _Pace:
 
     def sentence(self) -> str:
         """The pace, and what to do, as a sentence."""
-        rate = 1.0 / self._period
+        rate, together = 1.0 / self._period, " or colocate: true" if self._may_colocate else ""
         return (
             f"the session runs slower than its period: {self._ratio:.2f} of real time, {self._ratio * rate:.4g} of "
-            f"{rate:.4g} ticks a second. Close other programs, use a longer period or colocate: true (manyhands doctor "
+            f"{rate:.4g} ticks a second. Close other programs, or use a longer period{together} (manyhands doctor "
             "compares them); delay and period say what is still certified"
         )

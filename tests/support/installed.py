@@ -71,8 +71,15 @@ class Distributions(NamedTuple):
     wheel: Path
 
 
+PURE = {"HATCH_BUILD_NO_HOOKS": "true"}
+"""The environment in which a wheel is built as pure Python: compiling takes a minute, and a test of its own."""
+
+
 def build(out: Path) -> Distributions:
-    """The source distribution, and the wheel built from it where it is unpacked, without the checkout around it."""
+    """The source distribution, and the wheel built from it where it is unpacked, without the checkout around it.
+
+    The wheel is pure Python.
+    """
     command = [sys.executable, "-P", "-m", "build", "--no-isolation", "--outdir"]
     run(*command, out, "--sdist", ROOT, cwd=out)
     (sdist,) = out.glob("*.tar.gz")
@@ -80,7 +87,7 @@ def build(out: Path) -> Distributions:
         # Python 3.11 has filters from its fourth patch on
         archive.extractall(out, **({"filter": "data"} if hasattr(tarfile, "data_filter") else {}))
     (source,) = [path for path in out.iterdir() if path.is_dir()]
-    run(*command, out, "--wheel", source, cwd=out)
+    run(*command, out, "--wheel", source, cwd=out, **PURE)
     (wheel,) = out.glob("*.whl")
     return Distributions(sdist, wheel)
 

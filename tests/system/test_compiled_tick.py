@@ -8,12 +8,18 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import zipfile
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
+from hatchling.builders.wheel import WheelBuilder
+from packaging.utils import parse_wheel_filename
+
+from ..support.installed import PURE as PURE_WHEEL
+from ..support.installed import run
 
 ROOT = Path(__file__).parents[2]
 REQUIRED = os.environ.get("MANYHANDS_REQUIRE_COMPILER") == "1"
@@ -60,8 +66,39 @@ def test_without_a_compiler_the_wheel_is_pure_python(monkeypatch: pytest.MonkeyP
     assert "stays pure Python: found no C compiler" in warning
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("sysconfig", lambda _: "/nowhere", "found no /nowhere/Python.h; expected the headers of this Python"),
+        ("importlib.util", lambda _: None, "found no mypyc; expected mypy[mypyc]"),
+    ],
+)
+def test_without_what_a_compiler_needs_one_plain_warning_names_it(
+    name: str, value: object, reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shutil, "which", lambda name: name)
+    monkeypatch.setattr(f"{name}.{'get_path' if name == 'sysconfig' else 'find_spec'}", value)
+    data, (warning,) = build("standard")
+    assert data == PURE
+    assert warning.startswith(f"the tick is not compiled, and stays pure Python: {reason}")
+
+
+@pytest.mark.parametrize(
+    ("environment", "hooks"), [({}, ["custom"]), ({"HATCH_BUILD_NO_HOOKS": "true"}, []), (PURE_WHEEL, [])]
+)
+def test_every_wheel_has_it_unless_a_variable_turns_it_off(
+    environment: dict[str, str], hooks: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("HATCH_BUILD_NO_HOOKS", raising=False)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    config = WheelBuilder(str(ROOT)).config
+    assert [*config.hook_config] == hooks
+    assert any("mypyc" in needed for needed in config.dependencies) is bool(hooks)
+
+
 def test_where_the_compiler_fails_the_wheel_is_pure_python(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(HOOK, "_SETUP", "raise SystemExit('cannot compile this')")
+    monkeypatch.setattr(HOOK, "_SETUP", "import sys; sys.exit('a thousand lines\\n\\ncannot compile this\\n')")
     monkeypatch.setattr(shutil, "which", lambda name: name)
     data, warnings = build("standard")
     assert data == PURE
@@ -78,17 +115,26 @@ def test_every_module_of_the_list_exists() -> None:
 
 @pytest.mark.long
 @pytest.mark.alone  # real-time sessions of another worker leave the compiler no processor
-def test_a_compiled_run_has_the_numbers_of_pure_python(tmp_path: Path) -> None:
+def test_a_wheel_has_its_platforms_tag_and_the_numbers_of_pure_python(tmp_path: Path) -> None:
     """The same sessions under the simulated clock, recorded by both, to the last bit."""
     compiler = (sysconfig.get_config_var("CC") or "cc").split()[0]
     if shutil.which(compiler) is None:
         assert not REQUIRED, "MANYHANDS_REQUIRE_COMPILER is set, and there is no C compiler"
         pytest.skip("no C compiler")
+    command = [sys.executable, "-P", "-m", "build", "--no-isolation", "--wheel", "--outdir", tmp_path, ROOT]
+    run(*command, cwd=tmp_path, HATCH_BUILD_NO_HOOKS="false")
+    (wheel,) = tmp_path.glob("*.whl")
+    ((interpreter, abi, platform),) = {(t.interpreter, t.abi, t.platform) for t in parse_wheel_filename(wheel.name)[3]}
+    here = f"cp{sys.version_info.major}{sys.version_info.minor}"
+    assert (interpreter, abi) == (here, here)
+    assert platform == sysconfig.get_platform().replace("-", "_").replace(".", "_")
     folder = tmp_path / "compiled"
-    folder.mkdir()
-    extensions = HOOK.compiled(ROOT, folder)
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(folder)
+        (tags,) = [name for name in archive.namelist() if name.endswith(".dist-info/WHEEL")]
+        assert "Root-Is-Purelib: false" in archive.read(tags).decode()
+    extensions = [path.relative_to(folder) for path in folder.rglob(f"*{sysconfig.get_config_var('EXT_SUFFIX')}")]
     assert len(extensions) == len(HOOK.MODULES) + 1  # and one that they share
-    shutil.copytree(ROOT / "launch", folder / "manyhands" / "launch", ignore=shutil.ignore_patterns("__pycache__"))
     where = "import manyhands.nodes.device.node as node; print(node.__file__)"
     for session in ("example1.yaml", "example1-operator.yaml", "rub.yaml"):
         runs = []

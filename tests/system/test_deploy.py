@@ -25,7 +25,7 @@ from manyhands.launch.cli import app
 from manyhands.launch.files import load_named
 from manyhands.nodes.realtime import FIFO_PRIORITY, NETWORK_NICE
 
-from ..support.installed import run
+from ..support.installed import PURE, run
 
 ROOT = Path(__file__).parents[2]
 DEPLOY = ROOT / "deploy"
@@ -123,7 +123,8 @@ def test_the_image_is_built_from_what_a_wheel_needs(tmp_path: Path) -> None:
                     shutil.copytree(ROOT / name, source / target, symlinks=True)
                 else:
                     shutil.copy(ROOT / name, source / target)
-    run(sys.executable, "-P", "-m", "build", "--no-isolation", "--wheel", "--outdir", tmp_path, source, cwd=tmp_path)
+    command = [sys.executable, "-P", "-m", "build", "--no-isolation", "--wheel", "--outdir", tmp_path]
+    run(*command, source, cwd=tmp_path, **PURE)
     (wheel,) = tmp_path.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
         held = {name for name in archive.namelist() if name.startswith("manyhands/") and "__pycache__" not in name}

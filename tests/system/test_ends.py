@@ -163,7 +163,10 @@ def supervisor_nodes(prepared: Prepared) -> list[str]:
 
 def launched(*arguments: str) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [*MANYHANDS, "launch", str(SESSIONS / "example1.yaml"), "--set", "design.tau=0", *arguments],
+        [
+            *(*MANYHANDS, "launch", str(SESSIONS / "example1.yaml"), "--set", "design.tau=0"),
+            *("--set", "colocate=false", *arguments),  # whatever processors there are: seven processes are to end
+        ],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -36,6 +36,8 @@ def session() -> Iterator[subprocess.Popen[str]]:
         "--set",
         "design.tau=0",
         "--set",
+        "colocate=false",  # whatever processors there are: links between devices and couplings are looked at
+        "--set",
         f"period={PERIOD}",
         "--set",
         "observers={scope: {reads: [cx/tool]}}",

@@ -68,6 +68,7 @@ def test_the_wheel_holds_every_file_of_the_rooms_once(wheel: Path) -> None:
     assert len(names) == len(set(names))
     others = {re.sub(r"^manyhands-[^/]+\.dist-info/", "", name) for name in names} - held
     assert others == {"METADATA", "WHEEL", "RECORD", "entry_points.txt", "licenses/LICENSE"}
+    assert wheel.name.endswith("-py3-none-any.whl"), "what is not compiled is of any platform"
 
 
 def test_the_source_distribution_holds_no_caches_links_or_output(distributions: Distributions) -> None:

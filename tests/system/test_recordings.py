@@ -208,7 +208,9 @@ def test_everything_of_one_run_is_in_its_directory(tmp_path: Path) -> None:
     assert found == {"session.yaml", "certificate.json", "report.json", "log", "r.mcap"}
     assert stat.S_IMODE(kept.stat().st_mode) == 0o700
     session = load_session(kept / "session.yaml")
-    assert session == load_session(SESSIONS / "example1.yaml", ["devices.dx.mass=0.3", "design.tau=0"])
+    assert session == load_session(
+        SESSIONS / "example1.yaml", ["devices.dx.mass=0.3", "design.tau=0", "colocate=false"]
+    )
     certificate, report = (json.loads((kept / f"{name}.json").read_text()) for name in ("certificate", "report"))
     recording, attached = read_recording(kept / "r.mcap"), read_run(kept / "r.mcap").attachments
     assert attached == {name: (kept / name).read_bytes() for name in ("session.yaml", "certificate.json")}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import time
@@ -25,7 +26,8 @@ from manyhands.launch.run import session_run
 from manyhands.launch.run.outcome import Outcome
 
 MEASURING = "example-1: measuring the delay of a tick on this machine for 2 s"
-LAUNCH = ("launch", "example1", "--duration", "1")
+APART = ("--set", "colocate=false")  # what these tests expect does not depend on the processors of the machine
+LAUNCH = ("launch", "example1", "--duration", "1", *APART)
 
 
 @dataclass
@@ -188,7 +190,7 @@ def test_a_stated_delay_is_still_compared_with_the_certificates(machine: Machine
 
 
 def test_an_uncertified_run_is_not_measured(machine: Machine) -> None:
-    assert lines(command("launch", "example1-uncoupled", "--duration", "1", "--uncertified")) == []
+    assert lines(command("launch", "example1-uncoupled", "--duration", "1", "--uncertified", *APART)) == []
     assert machine.measured == []
     assert command("launch", "example1-uncoupled", "--duration", "1").exit_code == 3
     assert command("launch", "example1-uncoupled", "--duration", "1", "--set", "design.tau=auto").exit_code == 3
@@ -206,6 +208,61 @@ def test_a_machine_that_is_too_slow_is_designed_for_a_whole_period_and_says_so(m
     machine.ran.clear()
     assert "colocate" not in lines(command(*LAUNCH, "--set", "colocate=true"))[-1]
     assert "colocate" not in lines(command("launch", "example1-centralised", "--duration", "1"))[-1]
+
+
+@pytest.mark.parametrize(
+    ("processors", "colocate", "says"),
+    [
+        (2, True, "couplings run in their devices' processes: 4 processes on 2 processors (colocate: false has 7)"),
+        (7, False, "couplings run in processes of their own: 7 processes on 7 processors (colocate: true has 4)"),
+    ],
+)
+def test_a_launch_says_once_which_form_the_machine_was_given(
+    processors: int, colocate: bool, says: str, machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {*range(processors)})
+    launch = LAUNCH[: -len(APART)]
+    measuring, certified, said = lines(command(*launch))
+    assert (measuring, said) == (MEASURING, f"example-1: {says}")
+    assert "certified for delays up to" in certified
+    assert machine.ran[0].session.colocate is colocate
+    assert len(machine.ran[0].graph.carriers) == (3 if colocate else 0)
+    for stated in ("true", "false"):
+        assert "processes" not in "".join(lines(command(*launch, "--set", f"colocate={stated}")))
+        assert machine.ran[-1].session.colocate is (stated == "true")
+    assert lines(command(*launch, "--clock", "simulated")) == []
+    assert machine.ran[-1].session.colocate is False
+
+
+def test_a_machine_whose_separate_processes_were_measured_to_be_faster_keeps_them(
+    machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
+    machine.p99 = 200.0
+    for colocate, machine.p995 in ((True, 600.0), (False, 300.0)):
+        plan = Plan(load_named("example1").with_colocation(colocate))
+        keep_profile(machine.profile(plan, Way.of_run(plan), time.time()))
+    certified, said = lines(command(*LAUNCH[: -len(APART)]))
+    assert "p99.5 is 0.3 ms" in certified
+    assert said.endswith(
+        "7 processes on 2 processors (colocate: true has 4), p99.5 of a tick 0.3 ms in place of 0.6 ms"
+    )
+    assert machine.measured == []
+
+
+def test_nodes_elsewhere_have_processes_of_their_own(
+    machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0})
+    assert command("invite", "example1", "--keys", tmp_path / "keys").exit_code == 0
+    invited = ("--transport", "tcp", "--listen", "127.0.0.1:7400", "--keys", tmp_path / "keys")
+    launch = ("launch", "example1-uncoupled", "--duration", "1", "--uncertified")
+    said = lines(command("launch", "example1", *LAUNCH[2:4], *invited, "--remote", "dx"))
+    assert "in their devices' processes" not in "".join(said)
+    assert machine.ran[-1].session.colocate is False
+    command("invite", "example1-uncoupled", "--keys", tmp_path / "others")
+    lines(command(*launch, *invited[:-1], tmp_path / "others"))  # an observer's bundle has the id of this form
+    assert machine.ran[-1].session.colocate is False
 
 
 def test_a_coupling_that_is_too_stiff_for_the_machine_is_refused(machine: Machine) -> None:

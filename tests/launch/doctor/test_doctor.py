@@ -26,7 +26,7 @@ from manyhands.design.models.statespace import StateSpace
 from manyhands.design.problem import HapticLoop
 from manyhands.launch.doctor import probe
 from manyhands.launch.doctor.advice import Advice, Worth, advice, stiffness_object
-from manyhands.launch.doctor.examination import machine_rows
+from manyhands.launch.doctor.examination import colocation_advice, machine_rows, of_both_forms
 from manyhands.launch.doctor.machine import Machine, examine, governors, preemption, realtime_share, virtual
 from manyhands.launch.doctor.probe import (
     RATES,
@@ -77,6 +77,7 @@ def a_machine(**changes: object) -> Machine:
         "usable": tuple(range(8)), "governors": ("performance",), "clock_source": "tsc", "priority_limit": 99,
         "may_raise": True, "memory_limit": None, "may_lock": True, "realtime_share": 0.95, "python": "CPython 3.12",
         "gil": True, "zeromq": "4.3.5", "pyzmq": "27", "curve": True, "ipc": True,
+        "compiled": True,
     }  # fmt: skip
     return Machine(**best | changes)
 
@@ -154,6 +155,7 @@ def test_a_machine_without_information_is_examined_too(tmp_path: Path) -> None:
     found = examine(tmp_path)
     assert (found.virtual, found.governors, found.clock_source, found.realtime_share) == (None, None, None, None)
     assert set(found.usable) == os.sched_getaffinity(0)
+    assert found.compiled is False, "what is edited is never compiled"
     assert all(machine_rows(found).values())
     assert found.plain()["usable"] == list(found.usable)
 
@@ -231,6 +233,7 @@ def test_nothing_is_advised_where_nothing_is_to_be_gained(worth: Worth) -> None:
         ({"governors": ("powersave",)}, "found powersave"),
         ({"clock_source": "hpet"}, "found hpet"),
         ({"curve": False}, "CURVE"),
+        ({"compiled": False}, "its tick is pure Python here"),
     ],
 )
 def test_each_weakness_of_the_machine_has_its_advice(changes: dict[str, object], says: str, worth: Worth) -> None:
@@ -252,6 +255,33 @@ def test_one_processor_per_chain_and_one_for_the_environment_suffice(worth: Wort
     assert advice(a_machine(usable=(0, 1, 2, 3)), measurement(510.0, 600.0), worth, chains=3) == ()
     (one,) = advice(a_machine(usable=(0, 1, 2)), measurement(510.0, 600.0), worth, chains=3)
     assert one.change == "give it more processors: 3 usable, 3 users and an environment need 4"
+
+
+def test_a_session_that_keeps_its_couplings_apart_is_advised_where_the_machine_would_not() -> None:
+    apart, together = (Profile({}, Lateness(1.0, p995, 900.0, 950.0), 1000.0, 0.0, 2.0, 0.0) for p995 in (700.0, 500.0))
+    stated = load_named("example1", ["colocate=false"])
+    (one,) = colocation_advice(stated, 2, {False: apart, True: together})
+    assert one.change == "leave out colocate: false, which the session states"
+    assert one.buys.endswith("(colocate: false has 7), p99.5 of a tick 0.5 ms in place of 0.7 ms")
+    assert colocation_advice(stated, 2, {False: together, True: apart}) == ()
+    assert colocation_advice(stated, 7, {False: apart, True: together}) == ()
+    for session in (
+        load_named("example1"),
+        load_named("example1", ["colocate=true"]),
+        load_named("example1-centralised"),
+    ):
+        assert colocation_advice(session, 2, {False: apart, True: together}) == ()
+
+
+def test_the_forms_that_are_compared_have_the_sessions_period_and_were_measured_long_enough() -> None:
+    long = Profile({}, Lateness(1.0, 2.0, 3.0, 4.0), 1000.0, 0.0, 1.0, 0.0)
+    forms = {
+        Form(1e-3, False): long,
+        Form(1e-3, True): replace(long, seconds=0.5),
+        Form(5e-4, True): long,
+        Form(2e-3, True): "no tick got a force",
+    }
+    assert of_both_forms(forms, 1e-3) == {False: long}
 
 
 def test_the_cost_of_a_tail_is_reported_in_newtons(worth: Worth) -> None:

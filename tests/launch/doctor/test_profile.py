@@ -143,7 +143,7 @@ def test_another_form_has_another_key(other: Callable[[], dict[str, Any]]) -> No
 
 def test_another_machine_or_version_has_another_key(monkeypatch: pytest.MonkeyPatch) -> None:
     before = key()
-    for name, value in (("__version__", "0"), ("may_raise", lambda: None)):
+    for name, value in (("__version__", "0"), ("may_raise", lambda: None), ("has_compiled_tick", lambda: None)):
         with monkeypatch.context() as context:
             context.setattr(profiles, name, value)
             assert key() != before

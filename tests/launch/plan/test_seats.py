@@ -12,6 +12,7 @@ from manyhands.design.certificate import to_json
 from manyhands.design.errors import CertificateError
 from manyhands.launch.files import TargetError, load_named
 from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.colocation import Where, settle_colocation
 from manyhands.launch.plan.keys import Keys, ephemeral
 from manyhands.launch.plan.prepare import NotCertified, Prepared, prepare, prepare_again
 from manyhands.launch.plan.reach import ReachError, reach
@@ -66,6 +67,22 @@ def test_each_coupling_with_a_wave_link_is_a_seat() -> None:
 def test_what_has_no_seats_is_refused(name: str, overrides: tuple[str, ...], words: str) -> None:
     with pytest.raises(ReachError, match=words):
         seats_of(load_named(name, overrides))
+
+
+def test_a_host_carries_the_couplings_of_seats_unless_one_is_of_several_devices() -> None:
+    data = ball().to_dict()
+    del data["colocate"]
+    hosted, reason = settle_colocation(Session.from_dict(data), Where.HOSTED)
+    assert (seats_of(hosted), reason) == (seats_of(ball()), "")
+    data["devices"]["third"] = data["devices"]["right"]
+    data["couplings"] = {"left_seat": data["couplings"]["left_seat"], "both": {"devices": ["right", "third"]}}
+    data["environment"]["links"].append({"between": ["third", "ball"], "stiffness": 600, "damping": 0.5})
+    shared, _ = settle_colocation(Session.from_dict(data), Where.HOSTED)
+    words = (
+        "ball: found the coupling 'both' of the devices right, third, with the seat 'left_seat'; expected couplings of"
+    )
+    with pytest.raises(ReachError, match=words):
+        seats_of(shared)
 
 
 def test_an_invitation_and_what_its_guest_fetches_hold_its_own_seat_and_nothing_of_the_others(

@@ -148,13 +148,15 @@ class Test_a_notice_of_late_ticks:
         m.tell("dx", 90)
         assert "soft" not in m.notices[Cause.DELAY]
 
-    def test_at_a_whole_period_advises_no_longer_delay(self) -> None:
+    @pytest.mark.parametrize(("may_colocate", "together"), [(True, " or colocate=true"), (False, "")])
+    def test_at_a_whole_period_advises_no_longer_delay(self, may_colocate: bool, together: str) -> None:
         m = Measured(Policy.SOFTEN)
-        m.policy = BreachPolicy(Policy.SOFTEN, CHAINS, dict.fromkeys(CHAINS, Covered(1e-3, 1e-3)), None, m.rungs)
+        covered = dict.fromkeys(CHAINS, Covered(1e-3, 1e-3))
+        m.policy = BreachPolicy(Policy.SOFTEN, CHAINS, covered, None, m.rungs, may_colocate)
         m.tell("dx", 60, 1500.0)
         assert m.notices[Cause.DELAY] == (
             "forces came later than the certificate covers (1 ms): dx in 60.0% of its ticks, up to 1.5 ms so far; "
-            "close other programs, or use a longer period or colocate=true (manyhands doctor compares them)"
+            f"close other programs, or use a longer period{together} (manyhands doctor compares them)"
         )
 
     def test_has_late_periods_apart(self) -> None:
@@ -587,6 +589,26 @@ def the_environment(tick: int, **late: int) -> Telemetry:
 
 
 class Test_notices_of_a_run:
+    @pytest.mark.parametrize(
+        ("name", "overrides", "elsewhere", "advised"),
+        [
+            ("example1", ["colocate=false"], False, True),
+            ("example1", ["colocate=false"], True, False),
+            ("example1", ["colocate=true"], False, False),
+            ("example1-centralised", [], False, False),
+        ],
+    )
+    def test_advise_another_form_only_where_there_is_one(
+        self, name: str, overrides: list[str], elsewhere: bool, advised: bool
+    ) -> None:
+        slow = prepare(load_named(name, [*overrides, "design.tau=0.001"]))
+        assumptions = Assumptions(slow, slow.graph, REALTIME, {}, elsewhere)
+        for tick, late in ((1000, 100.0), (2000, 1100.0), (3000, 2100.0)):
+            assumptions.check("environment", the_environment(tick))
+            assumptions.check("dx", Telemetry(tick, {names.TAU_BREACHES: late}, {}))
+        (text,) = [text for text in assumptions.notices.values() if "doctor compares them" in text]
+        assert ("colocate=true" in text) is advised
+
     def test_name_all_couplings_that_were_waited_for_often(self, prepared: Prepared) -> None:
         assumptions = Assumptions(prepared, prepared.graph, REALTIME, {})
         assumptions.check("environment", the_environment(600, cx=10))

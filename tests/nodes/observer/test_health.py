@@ -79,8 +79,8 @@ def row(promise: str, state: str, who: str, **cost: float) -> PromiseStatus:
         ([row("presence", "enforced", "cx"), row("motion limits", "enforced", "dx")],
          "all promises kept, or enforced: presence (cx), motion limits (dx)"),
         ([row("pace", "broken", "session", x=0.6, s=2.0)],
-         "worst: pace: broken by session since 0.2 s (0.60 of real time, 2 s). Close other programs, use a longer "
-         "period or colocate: true, and see manyhands doctor."),
+         "worst: pace: broken by session since 0.2 s (0.60 of real time, 2 s). Close other programs or use a longer "
+         "period; manyhands doctor compares rates and ways of running."),
         ([row("pace", "broken", "session", x=0.6), row("period", "broken", "dy", ticks=900.0),
           row("delay", "broken", "dx", ticks=5.0), row("delay", "broken", "dz", ticks=7.0),
           row("lateness energy", "enforced", "dx", ticks=9.0)],

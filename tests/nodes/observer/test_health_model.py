@@ -293,6 +293,8 @@ def test_a_session_slower_than_its_period_says_so_with_the_ratio(ratio: float) -
     assert "of real time" in row.remark
     assert "of 1000 ticks a second" in row.remark
     assert "manyhands doctor" in row.remark
+    assert "colocate" not in row.remark
+    assert " or colocate: true (manyhands" in only(paced(ratio, 20.0, replace(TERMS, may_colocate=True))).remark
 
 
 def test_the_pace_is_reported_once_however_often_it_is_lost() -> None:
@@ -378,7 +380,9 @@ def of_force(found: HealthModel) -> PromiseStatus | None:
 
 def test_a_hand_that_waits_for_answers_is_not_given_its_force_though_all_that_was_asked_was_exerted() -> None:
     """The coupling is frozen again and again: by force 98 % were given, while the hand felt next to nothing."""
-    found = model(replace(TERMS, couplings={"dx": ("cx",)}), frozen(2.0, 9.0), told(2.0, 1.0, 0.98, away=1.2))
+    found = model(
+        replace(TERMS, couplings={"dx": ("cx",)}, may_colocate=True), frozen(2.0, 9.0), told(2.0, 1.0, 0.98, away=1.2)
+    )
     row = of_force(found)
     assert row is not None
     assert (row.state, row.who, row.since, row.cost) == (BROKEN, ("dx",), 2.0, {"s": pytest.approx(1.2)})
@@ -397,8 +401,8 @@ def test_a_hand_that_waits_for_answers_is_not_given_its_force_though_all_that_wa
 @pytest.mark.parametrize(
     ("terms", "seconds", "words"),
     [
-        (replace(TERMS, together=True), {"away": 1.5}, "use a longer period (manyhands doctor)"),
-        (replace(TERMS, couplings={"dx": ("cx",), "dy": ("cx",)}), {"away": 1.5}, "use a longer period (manyhands"),
+        (TERMS, {"away": 1.5}, "use a longer period (manyhands doctor)"),
+        (replace(TERMS, may_colocate=True), {"away": 1.5}, "use a longer period or colocate: true (manyhands"),
         (TERMS, {"held_back": 1.5}, "the reserve for lateness (faults.tank) held them back"),
         (TERMS, {"cut": 1.5, "away": 0.2}, "raise these limits if the device can do more, or soften the world"),
     ],
