@@ -41,6 +41,14 @@ SUSPENSION = from_seconds(0.05)
 """How long a process must not run to count as suspended: a busy scheduler makes it wait for some milliseconds."""
 
 
+BREATH = from_seconds(0.05)
+"""How long a loop may be behind its schedule without waiting once; then it leaves a period out.
+
+A loop that needs more than T a tick would never wait, and the kernel ends a process that computes for too long at a
+real-time priority (:data:`manyhands.nodes.realtime.RUNAWAY_TIME`).
+"""
+
+
 class DeviceNode:
     """A :class:`manyhands.nodes.process.Node` for a device, and the :class:`Listener` on its links.
 
@@ -100,6 +108,7 @@ class DeviceNode:
         f = self._zero.copy()
         tick, turns, slot, turn = start.tick, 0, 0, self._timeouts.turn
         sent_tick = -1  # the tick of the last sample
+        waited = clock.now()  # when it waited last for a sample to be due
         if tick > 0:  # the session runs already, so this device joins at the next multiple of T
             slot = max(0, -((epoch - clock.now()) // period))
             device.joins()
@@ -109,6 +118,11 @@ class DeviceNode:
                 self._attend(control, tick)
             due = Instant(epoch + slot * period)
             ready = clock.now()
+            if ready < due:
+                waited = ready
+            elif ready - waited > BREATH:
+                slot = -((epoch - ready) // period)
+                due = Instant(epoch + slot * period)
             clock.sleep_until(due)
             sampled = clock.now()
             let_go = guard.let_go

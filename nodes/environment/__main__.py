@@ -5,6 +5,7 @@ import sys
 from manyhands.nodes.bundle import EnvironmentBundle
 from manyhands.nodes.environment.node import EnvironmentNode
 from manyhands.nodes.process import main
+from manyhands.protocol.transport.zeromq import await_links
 
 if __name__ == "__main__":
-    sys.exit(main(EnvironmentBundle, EnvironmentNode))
+    sys.exit(main(EnvironmentBundle, lambda bundle: EnvironmentNode(bundle, await_links=await_links)))

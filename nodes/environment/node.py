@@ -11,7 +11,7 @@ once; they are sent once in ``telemetry_ticks`` ticks.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -31,7 +31,7 @@ from manyhands.nodes.supervisor_line import NOT_AT_ALL, ControlLine
 from manyhands.nodes.tick_events import TickEvents
 from manyhands.nodes.timeouts import LISTEN_TICKS, timeouts
 from manyhands.nodes.wave_link.ends import WorldEnd, WorldEnds, datagram_socket, world_ends
-from manyhands.protocol.clock import Clock, Instant, RealtimeClock, from_seconds
+from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds
 from manyhands.protocol.handshake import HandshakeRefused
 from manyhands.protocol.messages import LinkHello, Reaction, Report, Role, Start, Telemetry, Tool, Values
 from manyhands.protocol.transport import Link
@@ -163,11 +163,20 @@ class EnvironmentNode:
         members: the couplings with their membership; None until then.
     """
 
-    def __init__(self, bundle: EnvironmentBundle, clock: Clock | None = None) -> None:
+    def __init__(
+        self,
+        bundle: EnvironmentBundle,
+        clock: Clock | None = None,
+        await_links: Callable[[Sequence[Link], Duration], None] | None = None,
+    ) -> None:
         """Take the environment's part of the session; :meth:`establish` makes the core, which needs D_V.
 
-        ``clock`` measures waiting times; by default it is the realtime clock.
+        Args:
+            bundle: the environment's part of the session.
+            clock: measures waiting times; by default it is the realtime clock.
+            await_links: waits until any of some links has a frame, or a time is over; None where the transport cannot.
         """
+        self._await_links = await_links
         self._bundle, self._common = bundle, bundle.common
         self._clock: Clock = clock or RealtimeClock()
         self._timeouts = timeouts(bundle.common)
@@ -457,7 +466,8 @@ class EnvironmentNode:
     def _listen(self, members: Members, p: Floats, tick: int, missing: Sequence[Member], since: Instant | None) -> bool:
         """Listen once to every coupling whose signal of ``tick`` is not there, to the missing ones first.
 
-        Only the first coupling is waited for. By the end of that wait the signals of the others can be read at once.
+        Where the transport can wait for all links, it does. Otherwise only the first coupling is waited for, and by the
+        end of that wait the signals of the others can be read at once.
 
         Args:
             members: the couplings.
@@ -470,6 +480,11 @@ class EnvironmentNode:
             Whether there was any coupling to listen to.
         """
         turn, anybody = _TURN if missing or since is None else NOT_AT_ALL, False
+        if turn and self._await_links is not None:
+            # a coupling that is held is answered as soon as its signal is there, whoever is waited for
+            open_ = [member.peer_link.link for member in members.all if member.peer_link.tick != tick]
+            self._await_links([link for link in open_ if link is not None], turn)
+            turn = NOT_AT_ALL
         for member in (*missing, *members.all):
             peer_link = member.peer_link
             if not peer_link.reachable or (peer_link.tick == tick and peer_link.here):

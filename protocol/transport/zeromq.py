@@ -304,6 +304,19 @@ class ZmqHub:
         self._socket.close(linger=LINGER_MS)
 
 
+def await_links(links: Sequence[Link], timeout: Duration) -> None:
+    """Wait until any of ``links`` has a frame, at most ``timeout``; links of other kinds are not looked at.
+
+    The timeout is rounded up to whole ms.
+    """
+    poller = zmq.Poller()
+    for link in links:
+        if isinstance(link, ZmqLink):
+            poller.register(link.socket, zmq.POLLIN)
+    if poller.sockets:
+        poller.poll(milliseconds(timeout))
+
+
 def await_any(socket: "zmq.Socket[bytes]", door: Doorkeeper, wait_ms: int) -> None:
     """Wait until ``socket`` has a frame, or a connection request was answered, or ``wait_ms`` is over."""
     poller = zmq.Poller()
