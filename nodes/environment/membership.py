@@ -199,8 +199,8 @@ class Member:
         arrived: when its latest signal was read, ns.
         frozen_late: how often it was frozen for being silent.
         waived: whether it is not waited for at present, for it was late too often.
+        waivers: how often that began.
         held: the ticks in which it was held.
-        waivers: how often it was late so often that it is not waited for since.
         streak: of them, those since its tool moved last.
         silent: of them, those since it was heard last.
         linked: whether it is there by a wave link in real time: it is never waited for.
@@ -342,7 +342,8 @@ class Members:
             received = Received.NOTHING
             if early[0] < tick:
                 member.peer_link.other_tick, member.peer_link.other_frame = early
-                self.on_other_tick(member.peer_link, early[0], tick)
+                if self.on_other_tick(member.peer_link, early[0], tick):
+                    received = Received.DECLINED
             elif member.peer_link.take(early[1], p, tick):
                 received = Received.SIGNAL
         else:
@@ -393,9 +394,9 @@ class Members:
                 member.waived = member.waived and still(member.index, tick)
             self.waives = any(member.waived for member in self.all)
         for member in self.all:
-            if member.linked or member.peer_link.tick == tick:
+            if member.linked:
                 continue
-            if member.membership.state is Membership.ACTIVE:
+            if member.membership.state is Membership.ACTIVE and member.peer_link.tick != tick:
                 self.overdue(member, tick)
             if member.membership.state is not Membership.HELD:
                 continue
@@ -556,9 +557,12 @@ class Members:
         self._life.fail(text)
 
     def soonest(self, tick: int) -> int:
-        """The tick to wait at: ``tick``, or the first tick of a rejoining member where no member is awaited before."""
+        """The tick to wait at: ``tick``, or the first that a member was told, where none is awaited before."""
+        told = (Membership.HELD, Membership.REJOINING)
         dues = [
-            member.due for member in self.all if member.membership.state is Membership.REJOINING and not member.linked
+            member.due
+            for member in self.all
+            if member.membership.state in told and member.due < _UNTIL_HEARD and not member.linked
         ]
         return tick if self.active or self._resumes or not dues else max(tick, min(dues))
 

@@ -751,6 +751,30 @@ def test_a_held_member_goes_on_a_tick_later_where_its_device_would_sample_too_la
     assert world.cy.missing(world.tick + 1)
 
 
+def test_where_all_others_are_gone_a_held_member_is_waited_for_at_the_tick_that_it_was_told(
+    world: TwoCouplings,
+) -> None:
+    world.together(10)
+    behind = late(world)
+    world.members.over = lambda: True
+    world.say("cy", behind)
+    world.hear(world.cy)
+    world.say("cy", world.tick + 1)  # it goes on after the answer, which was of this tick
+    world.lose("cx")
+    assert waiting(world) == world.tick + 1
+    assert world.cy.membership.state is Membership.ACTIVE
+
+
+def test_a_signal_that_came_early_and_is_late_now_counts_for_the_tick_that_is_awaited(world: TwoCouplings) -> None:
+    world.together(10)
+    behind = late(world, STREAK)
+    world.say("cy", behind + STREAK + 1)  # beyond what it was told
+    world.hear(world.cy)
+    late(world, 3)
+    assert world.hear(world.cy) is Received.SIGNAL
+    assert (world.cy.membership.state, world.cy.peer_link.tick) == (Membership.ACTIVE, world.tick)
+
+
 def test_a_lost_answer_to_a_held_member_is_sent_again(world: TwoCouplings) -> None:
     world.together(10)
     late(world)
@@ -812,7 +836,7 @@ def waiting(world: TwoCouplings) -> int:
     node = EnvironmentNode.__new__(EnvironmentNode)
     clock = node._clock = Ticking()  # type: ignore[assignment]
     node._late = LateArrivals(len(world.members.all), Duration(10**6), Duration(10**6))
-    node._due, node._passed = 0, ()
+    node._due, node._passed, node._await_links = 0, (), None
     node._period, node._timeouts = Duration(10**6), Timeouts(*(Duration(n * 10**6) for n in (3, 5, 3, 3, 2, 100)))
     world.life.look = lambda _now: None
     tick = node._wait(world.members, world.p, world.tick, clock.now(), world.life, Silence())  # type: ignore[arg-type]
