@@ -15,7 +15,7 @@ from tests.attack.parties import Data, NoSystem, Reader, precise
 from tests.attack.passivity import confirmed, levels, mixture_levels, poles, statics, suspects
 
 SHAKEN = 1e-7  # of a period, in floats: eigenvalues at 1 that meet are split by the root of rounding
-CERTAIN = 1e-40  # in long numbers, where three that meet are split by 2^-200
+CERTAIN = 1e-30  # in long numbers of 600 bits, where six that meet are split by 2^-100
 
 
 @dataclass

@@ -65,7 +65,8 @@ def test_only_a_tag_publishes_and_only_what_was_checked() -> None:
     assert found["on"] == {"push": {"tags": ["v[0-9]+.[0-9]+.[0-9]+"]}}
     jobs = found["jobs"]
     assert jobs["publish"]["needs"] == "check"
-    assert jobs["check"]["needs"] == "build"
+    assert jobs["check"]["needs"] == "wheels"
+    assert jobs["wheels"]["needs"] == "build"
     assert "twine check --strict" in "".join(step.get("run", "") for step in jobs["build"]["steps"])
 
 
@@ -83,7 +84,7 @@ def test_only_the_publishing_job_may_ask_for_trust_and_it_runs_no_code_of_ours()
     assert "secrets." not in (ROOT / ".github" / "workflows" / "release.yml").read_text()
 
 
-@pytest.mark.parametrize("job", ["build", "check", "publish"])
+@pytest.mark.parametrize("job", ["build", "wheels", "check", "publish"])
 def test_every_action_is_pinned_to_a_commit(job: str) -> None:
     text = (ROOT / ".github" / "workflows" / "release.yml").read_text()
     for step in workflow()["jobs"][job]["steps"]:
