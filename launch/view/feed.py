@@ -23,7 +23,7 @@ from manyhands.launch.run.display import world_lines
 from manyhands.launch.view.pointer import Holding
 from manyhands.nodes.json_number import json_number
 from manyhands.nodes.observer.alarms import Alarms
-from manyhands.nodes.observer.given import GivenForce
+from manyhands.nodes.observer.given import GivenForce, shares_cell
 from manyhands.nodes.observer.health import PROMISES, Promise, cells, condensed, is_present, summary
 from manyhands.nodes.observer.scene import About, Scene
 from manyhands.nodes.observer.tracks import BUCKETS, WINDOW, Decimated, Tracks
@@ -126,8 +126,8 @@ class Feed:
             if node.received is not None and cursor.received.get(name) != node.received:
                 cursor.received[name] = node.received
                 out[name]["figures"] = {figure: _rounded(value) for figure, value in node.figures.items()}
-                if (given := GivenForce.of(node.figures)) is not None and (words := given.in_words()):
-                    out[name]["given"] = words
+                if (given := GivenForce.of(node.figures)) is not None:
+                    out[name]["given"] = shares_cell(given.by_force, given.by_time)
         return out
 
     def _new_buckets(self, cursor: Cursor) -> dict[str, Any]:

@@ -66,7 +66,7 @@ export class Certificate {
     this.worst.className = isBroken(promises, "delay") ? "broken" : "";
     for (const { name, total, least, account, given } of this.parties) {
       const { figures, given: shares } = session.nodes.get(name);
-      if (shares !== undefined) say(given, shares);
+      if (shares !== undefined) say(given, shares.replace("/", " / ")); // a narrow window breaks it
       given.className = isBroken(promises, "force given", name) ? "broken" : "";
       say(total, quantity(figures.ledger, "J"));
       say(least, quantity(figures.ledger_margin, "J"));

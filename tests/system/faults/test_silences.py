@@ -109,7 +109,7 @@ def test_in_real_time_a_slow_device_costs_others_only_its_absence() -> None:
     before, after = others
     assert after[0] > before[0]
     assert after[1] > before[1]
-    assert nodes_of(outcome)["environment"]["incidents"]["frozen"] > 0
+    assert nodes_of(outcome)["environment"]["late_couplings"]["cx"]["held"] > 0
 
 
 @pytest.mark.alone
