@@ -443,6 +443,10 @@ class DeviceInterface:
         offset = minus(self._goal, before)
         part = 1.0 if max(map(abs, offset)) <= REST else min(1.0, self._T / RECOVERY)
         wanted = w if part == 1.0 else [way + part * rest for way, rest in zip(own, offset, strict=True)]
+        cost, spare = self._recovery(own, wanted, reserve)
+        if cost > spare:
+            part *= spare / cost
+            wanted = [way + part * rest for way, rest in zip(own, offset, strict=True)]
         kept = self._nearest(wanted, reserve - self.tank)
         self._goal = goal
         self._changed = kept != wanted
@@ -590,6 +594,17 @@ class DeviceInterface:
         """How long the exerted force may still last at ``at``, s."""
         until = self.account.until
         return math.inf if until is None else max(0.0, (until - at) * _NS)
+
+    def _recovery(self, own: Floats, wanted: Floats, reserve: float) -> tuple[float, float]:
+        """What it costs to make up an offset by moving ``wanted`` in place of ``own``, m, and what there is for it, J.
+
+        Only what the tank has above E_0 is: an offset that took the rest would leave late forces without a reserve, and
+        the hand would move in against less than was asked, which makes the offset greater again. The gain is concave in
+        the motion, so that a part s of the way costs at most s of all.
+        """
+        there = self.account.least_gain(own)
+        spare = self.tank + there - max(reserve, self._allowance.energy)
+        return there - self.account.least_gain(wanted), max(0.0, spare)
 
     def _part(self, r: Floats, begin: Instant, h: float, paid: float) -> float:
         """The greatest part s of r that costs at most ``paid`` (J) in h (s) from ``begin`` on, to a thousandth."""
