@@ -87,7 +87,7 @@ class Press:
         noise: standard deviation of the force at the end, mN.
         creep: motion of the device over the second half of the hold, um.
         account: the least interface account of all devices, mJ.
-        bound: its bound, mJ.
+        bound: its bound at the end, -(E_0 + P t), mJ.
         late: the part of all ticks that were late.
         beyond: the part of the ticks of dx whose force came later than designed for.
         notices: of the run.
@@ -208,7 +208,7 @@ def press(form: str, hold: float) -> Press:
         float(np.std(f[-half:])) * 1e3,
         float(np.mean(x[-second:]) - np.mean(x[-half : -half + second])) * 1e6,
         min(node["interface"]["min"] for node in devices) * 1e3,
-        -prepared.session.faults.tank.energy * 1e3,
+        -1e3 * prepared.session.faults.tank.by(START + RISE + hold),
         sum(node["late"] for node in devices) / sum(node["ticks"] for node in devices),
         float(np.mean(tau > certificate.tau * 1e6)),
         outcome.notices,
