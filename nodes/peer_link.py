@@ -254,8 +254,13 @@ class PeerLink:
         self.tick = tick
         return True
 
-    def take_other(self, values: Floats) -> bool:
-        """Put the signal of :attr:`other_tick` into the node's ``values``; returns whether it was admitted."""
+    def take_other(self, values: Floats, counted: str) -> bool:
+        """Put the signal of :attr:`other_tick` into the node's ``values``; returns whether it was admitted.
+
+        ``counted`` is the reason for which the gate counted it as a stray frame, which it is not, unless it is the zero
+        force of a later tick.
+        """
+        self.gate.dropped[counted] -= counted == "old_tick" or not self.other_zero
         return self.take(self.other_frame, values, self.other_tick)
 
     def settle(self, tick: int) -> None:

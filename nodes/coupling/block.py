@@ -88,7 +88,7 @@ class Block:
         if received is Received.SIGNAL:
             self.applied = self.core.limited(self._f)
         elif received is Received.DECLINED:
-            environment.take_other(self._f)
+            environment.take_other(self._f, "future_tick")
             self.applied = self.core.limited(self._f)
             self.jumps += 1
         elif received is Received.RECONNECTED:

@@ -115,7 +115,7 @@ class Within(PeerLink):
             self.other_tick, self.other_zero = self._block.environment.other_tick, True
         return result
 
-    def take_other(self, values: Floats) -> bool:
+    def take_other(self, values: Floats, counted: str) -> bool:
         """Do nothing: :meth:`hear` has put the block's force into the values."""
         return True
 

@@ -230,7 +230,7 @@ class DeviceNode:
         def react(peer_link: PeerLink, result: Received, tick: int) -> int:
             if result is Received.DECLINED:
                 tick = peer_link.tick = peer_link.other_tick
-                peer_link.take_other(f)
+                peer_link.take_other(f, "future_tick")
                 for other in peer_links:  # a coupling that answered the earlier tick must answer this one as well
                     if other.tick != tick:
                         other.notify(Absent(self._common.name))  # no sample comes for the ticks in between

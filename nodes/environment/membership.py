@@ -342,6 +342,7 @@ class Members:
             received = Received.NOTHING
             if early[0] < tick:
                 member.peer_link.other_tick, member.peer_link.other_frame = early
+                member.peer_link.gate.dropped["old_tick"] += 1  # it is late now, and is counted where it is of no use
                 if self.on_other_tick(member.peer_link, early[0], tick):
                     received = Received.DECLINED
             elif member.peer_link.take(early[1], p, tick):
@@ -524,7 +525,7 @@ class Members:
             Whether its signal counts for ``awaited``.
         """
         peer_link = member.peer_link
-        if not peer_link.take_other(self._p):
+        if not peer_link.take_other(self._p, "old_tick"):
             return False
         if member.streak >= STREAK:
             member.due, peer_link.tick = awaited, awaited
