@@ -97,6 +97,11 @@ class ForceGiven:
         """The device comes into a session that runs already."""
         self._joins = self._begins is None
 
+    def skipped(self) -> None:
+        """The session has gone on to a later tick: before the first force the device joins there."""
+        if self._begins is None:
+            self._joins = True
+
     def leaves(self) -> None:
         """The device leaves: from now on no time counts."""
         self._left = True

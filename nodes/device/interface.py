@@ -559,6 +559,7 @@ class DeviceInterface:
         """The session has gone on to a later tick: the answer to the motion sent last will not be known."""
         self._settle()
         self.account.skipped()
+        self.given.skipped()
 
     def _settle(self) -> None:
         """Book what :meth:`send` and :meth:`force` have put off until nobody waits."""

@@ -74,7 +74,7 @@ def test_a_device_that_joins_does_not_count_the_time_before_it_takes_part() -> N
 
 def test_one_that_was_sent_on_before_its_first_force_joins_as_well() -> None:
     account = ForceGiven(T)
-    account.let_go()
+    account.skipped()
     for k in range(50, 250):
         tick(account, k)
     assert milliseconds(account) == (199.0 - RAMP, {})
