@@ -236,6 +236,11 @@ class CouplingLateness:
     held: int = 0
     waived: int = 0
 
+    def as_plain(self) -> dict[str, float]:
+        """As a JSON object for the report; the time in s."""
+        counts = {count: getattr(self, count) for count in _LATENESS_COUNTS}
+        return {"ticks": self.ticks, "seconds": self.time / 1e6} | counts
+
     def sentence(self, name: str) -> str:
         """The figures as a sentence; ``name`` is that of the coupling."""
         return (
@@ -244,12 +249,15 @@ class CouplingLateness:
         )
 
 
+_LATENESS_COUNTS: Final = {"ticks": WAITED_TICKS, "frozen": FROZEN_LATE, "held": OVERDUE, "waived": WAIVED}
+"""The figures of the counts of a :class:`CouplingLateness`, by field."""
+
+
 def lateness_counts(lateness: Mapping[str, CouplingLateness]) -> dict[str, int]:
-    """Late ticks by coupling, how often it was frozen, and in how many it was held."""
-    ticks = {f"{WAITED_TICKS}{name}": one.ticks for name, one in lateness.items()}
-    ticks |= {f"{OVERDUE}{name}": one.held for name, one in lateness.items()}
-    ticks |= {f"{WAIVED}{name}": one.waived for name, one in lateness.items()}
-    return ticks | {f"{FROZEN_LATE}{name}": one.frozen for name, one in lateness.items()}
+    """The counts of each coupling's lateness."""
+    return {
+        f"{of}{name}": getattr(one, count) for count, of in _LATENESS_COUNTS.items() for name, one in lateness.items()
+    }
 
 
 def lateness_times(lateness: Mapping[str, CouplingLateness]) -> dict[str, float]:
@@ -259,17 +267,11 @@ def lateness_times(lateness: Mapping[str, CouplingLateness]) -> dict[str, float]
 
 def lateness_of(name: str, counts: Mapping[str, float], figures: Mapping[str, float]) -> CouplingLateness | None:
     """The environment's figures of the coupling ``name``; None where they are missing or out of range."""
-    values = (
-        counts.get(WAITED_TICKS + name),
-        figures.get(WAITED_TIME + name),
-        counts.get(FROZEN_LATE + name, 0.0),
-        counts.get(OVERDUE + name, 0.0),
-        counts.get(WAIVED + name, 0.0),
-    )
-    ticks, time, frozen, held, waived = (math.nan if value is None else value for value in values)
-    if not all(0.0 <= value < math.inf for value in (ticks, time, frozen, held, waived)) or not ticks + held:
+    time, ticks = figures.get(WAITED_TIME + name, math.nan), counts.get(WAITED_TICKS + name, math.nan)
+    found = {count: counts.get(of + name, 0.0) for count, of in _LATENESS_COUNTS.items()} | {"ticks": ticks}
+    if not all(0.0 <= value < math.inf for value in (time, *found.values())) or not found["ticks"] + found["held"]:
         return None
-    return CouplingLateness(int(ticks), time, int(frozen), int(held), int(waived))
+    return CouplingLateness(time=time, **{count: int(value) for count, value in found.items()})
 
 
 def energy_figures(energy: Energy, parties: tuple[str, ...]) -> dict[str, float]:

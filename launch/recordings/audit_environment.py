@@ -268,15 +268,14 @@ def increments(
     for k in np.flatnonzero(holding.any(axis=1)):  # what is held rests, whatever its row states
         ends[k, holding[k]] = ends[k - 1, holding[k]] if k else 0.0
         size[k, holding[k]] = size[k - 1, holding[k]] if k else 0.0
-    unknown = changed & ~(
-        silent | holding
-    )  # of a coupling that returns the environment has heard nothing before its first row
-    unknown[1:] &= ~(silent | holding)[:-1]
+    resting = silent | holding
+    unknown = changed & ~resting  # of a coupling that returns the environment has heard nothing before its first row
+    unknown[1:] &= ~resting[:-1]
     ends[unknown] = np.nan
     rest = np.zeros((1, tools.shape[1]))
     step_e = np.diff(np.vstack([rest, tools]), axis=0)
     step_c = np.diff(np.vstack([rest, ends]), axis=0)
-    f = np.where(silent | holding, 0.0, np.where(unknown, np.nan, blocks.f))
+    f = np.where(resting, 0.0, np.where(unknown, np.nan, blocks.f))
     still = f == 0.0
     work = np.where(still, 0.0, f * np.where(still, 0.0, step_c))
     w = step_e / T

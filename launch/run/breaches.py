@@ -12,9 +12,9 @@ covers 99.5 %). So a single late tick has no consequence. A *burst*, more than :
 devices that it is about, and what to do next.
 
 The time that a device waited for *another* user is not its own. The environment charges late couplings
-(:mod:`manyhands.nodes.environment.late_arrivals`), and freezes one that is late again and again. The ticks that were
-charged to other couplings are taken off a device's telemetry, and the rest is judged. The environment's telemetry may
-arrive after the device's, so a message is judged only when the environment has reported its ticks.
+(:mod:`manyhands.nodes.environment.late_arrivals`), and waits no longer for one that is late again and again. The ticks
+that were charged to other couplings are taken off a device's telemetry, and the rest is judged. The environment's
+telemetry may arrive after the device's, so a message is judged only when the environment has reported its ticks.
 
 A softened coupling climbs again, one rung at a time, when its devices have kept within the next stiffer rung, with a
 margin, for :data:`CALM`. A coupling that is softened again after it has climbed must be calm for twice as long each
@@ -69,7 +69,7 @@ UNSURE: Final = 1 / 3
 """The part of the ticks in which a device waited for others that is excused on top of those ticks. It applies before
 a notice reports the device as late, and before its coupling is softened. A quarter of a late guest's ticks may fall
 where the environment cannot decide whose they are (CROSSING in nodes/environment/late_arrivals.py), and by chance more
-of some fifty. A user that often makes others wait is frozen soon, which ends the excuse."""
+of some fifty. A user that often makes others wait is soon not waited for, which ends the excuse."""
 
 CALM: Final = 5.0
 """Seconds for which a softened coupling must have needed no more than the next stiffer rung before it climbs to it."""
@@ -525,7 +525,7 @@ class Assumptions:
 
     Attributes:
         notices: what people should know of the run, a sentence by its cause.
-        waited_for: the couplings that made the others wait, and were frozen for it.
+        waited_for: the couplings that made the others wait, and are not waited for since.
     """
 
     def __init__(

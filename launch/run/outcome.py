@@ -160,16 +160,7 @@ def node_entry(role: Role, report: Report, restarts: int = 0) -> dict[str, Any]:
             entry[key] = found
     late = names.lateness_by_coupling(counts, figures)
     if late:
-        entry["late_couplings"] = {
-            name: {
-                "ticks": one.ticks,
-                "seconds": one.time / 1e6,
-                "frozen": one.frozen,
-                "held": one.held,
-                "waived": one.waived,
-            }
-            for name, one in late.items()
-        }
+        entry["late_couplings"] = {name: one.as_plain() for name, one in late.items()}
     granted = {key.removeprefix(names.REALTIME): n > 0 for key, n in figures.items() if key.startswith(names.REALTIME)}
     if granted:
         entry["realtime"] = granted

@@ -69,7 +69,8 @@ LET_GO: Final = 1e-6
 """Euclidean norm of the offset that may be given up in one tick, m: less than a hand feels or a sensor resolves."""
 
 
-_SINGULAR: Final = 1e12  # condition of a block's D_V above which it counts as singular
+SINGULAR: Final = 1e12
+"""Condition above which a D_V, or an algebraic loop, counts as having no unique solution."""
 
 
 class ClutchPhase(Enum):
@@ -484,7 +485,7 @@ def holdable(clutch: Clutch, D_V: Vector) -> bool:
 
     There its symmetric part is positive definite (docs/decisions/0015-the-clutch.md).
     """
-    return bool(np.linalg.cond(_own(clutch, D_V)) < _SINGULAR)
+    return bool(np.linalg.cond(_own(clutch, D_V)) < SINGULAR)
 
 
 def _own(clutch: Clutch, D_V: Vector) -> Vector:

@@ -44,6 +44,7 @@ from manyhands.nodes.bundle import EnvironmentBundle
 from manyhands.nodes.environment.chatter import Chatter
 from manyhands.nodes.environment.clutch import (
     RAMP,
+    SINGULAR,
     Blocks,
     Clutch,
     Clutches,
@@ -62,8 +63,6 @@ from manyhands.nodes.environment.scene import SceneLaw
 from manyhands.nodes.passivity import Ledger, PassivityController
 
 Vector = NDArray[np.float64]
-
-_SINGULAR = 1e12  # condition above which an algebraic loop counts as having no unique solution
 
 
 class EnvironmentCore:
@@ -297,7 +296,7 @@ class EnvironmentCore:
         # pivots are compared with 1 + ||F W||, for ||I + F W|| would cancel with them at a single port; with all
         # blocks frozen the loop is open, and the equations always have a solution
         open_ = len(slacks) == self._m and all(slack == 1.0 for slack in slacks)
-        return solve(A, self._f_J(known), 0.0 if open_ else (1.0 + size) / _SINGULAR)
+        return solve(A, self._f_J(known), 0.0 if open_ else (1.0 + size) / SINGULAR)
 
     def _regroup(self) -> None:
         """Make the matrices of the group J, the blocks that are not settled."""
@@ -347,7 +346,7 @@ def _closed(E: StateSpace, D_V: Vector) -> Vector:
     """
     n, m = E.order, E.inputs
     loop = np.eye(E.outputs) + E.D @ D_V
-    if not np.linalg.cond(loop) < _SINGULAR:
+    if not np.linalg.cond(loop) < SINGULAR:
         raise ValueError("I + D_E D_V is singular: force and tool position have no unique solution in a tick")
     f = -np.linalg.solve(loop, np.hstack([E.C, E.D]))
     x_e = np.hstack([np.zeros((m, n)), np.eye(m)]) + D_V @ f

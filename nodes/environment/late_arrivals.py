@@ -11,7 +11,7 @@ that is read at once after a late one was there before, and is not late. A late 
 time waited_i, so the charges of a tick add up to the time that the others waited, also where several are late together.
 The first coupling is never charged: when all are late alike, none waited for another.
 
-Charges fill a leaky bucket (:data:`BURST`, :data:`SHARE`), and a coupling whose bucket is full is frozen
+Charges fill a leaky bucket (:data:`BURST`, :data:`SHARE`), and a coupling whose bucket is full is not waited for
 (docs/decisions/0028-who-is-late.md). A machine that is too slow for the session makes every coupling late now and then.
 So whenever every coupling was late once more, each is forgiven :data:`COMMON` charges.
 """
@@ -30,12 +30,12 @@ SHARE: Final = 0.01
 """The share of all ticks that may be late for ever; the policy of breaches allows a device as many."""
 
 BURST: Final = 50
-"""Late ticks beyond that share before a coupling is frozen: half of the ticks of a device's telemetry."""
+"""Late ticks beyond that share before a coupling is not waited for: half of the ticks of a device's telemetry."""
 
 COMMON: Final = 4
 """Charges that each coupling is forgiven when every coupling was late once more.
 
-So on a slow machine a coupling is frozen only if it is late more than so many times as often as the least late one.
+So on a slow machine every coupling is waited for that is late less than so many times as often as the least late one.
 """
 
 AT_ONCE: Final = 1 / 16
@@ -118,7 +118,7 @@ class LateArrivals:
     def missed(self, tick: int, who: Sequence[int], waited: Duration) -> None:
         """Charge the couplings ``who``, which did not come; the others waited ``waited``, ns, for all of them together.
 
-        The environment freezes them in any case.
+        The environment waits no longer for them in any case.
         """
         for index in who:
             self._charge(index, tick, waited // len(who))

@@ -1,4 +1,4 @@
-"""The membership of each coupling in the session: active, frozen, rejoining or gone, and what changes it.
+"""The membership of each coupling in the session: active, held, frozen, rejoining or gone, and what changes it.
 
 The environment waits in every tick for the couplings that are active. A coupling that does not come in time is *held*:
 its tool rests for as long, and the others go on. When its signal comes it is answered at once, with the force of its
@@ -222,7 +222,7 @@ class Member:
         "waived",
         "waivers",
         "wanted",
-    )  # fmt: skip
+    )
 
     def __init__(self, peer_link: PeerLink, index: int, state: Membership, linked: bool = False) -> None:
         self.peer_link, self.index, self.membership = peer_link, index, MembershipRecord(state)
@@ -594,7 +594,7 @@ class Members:
         state = member.membership.state
         sent_on = state is Membership.REJOINING or (state is Membership.HELD and member.due < _UNTIL_HEARD)
         if sent_on and tick < member.due:
-            # sent before the coupling received the zero force that sends it on to a later tick
+            # sent before the coupling received the force that sends it on to a later tick
             member.peer_link.tick = -1
             return False
         if member.membership.pauses(tick):

@@ -115,7 +115,7 @@ class Causes:
         return {name: ticks for name, ticks in found.items() if ticks > 0.0 and name not in own}
 
     def frozen(self, couplings: Collection[str], since: float, until: float) -> dict[str, float]:
-        """How often each of these couplings was frozen for being late between two times, s."""
+        """How often each of these couplings was frozen for staying silent between two times, s."""
         return {name: self._grown(f"{names.FROZEN_LATE}{name}", since, until) for name in couplings}
 
     def _received_of(self, receivers: Collection[str], since: float, until: float) -> dict[str, float]:

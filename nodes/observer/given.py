@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
+from operator import sub
 from typing import Any, Final
 
 from manyhands.nodes import telemetry as names
@@ -65,14 +66,7 @@ class GivenForce:
 
     def since(self, before: GivenForce) -> GivenForce:
         """What has come since ``before``."""
-        return GivenForce(
-            self.asked - before.asked,
-            self.given - before.given,
-            self.time - before.time,
-            self.away - before.away,
-            self.held_back - before.held_back,
-            self.cut - before.cut,
-        )
+        return GivenForce(*map(sub, astuple(self), astuple(before)))
 
     @property
     def lacking(self) -> float:
