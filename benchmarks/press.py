@@ -1,6 +1,6 @@
 """A slow press in real time: the stiffness that a hand feels, certified and delivered, in the tick and over wave links.
 
-    python benchmarks/press.py [--seconds S] [--rounds N] [--only NAME ...] [--json FILE] [--markdown FILE]
+    python benchmarks/press.py [--seconds S] [--rounds N] [--only NAME ...] [--busy N] [--json FILE] [--markdown FILE]
 
 The session is Example 1 with the stiffest couplings, and its devices live in wall time. The hand of dx pushes with a
 force that rises to 5 N in 5 s and then stays. Stiffness at the hand is the force over the distance from the device to
@@ -16,9 +16,11 @@ from __future__ import annotations
 import argparse
 import json
 import random
+import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
@@ -215,6 +217,18 @@ def press(form: str, hold: float) -> Press:
     )
 
 
+@contextmanager
+def beside(count: int) -> Iterator[None]:
+    """So many programs that compute without a pause."""
+    programs = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for program in programs:
+            program.kill()
+            program.wait()
+
+
 def table(rounds: Sequence[Press]) -> str:
     """The figures by form, as Markdown."""
     lines = [
@@ -247,6 +261,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=20.0, help="how long the force is held")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--only", nargs="*", choices=list(FORMS), default=list(FORMS))
+    parser.add_argument("--busy", type=int, default=0, help="how many programs compute without a pause beside it")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--markdown", type=Path)
     given = parser.parse_args()
@@ -254,7 +269,8 @@ def main() -> int:
     for number in range(given.rounds):
         for form in random.sample(given.only, len(given.only)):
             began = time.monotonic()
-            done.append(press(form, given.seconds))
+            with beside(given.busy):
+                done.append(press(form, given.seconds))
             last = done[-1]
             took = time.monotonic() - began
             print(f"round {number + 1}, {form}: {last.delivered:.0f} N/m of {last.certified:.0f} ({took:.0f} s)")

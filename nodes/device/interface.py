@@ -303,6 +303,20 @@ CALM: Final = 0.02
 LONGEST: Final = 2.0
 """The longest delay that the interface expects, in periods: a single long one would make it hold back too much."""
 
+PEAK: Final = 4.0
+"""The longest delay that the tank holds a reserve for, in periods, where such delays are seen."""
+
+MEMORY: Final = 2.0
+"""s; the time constant with which the longest delay is forgotten. P makes up what a rarer one takes."""
+
+IN_A_ROW: Final = 1.5
+"""The reserve's time, in terms of a period with such a delay. After it nobody knows how fast the device moves, and the
+next force may come late as well: one period alone would not pay for that."""
+
+SAVED: Final = 0.5
+"""Part of what a motion has brought that the tank keeps while an offset is left and the reserve is not full. More would
+keep nearly every motion of a tapping hand from the couplings."""
+
 RECOVERY: Final = 0.3
 """s; the time constant with which an offset is made up. What is sent burns energy as a moving device does, so that a
 fast return would cost the tank more than a slow one; and a force must not step."""
@@ -369,7 +383,7 @@ class DeviceInterface:
         self.tank = self.allowed = self.margin = self._allowance.energy
         self._first: Instant | None = None  # instant of a force
         self._T, self._longest, self._latency, self._speed = T, longest, latency, tuple(speed)
-        self._tau = self._expected = tau
+        self._tau = self._expected = self._seen = tau
         self._tolerance = tolerance
         self._sent: Floats = [0.0] * len(speed)
         self._goal = self._sent
@@ -387,6 +401,7 @@ class DeviceInterface:
         self._whole: Instant | None = None  # when the present force ends if the account does not bring that nearer
         self._next_whole: Instant | None = None  # likewise of the force that is decided and not applied yet
         self._lowered = False  # whether the account lowers that force
+        self._drawn = 0.0  # the tank after the last motion was sent, less E_0 + P t, J
 
     @property
     def exerted(self) -> Floats:
@@ -431,8 +446,10 @@ class DeviceInterface:
             self._changed = False
             self._sample = x, at, w, gain
             return goal
+        known = self.tank
         account.sampled(x, at)
         self._book()
+        brought = max(0.0, self.tank - known)
         acts, committed = account.ahead  # with a latency, earlier forces may act until after this sample
         acts = max(acts, at)
         left = self._left(acts)
@@ -443,10 +460,14 @@ class DeviceInterface:
         offset = minus(self._goal, before)
         part = 1.0 if max(map(abs, offset)) <= REST else min(1.0, self._T / RECOVERY)
         wanted = w if part == 1.0 else [way + part * rest for way, rest in zip(own, offset, strict=True)]
-        cost, spare = self._recovery(own, wanted, reserve)
+        late = 0.0
+        if exerted and self._sent is not self._goal and self._seen > self._tau:
+            late = account.costs(account.exerted, acts, IN_A_ROW * ((1.0 + self._tolerance) * self._T + self._seen))
+        cost, spare = self._recovery(own, wanted, max(reserve, late))
         if cost > spare:
             part *= spare / cost
             wanted = [way + part * rest for way, rest in zip(own, offset, strict=True)]
+        reserve = max(reserve, min(late, self._drawn + self.allowed + SAVED * brought))
         kept = self._nearest(wanted, reserve - self.tank)
         self._goal = goal
         self._changed = kept != wanted
@@ -459,6 +480,7 @@ class DeviceInterface:
             self.kept_back += max(0.0, gain - account.least_gain(own))
         account.received(kept, gain)
         self._book()
+        self._drawn = self.tank - self.allowed
         paid = self.tank - committed
         if exerted and paid < account.costs(account.exerted, acts, left):
             end = max(now, Instant(acts + int(1e9 * account.lasts(account.exerted, acts, max(0.0, paid)))))
@@ -485,6 +507,7 @@ class DeviceInterface:
         account, T, sampled = self.account, self._T, at if self._at is None else self._at
         late = max(0.0, (at - sampled) * _NS)
         self._expected += CALM * (min(late, LONGEST * T) - self._expected)
+        self._seen = max(min(late, PEAK * T), self._seen * (1.0 - T / MEMORY))
         expected = max(self._tau, self._expected)
         until = self._next_whole = Instant(sampled + self._longest)
         before, power = self._power, account.cost(held)
@@ -583,7 +606,7 @@ class DeviceInterface:
 
     def _most(self, power: float) -> float:
         """The most that the tank may hold, J, so that an hour's motion does not pay for a minute's lateness."""
-        return self._allowance.energy + ROOM * (self._T + max(self._tau, self._expected)) * power
+        return self._allowance.energy + ROOM * (self._T + max(self._tau, self._expected, self._seen)) * power
 
     def _book(self) -> None:
         """Take over what the account has booked since the last call."""
@@ -599,9 +622,9 @@ class DeviceInterface:
     def _recovery(self, own: Floats, wanted: Floats, reserve: float) -> tuple[float, float]:
         """What it costs to make up an offset by moving ``wanted`` in place of ``own``, m, and what there is for it, J.
 
-        Only what the tank has above E_0 is: an offset that took the rest would leave late forces without a reserve, and
-        the hand would move in against less than was asked, which makes the offset greater again. The gain is concave in
-        the motion, so that a part s of the way costs at most s of all.
+        Only what the tank has above ``reserve`` and E_0 is: an offset that took the rest would leave late forces
+        without a reserve, and the hand would move in against less than was asked, which makes the offset greater
+        again. The gain is concave in the motion, so that a part s of the way costs at most s of all.
         """
         there = self.account.least_gain(own)
         spare = self.tank + there - max(reserve, self._allowance.energy)

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from manyhands.nodes.arithmetic import Floats
+from manyhands.nodes.device.inertia import Inertia
 from manyhands.protocol.clock import Instant
 
 from ...support.moved_device import E_0, OSP, SPEED, TICK, Array, Device, T, promise
@@ -189,7 +190,7 @@ def test_an_offset_goes_as_soon_as_the_account_pays_for_it() -> None:
     osp, tau = OSP["one axis"], 5e-4
     device = Device(osp, promise(tau, 0.5), tau, E_0)
     wall = 600.0
-    for tick in range(5000):
+    for tick in range(8000):  # the reserve for such delays is forgotten after some 4 s without them
         at = tick * TICK
         if at < device.now:
             continue
@@ -202,3 +203,40 @@ def test_an_offset_goes_as_soon_as_the_account_pays_for_it() -> None:
     assert device.interface.offset > 1e-4
     assert abs(device.sent[0] - device.x[0]) < 1e-6  # one that is smaller is dropped in the next tick
     assert device.interface.account.least >= -E_0
+
+
+def test_a_hand_that_leans_on_a_wall_does_not_drift_while_forces_are_late_again_and_again() -> None:
+    """Every fifth force is 2.5 ms late. The hand moves in until the tank holds a reserve for that, and then comes back.
+
+    An offset that took the reserve, or a motion that did, would let every late force end early, and the hand would move
+    in by as much each time: 100 mm/s in this run.
+    """
+    osp, tau, wall, mass, hand = OSP["one axis"], 6e-4, 835.0, 0.2, 5.0
+    inertia = Inertia((mass,), (50.0,), (0.0,))
+    device = Device(osp, promise(tau, 0.5), tau, E_0, inertia=inertia, power=1e-3)
+    damping, v = float(osp[0, 0]), 0.0
+
+    def pushed(until: int) -> None:
+        nonlocal v
+        while device.now < until:
+            at = min(until, device.now + 250_000)
+            if device.until is not None and device.now < device.until < at:
+                at = device.until
+            h = 1e-9 * (at - device.now)
+            acts = device.until is None or device.now < device.until
+            push = hand * min(1e-9 * device.now, 1.0)
+            v += h / mass * (push + (float(device.exerted[0]) if acts else 0.0) - damping * v)
+            device.move(np.array([v]), at)
+
+    places = {}
+    while device.now < 25_000 * TICK:
+        tick = -(-device.now // TICK)
+        pushed(tick * TICK)
+        device.send()
+        pushed(device.now + (5 * TICK // 2 if tick % 5 == 0 else 2 * TICK // 5))
+        device.answer([-wall * float(device.sent[0])])
+        places[device.now // TICK // 1000] = float(device.x[0])
+    assert max(places.values()) > hand / wall + 1e-3  # lateness could have taken the wall away in this run
+    assert places[24] <= places[18] - 1e-3
+    assert places[24] < 2.0 * hand / wall
+    assert device.interface.margin >= 0.0
