@@ -317,6 +317,10 @@ SAVED: Final = 0.5
 """Part of what a motion has brought that the tank keeps while an offset is left and the reserve is not full. More would
 keep nearly every motion of a tapping hand from the couplings."""
 
+REGAINED: Final = 0.2
+"""Part of E_0 that a motion may be asked to bring back in a tick, of what late forces took since the last one. All of
+it would throw the motion sent outwards by millimetres after a stall, for which the account counts the worst case."""
+
 RECOVERY: Final = 0.3
 """s; the time constant with which an offset is made up. What is sent burns energy as a moving device does, so that a
 fast return would cost the tank more than a slow one; and a force must not step."""
@@ -467,7 +471,8 @@ class DeviceInterface:
         if cost > spare:
             part *= spare / cost
             wanted = [way + part * rest for way, rest in zip(own, offset, strict=True)]
-        reserve = max(reserve, min(late, self._drawn + self.allowed + SAVED * brought))
+        regained = self.tank + REGAINED * self._allowance.energy
+        reserve = max(reserve, min(late, regained, self._drawn + self.allowed + SAVED * brought))
         kept = self._nearest(wanted, reserve - self.tank)
         self._goal = goal
         self._changed = kept != wanted
