@@ -23,10 +23,10 @@ import numpy as np
 from chaos_kinds import PROMISE
 from numpy.typing import NDArray
 
+from manyhands.launch.audit.simulation import Silence, Simulation
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.recordings.tables import read_recording
-from manyhands.launch.simulation import Silence, Simulation
 
 STEP = 2.0  # the simulation is exact, but cannot try every tick and every combination
 AWAY = 300  # ticks that a user is away in these simulations: then a free hand moves as fast as it ever does

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmarks.world_step import WARM, step_times
-from manyhands.launch.files import load_named
+from manyhands.launch.session.shipped import load_named
 from manyhands.nodes.environment.enforced import EnforcedCore
 from manyhands.nodes.environment.mesh import MeshProxies
 from manyhands.nodes.environment.model import AskedModel

@@ -32,7 +32,7 @@ from page import fill
 from watched_figures import ALONE, PAGE, RECORDER, VARIANTS, WATCHED, Variant, Window, table
 from watched_onlookers import CHROMIUM, Onlookers, looking_on
 
-from manyhands.launch.observe.sessions import find_session
+from manyhands.launch.look.sessions import find_session
 from manyhands.launch.plan.topology import topology
 from manyhands.launch.session import load_session
 from manyhands.protocol.channels import TAU

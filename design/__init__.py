@@ -5,5 +5,5 @@ Read ``models/`` first, then ``passivity/`` and ``levels/`` (the promise of each
 proves it without any code of the others.
 
 The public library is :mod:`manyhands.design.passivity`, under the shorter name ``manyhands.passivity``. Called as a
-function, this package is :func:`manyhands.launch.api.design`: ``import manyhands as mh; mh.design(session)``.
+function, this package is :func:`manyhands.launch.app.api.design`: ``import manyhands as mh; mh.design(session)``.
 """

@@ -499,11 +499,11 @@ class Certificate:
         """
         from manyhands.design.frequency_responses import responses_of  # a reader of certificates needs none
 
-        return responses_of(self, omega)
+        return responses_of(self.loop, StateSpace.of(self.E), self.blocks, omega)
 
     @classmethod
     def load(cls, path: Path | str) -> Certificate:
-        """The certificate in a file. It is read only; :func:`manyhands.launch.api.verify` proves it.
+        """The certificate in a file. It is read only; :func:`manyhands.launch.app.api.verify` proves it.
 
         Raises:
             CertificateError: the file is not readable, not a certificate, or not of a known version.

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,9 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import Partition
 from manyhands.design.models.statespace import Matrix, StateSpace, frequency_response
-
-if TYPE_CHECKING:
-    from manyhands.design.certificate import Certificate
+from manyhands.design.problem import HapticLoop
 
 Complex = NDArray[np.complex128]
 
@@ -45,16 +42,25 @@ class FrequencyResponses:
     __repr__ = brief_repr
 
 
-def responses_of(certificate: Certificate, omega: ArrayLike | None = None) -> FrequencyResponses:
-    """The responses of a certificate's loop; see :meth:`.Certificate.frequency_responses`."""
-    T, E = certificate.loop.period, StateSpace.of(certificate.E)
-    at = frequencies([E, *certificate.blocks], T) if omega is None else np.atleast_1d(np.asarray(omega, float))
+def responses_of(
+    loop: HapticLoop, E: StateSpace, blocks: Sequence[StateSpace], omega: ArrayLike | None = None
+) -> FrequencyResponses:
+    """The responses of a loop; see :meth:`.Certificate.frequency_responses`.
+
+    Args:
+        loop: the loop.
+        E: the environment's impedance.
+        blocks: the coupling's blocks, in the partition's order.
+        omega: as there.
+    """
+    T = loop.period
+    at = frequencies([E, *blocks], T) if omega is None else np.atleast_1d(np.asarray(omega, float))
     if at.ndim != 1 or not np.all((at >= 0.0) & (at <= np.pi / T * (1.0 + 1e-12))):
         raise ValueError(f"omega: expected frequencies from 0 to pi/T = {np.pi / T:.6g} rad/s in one dimension")
     E_z = response(E, at * T)
-    V_z = coupling_response(certificate.blocks, certificate.loop.partition, at * T)
-    if certificate.loop.series:
-        V_z = V_z - response(certificate.loop.counted, at * T)
+    V_z = coupling_response(blocks, loop.partition, at * T)
+    if loop.series:
+        V_z = V_z - response(loop.counted, at * T)
     return FrequencyResponses(at, E_z, V_z, closed_loop(E_z, V_z))
 
 

@@ -17,8 +17,8 @@ import time
 from manyhands.design.errors import DesignError
 from manyhands.design.problem import LinearWanted, Wish
 from manyhands.design.synthesis import design
-from manyhands.launch.files import load_named
-from manyhands.launch.plan.prepare import coupling_request, haptic_loop
+from manyhands.launch.plan.loop import coupling_request, haptic_loop
+from manyhands.launch.session.shipped import load_named
 
 ORDERS = (0, 1, 2, 4, 6)
 ONE_BLOCK = "couplings={c: {devices: [dx, dy, dz]}}"  # in place of the session's cx, cy, cz

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from manyhands.launch.files import load_named
+from manyhands.launch.audit.simulation import Simulation
 from manyhands.launch.plan.prepare import prepare
-from manyhands.launch.simulation import Simulation
+from manyhands.launch.session.shipped import load_named
 from manyhands.nodes.environment.enforced import EnforcedCore
 
 FOLDER = Path(__file__).parent

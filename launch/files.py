@@ -1,27 +1,20 @@
-"""Files that commands read and write: checks and locks of output files, sessions by name, and the exit codes.
+"""Files that commands write: their checks and locks, and the exit codes, on which other programs rely.
 
 A command checks an output file before it begins, not after a run. While it writes the file, a lock keeps other runs
-from it. Session files are found by path, or by name among those in the package. Other programs rely on the exit codes.
+from it.
 """
 
 from __future__ import annotations
 
-import difflib
 import errno
 import fcntl
-import importlib.resources
 import os
 import socket
 import stat
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
-
-if TYPE_CHECKING:
-    from importlib.resources.abc import Traversable
-
-    from manyhands.launch.session import Session
+from typing import Final
 
 _MOST_WORDS: Final = 300
 _NO_LOCKS: Final = (errno.EBADF, errno.ENOLCK, errno.EOPNOTSUPP)
@@ -143,49 +136,3 @@ EXIT_FAILED = 1  # a process failed, or a file could not be written
 EXIT_BAD_INPUT = 2
 EXIT_NOT_CERTIFIED = 3
 EXIT_INTERRUPTED = 130  # Ctrl-C; other signals give 128 + their number
-
-
-def shipped_sessions() -> dict[str, Traversable]:
-    """The session files in the package by name, without their suffix, in alphabetical order."""
-    folder = importlib.resources.files("manyhands.launch") / "sessions"
-    files = {file.name.removesuffix(".yaml"): file for file in folder.iterdir() if file.name.endswith(".yaml")}
-    return dict(sorted(files.items()))
-
-
-def load_named(name: Path | str, overrides: Sequence[str] = ()) -> Session:
-    """The session at a path, or the shipped session of that name, with or without its suffix.
-
-    Args:
-        name: a path; if no such file exists and it is in no other folder, a shipped session is looked for.
-        overrides: ``KEY.PATH=VALUE`` each.
-
-    Raises:
-        SessionError: the file or an override is wrong, or there is none of that name.
-    """
-    from manyhands.launch.session import load_session  # the validator takes a fifth of a second
-
-    path = Path(name)
-    # a folder may have the name as well: `manyhands host ball` makes one
-    of_a_folder = path.is_dir() and path.name.removesuffix(".yaml") in shipped_sessions()
-    if len(path.parts) != 1 or (path.exists() and not of_a_folder):
-        return load_session(path, overrides).with_code_in(path.parent)
-    with importlib.resources.as_file(shipped_session(path.name)) as file:
-        return load_session(file, overrides)
-
-
-def shipped_session(name: str) -> Traversable:
-    """The file of a shipped session, by its name with or without the suffix.
-
-    Raises:
-        SessionError: there is none of that name.
-    """
-    from manyhands.launch.session.errors import SessionError
-
-    shipped = shipped_sessions()
-    wanted = name.removesuffix(".yaml")
-    if wanted not in shipped:
-        near = difflib.get_close_matches(wanted, shipped, n=1)
-        meant = f" (did you mean {near[0]!r}?)" if near else ""
-        expected = f"a session file, or one that `manyhands sessions` lists{meant}"
-        raise SessionError(name, None, "", "neither a file nor a shipped session of this name", expected)
-    return shipped[wanted]

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import errno
 import io
+import json
 import os
 import select
 import sys
@@ -142,3 +143,8 @@ def pipe_may_close() -> Iterator[None]:
 def _output_of(stream: IO[str]) -> Output | None:
     found = getattr(stream, "buffer", None)
     return found if isinstance(found, Output) else None
+
+
+def print_json(data: object) -> None:
+    """Print one JSON object on standard output."""
+    print(json.dumps(data, indent=2, allow_nan=False))  # noqa: T201 -- what the function is for

@@ -111,7 +111,7 @@ def own_interrupt(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
     The test begins with no interrupt counted.
     """
-    monkeypatch.setattr("manyhands.launch.cli.common.ctrl_c", [])
+    monkeypatch.setattr("manyhands.launch.app.cli.common.ctrl_c", [])
     before = signal.getsignal(signal.SIGINT)
     yield
     signal.signal(signal.SIGINT, before)

@@ -84,7 +84,7 @@ def test_a_node_loads_no_solver_by_the_package() -> None:
     assert in_fresh_python(code) == "[]\n"
 
 
-@pytest.mark.parametrize("first", ["manyhands.design.certificate", "manyhands.launch.api", "manyhands"])
+@pytest.mark.parametrize("first", ["manyhands.design.certificate", "manyhands.launch.app.api", "manyhands"])
 def test_a_room_that_is_a_function_is_both_whatever_is_imported_first(first: str) -> None:
     code = f"""
 import {first}

@@ -27,7 +27,7 @@ from types import ModuleType
 from typing import Any
 
 import manyhands
-from manyhands.launch.cli import GROUPS
+from manyhands.launch.app.cli import GROUPS
 from manyhands.nodes.factory import MESH, SHIPPED
 
 PRODUCT = Path(manyhands.__file__).parent
@@ -336,7 +336,7 @@ def unreached(modules: dict[str, Module], commands: Iterable[str], texts: Iterab
     for command in commands:
         search.name(*command.split(":"))
     for listed in (listed for group in GROUPS.values() for listed in group.values()):
-        search.module(f"manyhands.launch.cli.{listed.module}")  # imported when one of its commands runs
+        search.module(f"manyhands.launch.app.cli.{listed.module}")  # imported when one of its commands runs
     for name in modules:
         if name.rpartition(".")[2] == "__main__":
             search.module(name)
@@ -347,7 +347,7 @@ def unreached(modules: dict[str, Module], commands: Iterable[str], texts: Iterab
             if not isinstance(one, ModuleType):
                 search.public(one)
             elif callable(one):  # a room whose name is a function's, too
-                search.name("manyhands.launch.api", exported)
+                search.name("manyhands.launch.app.api", exported)
     for text in texts:
         for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
             search.code([ast.parse(python(textwrap.dedent(block)))], "", {}, "")

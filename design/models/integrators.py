@@ -22,9 +22,8 @@ import numpy as np
 
 from manyhands.design.errors import Infeasible
 from manyhands.design.models.brief import brief_repr
-from manyhands.design.models.statespace import Matrix, StateSpace, matrix, symmetric_part
+from manyhands.design.models.statespace import Matrix, StateSpace, matrix, storage_inequality, symmetric_part
 from manyhands.design.models.transfer import InDifferences, stated
-from manyhands.design.passivity.storage import storage_inequality
 
 _ASYMMETRY = 1e-9  # of E1, relative: a greater one is not the rounding of the given matrices
 

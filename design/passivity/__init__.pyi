@@ -11,6 +11,7 @@ from manyhands.design.models.coupling import transformed_environment as transfor
 from manyhands.design.models.network import Network as Network
 from manyhands.design.models.network import NetworkLink as NetworkLink
 from manyhands.design.models.statespace import StateSpace as StateSpace
+from manyhands.design.models.statespace import storage_inequality as storage_inequality
 from manyhands.design.passivity.best_level import greatest_input_level as greatest_input_level
 from manyhands.design.passivity.best_level import greatest_output_level as greatest_output_level
 from manyhands.design.passivity.continuous import Dissipative as Dissipative
@@ -27,4 +28,3 @@ from manyhands.design.passivity.lemma2 import lemma2_expression as lemma2_expres
 from manyhands.design.passivity.lemma2 import lemma2_matrix as lemma2_matrix
 from manyhands.design.passivity.lemma2 import schur_matrix as schur_matrix
 from manyhands.design.passivity.lemma2 import storage_by_lemma2 as storage_by_lemma2
-from manyhands.design.passivity.storage import storage_inequality as storage_inequality

@@ -26,8 +26,15 @@ from numpy.typing import NDArray
 from scipy.linalg import eig
 
 from manyhands.design.errors import SolverFailure
-from manyhands.design.models.statespace import Matrix, StateSpace, Time, frequency_of, gaps, in_discrete_time
-from manyhands.design.passivity.storage import storage_inequality
+from manyhands.design.models.statespace import (
+    Matrix,
+    StateSpace,
+    Time,
+    frequency_of,
+    gaps,
+    in_discrete_time,
+    storage_inequality,
+)
 
 Complex = NDArray[np.complex128]
 

@@ -61,10 +61,11 @@ from manyhands.design.models.statespace import (
     in_discrete_time,
     matrix,
     require_state_space,
+    storage_inequality,
     symmetric_part,
 )
 from manyhands.design.passivity.frequency import generic_points, least_ratio, pairs_at, special_points, supply_form
-from manyhands.design.passivity.storage import StorageFace, storage_face_of, storage_inequality
+from manyhands.design.passivity.storage import StorageFace, storage_face_of
 from manyhands.design.solver import ProgramInfeasible, affine, solve, value
 
 # Coordinates

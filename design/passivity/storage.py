@@ -33,36 +33,6 @@ _RANK_TOLERANCE = 1e-9  # static directions differ from slow ones (omega T of 1e
 _EQUALITY_TOLERANCE = 1e-8  # relative residual above which the equalities have no solution
 
 
-def storage_inequality(system: StateSpace, P: Matrix, Delta: Matrix | None = None, Phi: Matrix | None = None) -> Matrix:
-    """The matrix M(P) of (2), (n+m) x (n+m); Delta and Phi default to zero (passivity).
-
-    Args:
-        system: (A, B, C, D) with as many inputs as outputs, m.
-        P: n x n symmetric.
-        Delta: m x m, output level.
-        Phi: m x m, input level.
-
-    Example:
-        >>> import numpy as np
-        >>> from manyhands import passivity
-        >>> lag = passivity.StateSpace([[0.5]], [[0.5]], [[1.0]], [[1.0]])
-        >>> P = passivity.analyse(lag).P
-        >>> bool(np.linalg.eigvalsh(passivity.storage_inequality(lag, P))[-1] < 0.0)
-        True
-    """
-    A, B, C, D = system.A, system.B, system.C, system.D
-    m = system.inputs
-    Delta = np.zeros((m, m)) if Delta is None else Delta
-    Phi = np.zeros((m, m)) if Phi is None else Phi
-    off = A.T @ P @ B - C.T / 2.0 + C.T @ Delta @ D
-    return np.block(
-        [
-            [A.T @ P @ A - P + C.T @ Delta @ C, off],
-            [off.T, B.T @ P @ B - (D + D.T) / 2.0 + D.T @ Delta @ D + Phi],
-        ]
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class StorageFace:
     """The affine set of storage matrices P that the neutral pairs allow, and the directions for strictness.

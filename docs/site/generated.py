@@ -23,7 +23,7 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from manyhands.launch.cli import GROUPS, app
+from manyhands.launch.app.cli import GROUPS, app
 from manyhands.launch.session.schema import session_schema
 
 SCHEMA_FILE: Final = "session.schema.json"

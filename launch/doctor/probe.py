@@ -16,9 +16,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Self
 
-from manyhands.launch.doctor.profile import Lateness, Profile, profile_key
+from manyhands.launch.doctor.profile import Lateness, ProbeFailed, ProbeInterrupted, Profile, profile_key
 from manyhands.launch.doctor.wakeup import Spread, Waking
-from manyhands.launch.plan.delay import ProbeFailed, ProbeInterrupted
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import Prepared, unproved
 from manyhands.launch.plan.reach import reach

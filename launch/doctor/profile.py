@@ -25,6 +25,7 @@ import json
 import math
 import os
 import platform
+import signal
 import stat
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -62,6 +63,22 @@ LEAST_TICKS: Final = 1000
 
 _FORMAT: Final = 1
 _MOST_BYTES: Final = 2**20  # a session of a thousand nodes has a key of some 100 kB
+
+
+class ProbeFailed(Exception):
+    """The probe failed; the message names the process and the reason."""
+
+
+class ProbeInterrupted(Exception):
+    """The user interrupted the probe.
+
+    Attributes:
+        signal: the signal that came.
+    """
+
+    def __init__(self, which: signal.Signals) -> None:
+        super().__init__(which)
+        self.signal = which
 
 
 @dataclass(frozen=True)

@@ -1,217 +1,46 @@
 """From a session to the coupling of its run and the certificate that proves it.
 
 A run needs a certificate, which is designed now or read from a file and proved again. Without a certificate the run is
-refused, unless the user asks for an uncertified run. :func:`haptic_loop` and :func:`coupling_request` translate a
-session into the types of ``design``: the loop, and what is asked of its coupling.
+refused, unless the user asks for an uncertified run.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from manyhands.design.certificate import Certificate, content, differences, identity, load
+from manyhands.design.certificate import Certificate, content, to_json
 from manyhands.design.errors import CertificateError, DesignError, Infeasible
 from manyhands.design.models.brief import brief_repr
-from manyhands.design.models.coupling import Partition, SpringDamper
-from manyhands.design.models.environment import (
-    DeclaredEnvironment,
-    DeclaredScene,
-    DelayedNetwork,
-    Environment,
-    NetworkBox,
-    ProxyEnvironment,
-    StateSpaceEnvironment,
-    TransferEnvironment,
-)
-from manyhands.design.models.network import Network, NetworkLink
 from manyhands.design.models.statespace import StateSpace
-from manyhands.design.models.weights import Filter, Transparency
 from manyhands.design.problem import (
-    MOST_ITERATIONS,
-    CouplingRequest,
-    DeviceLevel,
     HapticLoop,
     LinearGiven,
-    LinearWanted,
     NoCoupling,
-    PolePair,
     SpringDamperGiven,
-    SpringDamperWanted,
-    Wish,
 )
-from manyhands.design.series import counted_parts
-from manyhands.launch.plan.access import capability_violations
+from manyhands.design.world import world_json
+from manyhands.launch.plan import sites
+from manyhands.launch.plan.certificates import proved, read_certificate, with_delay_of
+from manyhands.launch.plan.loop import NotCertified, Progress, coupling_request, haptic_loop
 from manyhands.launch.plan.plan import Plan
-from manyhands.launch.session import AskedEnvironment, BlockMatrices, Session
+from manyhands.launch.plan.sites import IN_TICK
+from manyhands.launch.session import Session
 from manyhands.launch.session.design import AUTO
-from manyhands.launch.session.environment import NetworkEnvironment
-from manyhands.launch.session.environment import StateSpaceEnvironment as GivenMatrices
-from manyhands.launch.session.fields import Interval
-from manyhands.launch.session.scene import SceneEnvironment
+from manyhands.nodes.recorder.format import CERTIFICATE_FILE
 
 if TYPE_CHECKING:
     from manyhands.design.ladder import Ladder
     from manyhands.design.synthesis import Designed
     from manyhands.design.world import World
 
-
-def haptic_loop(session: Session) -> HapticLoop:
-    """The loop: ports, levels, block structure and environment, all in the session's order.
-
-    A session that states no delay is designed for none, as in [Bianchini2010]_. One that asks for a measured delay gets
-    it by :meth:`Session.with_delay` before it comes here.
-
-    Raises:
-        NotCertified: the delay is to be measured, and has not been.
-    """
-    tau = stated_delay(session)
-    index = {port: i for i, port in enumerate(session.ports)}
-    loop = HapticLoop(
-        session=session.name,
-        period=session.period,
-        ports=session.ports,
-        devices=tuple(
-            DeviceLevel(name, tuple(index[p] for p in session.ports_of(name)), session.osp_level(name))
-            for name in session.devices
-        ),
-        partition=Partition(
-            tuple(session.couplings), tuple(tuple(index[p] for p in block) for block in session.blocks)
-        ),
-        environment=session_environment(session),
-        tau=tau,
-        period_tolerance=session.period_tolerance,
-    )
-    most = session.design.counted
-    return loop if most is None else replace(loop, series=counted_parts(loop, most))
-
-
-def stated_delay(session: Session) -> float:
-    """The delay inside the tick that the session is designed for, s.
-
-    Where the session states none, it is what its devices state of themselves: the age of their samples and the delay of
-    their forces, and 0 without either. Where it states one, it is at least that.
-
-    Raises:
-        NotCertified: the delay is to be measured, and has not been.
-    """
-    if session.design.tau == AUTO:
-        raise NotCertified(
-            f"{session.name}: design.tau: found {AUTO}, and no measurement; expected a delay in s, or a command that "
-            "measures it (launch, design)"
-        )
-    return session.latency if session.design.stated_tau is None else session.design.stated_tau
-
-
-def session_environment(session: Session) -> Environment:
-    """The environment as one of the types of ``design``."""
-    given, ports = session.environment, session.ports
-    if isinstance(given, SceneEnvironment):
-        return DeclaredScene(given.scene(ports))
-    if isinstance(given, AskedEnvironment):
-        level, stiffness = given.level_matrix(len(ports)), given.stiffness_matrix(len(ports))
-        if stiffness is not None:
-            return ProxyEnvironment(ports, level, stiffness, given.content(ports), given.tank)
-        return DeclaredEnvironment(ports, level, given.enforce)
-    if isinstance(given, NetworkEnvironment):
-        low = _network(given, ports, high=False)
-        if given.uncertain:
-            return NetworkBox(low, _network(given, ports, high=True))
-        return DelayedNetwork(low, given.delay) if given.delay else low
-    if isinstance(given, GivenMatrices):
-        system = _system(given, "the environment", continuous=given.time == "continuous")
-        return StateSpaceEnvironment(ports, system, given.method, given.delay)
-    entries = tuple(tuple((entry.num, entry.den) for entry in row) for row in given.entries)
-    return TransferEnvironment(ports, entries, given.method, given.delay)
-
-
-def _system(given: GivenMatrices | BlockMatrices, what: str, *, continuous: bool) -> StateSpace:
-    """The matrices, with D as stated, or computed from the static gain that is stated in its place.
-
-    Raises:
-        Infeasible: a static gain is stated, but a pole at s = 0 or z = 1 permits none.
-    """
-    A, B, C, last = given.arrays()
-    if given.static is None:
-        return StateSpace(A, B, C, last)
-    try:
-        return StateSpace.with_static_gain(A, B, C, last, continuous=continuous)
-    except ValueError as error:
-        raise Infeasible(f"{what}: {error}", ("state D instead", "give every mode a spring that holds it")) from error
-
-
-def _network(given: NetworkEnvironment, ports: tuple[str, ...], high: bool) -> Network:
-    """The network with every interval at one of its ends."""
-
-    def end(value: float | Interval) -> float:
-        interval = Interval.of(value)
-        return interval.high if high else interval.low
-
-    return Network(
-        ports,
-        tuple((name, end(mass)) for name, mass in given.masses.items()),
-        tuple(NetworkLink(link.between, end(link.stiffness), end(link.damping)) for link in given.links),
-    )
-
-
-def coupling_request(session: Session) -> CouplingRequest:
-    """What the session's ``design:`` asks for."""
-    design = session.design
-    if design.coupling == "none":
-        return NoCoupling()
-    aim = _aim(session)
-    if design.coupling == "given":
-        if design.matrices is not None:
-            given = design.matrices
-            blocks = tuple(_system(given[name], f"coupling {name}", continuous=False) for name in session.couplings)
-            return LinearGiven(blocks, aim)
-        stiffness, damping = session.given_stiffness, session.given_damping
-        if stiffness is None or damping is None:
-            raise AssertionError("a validated session gives stiffness and damping, or matrices")
-        return SpringDamperGiven(SpringDamper(stiffness, damping), aim)
-    wish = Wish(design.objective, aim, design.algorithm, design.iterations or MOST_ITERATIONS)
-    if design.coupling == "spring-damper":
-        return SpringDamperWanted(wish)
-    orders = tuple(design.order_of(name) for name in session.couplings)
-    poles = None if design.poles is None else tuple(PolePair(pole.frequency, pole.damping) for pole in design.poles)
-    return LinearWanted(orders, wish, poles)
-
-
-def _aim(session: Session) -> Transparency | None:
-    """The transparency problem, its weights discretised by backward Euler."""
-    design, T = session.design, session.period
-    if design.objective not in ("loop-shaping", "closed-loop"):
-        return None
-    W1, W2 = (Filter.from_continuous(W.num, W.den, T) for W in (design.W1, design.W2))
-    return Transparency(design.objective, W1, W2)
-
-
-Progress = Callable[[str], None]
-
 UNCERTIFIED = "uncertified-"
-
-
-class NotCertified(Exception):
-    """A run was refused because its session is not certified; the text states the reason and a remedy.
-
-    Example:
-        >>> import manyhands as mh
-        >>> try:
-        ...     mh.launch("example1-uncoupled", 1.0, clock="simulated")
-        ... except mh.NotCertified as error:
-        ...     print(str(error)[:42])
-        example-1-uncoupled is not certified: ther
-    """
-
-
-IN_TICK: Final = "in-tick"
-"""The name of the part of all users without a wave link; no coupling may have it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,62 +100,6 @@ def certify(session: Session, progress: Progress | None = None) -> Designed:
     return design(haptic_loop(session), coupling_request(session), progress)
 
 
-def read_certificate(path: Path, session: Session | None = None) -> Certificate:
-    """Read a certificate and prove it again, for ``session`` where one is given.
-
-    A session that leaves its delay open runs with the certificate's (:func:`with_delay_of`).
-
-    Raises:
-        CertificateError: the file is not a certificate.
-        NotCertified: it does not hold, is another session's, or would have another id if it were written again.
-    """
-    certificate, data = load(path)
-    return _proved(certificate, data, str(path), session)
-
-
-def _proved(certificate: Certificate, data: Mapping[str, Any], path: str, session: Session | None) -> Certificate:
-    """``certificate``, proved from its plain ``data``, for ``session`` where one is given.
-
-    Raises:
-        CertificateError, NotCertified: as :func:`read_certificate`; ``path`` names the certificate.
-    """
-    from manyhands.design.proof import ProofInputError, prove  # imported here: not every command proves
-
-    try:
-        failing = [finding for finding in prove(data) if not finding.holds]
-    except ProofInputError as error:
-        raise CertificateError(f"{path}: {error}") from error
-    if failing:
-        first = failing[0]
-        raise NotCertified(
-            f"{path}: not proved: {first.condition}: found {first.value:.6g}, bound {first.bound:.3g}; "
-            "design the session anew"
-        )
-    if (written := identity(content(certificate))) != certificate.id:
-        raise NotCertified(
-            f"{path}: found another order of keys, or other forms of numbers, than manyhands writes; written again, as "
-            f"in a recording, its id would be {written[:16]} instead of {certificate.id[:16]}; design the session anew"
-        )
-    if session is not None and (found := _foreign(certificate, session)):
-        raise NotCertified(f"{path}: a certificate of another session: {found}; design this session anew")
-    return certificate
-
-
-def _foreign(certificate: Certificate, session: Session) -> str:
-    """How a certificate's session differs from this one; empty where it does not.
-
-    A block that needs ports outside its process is reported first, as that: it could not run there, proved or not.
-    """
-    session = with_delay_of(certificate, session)
-    found = differences(certificate, haptic_loop(session), coupling_request(session))
-    loop = certificate.loop
-    if loop.session == session.name and loop.ports == session.ports:
-        blocks = zip(loop.partition.names, loop.partition.blocks, strict=True)
-        structure = {name: [loop.ports[p] for p in block] for name, block in blocks}
-        found = capability_violations(session, Plan(session).access, structure) + found
-    return found[0] if found else ""
-
-
 def must_measure(session: Session, *, realtime: bool) -> bool:
     """Whether a session that is about to be designed needs the delay of this machine.
 
@@ -339,17 +112,6 @@ def must_measure(session: Session, *, realtime: bool) -> bool:
     """
     tau = session.design.tau
     return session.design.coupling != "none" and (tau == AUTO or (tau is None and realtime))
-
-
-def with_delay_of(certificate: Certificate, session: Session) -> Session:
-    """The session with the certificate's delay, where the session leaves its delay open."""
-    if session.design.stated_tau is not None:
-        return session
-    if certificate.tau > session.period:  # then the periods differ
-        return session.with_delay(session.latency)
-    if certificate.tau < session.latency:  # then it is another session's: it covers less than the devices state
-        return session.with_delay(session.latency, certificate.period_tolerance)
-    return session.with_delay(certificate.tau, certificate.period_tolerance)
 
 
 def prepare(
@@ -383,7 +145,7 @@ def prepare(
     if certificate is not None:
         if isinstance(certificate, Certificate):
             plain = {"id": certificate.id, **content(certificate)}
-            proof = _proved(certificate, plain, f"certificate {certificate.id[:16]}", session)
+            proof = proved(certificate, plain, f"certificate {certificate.id[:16]}", session)
         else:
             proof = read_certificate(certificate, session)
         session = with_delay_of(proof, session)
@@ -411,8 +173,6 @@ def _prepare_parts(
     Raises:
         CertificateError, NotCertified: as :func:`prepare`.
     """
-    from manyhands.launch.plan import sites  # it makes the parts' loops with this module's functions
-
     if certificate is not None:
         world, parts = sites.read_parts(certificate, session)
     else:
@@ -443,8 +203,6 @@ def prepare_again(
         CertificateError: a file is no certificate.
         NotCertified: a certificate in a file does not hold, or no certificate was found for a part that has changed.
     """
-    from manyhands.launch.plan import sites
-
     session = _settled(session)
     try:
         world, parts, renewed = sites.kept_parts(certificate, session, progress)
@@ -524,3 +282,15 @@ def _uncertified_id(session: Session) -> str:
     settled = session.as_plain() | {"colocate": session.colocated}  # the word for "as the machine needs it" is no form
     content = json.dumps(settled, sort_keys=True)
     return UNCERTIFIED + hashlib.sha256(content.encode()).hexdigest()
+
+
+def certificate_files(prepared: Prepared) -> dict[str, bytes]:
+    """The files of a run's certificates, contents by name; of a world's parts as :func:`read_parts` reads them."""
+    out: dict[str, bytes] = {}
+    if prepared.certificate is not None:
+        out[CERTIFICATE_FILE] = to_json(prepared.certificate).encode()
+    if prepared.world is not None:
+        out[CERTIFICATE_FILE] = world_json(prepared.world).encode()
+        for name, part in prepared.parts.items():
+            out[sites.part_file(Path(CERTIFICATE_FILE), name).name] = to_json(part).encode()
+    return out

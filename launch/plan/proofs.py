@@ -9,7 +9,7 @@ from typing import Any
 from manyhands.design.certificate import Certificate, certificate_of
 from manyhands.design.proof import Finding, Proof, prove, prove_together, prove_world
 from manyhands.design.world import world_differences
-from manyhands.launch.plan.prepare import with_delay_of
+from manyhands.launch.plan.certificates import with_delay_of
 from manyhands.launch.plan.sites import differences_from, terms_of_world
 from manyhands.launch.session import Session
 

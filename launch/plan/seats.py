@@ -17,8 +17,8 @@ from manyhands.design.files import replacing
 from manyhands.launch.files import TargetError
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.keys import Keys
+from manyhands.launch.plan.prepare import certificate_files
 from manyhands.launch.plan.reach import Listen, ReachError, reach
-from manyhands.launch.plan.sites import certificate_files
 from manyhands.launch.session import SUPERVISOR, Session
 from manyhands.launch.session.errors import listed
 from manyhands.nodes.bundle import REALTIME, CouplingBundle, DeviceBundle

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from manyhands.design.certificate import Certificate, differences, read_plain, to_json
+from manyhands.design.certificate import Certificate, differences, read_plain
 from manyhands.design.errors import CertificateError
 from manyhands.design.models.coupling import Partition, SpringDamper
 from manyhands.design.problem import (
@@ -24,24 +24,24 @@ from manyhands.design.problem import (
     SpringDamperGiven,
 )
 from manyhands.design.wave_link import WaveLinkFace, WorldPromise, in_tick_id, promised_level, wave_link_id
-from manyhands.design.world import is_world, world_differences, world_from_content, world_json, world_terms
-from manyhands.launch.plan.prepare import (
-    IN_TICK,
+from manyhands.design.world import is_world, world_differences, world_from_content, world_terms
+from manyhands.launch.plan.certificates import read_certificate
+from manyhands.launch.plan.loop import (
     NotCertified,
     Progress,
     coupling_request,
     haptic_loop,
-    read_certificate,
     session_environment,
     stated_delay,
 )
 from manyhands.launch.session import ENVIRONMENT, Session
-from manyhands.nodes.recorder.format import CERTIFICATE_FILE
 
 if TYPE_CHECKING:
     from manyhands.design.synthesis import Designed
     from manyhands.design.world import World, WorldTerms
-    from manyhands.launch.plan.prepare import Prepared
+
+IN_TICK: Final = "in-tick"
+"""The name of the part of all users without a wave link; no coupling may have it."""
 
 
 class SessionPart(NamedTuple):
@@ -149,18 +149,6 @@ def part_file(output: Path, name: str) -> Path:
         return output
     stem, dot, suffixes = output.name.partition(".")
     return output.with_name(f"{stem}.{name}{dot}{suffixes}")
-
-
-def certificate_files(prepared: Prepared) -> dict[str, bytes]:
-    """The files of a run's certificates, contents by name; of a world's parts as :func:`read_parts` reads them."""
-    out: dict[str, bytes] = {}
-    if prepared.certificate is not None:
-        out[CERTIFICATE_FILE] = to_json(prepared.certificate).encode()
-    if prepared.world is not None:
-        out[CERTIFICATE_FILE] = world_json(prepared.world).encode()
-        for name, part in prepared.parts.items():
-            out[part_file(Path(CERTIFICATE_FILE), name).name] = to_json(part).encode()
-    return out
 
 
 def read_parts(path: Path, session: Session) -> tuple[World, dict[str, Certificate]]:

@@ -2,7 +2,7 @@
 
 A message reports one tick of one topic. A :class:`Gatherer` collects them into rows; a row is whole, or it is missing.
 :class:`RecordedRun` is the result. What happened to a node between two rows is in its events
-(:mod:`manyhands.launch.recordings.events`). :func:`first_sign` finds the first tick at which a clutch may have moved.
+(:mod:`manyhands.launch.audit.events`). :func:`first_sign` finds the first tick at which a clutch may have moved.
 """
 
 from __future__ import annotations

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from manyhands.design.files import open_regular, replacing
 from manyhands.extras import require
+from manyhands.launch.recordings.arrays import read_arrays
 from manyhands.launch.recordings.recording import Array, Recording, RecordingError, one_period, require_format
 from manyhands.launch.recordings.run import (
     MOST_MISSING,
@@ -39,7 +40,6 @@ from manyhands.launch.recordings.run import (
     require_beginning,
     span_of,
 )
-from manyhands.launch.session.motion import read_arrays
 from manyhands.nodes.own_ticks import own_span
 from manyhands.nodes.recorder.coverage import Coverage, missing_by_party
 from manyhands.nodes.recorder.format import Recorded

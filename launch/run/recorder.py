@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from manyhands.launch.plan.prepare import Prepared
+from manyhands.launch.plan.recorded import recorded_of
 from manyhands.launch.recordings.recording import RecordingError
-from manyhands.launch.recordings.traces import recorded_of
 from manyhands.launch.run.directory import kept_files
 from manyhands.launch.run.processes import Processes
 from manyhands.launch.run.states import signal_name

@@ -36,7 +36,7 @@ from pydantic import (
 )
 from pydantic.json_schema import SkipJsonSchema
 
-from manyhands.design.models.operators import PassivityFinding, RationalMatrix
+from manyhands.design.passivity.operators import PassivityFinding, RationalMatrix
 from manyhands.launch.session.errors import listed, show
 from manyhands.launch.session.fields import (
     AXIS_NAME,

@@ -590,7 +590,7 @@ class Session(SessionModel):
     def colocated(self) -> bool:
         """Whether each coupling runs in its device's process; false where the session leaves it to the machine.
 
-        :func:`manyhands.launch.plan.colocation.settle_colocation` settles that before a run is planned.
+        :func:`manyhands.launch.doctor.colocation.settle_colocation` settles that before a run is planned.
         """
         return self.colocate is True
 

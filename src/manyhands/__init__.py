@@ -21,7 +21,7 @@ Four rooms hold the code, imported one way (``design | protocol`` <- ``nodes`` <
 * :mod:`manyhands.launch`: session files, the supervisor, the command line.
 
 ``design`` and ``launch`` are each a room and a function: ``mh.design(session)`` calls
-:func:`manyhands.launch.api.design`, and ``manyhands.design.certificate`` is a module, as in any package.
+:func:`manyhands.launch.app.api.design`, and ``manyhands.design.certificate`` is a module, as in any package.
 
 Example:
     >>> import manyhands as mh
@@ -40,4 +40,4 @@ __version__ = "0.6.0"
 
 __getattr__, __dir__ = lazy_names(__name__, __file__)
 for _room in ("design", "launch"):  # their names are also functions of the API
-    callable_package(f"{__name__}.{_room}", f"{__name__}.launch.api")
+    callable_package(f"{__name__}.{_room}", f"{__name__}.launch.app.api")

@@ -26,7 +26,7 @@ def main() -> None:
     output.install()
     for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")  # read when numpy is first imported
-    from manyhands.launch.cli import app  # after the handler: this import takes a noticeable time
+    from manyhands.launch.app.cli import app  # after the handler: this import takes a noticeable time
 
     app(prog_name="manyhands")  # completion goes by it, and python -m has another
 

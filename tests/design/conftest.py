@@ -15,8 +15,8 @@ from manyhands.design.levels.contract import Levels
 from manyhands.design.models.coupling import Partition, SpringDamper
 from manyhands.design.models.environment import Environment
 from manyhands.design.models.network import GROUND, Network, NetworkLink
-from manyhands.design.models.operators import RationalMatrix
 from manyhands.design.models.statespace import Matrix, StateSpace
+from manyhands.design.passivity.operators import RationalMatrix
 from manyhands.design.problem import DeviceLevel, HapticLoop
 
 DECENTRALISED = Partition(("cx", "cy", "cz"), ((0,), (1,), (2,)))

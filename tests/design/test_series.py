@@ -49,8 +49,8 @@ from manyhands.design.proof.exact import Item, exact_decimal
 from manyhands.design.proof.ladder import prove_ladder
 from manyhands.design.series import counted_parts
 from manyhands.design.synthesis import design
-from manyhands.launch.files import load_named
-from manyhands.launch.plan.prepare import coupling_request, haptic_loop
+from manyhands.launch.plan.loop import coupling_request, haptic_loop
+from manyhands.launch.session.shipped import load_named
 from tests.attack.hands import Hand
 from tests.attack.loop import Repeating, Tick, growth
 from tests.attack.oracle import CERTAIN, judge

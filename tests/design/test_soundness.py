@@ -20,8 +20,8 @@ from manyhands.design.models.coupling import SpringDamper
 from manyhands.design.models.device import held_device, zero_order_hold
 from manyhands.design.models.environment import DelayedNetwork, Environment, NetworkBox, StateSpaceEnvironment
 from manyhands.design.models.network import Network, NetworkLink
-from manyhands.design.models.operators import RationalMatrix
 from manyhands.design.models.statespace import Matrix, StateSpace, parallel_blocks
+from manyhands.design.passivity.operators import RationalMatrix
 from manyhands.design.problem import CouplingRequest, HapticLoop, LinearGiven, SpringDamperGiven
 from manyhands.design.proof import ProofInputError, prove
 from manyhands.design.synthesis import design

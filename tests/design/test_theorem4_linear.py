@@ -13,8 +13,7 @@ from manyhands.design.levels.contract import loop_inequality
 from manyhands.design.models.coupling import Partition, transformed_coupling
 from manyhands.design.models.environment import DelayedNetwork
 from manyhands.design.models.network import GROUND, Network, NetworkLink
-from manyhands.design.models.statespace import Matrix, StateSpace, symmetric_part
-from manyhands.design.passivity.storage import storage_inequality
+from manyhands.design.models.statespace import Matrix, StateSpace, storage_inequality, symmetric_part
 from manyhands.design.problem import DeviceLevel, HapticLoop
 from manyhands.design.theorem3 import certify_given, devices
 from manyhands.design.theorem4 import (

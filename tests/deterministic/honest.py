@@ -25,8 +25,8 @@ from typing import Final
 
 import chaos_kinds
 
+from manyhands.launch.audit.audit import Audit
 from manyhands.launch.plan.prepare import Prepared, prepare
-from manyhands.launch.recordings.audit import Audit
 from manyhands.launch.session import load_session
 from manyhands.nodes.observer.health import PROMISES, Promise, PromiseState
 from manyhands.nodes.tick_events import events_in

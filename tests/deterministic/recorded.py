@@ -6,8 +6,8 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from manyhands.launch.audit.audit import Audit, audit
 from manyhands.launch.plan.prepare import Prepared
-from manyhands.launch.recordings.audit import Audit, audit
 from manyhands.launch.recordings.run import read_run
 from manyhands.launch.run.states import SessionPhase
 from manyhands.nodes import telemetry as names

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from manyhands.launch.audit.findings import CheckVerdict
 from manyhands.launch.plan.prepare import Prepared, prepare
-from manyhands.launch.recordings.findings import CheckVerdict
 from manyhands.launch.run.broadcast import describe
 from manyhands.launch.session import load_session
 from manyhands.nodes import telemetry as names

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from manyhands.launch.audit.audit import Audit, audit
 from manyhands.launch.plan.prepare import Prepared, prepare
-from manyhands.launch.recordings.audit import Audit, audit
 from manyhands.launch.recordings.run import read_run
 from manyhands.launch.session import load_session
 from manyhands.nodes import telemetry as names

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from manyhands.launch.audit.audit import Audit, AuditVerdict, audit
+from manyhands.launch.audit.checks import account_bounded
+from manyhands.launch.audit.findings import ABSENT, Check, CheckVerdict
 from manyhands.launch.plan.prepare import Prepared, prepare
-from manyhands.launch.recordings.audit import Audit, AuditVerdict, audit
-from manyhands.launch.recordings.checks import account_bounded
-from manyhands.launch.recordings.findings import ABSENT, Check, CheckVerdict
 from manyhands.launch.recordings.run import RecordedRun, read_run
 from manyhands.launch.session import load_session
 from manyhands.nodes import telemetry as names
@@ -209,7 +209,7 @@ def test_the_account_of_a_device_that_a_person_moved_is_checked(
     prepared: Prepared, told: Told, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its motion is taken from the recording, at s(k) and at a(k); everything else follows from it."""
-    monkeypatch.setattr("manyhands.launch.recordings.audit.hand_of", lambda *_: "a person moved the device")
+    monkeypatch.setattr("manyhands.launch.audit.audit.hand_of", lambda *_: "a person moved the device")
     done = audited(tmp_path / "r.mcap", prepared, told)
     assert broken(done) == {}
     for name in ("exerted", "interface", "ended"):

@@ -16,7 +16,7 @@ from manyhands.design.models.environment import DelayedNetwork, Environment, Sta
 from manyhands.design.models.network import GROUND, Network, NetworkLink
 from manyhands.design.models.statespace import StateSpace
 from manyhands.design.problem import DeviceLevel, HapticLoop
-from manyhands.launch.budget import (
+from manyhands.launch.app.budget import (
     PERIODS,
     budget,
     budget_object,
@@ -28,8 +28,9 @@ from manyhands.launch.budget import (
     wave_link_budgets,
     wave_links_object,
 )
-from manyhands.launch.files import TargetError, load_named
+from manyhands.launch.files import TargetError
 from manyhands.launch.session import Session
+from manyhands.launch.session.shipped import load_named
 
 
 def loop(levels: list[float], tau: float = 0.0, environment: Environment | None = None, T: float = 1e-3) -> HapticLoop:

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from manyhands.launch.demo import LIMITED, how_it_ended, velocities_of_run, verdict
-from manyhands.launch.files import load_named
+from manyhands.launch.app.demo import LIMITED, how_it_ended, velocities_of_run, verdict
 from manyhands.launch.recordings.run import RecordedRun, RecordedTrace
+from manyhands.launch.session.shipped import load_named
 from manyhands.protocol.channels import TOPICS
 from manyhands.protocol.messages import Role
 

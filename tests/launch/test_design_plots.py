@@ -14,8 +14,8 @@ from manyhands.design import frequency_responses
 from manyhands.design.models.coupling import Partition, SpringDamper
 from manyhands.design.models.network import GROUND, Network, NetworkLink
 from manyhands.design.models.statespace import Matrix, StateSpace
-from manyhands.launch import design_plots
-from manyhands.launch.design_plots import closed_loop, coupling_response, frequencies, plot_design, response
+from manyhands.launch.app import design_plots
+from manyhands.launch.app.design_plots import closed_loop, coupling_response, frequencies, plot_design, response
 
 T = 1e-3
 DELTA_D = 1.37 * np.eye(3)

@@ -14,7 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from manyhands.design.files import open_new, replacing
-from manyhands.launch.cli import app
+from manyhands.launch.app.cli import app
 from manyhands.launch.files import TargetError, claimed, require_target
 from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.run.outcome import save_json
@@ -109,11 +109,11 @@ BY_OTHER_MEANS = {
     "launch/plan/keys.py": "keys, with protocol/keys.py in a folder that its owner alone may write to",
     "protocol/keys.py": "likewise",
     "nodes/log.py": "logs are continued; never through a link",
-    "launch/sweep.py": "a sweep's journal is continued likewise",
+    "launch/app/sweep.py": "a sweep's journal is continued likewise",
     "nodes/recorder/mcap.py": "a recording takes its place when it has its beginning, and grows",
     "launch/run/processes.py": "in the run's own directory, mode 0700",
-    "launch/recordings/rosbag.py": "a bag is a folder, and takes its place when it is whole",
-    "launch/recordings/prepared.py": "in a temporary folder, mode 0700",
+    "launch/bridges/rosbag.py": "a bag is a folder, and takes its place when it is whole",
+    "launch/audit/prepared.py": "in a temporary folder, mode 0700",
     "nodes/observer/node.py": "/dev/null",
 }
 

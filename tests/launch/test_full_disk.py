@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from manyhands.launch.cli import app
+from manyhands.launch.app.cli import app
 from manyhands.launch.run.directory import run_directory
 from manyhands.launch.run.outcome import save_json
 

@@ -26,16 +26,16 @@ from typer.testing import CliRunner
 from manyhands.design.certificate import load as load_certificate
 from manyhands.design.errors import CertificateError
 from manyhands.design.files import open_regular, read_regular
-from manyhands.launch.cli import app
+from manyhands.launch.app.cli import app
+from manyhands.launch.look.display import say
+from manyhands.launch.look.page.security import ViewError, read_token
 from manyhands.launch.recordings.info import read_info
 from manyhands.launch.recordings.integrity import findings
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.run import read_run
 from manyhands.launch.recordings.tables import read_saved
-from manyhands.launch.run.display import say
 from manyhands.launch.session import SessionError, load_session
 from manyhands.launch.session import yaml as session_source
-from manyhands.launch.view.security import ViewError, read_token
 from manyhands.nodes.bundle import BundleError, DeviceBundle
 from manyhands.nodes.bundle import load as load_bundle
 from manyhands.nodes.recorder.core import RecorderCore

@@ -14,10 +14,10 @@ from typing import Any
 
 import pytest
 
+from manyhands.launch.audit.simulation import Simulation
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import Session, load_session
-from manyhands.launch.simulation import Simulation
 
 STEP = 10
 USERS = (5, 15, 25, 35)

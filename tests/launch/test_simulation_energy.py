@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from manyhands.launch.design_report import print_report
+from manyhands.launch.app.design_report import print_report
+from manyhands.launch.audit.simulation import Simulation
+from manyhands.launch.look.display import MOST_SHOWN, energy_line
 from manyhands.launch.plan.bundles import budgets
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.topology import topology
 from manyhands.launch.run.breaches import QUIET, UserIncidents
-from manyhands.launch.run.display import MOST_SHOWN, energy_line
 from manyhands.launch.run.outcome import node_entry
 from manyhands.launch.session import load_session
-from manyhands.launch.simulation import Simulation
 from manyhands.nodes.environment.core import EnvironmentCore
 from manyhands.nodes.environment.energy import EnergyBudget
 from manyhands.nodes.environment.enforced import EnforcedCore

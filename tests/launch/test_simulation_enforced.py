@@ -15,11 +15,13 @@ from typer.testing import CliRunner
 from manyhands.design.certificate import content, from_content, identity
 from manyhands.design.models.environment import DeclaredEnvironment, ProxyEnvironment
 from manyhands.design.proof.prove import prove
-from manyhands.launch.cli import app
+from manyhands.launch.app.cli import app
+from manyhands.launch.audit.simulation import Silence, Simulation
 from manyhands.launch.plan.bundles import RunPlan, cut
-from manyhands.launch.plan.prepare import NotCertified, haptic_loop, prepare, read_certificate
+from manyhands.launch.plan.certificates import read_certificate
+from manyhands.launch.plan.loop import NotCertified, haptic_loop
+from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import PythonEnvironment, Session, SessionError, load_session
-from manyhands.launch.simulation import Silence, Simulation
 from manyhands.nodes.bundle import SIMULATED, BundleError, EnvironmentBundle, load, save
 from manyhands.nodes.environment.enforced import EnforcedCore
 from manyhands.nodes.environment.model import ModelFailure

@@ -19,10 +19,10 @@ from manyhands.design.certificate import Certificate, content
 from manyhands.design.peak_gain import peak_gain
 from manyhands.design.proof import prove
 from manyhands.design.proof.claim import read
+from manyhands.launch.audit.simulation import Silence, Simulation
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.session import Session, load_session
-from manyhands.launch.simulation import Silence, Simulation
 from manyhands.nodes.environment.clutch import LET_GO, RAMP, SLOWEST
 from tests.support.reduction import at_any_ratio, reduced
 

@@ -10,9 +10,9 @@ import pytest
 from manyhands.design.certificate import content
 from manyhands.design.models.distance_grid import grid_of_text
 from manyhands.design.proof import prove
+from manyhands.launch.audit.simulation import Silence, Simulation
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import MeshEnvironment, load_session
-from manyhands.launch.simulation import Silence, Simulation
 from manyhands.nodes.environment.enforced import EnforcedCore
 from manyhands.nodes.environment.mesh import CONE_TOLERANCE, Lookup
 

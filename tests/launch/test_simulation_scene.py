@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from manyhands.design.models.scene import ContactScene
+from manyhands.launch.audit.simulation import Silence, Simulation
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import Session, load_session
-from manyhands.launch.simulation import Silence, Simulation
 from manyhands.nodes.environment.enforced import EnforcedCore
 
 from ..support.scenes import random_scene, scene_session

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 import manyhands as mh
+from manyhands.launch.app.sweep import Row
 from manyhands.launch.files import TargetError, claimed
-from manyhands.launch.sweep import Row
 
 TAUS = [0.0, 0.0001, 0.0002, 0.0003]
 GRID = {"design.tau": TAUS}

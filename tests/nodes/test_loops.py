@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from manyhands.launch.audit.simulation import Simulation
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.topology import topology
 from manyhands.launch.recordings.recording import Collector
 from manyhands.launch.session import load_session
-from manyhands.launch.simulation import Simulation
 from manyhands.nodes.bundle import CouplingBundle, DeviceBundle, EnvironmentBundle
 from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.drivers import driver_of

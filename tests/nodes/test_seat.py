@@ -12,9 +12,9 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from manyhands.launch.files import load_named
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import prepare
+from manyhands.launch.session.shipped import load_named
 from manyhands.nodes import seat
 from manyhands.nodes.bundle import CouplingBundle, DeviceBundle
 from manyhands.nodes.lifetime import Sight, Stopped

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.launch.files import load_named
 from manyhands.launch.plan.keys import ephemeral
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.plan.seats import invitations, seat_parts
 from manyhands.launch.plan.topology import roster
+from manyhands.launch.session.shipped import load_named
 from manyhands.nodes import seat_part
 from manyhands.nodes.bundle import BundleError, foreign_code
 from manyhands.nodes.factory import FactoryError, require_allowed

@@ -17,9 +17,9 @@ from urllib.parse import urlsplit
 import numpy as np
 from playwright.sync_api import Browser, ConsoleMessage, Page, Route, WebSocketRoute, sync_playwright
 
-from manyhands.launch.view.feed import Cursor, Feed
-from manyhands.launch.view.security import HEADERS
-from manyhands.launch.view.server import load_assets
+from manyhands.launch.look.page.feed import Cursor, Feed
+from manyhands.launch.look.page.security import HEADERS
+from manyhands.launch.look.page.server import load_assets
 
 from .commands import read_until, started
 

@@ -13,7 +13,7 @@ from typing import Final
 from click.testing import Result
 from typer.testing import CliRunner
 
-from manyhands.launch.cli import app
+from manyhands.launch.app.cli import app
 
 MANYHANDS = [sys.executable, "-P", "-m", "manyhands"]
 

@@ -5,9 +5,10 @@
 The user x, its device and its coupling, is in the far namespace and reaches the world through a wave link. The users y
 and z close their loops within the tick, in the near namespace, where the session is launched.
 
-*An ideal line of the same R* is the same session in one process (:class:`manyhands.launch.simulation.Simulation`) with
-the same hands, the same certificate and a line that delays every wave by a constant number of ticks, and loses none.
-The delays are what the run shows: the sums of waves at the two ends are two curves, one of which is late.
+*An ideal line of the same R* is the same session in one process
+(:class:`manyhands.launch.audit.simulation.Simulation`) with the same hands, the same certificate and a line that delays
+every wave by a constant number of ticks, and loses none. The delays are what the run shows: the sums of waves at the
+two ends are two curves, one of which is late.
 
 *Within 1 %*: the root mean square of the difference of a local user's displacement x in both runs, over that of x in
 the ideal run, from :data:`START` on, at the instants at which the device was sampled. A machine that is busy with other
@@ -33,10 +34,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from manyhands.launch.audit.simulation import Simulation
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.recordings.run import RecordedRun, read_run
 from manyhands.launch.session import load_session
-from manyhands.launch.simulation import Simulation
 from manyhands.nodes.telemetry import DISPLACEMENT, FORCE, INSTANTS, WAVE, WAVE_LEDGER
 from manyhands.nodes.wave_link.ends import JOINING, OUTLIERS
 from manyhands.nodes.wave_link.faces import UserFace, WorldFace

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from manyhands.design.models.coupling import SpringDamper
+from manyhands.launch.audit.simulation import Silence, Simulation
 from manyhands.launch.plan.bundles import mass_names, scene_geometry
 from manyhands.launch.plan.prepare import Prepared, prepare
+from manyhands.launch.plan.recorded import Traces
 from manyhands.launch.plan.topology import topology
 from manyhands.launch.recordings.run import RecordedRun
-from manyhands.launch.recordings.traces import Traces
 from manyhands.launch.run.directory import kept_files
 from manyhands.launch.session import Session, load_session
-from manyhands.launch.simulation import Silence, Simulation
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import Recorded
 from manyhands.nodes.tick_events import TickEvents

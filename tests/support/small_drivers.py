@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from manyhands.design.models.device import held_device
-from manyhands.design.models.operators import RationalMatrix
 from manyhands.design.models.statespace import StateSpace
+from manyhands.design.passivity.operators import RationalMatrix
 from manyhands.nodes.bundle import Limits, RecordedMotion, SimulatedHand
 from manyhands.nodes.device.drivers import Driver, TraceDriver, WallTimeTrace
 from manyhands.nodes.device.intent import intent_from

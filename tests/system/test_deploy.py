@@ -21,8 +21,8 @@ import typer
 import yaml
 
 from manyhands.extras import EXTRAS
-from manyhands.launch.cli import app
-from manyhands.launch.files import load_named
+from manyhands.launch.app.cli import app
+from manyhands.launch.session.shipped import load_named
 from manyhands.nodes.realtime import FIFO_PRIORITY, NETWORK_NICE
 
 from ..support.installed import PURE, run

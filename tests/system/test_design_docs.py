@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from manyhands import passivity
-from manyhands.launch import cli
+from manyhands.launch.app import cli
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "design.md"

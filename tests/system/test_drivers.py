@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from manyhands.launch.observe.sessions import find_session
+from manyhands.launch.audit.simulation import Simulation
+from manyhands.launch.look.sessions import find_session
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.plan.reach import reach
 from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import load_session
-from manyhands.launch.simulation import Simulation
 from manyhands.nodes import telemetry as names
 from manyhands.protocol.clock import RealtimeClock, from_seconds
 from manyhands.protocol.codec import decode

@@ -21,7 +21,7 @@ import jsonschema
 import pytest
 from mcap.reader import make_reader
 
-from manyhands.launch.view.foxglove import HEALTH
+from manyhands.launch.bridges.foxglove import HEALTH
 from manyhands.nodes.recorder.scene_messages import SCENE_SCHEMAS
 from manyhands.protocol.channels import CONDITION, TELEMETRY, TOPICS
 

@@ -13,7 +13,7 @@ import pytest
 from packaging.requirements import Requirement
 
 from manyhands.extras import EXTRAS
-from manyhands.launch.cli import GROUPS
+from manyhands.launch.app.cli import GROUPS
 from manyhands.nodes.realtime import FIFO_PRIORITY, NETWORK_NICE
 
 from ..support.commands import MANYHANDS, manyhands_command

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from manyhands.launch.audit.simulation import Simulation
 from manyhands.launch.plan.bundles import invite
 from manyhands.launch.plan.keys import Keys, ephemeral, load_folder, make_keys
 from manyhands.launch.plan.prepare import Prepared, prepare
@@ -33,7 +34,6 @@ from manyhands.launch.run.outcome import Outcome, Progress
 from manyhands.launch.run.states import NodeState, SessionPhase
 from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import SUPERVISOR, load_session
-from manyhands.launch.simulation import Simulation
 from manyhands.nodes.process import EXIT_FAILED, EXIT_OK, EXIT_REFUSED
 from manyhands.protocol.keys import save_private
 from manyhands.protocol.transport.zeromq import ZmqTransport

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from manyhands.launch.audit.simulation import Simulation
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.reach import reach
 from manyhands.launch.run.outcome import Outcome
 from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import load_session
-from manyhands.launch.simulation import Simulation
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 TICKS = 600  # the hands push from 100 to 350

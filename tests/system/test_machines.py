@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from manyhands.launch.audit.simulation import Simulation
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import load_session
-from manyhands.launch.simulation import Simulation
 from manyhands.nodes.process import EXIT_FAILED, EXIT_OK
 
 from ..support.commands import MANYHANDS, read_until, run

@@ -19,7 +19,7 @@ import typer
 from packaging.metadata import Metadata
 
 from manyhands.extras import EXTRAS
-from manyhands.launch.cli import app
+from manyhands.launch.app.cli import app
 
 from ..support.installed import NEEDED, ROOT, Distributions, build, install_base, run
 
@@ -28,7 +28,7 @@ ROOMS = ("design", "protocol", "nodes", "launch")
 RUN_EXAMPLES = """
 import json, sys
 from typer.testing import CliRunner
-from manyhands.launch.cli import app
+from manyhands.launch.app.cli import app
 found = {}
 for name, arguments in json.load(sys.stdin).items():
     done = CliRunner().invoke(app, arguments)

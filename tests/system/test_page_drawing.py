@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser
 
-from manyhands.launch.files import load_named
+from manyhands.launch.look.page.feed import Feed
 from manyhands.launch.plan.prepare import unproved
 from manyhands.launch.run.broadcast import describe
-from manyhands.launch.view.feed import Feed
+from manyhands.launch.session.shipped import load_named
 from manyhands.nodes.observer.health import Promise
 from manyhands.nodes.observer.health_model import HealthModel
 from manyhands.nodes.observer.scene import About, LinkAbout, NodeAbout, SpringAbout

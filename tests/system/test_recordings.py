@@ -16,14 +16,15 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from manyhands.launch.audit.audit import audit
+from manyhands.launch.audit.findings import CheckVerdict
+from manyhands.launch.audit.replay import replay
+from manyhands.launch.audit.simulation import Simulation
 from manyhands.launch.plan.keys import ephemeral
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.reach import reach
 from manyhands.launch.plan.topology import roster
-from manyhands.launch.recordings.audit import audit
-from manyhands.launch.recordings.findings import CheckVerdict
 from manyhands.launch.recordings.recording import Recording
-from manyhands.launch.recordings.replay import replay
 from manyhands.launch.recordings.run import read_run
 from manyhands.launch.recordings.tables import read_recording
 from manyhands.launch.run import recorder as recorder_process
@@ -33,7 +34,6 @@ from manyhands.launch.run.recorder import RecorderProcess
 from manyhands.launch.run.states import SessionPhase
 from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import load_session
-from manyhands.launch.simulation import Simulation
 from manyhands.protocol.channels import topic_name, topics_of
 
 from ..support.commands import MANYHANDS, run

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from manyhands.launch.simulation import Simulation
+from manyhands.launch.audit.simulation import Simulation
 from manyhands.protocol.limits import MAX_STRAY_FRAMES
 from manyhands.protocol.messages import RefusalCode
 

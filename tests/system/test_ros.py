@@ -22,7 +22,7 @@ from rosbags.typesys import Stores, get_typestore
 from zenoh.ext import Int64, z_deserialize
 from zenoh_ros2_sdk import get_topic_info, get_topic_names_and_types
 
-from manyhands.launch.view import ros
+from manyhands.launch.bridges import ros
 
 from ..support.commands import read_until, run, started
 from ..support.ros_nodes import JOINTS, POSE, WRENCH, RosNodes, free_port, zenoh_session

@@ -13,14 +13,14 @@ from rich.console import Console
 from zmq.utils import z85
 
 from manyhands.design.certificate import save
-from manyhands.launch.design_report import print_report
+from manyhands.launch.app.design_report import print_report
+from manyhands.launch.look.display import LiveTable
 from manyhands.launch.plan.keys import Keys, ephemeral, load_folder, make_keys
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.plan.reach import reach
 from manyhands.launch.plan.topology import roster, topology
 from manyhands.launch.run import directory as run_directories
-from manyhands.launch.run.display import LiveTable
 from manyhands.launch.run.outcome import Progress
 from manyhands.launch.run.states import SessionPhase
 from manyhands.launch.run.supervisor import Supervisor

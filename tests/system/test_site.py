@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import manyhands as mh
-from manyhands.launch.cli import GROUPS
+from manyhands.launch.app.cli import GROUPS
 from manyhands.launch.session.schema import session_schema
 
 from ..support.browser import browsing

@@ -17,8 +17,8 @@ import pytest
 from rich.cells import cell_len
 from rich.console import Console
 
+from manyhands.launch.look.display import LiveTable
 from manyhands.launch.plan.topology import topology
-from manyhands.launch.run.display import LiveTable
 from manyhands.launch.run.outcome import Progress
 from manyhands.launch.run.states import NodeState, SessionPhase
 from manyhands.launch.session import load_session

@@ -7,17 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from manyhands.launch.files import load_named
+from manyhands.launch.audit.audit import audit
+from manyhands.launch.audit.findings import CheckVerdict
+from manyhands.launch.audit.replay import replay
+from manyhands.launch.audit.simulation import Simulation
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.plan.reach import reach
-from manyhands.launch.recordings.audit import audit
-from manyhands.launch.recordings.findings import CheckVerdict
-from manyhands.launch.recordings.replay import replay
 from manyhands.launch.recordings.run import read_run
 from manyhands.launch.recordings.tables import read_recording
 from manyhands.launch.run.recorder import RecorderProcess
 from manyhands.launch.run.supervisor import Supervisor
-from manyhands.launch.simulation import Simulation
+from manyhands.launch.session.shipped import load_named
 
 ROOT = Path(__file__).parents[2]
 SESSIONS = ROOT / "launch" / "sessions"

@@ -8,8 +8,8 @@ from scipy.integrate import cumulative_simpson
 from scipy.signal import cont2discrete
 
 from manyhands.design.models.device import HeldDevice, held_device, zero_order_hold
-from manyhands.design.models.operators import RationalMatrix
 from manyhands.design.models.statespace import StateSpace
+from manyhands.design.passivity.operators import RationalMatrix
 from tests.support.exponential import errors
 
 FINE = 400  # substeps of a tick, for integrals by Simpson's rule

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manyhands.design.models.network import GROUND, Network, NetworkLink, full_rank_factor
-from manyhands.design.passivity.storage import storage_inequality
+from manyhands.design.models.statespace import storage_inequality
 
 PERIODS = st.sampled_from([2.5e-4, 1e-3, 1e-2])
 ANGLES = (0.05, 0.5, 1.5, 3.0)

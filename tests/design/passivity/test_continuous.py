@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from manyhands.design.errors import Infeasible
 from manyhands.design.models.device import held_device
-from manyhands.design.models.operators import RationalMatrix
 from manyhands.design.models.statespace import StateSpace
 from manyhands.design.passivity.continuous import (
     Dissipative,
@@ -20,6 +19,7 @@ from manyhands.design.passivity.continuous import (
     passive_operator,
     theorem1,
 )
+from manyhands.design.passivity.operators import RationalMatrix
 
 seeds = st.integers(0, 2**32 - 1)
 

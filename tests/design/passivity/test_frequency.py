@@ -15,6 +15,7 @@ from manyhands.design.models.statespace import (
     gaps,
     in_discrete_time,
     natural_rate,
+    storage_inequality,
 )
 from manyhands.design.passivity.frequency import (
     input_rows,
@@ -23,7 +24,6 @@ from manyhands.design.passivity.frequency import (
     pairs_at,
     supply_form,
 )
-from manyhands.design.passivity.storage import storage_inequality
 
 seeds = st.integers(0, 2**32 - 1)
 

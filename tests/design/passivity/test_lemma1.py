@@ -7,11 +7,10 @@ from hypothesis import strategies as st
 
 from manyhands.design.errors import SolverFailure
 from manyhands.design.models.coupling import transformed_coupling
-from manyhands.design.models.statespace import StateSpace
+from manyhands.design.models.statespace import StateSpace, storage_inequality
 from manyhands.design.passivity import frequency, lemma1
 from manyhands.design.passivity.frequency import least_hermitian_eigenvalue
 from manyhands.design.passivity.lemma1 import analyse, verified_margin
-from manyhands.design.passivity.storage import storage_inequality
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from manyhands.design.models.network import GROUND, Network, NetworkLink
-from manyhands.design.models.statespace import StateSpace
+from manyhands.design.models.statespace import StateSpace, storage_inequality
 from manyhands.design.passivity.lemma1 import analyse, separated, storage_of_motion
-from manyhands.design.passivity.storage import storage_inequality
 
 T = 1e-3
 

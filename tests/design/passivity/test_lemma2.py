@@ -5,10 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.design.models.statespace import StateSpace
+from manyhands.design.models.statespace import StateSpace, storage_inequality
 from manyhands.design.passivity.lemma1 import analyse
 from manyhands.design.passivity.lemma2 import lemma2_expression, lemma2_matrix, schur_matrix, storage_by_lemma2
-from manyhands.design.passivity.storage import storage_inequality
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -6,14 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manyhands.design.models.coupling import SpringDamper, transformed_coupling
-from manyhands.design.models.statespace import StateSpace, cayley
+from manyhands.design.models.statespace import StateSpace, cayley, storage_inequality
 from manyhands.design.passivity.frequency import pairs_at
-from manyhands.design.passivity.storage import (
-    StorageFace,
-    kernel,
-    storage_face_of,
-    storage_inequality,
-)
+from manyhands.design.passivity.storage import StorageFace, kernel, storage_face_of
 
 
 def neutral_pairs(system: StateSpace, at: str) -> np.ndarray:

@@ -14,9 +14,9 @@ import yaml
 
 from manyhands.design.certificate import identity, load, to_json
 from manyhands.design.proof import prove
-from manyhands.launch.files import load_named
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.run.directory import kept_files
+from manyhands.launch.session.shipped import load_named
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
 
 from ...support.commands import manyhands_command

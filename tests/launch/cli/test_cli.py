@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import manyhands
-from manyhands.launch import cli, design_report
+from manyhands.launch.app import cli, design_report
 from manyhands.launch.plan import prepare
 
 from ...support.commands import manyhands_command
@@ -241,7 +241,7 @@ def test_a_demo_that_does_not_come_to_rest_reports_it(tmp_path: Path) -> None:
 def test_the_command_line_starts_without_what_only_some_commands_need() -> None:
     """Help, completion and a mistyped option should not wait for solvers, exact arithmetic or plots to be imported."""
     code = (
-        "import sys, manyhands.launch.cli\n"
+        "import sys, manyhands.launch.app.cli\n"
         "heavy = {'scipy', 'cvxpy', 'clarabel', 'flint', 'matplotlib'}\n"
         "print(sorted({name.split('.')[0] for name in sys.modules} & heavy))"
     )

@@ -15,15 +15,15 @@ import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
-from manyhands.launch.cli import app
+from manyhands.launch.app import session_run
+from manyhands.launch.app.cli import app
 from manyhands.launch.doctor import probe
-from manyhands.launch.doctor.probe import ProbeFailed, ProbeInterrupted, Way
-from manyhands.launch.doctor.profile import Lateness, Profile, keep_profile, kept_profile
-from manyhands.launch.files import load_named
+from manyhands.launch.doctor.probe import Way
+from manyhands.launch.doctor.profile import Lateness, ProbeFailed, ProbeInterrupted, Profile, keep_profile, kept_profile
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import Prepared
-from manyhands.launch.run import session_run
 from manyhands.launch.run.outcome import Outcome
+from manyhands.launch.session.shipped import load_named
 
 MEASURING = "example-1: measuring the delay of a tick on this machine for 2 s"
 APART = ("--set", "colocate=false")  # what these tests expect does not depend on the processors of the machine

@@ -14,7 +14,7 @@ from click.testing import Result
 from manyhands.design import synthesis
 from manyhands.design.certificate import identity, load
 from manyhands.design.proof import prove
-from manyhands.launch import cli
+from manyhands.launch.app import cli
 
 from ...support.commands import manyhands_command
 

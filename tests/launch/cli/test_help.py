@@ -13,8 +13,8 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-import manyhands.launch.cli
-from manyhands.launch.cli import GROUPS, app
+import manyhands.launch.app.cli
+from manyhands.launch.app.cli import GROUPS, app
 
 pytestmark = pytest.mark.usefixtures("own_interrupt")
 
@@ -31,9 +31,9 @@ def test_there_are_those_that_are_known() -> None:
 
 def test_every_command_of_a_module_is_in_the_list() -> None:
     """The list names modules, which it does not import; a command that is not in it could not be called."""
-    folder = Path(manyhands.launch.cli.__file__).parent
+    folder = Path(manyhands.launch.app.cli.__file__).parent
     for file in folder.glob("*.py"):
-        module = importlib.import_module(f"manyhands.launch.cli.{file.stem}")
+        module = importlib.import_module(f"manyhands.launch.app.cli.{file.stem}")
         if file.stem != "__init__" and hasattr(module, "commands"):
             listed = {name for group in GROUPS.values() for name, entry in group.items() if entry.module == file.stem}
             assert typer.main.get_group(module.commands).commands.keys() == listed

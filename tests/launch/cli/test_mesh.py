@@ -116,7 +116,7 @@ def test_options(options: list[str], said: str, folder: Path) -> None:
 )
 def test_sizes(limit: str, most: int, said: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     exported(folder / "box.stl")  # 684 bytes
-    from manyhands.launch import mesh
+    from manyhands.launch.app import mesh
 
     assert getattr(limits, limit) > most
     monkeypatch.setattr(mesh, limit, most)

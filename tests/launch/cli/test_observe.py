@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from manyhands.launch.cli import app
+from manyhands.launch.app.cli import app
 from manyhands.launch.run.directory import run_directory
 
 from ...support.commands import manyhands_command

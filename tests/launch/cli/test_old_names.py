@@ -9,8 +9,8 @@ import pytest
 import typer
 
 from manyhands import __version__
-from manyhands.launch.cli import GROUPS, app
-from manyhands.launch.cli.old_names import COMMANDS, OPTIONS, UNTIL, renewed
+from manyhands.launch.app.cli import GROUPS, app
+from manyhands.launch.app.cli.old_names import COMMANDS, OPTIONS, UNTIL, renewed
 
 from ...support.commands import manyhands_command
 

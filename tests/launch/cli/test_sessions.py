@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from manyhands.launch.files import load_named, shipped_sessions
 from manyhands.launch.session import SessionError
+from manyhands.launch.session.shipped import load_named, shipped_sessions
 
 from ...support.commands import manyhands_command
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from manyhands.launch.cli.common import settle_delay
+from manyhands.launch.app.cli.common import settle_delay
 from manyhands.launch.doctor.profile import Lateness, Profile, allowance
-from manyhands.launch.plan.prepare import NotCertified, haptic_loop
+from manyhands.launch.plan.loop import NotCertified, haptic_loop
 from manyhands.launch.session import Session, load_session
 
 T = 1e-3
@@ -34,7 +34,7 @@ def session_of(folder: Path, **device: Any) -> Session:
 def profile(monkeypatch: pytest.MonkeyPatch) -> Profile:
     """This machine's, as if it had been measured before."""
     measured = Profile({}, Lateness(200.0, 320.0, 500.0, 900.0), 1010.0, 0.0, 5.0, time.time())
-    monkeypatch.setattr("manyhands.launch.doctor.profile.kept_profile", lambda *_: measured)
+    monkeypatch.setattr("manyhands.launch.doctor.delay.kept_profile", lambda *_: measured)
     return measured
 
 

@@ -9,8 +9,8 @@ import pytest
 import yaml
 
 from manyhands.design.certificate import identity
-from manyhands.launch.api import verify
-from manyhands.launch.files import load_named
+from manyhands.launch.app.api import verify
+from manyhands.launch.session.shipped import load_named
 
 from ...support.commands import manyhands_command
 

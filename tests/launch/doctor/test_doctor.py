@@ -24,17 +24,16 @@ from rich.console import Console
 from manyhands.design.models.environment import StateSpaceEnvironment
 from manyhands.design.models.statespace import StateSpace
 from manyhands.design.problem import HapticLoop
+from manyhands.launch.app.examination import colocation_advice, machine_rows, of_both_forms
+from manyhands.launch.audit.simulation import Simulation
 from manyhands.launch.doctor import probe
 from manyhands.launch.doctor.advice import Advice, Worth, advice, stiffness_object
-from manyhands.launch.doctor.examination import colocation_advice, machine_rows, of_both_forms
 from manyhands.launch.doctor.machine import Machine, examine, governors, preemption, realtime_share, virtual
 from manyhands.launch.doctor.probe import (
     RATES,
     DelayRecorder,
     Form,
     Measured,
-    ProbeFailed,
-    ProbeInterrupted,
     Ticking,
     Way,
     at_rest,
@@ -42,7 +41,7 @@ from manyhands.launch.doctor.probe import (
     measure_ticks,
     measure_waking,
 )
-from manyhands.launch.doctor.profile import Lateness, Profile
+from manyhands.launch.doctor.profile import Lateness, ProbeFailed, ProbeInterrupted, Profile
 from manyhands.launch.doctor.rates import (
     NOT_MEASURED,
     FormFigures,
@@ -53,14 +52,14 @@ from manyhands.launch.doctor.rates import (
     stiffness_range,
 )
 from manyhands.launch.doctor.wakeup import Spread, Waking
-from manyhands.launch.files import load_named
+from manyhands.launch.plan.loop import haptic_loop
 from manyhands.launch.plan.plan import Plan
-from manyhands.launch.plan.prepare import Prepared, haptic_loop, prepare, unproved
+from manyhands.launch.plan.prepare import Prepared, prepare, unproved
 from manyhands.launch.plan.topology import placement, topology
 from manyhands.launch.run.outcome import Outcome
 from manyhands.launch.run.processes import Interrupt
 from manyhands.launch.session import Session
-from manyhands.launch.simulation import Simulation
+from manyhands.launch.session.shipped import load_named
 from manyhands.nodes.realtime import Grant
 from manyhands.protocol.clock import Duration
 from manyhands.protocol.codec import encode

@@ -30,8 +30,8 @@ from manyhands.launch.doctor.profile import (
     kept_profile,
     outlived,
 )
-from manyhands.launch.files import load_named
 from manyhands.launch.plan.plan import Plan
+from manyhands.launch.session.shipped import load_named
 
 NOW = 1_800_000_000.0
 KEY: dict[str, Any] = {"period": 1e-3, "places": [[0, 1]]}

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from manyhands.launch.files import TargetError
-from manyhands.launch.graph import format_of, scene_object, show_scene, show_session
-from manyhands.launch.graph.parts import Drawing, Part, Tie, drawing_of_scene, drawing_of_session
-from manyhands.launch.graph.svg import Box, layout, svg
-from manyhands.launch.graph.text import mermaid
+from manyhands.launch.look.graph import format_of, scene_object, show_scene, show_session
+from manyhands.launch.look.graph.parts import Drawing, Part, Tie, drawing_of_scene, drawing_of_session
+from manyhands.launch.look.graph.svg import Box, layout, svg
+from manyhands.launch.look.graph.text import mermaid
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.session import Session, load_session
 from manyhands.nodes.observer.scene import Health, NodeAbout, Scene

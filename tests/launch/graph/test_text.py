@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
-from manyhands.launch.graph import access_object, graph_object, show_session
+from manyhands.launch.look.graph import access_object, graph_object, show_session
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.topology import topology
 from manyhands.launch.session import Session, load_session

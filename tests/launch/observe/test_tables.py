@@ -11,8 +11,9 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from manyhands.launch.observe.sessions import watch
-from manyhands.launch.observe.tables import (
+from manyhands.launch.look.display import COLUMNS
+from manyhands.launch.look.sessions import watch
+from manyhands.launch.look.tables import (
     GLANCE,
     PRINT_EVERY,
     Glance,
@@ -24,7 +25,6 @@ from manyhands.launch.observe.tables import (
     show_repeatedly,
     top_object,
 )
-from manyhands.launch.run.display import COLUMNS
 from manyhands.nodes.observer import given
 from manyhands.nodes.observer.scene import Scene
 from manyhands.protocol.clock import Duration, Instant

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from manyhands.design.models.statespace import StateSpace
 from manyhands.launch.plan.access import Capability, capability_violations, observed
 from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.loop import haptic_loop
 from manyhands.launch.plan.plan import Plan
-from manyhands.launch.plan.prepare import Prepared, haptic_loop, prepare
+from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import Session, load_session
 from manyhands.nodes.bundle import SIMULATED, Bundle, CouplingBundle
 from manyhands.nodes.peer_link import bind_links

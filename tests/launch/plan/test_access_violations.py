@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from manyhands.design.certificate import identity, save
-from manyhands.launch.cli import app
+from manyhands.launch.app.cli import app
 from manyhands.launch.plan.access import capability_violations
+from manyhands.launch.plan.loop import haptic_loop
 from manyhands.launch.plan.plan import Plan
-from manyhands.launch.plan.prepare import haptic_loop, prepare
+from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import Session, SessionError, load_session
 
 SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from manyhands.launch.graph import graph_object, show_session
+from manyhands.launch.audit.simulation import Simulation
+from manyhands.launch.look.graph import graph_object, show_session
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.plan.reach import reach
@@ -17,7 +18,6 @@ from manyhands.launch.plan.topology import placement, topology
 from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import Session, SessionError, load_session
 from manyhands.launch.session.session import ENVIRONMENT
-from manyhands.launch.simulation import Simulation
 
 SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 TICKS = 250

@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 
 from manyhands.launch.doctor import profile as profiles
+from manyhands.launch.doctor.colocation import Where, choose, process_counts, settle_colocation
 from manyhands.launch.doctor.probe import Way
 from manyhands.launch.doctor.profile import Lateness, Profile, keep_profile
-from manyhands.launch.files import load_named
-from manyhands.launch.plan.colocation import Where, choose, process_counts, settle_colocation
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import certify, prepare, unproved
 from manyhands.launch.plan.topology import topology
 from manyhands.launch.session import SessionError
+from manyhands.launch.session.shipped import load_named
 
 HERE, MANY = Where.HERE, 64
 

@@ -17,10 +17,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
-from manyhands.launch.files import load_named
-from manyhands.launch.plan.keys import Keys, Made, ephemeral, load_folder, make_keys, run_keys
+from manyhands.launch.app.keys import run_keys
+from manyhands.launch.plan.keys import Keys, Made, ephemeral, load_folder, make_keys
 from manyhands.launch.plan.topology import roster, topology
 from manyhands.launch.session import Session
+from manyhands.launch.session.shipped import load_named
 from manyhands.protocol.keys import KeyFileError, KeyPair, PublicKeys, load_private, new_pair, save_private
 from manyhands.protocol.messages import Role
 

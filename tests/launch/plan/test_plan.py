@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from manyhands.launch.files import load_named
 from manyhands.launch.plan.access import access, peers
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import unproved
 from manyhands.launch.plan.topology import topology
+from manyhands.launch.session.shipped import load_named
 
 
 def test_a_plan_derives_graph_rights_and_peers_once() -> None:

@@ -9,7 +9,9 @@ import pytest
 
 from manyhands.design.certificate import from_content, identity, save
 from manyhands.design.errors import CertificateError
-from manyhands.launch.plan.prepare import NotCertified, prepare, read_certificate
+from manyhands.launch.plan.certificates import read_certificate
+from manyhands.launch.plan.loop import NotCertified
+from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import load_session
 
 SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"

@@ -10,11 +10,12 @@ import pytest
 
 from manyhands.design.certificate import to_json
 from manyhands.design.errors import CertificateError
-from manyhands.launch.files import TargetError, load_named
+from manyhands.launch.doctor.colocation import Where, settle_colocation
+from manyhands.launch.files import TargetError
 from manyhands.launch.plan.bundles import RunPlan, cut
-from manyhands.launch.plan.colocation import Where, settle_colocation
 from manyhands.launch.plan.keys import Keys, ephemeral
-from manyhands.launch.plan.prepare import NotCertified, Prepared, prepare, prepare_again
+from manyhands.launch.plan.loop import NotCertified
+from manyhands.launch.plan.prepare import Prepared, prepare, prepare_again
 from manyhands.launch.plan.reach import ReachError, reach
 from manyhands.launch.plan.seats import (
     invitations,
@@ -26,6 +27,7 @@ from manyhands.launch.plan.seats import (
 )
 from manyhands.launch.plan.topology import roster
 from manyhands.launch.session import Session
+from manyhands.launch.session.shipped import load_named
 from manyhands.nodes.bundle import REALTIME
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
 from manyhands.nodes.seat_part import decoded_part

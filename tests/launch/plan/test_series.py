@@ -13,10 +13,11 @@ import manyhands as mh
 from manyhands.design.certificate import Certificate
 from manyhands.design.models.network import Network
 from manyhands.design.models.statespace import StateSpace
-from manyhands.launch.design_report import series_rows
-from manyhands.launch.files import load_named
-from manyhands.launch.plan.prepare import NotCertified, Prepared, prepare
+from manyhands.launch.app.design_report import series_rows
+from manyhands.launch.plan.loop import NotCertified
+from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import SessionError
+from manyhands.launch.session.shipped import load_named
 
 SERIES = {"design.series": True, "design.objective": "stiffest"}
 

@@ -260,7 +260,8 @@ def test_the_impedance_for_a_mass_is_exactly_within_it(mass: float, round_trip: 
 
 def test_a_prepared_session_runs_each_party_under_its_own_certificate(tmp_path: Path) -> None:
     from manyhands.launch.plan.bundles import RunPlan, cut
-    from manyhands.launch.plan.prepare import IN_TICK, prepare
+    from manyhands.launch.plan.prepare import prepare
+    from manyhands.launch.plan.sites import IN_TICK
     from manyhands.nodes.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle
 
     prepared = prepare(session(tmp_path))
@@ -286,7 +287,8 @@ def test_a_prepared_session_runs_each_party_under_its_own_certificate(tmp_path: 
 
 
 def test_certificates_of_a_run_are_read_from_its_folder_and_of_no_other(tmp_path: Path) -> None:
-    from manyhands.launch.plan.prepare import NotCertified, prepare
+    from manyhands.launch.plan.loop import NotCertified
+    from manyhands.launch.plan.prepare import prepare
     from manyhands.launch.run.directory import kept_files
 
     given = session(tmp_path)

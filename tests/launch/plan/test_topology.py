@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.launch.plan.prepare import haptic_loop
+from manyhands.launch.plan.loop import haptic_loop
 from manyhands.launch.plan.topology import topology
 from manyhands.launch.session import Session
 from manyhands.launch.session.session import ENVIRONMENT

@@ -15,16 +15,16 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from manyhands.launch.cli import app
-from manyhands.launch.observe.sessions import NoSession, Running, session_in
-from manyhands.launch.plan.prepare import Prepared, prepare
-from manyhands.launch.recordings.attached import (
+from manyhands.launch.app.cli import app
+from manyhands.launch.look.attached import (
     AttachedCore,
     Ending,
     SupervisorWatch,
     attachments_in,
     write_down,
 )
+from manyhands.launch.look.sessions import NoSession, Running, session_in
+from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.recordings.integrity import findings
 from manyhands.launch.recordings.run import read_run
 from manyhands.launch.run.broadcast import Showing, describe

@@ -14,21 +14,21 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from manyhands.design.certificate import from_content, to_json
-from manyhands.launch.cli import app
+from manyhands.launch.app.audit_report import print_audit
+from manyhands.launch.app.cli import app
+from manyhands.launch.audit.audit import Audit, AuditVerdict, audit
+from manyhands.launch.audit.checks import bounded, period_assumed
+from manyhands.launch.audit.coupling import recompute_coupling
+from manyhands.launch.audit.device import recompute_device
+from manyhands.launch.audit.events import Course, course_of
+from manyhands.launch.audit.findings import Check, CheckVerdict, UncheckedTicks, compare
+from manyhands.launch.audit.simulation import Silence
 from manyhands.launch.plan.bundles import RunPlan as Way
 from manyhands.launch.plan.bundles import cut
 from manyhands.launch.plan.prepare import Prepared, prepare
-from manyhands.launch.recordings.audit import Audit, AuditVerdict, audit
-from manyhands.launch.recordings.audit_coupling import recompute_coupling
-from manyhands.launch.recordings.audit_device import recompute_device
-from manyhands.launch.recordings.checks import bounded, period_assumed
-from manyhands.launch.recordings.events import Course, course_of
-from manyhands.launch.recordings.findings import Check, CheckVerdict, UncheckedTicks, compare
 from manyhands.launch.recordings.integrity import findings
-from manyhands.launch.recordings.printing import print_audit
 from manyhands.launch.recordings.run import Figures, first_sign, read_run, there
 from manyhands.launch.session import load_session
-from manyhands.launch.simulation import Silence
 from manyhands.nodes.bundle import SIMULATED, CouplingBundle, DeviceBundle
 from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.device.core import DeviceCore

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from manyhands.launch.cli import app
+from manyhands.launch.app.cli import app
+from manyhands.launch.audit.checks import delay_assumed, period_assumed
+from manyhands.launch.audit.findings import Check, CheckVerdict, Difference
+from manyhands.launch.audit.promises import promises_of
+from manyhands.launch.audit.simulation import Silence
 from manyhands.launch.plan.prepare import Prepared
-from manyhands.launch.recordings.audit_promises import promises_of
-from manyhands.launch.recordings.checks import delay_assumed, period_assumed
-from manyhands.launch.recordings.findings import Check, CheckVerdict, Difference
 from manyhands.launch.recordings.run import RecordedRun, read_run
-from manyhands.launch.simulation import Silence
 from manyhands.nodes.observer.health import holds, missed
 from manyhands.protocol.channels import TAU
 from manyhands.protocol.messages import Condition, PromiseStatus

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from manyhands.launch.audit.audit import Audit, audit
+from manyhands.launch.audit.findings import CheckVerdict
+from manyhands.launch.audit.replay import replay
+from manyhands.launch.audit.simulation import Silence
 from manyhands.launch.plan.prepare import Prepared, prepare
-from manyhands.launch.recordings.audit import Audit, audit
-from manyhands.launch.recordings.findings import CheckVerdict
-from manyhands.launch.recordings.replay import replay
 from manyhands.launch.recordings.run import read_run
 from manyhands.launch.session import load_session
-from manyhands.launch.simulation import Silence
 
 from ...support.simulated_recordings import SESSIONS, attachments_of, forged, recorded_of, simulated, written
 

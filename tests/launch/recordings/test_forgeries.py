@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from manyhands.launch.cli import app
+from manyhands.launch.app.cli import app
+from manyhands.launch.audit.audit import Audit, AuditVerdict, audit
+from manyhands.launch.audit.findings import CheckVerdict
 from manyhands.launch.plan.prepare import Prepared, prepare
-from manyhands.launch.recordings.audit import Audit, AuditVerdict, audit
-from manyhands.launch.recordings.findings import CheckVerdict
 from manyhands.launch.recordings.run import RecordedRun, read_run
 from manyhands.launch.session import load_session
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from manyhands.launch.cli import app
+from manyhands.launch.app.cli import app
 from manyhands.launch.recordings.info import read_info
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.run import read_run

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from manyhands.launch.audit.replay import require_simulated
+from manyhands.launch.look.plots import figure_of, picture_of_run
 from manyhands.launch.recordings.info import read_info
-from manyhands.launch.recordings.plots import figure_of, picture_of_run
 from manyhands.launch.recordings.recording import RecordingError
-from manyhands.launch.recordings.replay import require_simulated
 from manyhands.launch.recordings.run import RecordedRun, RecordedTrace, read_run
 from manyhands.launch.recordings.tables import export, read_recording
 from manyhands.nodes.recorder.core import RecorderCore

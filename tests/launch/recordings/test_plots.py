@@ -12,11 +12,10 @@ import pytest
 from matplotlib.axes import Axes
 from typer.testing import CliRunner
 
-from manyhands.launch.cli import app
+from manyhands.launch.app.cli import app
 from manyhands.launch.files import TargetError
-from manyhands.launch.recordings import plots
-from manyhands.launch.recordings.curves import COLUMNS, Curve, Panel, alone, backward_difference, band, gaps, thinned
-from manyhands.launch.recordings.plots import (
+from manyhands.launch.look import plots
+from manyhands.launch.look.plots import (
     MOST_LINES,
     MOST_MARKS_LISTED,
     QUANTITIES,
@@ -32,6 +31,7 @@ from manyhands.launch.recordings.plots import (
     plain,
     write_picture,
 )
+from manyhands.launch.recordings.curves import COLUMNS, Curve, Panel, alone, backward_difference, band, gaps, thinned
 from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.recordings.run import RecordedRun, RecordedTrace
 from manyhands.launch.run.states import MOST_INCIDENTS, Incidents

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from manyhands.launch.audit.press import BLOCK, averaged, held_still, presses
 from manyhands.launch.plan.prepare import Prepared, prepare
-from manyhands.launch.recordings.press import BLOCK, averaged, held_still, presses
 from manyhands.launch.recordings.run import read_run
 from manyhands.launch.session import load_session
 

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from manyhands.launch.cli import app
+from manyhands.launch.app.cli import app
+from manyhands.launch.audit.replay import GivenMotion, Replayed, replay
+from manyhands.launch.audit.simulation import Silence, Simulation
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.recordings.recording import RecordingError
-from manyhands.launch.recordings.replay import GivenMotion, Replayed, replay
 from manyhands.launch.recordings.run import read_run
 from manyhands.launch.session import load_session
-from manyhands.launch.simulation import Silence, Simulation
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE, SESSION_FILE
 from manyhands.protocol.channels import DISPLACEMENT, FORCE, LEDGER
 

@@ -14,9 +14,9 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from manyhands.extras import MissingExtra
-from manyhands.launch.recordings import rosbag
+from manyhands.launch.bridges import rosbag
+from manyhands.launch.bridges.rosbag import JOINTS, POSE, TWIST, WRENCH, ros_name, save_bag
 from manyhands.launch.recordings.recording import RecordingError
-from manyhands.launch.recordings.rosbag import JOINTS, POSE, TWIST, WRENCH, ros_name, save_bag
 from manyhands.launch.recordings.run import RecordedRun, RecordedTrace, read_run
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import Recorded

@@ -13,7 +13,7 @@ from pyarrow import parquet
 from typer.testing import CliRunner
 
 from manyhands.extras import MissingExtra
-from manyhands.launch.cli import app
+from manyhands.launch.app.cli import app
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.run import RecordedRun, read_run
 from manyhands.launch.recordings.tables import FORMATS, chosen, column_names, export

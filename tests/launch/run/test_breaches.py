@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.launch.files import load_named
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.run.breaches import (
     CALM,
@@ -29,6 +28,7 @@ from manyhands.launch.run.breaches import (
     Policy,
     ShiftCoupling,
 )
+from manyhands.launch.session.shipped import load_named
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import REALTIME
 from manyhands.protocol.messages import Telemetry

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
+from manyhands.launch.look.display import COLUMNS, RANKS, LiveTable, figure_table, heading, late_line, say
 from manyhands.launch.plan.topology import Topology
-from manyhands.launch.run.display import COLUMNS, RANKS, LiveTable, figure_table, heading, late_line, say
 from manyhands.launch.run.outcome import Progress
 from manyhands.launch.run.states import SessionPhase
 from manyhands.protocol.messages import PromiseStatus, Telemetry

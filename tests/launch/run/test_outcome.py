@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from manyhands.launch.design_report import print_report
+from manyhands.launch.app.design_report import print_report
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.run.outcome import lateness_entry, lateness_sentence, node_entry, run_report, save_json
 from manyhands.launch.run.states import Incidents

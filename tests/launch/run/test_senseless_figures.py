@@ -12,18 +12,18 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from manyhands.launch.design_report import print_report
-from manyhands.launch.observe.tables import picture, session_object, top_object
+from manyhands.launch.app.design_report import print_report
+from manyhands.launch.look.display import LiveTable
+from manyhands.launch.look.page.feed import Cursor, Feed
+from manyhands.launch.look.tables import picture, session_object, top_object
 from manyhands.launch.plan.prepare import Prepared, prepare
+from manyhands.launch.plan.recorded import recorded_of
 from manyhands.launch.recordings.info import read_info
 from manyhands.launch.recordings.run import read_run
 from manyhands.launch.recordings.tables import export
-from manyhands.launch.recordings.traces import recorded_of
 from manyhands.launch.run.broadcast import condition_frame, describe, observation_frame
-from manyhands.launch.run.display import LiveTable
 from manyhands.launch.run.outcome import rows_of
 from manyhands.launch.session import load_session
-from manyhands.launch.view.feed import Cursor, Feed
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import REALTIME
 from manyhands.nodes.observer.health import missed, verdict

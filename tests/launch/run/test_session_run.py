@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from manyhands.launch.app import session_run
 from manyhands.launch.files import TargetError
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.plan.reach import IPC
 from manyhands.launch.recordings.recording import Recording
-from manyhands.launch.run import session_run
 from manyhands.launch.run.directory import REPORT, SessionDirectory
 from manyhands.launch.run.outcome import Outcome
 from manyhands.launch.session import load_session

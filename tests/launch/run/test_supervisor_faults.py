@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from manyhands.launch.look.display import LiveTable
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.reach import IPC
 from manyhands.launch.plan.topology import topology
 from manyhands.launch.run.breaches import CertifiedLadder
-from manyhands.launch.run.display import LiveTable
 from manyhands.launch.run.outcome import Progress
 from manyhands.launch.run.processes import Processes
 from manyhands.launch.run.states import MOST_INCIDENTS, Incidents, NodeState, SessionPhase

@@ -17,12 +17,12 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from rich.console import Console
 
-from manyhands.launch.design_report import print_report
+from manyhands.launch.app.design_report import print_report
+from manyhands.launch.look.display import LiveTable
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.reach import IPC, Reach
 from manyhands.launch.plan.topology import Topology, topology
 from manyhands.launch.run import supervisor as supervisor_module
-from manyhands.launch.run.display import LiveTable
 from manyhands.launch.run.outcome import Progress
 from manyhands.launch.run.states import SessionPhase
 from manyhands.launch.run.supervisor import Supervisor, most_ticks

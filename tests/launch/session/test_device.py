@@ -10,13 +10,13 @@ import pytest
 import yaml
 
 from manyhands.design.models.device import held_device
-from manyhands.launch.files import load_named, shipped_sessions
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings import tables
 from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.run.broadcast import describe
 from manyhands.launch.session import BROWSER_HAND, Session, SessionError, limits, load_session
+from manyhands.launch.session.shipped import load_named, shipped_sessions
 from manyhands.nodes.bundle import BrowserHand, DeviceBundle, RecordedMotion, load, save
 from tests.support.exponential import errors
 

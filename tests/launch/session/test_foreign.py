@@ -12,14 +12,9 @@ from typing import Any
 import pytest
 
 from manyhands.design.certificate import differences
-from manyhands.launch.plan.prepare import (
-    NotCertified,
-    certify,
-    coupling_request,
-    haptic_loop,
-    stated_delay,
-    with_delay_of,
-)
+from manyhands.launch.plan.certificates import with_delay_of
+from manyhands.launch.plan.loop import NotCertified, coupling_request, haptic_loop, stated_delay
+from manyhands.launch.plan.prepare import certify
 from manyhands.launch.plan.sites import site_loop
 from manyhands.launch.session import Session, SessionError, load_session
 from manyhands.nodes.device.specification import DeviceTiming

@@ -11,7 +11,7 @@ from manyhands.design.certificate import describe_environment, environment_of
 from manyhands.design.models.environment import ProxyEnvironment
 from manyhands.design.models.scene import geometry_of
 from manyhands.launch.plan.bundles import scene_geometry
-from manyhands.launch.plan.prepare import session_environment
+from manyhands.launch.plan.loop import session_environment
 from manyhands.launch.session import MeshEnvironment, Session, SessionError, load_session
 from manyhands.nodes.environment.mesh import MeshProxies
 from manyhands.nodes.factory import FactoryError, FactoryName, made_by, require_allowed

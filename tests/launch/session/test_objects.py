@@ -13,8 +13,8 @@ import pytest
 import scipy.signal
 
 from manyhands.design.models.statespace import LinearSystem
-from manyhands.launch.files import load_named
 from manyhands.launch.session import Session, SessionError, load_session
+from manyhands.launch.session.shipped import load_named
 
 SESSIONS = sorted((Path(__file__).parents[3] / "launch" / "sessions").glob("*.yaml"))
 T = 1e-3

@@ -12,7 +12,7 @@ import pytest
 from manyhands.design.models.contacts import Surface
 from manyhands.design.models.environment import DeclaredScene
 from manyhands.design.models.scene import Body
-from manyhands.launch.plan.prepare import session_environment
+from manyhands.launch.plan.loop import session_environment
 from manyhands.launch.session import SceneEnvironment, Session, SessionError, load_session
 
 TEXT = """

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from manyhands.launch.audit.simulation import Simulation
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import DEFAULT_HAND, Session, SessionError, load_session
 from manyhands.launch.session.session import observable
-from manyhands.launch.simulation import Simulation
 from manyhands.nodes.device.intent import intent_from
 from manyhands.protocol.messages import Role
 

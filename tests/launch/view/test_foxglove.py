@@ -18,8 +18,7 @@ from mcap.reader import make_reader
 
 from manyhands.design.models.scene import Body, ContactScene, ToolSphere
 from manyhands.extras import MissingExtra
-from manyhands.launch.observe.sessions import Running
-from manyhands.launch.view.foxglove import (
+from manyhands.launch.bridges.foxglove import (
     LEAST_QUEUE,
     MOST_QUEUE,
     FoxgloveServer,
@@ -27,6 +26,7 @@ from manyhands.launch.view.foxglove import (
     LiveMessages,
     application_address,
 )
+from manyhands.launch.look.sessions import Running
 from manyhands.nodes.observer.scene import About
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import recorded_of
@@ -235,8 +235,8 @@ FLOOD = """
 import json, sys
 from pathlib import Path
 sys.path.insert(0, ".")
-from manyhands.launch.observe.sessions import Running
-from manyhands.launch.view.foxglove import FoxgloveServer
+from manyhands.launch.look.sessions import Running
+from manyhands.launch.bridges.foxglove import FoxgloveServer
 from manyhands.protocol.clock import Instant
 from tests.support.foxglove_client import Message, connected
 from tests.launch.view.test_foxglove import BEGIN

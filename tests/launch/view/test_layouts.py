@@ -12,8 +12,7 @@ from typing import Any
 import pytest
 
 from manyhands.design.models.scene import Body, ContactScene
-from manyhands.launch.files import TargetError
-from manyhands.launch.view.layouts import (
+from manyhands.launch.bridges.layouts import (
     Series,
     foxglove_layout,
     foxglove_path,
@@ -23,6 +22,7 @@ from manyhands.launch.view.layouts import (
     plotjuggler_name,
     save_layout,
 )
+from manyhands.launch.files import TargetError
 from manyhands.nodes.recorder.format import recorded_of
 
 from ...support.observed_session import ABOUT, UNCERTIFIED

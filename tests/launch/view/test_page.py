@@ -18,13 +18,13 @@ import pytest
 from starlette.websockets import WebSocketDisconnect
 from typer.testing import CliRunner
 
-from manyhands.launch.cli import app
-from manyhands.launch.observe.sessions import Running
-from manyhands.launch.view import server as served
-from manyhands.launch.view.feed import Cursor, Feed, Watch
-from manyhands.launch.view.pointer import DEMANDS_AT_ONCE
-from manyhands.launch.view.security import HEADERS, Doorstep, Token, ViewError
-from manyhands.launch.view.server import STATIC, Connections, address_of, application, listen, load_assets
+from manyhands.launch.app.cli import app
+from manyhands.launch.look.page import server as served
+from manyhands.launch.look.page.feed import Cursor, Feed, Watch
+from manyhands.launch.look.page.pointer import DEMANDS_AT_ONCE
+from manyhands.launch.look.page.security import HEADERS, Doorstep, Token, ViewError
+from manyhands.launch.look.page.server import STATIC, Connections, address_of, application, listen, load_assets
+from manyhands.launch.look.sessions import Running
 from manyhands.nodes.observer.given import FIGURES
 from manyhands.nodes.observer.tracks import BUCKETS
 from manyhands.protocol.clock import Instant, RealtimeClock
@@ -402,10 +402,8 @@ def told(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Token | None]]:
         ready(address_of(Doorstep(host, 80), token))
         refused.update({"too_slow": 1, "too_many": 3})
 
-    monkeypatch.setattr("manyhands.launch.view.server.serve", serve)
-    monkeypatch.setattr(
-        "manyhands.launch.observe.sessions.running_sessions", lambda: [Running(Path("/nowhere"), ABOUT)]
-    )
+    monkeypatch.setattr("manyhands.launch.look.page.server.serve", serve)
+    monkeypatch.setattr("manyhands.launch.look.sessions.running_sessions", lambda: [Running(Path("/nowhere"), ABOUT)])
     return served_
 
 

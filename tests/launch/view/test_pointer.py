@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.launch.view.pointer import (
+from manyhands.launch.look.page.pointer import (
     DEMANDS_AT_ONCE,
     DEMANDS_PER_S,
     GRIP_LASTS,

@@ -10,8 +10,8 @@ from http import HTTPStatus
 
 import pytest
 
-from manyhands.launch.view import relay as module
-from manyhands.launch.view.relay import (
+from manyhands.launch.bridges import relay as module
+from manyhands.launch.bridges.relay import (
     MAX_HEAD_BYTES,
     RefusedRequest,
     Relay,
@@ -20,8 +20,8 @@ from manyhands.launch.view.relay import (
     require_admission,
     rewritten,
 )
-from manyhands.launch.view.security import Doorstep, Token
-from manyhands.launch.view.server import Connections
+from manyhands.launch.look.page.security import Doorstep, Token
+from manyhands.launch.look.page.server import Connections
 from manyhands.protocol.clock import RealtimeClock
 
 LOOPBACK = Doorstep("127.0.0.1", 8765)

@@ -16,11 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.rosbag2 import Reader
 
-from manyhands.launch.recordings.recording import RecordingError
-from manyhands.launch.recordings.rosbag import LATEST, POSE, RosTopic, ros_types, save_bag
-from manyhands.launch.recordings.run import read_run
-from manyhands.launch.view.pointer import Hold
-from manyhands.launch.view.ros import (
+from manyhands.launch.bridges.ros import (
     MAX_SERVO_BYTES,
     MOST_TICKS,
     RosMessage,
@@ -37,7 +33,11 @@ from manyhands.launch.view.ros import (
     read_pose,
     topic_key,
 )
-from manyhands.launch.view.security import ViewError
+from manyhands.launch.bridges.rosbag import LATEST, POSE, RosTopic, ros_types, save_bag
+from manyhands.launch.look.page.pointer import Hold
+from manyhands.launch.look.page.security import ViewError
+from manyhands.launch.recordings.recording import RecordingError
+from manyhands.launch.recordings.run import read_run
 from manyhands.nodes.observer.scene import About, NodeAbout
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import recorded_of

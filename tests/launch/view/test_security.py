@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from manyhands.launch.view.security import (
+from manyhands.launch.look.page.security import (
     HEADERS,
     LEAST_TOKEN,
     Doorstep,

@@ -11,13 +11,12 @@ from pathlib import Path
 import pytest
 import uvicorn
 
-from manyhands.launch.observe.sessions import Running
-from manyhands.launch.view import server as application_module
-from manyhands.launch.view import server as module
-from manyhands.launch.view import server as server_module
-from manyhands.launch.view.feed import Watch
-from manyhands.launch.view.security import Doorstep, Token, is_loopback
-from manyhands.launch.view.server import (
+from manyhands.launch.look.page import server as application_module
+from manyhands.launch.look.page import server as module
+from manyhands.launch.look.page import server as server_module
+from manyhands.launch.look.page.feed import Watch
+from manyhands.launch.look.page.security import Doorstep, Token, is_loopback
+from manyhands.launch.look.page.server import (
     ANSWERED_WITHIN,
     MOST_CONNECTIONS,
     MOST_OF_AN_ADDRESS,
@@ -28,6 +27,7 @@ from manyhands.launch.view.server import (
     run_until_stopped,
     without_tracebacks,
 )
+from manyhands.launch.look.sessions import Running
 from manyhands.protocol.clock import Instant, RealtimeClock
 
 from ...support.observed_session import ABOUT

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from manyhands.launch.audit.simulation import Simulation
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.topology import topology
 from manyhands.launch.session import load_session
-from manyhands.launch.simulation import Simulation
 from manyhands.nodes import bundle as bundle_files
 from manyhands.nodes.bundle import BundleError, CouplingBundle, DeviceBundle
 from manyhands.nodes.coupling.block import Block

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from manyhands.design.models.device import held_device, zero_order_hold
-from manyhands.design.models.operators import RationalMatrix
 from manyhands.design.models.statespace import StateSpace
+from manyhands.design.passivity.operators import RationalMatrix
 from manyhands.launch.conformance.driver import (
     RELEASE,
     SIGN,

@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manyhands.design.models.statespace import StateSpace
+from manyhands.launch.audit.simulation import Simulation
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
-from manyhands.launch.simulation import Simulation
 from manyhands.nodes import telemetry as names
 from manyhands.nodes.bundle import Common, DeviceBundle, Limits, SimulatedHand, load, save
 from manyhands.nodes.device.core import DeviceCore

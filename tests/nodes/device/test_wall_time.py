@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from manyhands.design.models.device import HeldDevice, held_device
-from manyhands.design.models.operators import RationalMatrix
 from manyhands.design.models.statespace import StateSpace
+from manyhands.design.passivity.operators import RationalMatrix
 from manyhands.nodes.bundle import RecordedMotion
 from manyhands.nodes.device.core import DeviceCore
 from manyhands.nodes.device.drivers import Driver, TraceDriver, WallTimeTrace

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from manyhands.launch.run.display import chatter_line, held_line, world_lines
+from manyhands.launch.look.display import chatter_line, held_line, world_lines
 from manyhands.nodes.environment.chatter import LEAST, MOST, Chatter
 from manyhands.nodes.environment.enforced import BlackBox, EnforcedCore
 from manyhands.nodes.environment.model import AskedModel

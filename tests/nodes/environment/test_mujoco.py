@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from manyhands.launch.audit.simulation import Silence, Simulation
 from manyhands.launch.conformance.judgement import Conformance, broken
 from manyhands.launch.conformance.model import check_model
-from manyhands.launch.plan.prepare import haptic_loop, prepare
+from manyhands.launch.plan.loop import haptic_loop
+from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import SessionError, load_session
-from manyhands.launch.simulation import Silence, Simulation
 from manyhands.nodes.environment.enforced import EnforcedCore
 from manyhands.nodes.environment.model import AskedModel
 from manyhands.nodes.environment.mujoco import MujocoEngine

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from manyhands.design.models.contacts import Surface
 from manyhands.design.models.network import GROUND, Network, NetworkLink
 from manyhands.design.models.scene import Body, ContactScene, Obstacle, SceneLink, ToolSphere
-from manyhands.launch.run.display import scene_line, world_lines
+from manyhands.launch.look.display import scene_line, world_lines
 from manyhands.nodes.environment.core import EnvironmentCore
 from manyhands.nodes.environment.enforced import EnforcedCore
 from manyhands.nodes.environment.scene import SceneLaw

@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from manyhands.launch.audit.simulation import Silence, Simulation
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.reach import Reach, reach
 from manyhands.launch.recordings.recording import Recording
@@ -27,7 +28,6 @@ from manyhands.launch.run.outcome import Outcome, Progress
 from manyhands.launch.run.states import NodeState, SessionPhase
 from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import load_session
-from manyhands.launch.simulation import Silence, Simulation
 from manyhands.nodes import telemetry as names
 from manyhands.protocol.clock import from_seconds
 

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from manyhands.launch.simulation import Silence, Simulation
+from manyhands.launch.audit.simulation import Silence, Simulation
 from manyhands.nodes.bundle import REALTIME, SIMULATED
 
 from .stage import (

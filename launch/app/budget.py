@@ -1,0 +1,570 @@
+"""`manyhands budget`: the stiffness that can be certified for each device, over delay inside the tick and period.
+
+:mod:`manyhands.design.budget` computes the numbers; this module selects and shows them. Nothing is designed: a budget
+shows before any design how much stiffness a faster transport or a shorter period would gain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from manyhands.design.budget import Felt, Stiffness, environment_share, felt_over, stiffest
+from manyhands.design.files import replacing
+from manyhands.design.models.brief import brief_names, brief_repr
+from manyhands.design.models.environment import NetworkBox, StateSpaceEnvironment
+from manyhands.design.models.network import Network
+from manyhands.design.models.statespace import Matrix
+from manyhands.design.problem import HapticLoop
+from manyhands.design.series import counted_parts
+from manyhands.extras import require
+from manyhands.launch.files import TargetError, require_target
+from manyhands.launch.plan.loop import haptic_loop
+from manyhands.launch.plan.sites import site
+from manyhands.launch.recordings.recording import data_frame
+from manyhands.launch.session import Session
+from manyhands.nodes.json_number import json_number
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.axes import Axes
+    from matplotlib.lines import Line2D
+
+TICK_PARTS = (0.0, 0.125, 0.25, 0.5, 0.75, 1.0)  # the delays shown, in periods, besides the session's own delay
+PERIODS = (0.25e-3, 0.5e-3, 1e-3, 2e-3, 4e-3)  # s: the periods shown, besides the session's own period
+PLOT_SUFFIXES = (".png", ".svg", ".pdf")
+
+ROUND_TRIPS = (1e-3, 2e-3, 4e-3, 6e-3, 10e-3, 20e-3, 40e-3, 60e-3, 100e-3, 200e-3, 400e-3)
+"""s: the round trips shown of a wave link, besides the session's own."""
+SITE_PERIODS = (1e-3, 0.5e-3, 0.25e-3)
+"""s: the periods shown of a user's site, besides its own."""
+
+_PLOTTED_PERIODS = (0.25, 0.5, 1.0, 2.0)  # multiples of the session's period
+_PLOTTED_DELAYS = 101  # points of a curve
+_MOST_ROWS = 12  # different levels shown in a table, weakest first; --json has all
+_MOST_PANELS = 4  # different levels shown in a plot
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceBudget:
+    """The stiffness that can be certified for one device.
+
+    Attributes:
+        name: the device.
+        level: Delta_Di with the coupling's structure, m_i x m_i, N*s/m.
+        against_delay: at the session's period, delays ascending, the session's own among them.
+        against_period: periods ascending; for each period the delays 0, the session's own (unless it exceeds the
+            period) and the whole period.
+    """
+
+    name: str
+    level: Matrix
+    against_delay: tuple[Stiffness, ...]
+    against_period: tuple[Stiffness, ...]
+
+    __repr__ = brief_repr
+
+
+@dataclass(frozen=True, eq=False)
+class DelayBudget:
+    """The stiffness that can be certified for a session.
+
+    Attributes:
+        loop: the session's loop.
+        periods: the periods examined, s, ascending.
+        share_at: the share of the devices' levels that the environment takes at a period (s); 0 for a passive
+            environment, infinite for one with which nothing can be certified.
+        devices: one budget for each device.
+        wave_links: what is felt at most over each wave link.
+    """
+
+    loop: HapticLoop
+    periods: tuple[float, ...]
+    share_at: Callable[[float], float]
+    devices: tuple[DeviceBudget, ...]
+    wave_links: tuple[WaveLinkBudget, ...] = ()
+
+    def at(self, tau: float, T: float | None = None) -> dict[str, Stiffness]:
+        """The stiffness that can be certified for each device, by name.
+
+        Args:
+            tau: the longest delay inside the tick, s, 0 ... T.
+            T: period, s; by default the session's.
+
+        Raises:
+            ValueError: T is not positive and finite, or tau is outside 0 ... T.
+
+        Example:
+            >>> import manyhands as mh
+            >>> budget = mh.budget(mh.load("example1"))
+            >>> [round(budget.at(tau)["dx"].certified) for tau in (0.0, 0.0005, 0.001)]       # N/m
+            [2740, 1096, 685]
+        """
+        period = self.loop.period if T is None else T
+        if not 0.0 < period < np.inf:
+            raise ValueError(f"T: found {period!r} s, expected a finite positive period")
+        share = self.share_at(period)
+        return {device.name: _limits(self.loop, device.level, period, tau, share) for device in self.devices}
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """The budget against the delay, at the session's period, as a table: a row for each device and delay.
+
+        The columns are ``device``, ``T_s``, ``tau_s``, ``certified_N/m``, ``colgate_N/m`` and ``kappa``, which is NaN
+        where nothing can be certified.
+        """
+        rows = [(device.name, row) for device in self.devices for row in device.against_delay]
+        return {
+            "device": np.array([name for name, _ in rows]),
+            "T_s": np.array([row.T for _, row in rows]),
+            "tau_s": np.array([row.tau for _, row in rows]),
+            "certified_N/m": np.array([row.certified for _, row in rows]),
+            "colgate_N/m": np.array([row.colgate for _, row in rows]),
+            "kappa": np.array([np.nan if row.kappa is None else row.kappa for _, row in rows]),
+        }
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The table of :meth:`columns` as a data frame.
+
+        Raises:
+            RecordingError: pandas is not installed.
+        """
+        return data_frame(self.columns())
+
+    def __repr__(self) -> str:
+        limits = [f"{name} {row.certified:.4g} N/m" for name, row in self.at(self.loop.tau).items()]
+        T, tau = self.loop.period, self.loop.tau
+        return f"DelayBudget({self.loop.session}: T = {T:g} s, tau = {tau:g} s, {brief_names(limits)})"
+
+
+def session_budget(session: Session) -> DelayBudget:
+    """The budget of every device of a session, and of its wave links.
+
+    Raises:
+        NotCertified: the delay is to be measured, and has not been.
+    """
+    return replace(budget(haptic_loop(session)), wave_links=wave_link_budgets(session))
+
+
+def budget(loop: HapticLoop, share_at: Callable[[float], float] | None = None) -> DelayBudget:
+    """The budget of every device of a loop.
+
+    Args:
+        loop: the loop; its coupling does not matter.
+        share_at: the share that the environment takes at a period (s); computed where the caller does not give it.
+    """
+    T, tau = loop.period, loop.tau
+    share = cache(share_at or (lambda period: environment_share(loop.environment, loop.Delta_D, period)))
+    periods = _periods(loop, PERIODS)
+    delays = sorted({*(part * T for part in TICK_PARTS), tau})
+    grid = [(period, delay) for period in periods for delay in sorted({0.0, min(tau, period), period})]
+    devices = []
+    for device in loop.devices:
+        level = loop.Delta_D[np.ix_(device.ports, device.ports)]
+        devices.append(
+            DeviceBudget(
+                device.name,
+                level,
+                tuple(_limits(loop, level, T, delay, share(T)) for delay in delays),
+                tuple(_limits(loop, level, period, delay, share(period)) for period, delay in grid),
+            )
+        )
+    return DelayBudget(loop, periods, share, tuple(devices))
+
+
+def _periods(loop: HapticLoop, wanted: Iterable[float]) -> tuple[float, ...]:
+    """The periods to examine; an environment given in discrete time has only its own period."""
+    environment = loop.environment
+    if isinstance(environment, StateSpaceEnvironment) and environment.method is None:
+        return (loop.period,)
+    return tuple(sorted({*wanted, loop.period}))
+
+
+def _limits(loop: HapticLoop, level: Matrix, T: float, tau: float, share: float) -> Stiffness:
+    # a share of 1 or more leaves nothing
+    return stiffest(level, T, tau, min(share, 1.0), loop.period_tolerance)
+
+
+@dataclass(frozen=True, eq=False)
+class WaveLinkBudget:
+    """What is felt at most over one coupling's wave link.
+
+    Attributes:
+        name: of the coupling.
+        period: of the site, s.
+        tau: longest delay inside a tick of the site, s.
+        round_trip: that the session states, s; None if it states none.
+        at: what is felt at a period of the site, s, and a round trip, s. The delay is ``tau``, or the whole period
+            where that is less.
+    """
+
+    name: str
+    period: float
+    tau: float
+    round_trip: float | None
+    at: Callable[[float, float], Felt]
+
+    __repr__ = brief_repr
+
+    @property
+    def round_trips(self) -> tuple[float, ...]:
+        """The round trips to show, s, ascending."""
+        return tuple(sorted({*ROUND_TRIPS, *(() if self.round_trip is None else (self.round_trip,))}))
+
+    @property
+    def periods(self) -> tuple[float, ...]:
+        """The site's periods to show, s: its own, then shorter ones."""
+        return (self.period, *(shorter for shorter in SITE_PERIODS if shorter < self.period))
+
+
+def wave_link_budgets(session: Session) -> tuple[WaveLinkBudget, ...]:
+    """The budget of each wave link of a session.
+
+    Where the session allows a felt mass M, the impedance at a round trip R is 2 M/R; a given b stays as it is.
+    """
+    return tuple(_wave_link_budget(session, name) for name in session.wave_links)
+
+
+def _wave_link_budget(session: Session, name: str) -> WaveLinkBudget:
+    link, loop = session.wave_links[name], site(session, name).loop
+    harvest = np.diag(link.harvest_of(len(loop.ports)))
+
+    def at(T: float, round_trip: float) -> Felt:
+        b = link.model_copy(update={"round_trip": round_trip}).impedance(len(loop.ports))
+        return felt_over(loop.Delta_D, T, min(loop.tau, T), b, round_trip, harvest, loop.period_tolerance)
+
+    return WaveLinkBudget(name, loop.period, loop.tau, link.round_trip, cache(at))
+
+
+@dataclass(frozen=True)
+class SeriesStiffness:
+    """The limit of the coupling at one port where the world's own spring is counted in series with it, at one delay.
+
+    Attributes:
+        port: name of the port.
+        tau: longest delay inside the tick, s.
+        contact: k of the world's spring there, N/m.
+        part: of its compliance that is counted.
+        without: limit of the coupling without it, N/m.
+        certified: limit of the coupling itself with it, N/m: 1/(1/without - part/k).
+    """
+
+    port: str
+    tau: float
+    contact: float
+    part: float
+    without: float
+    certified: float
+
+
+def series_budget(found: DelayBudget) -> tuple[SeriesStiffness, ...]:
+    """The limits in series at the session's period, by port and delay; empty where the session counts nothing."""
+    loop = found.loop
+    if not loop.series or not isinstance(loop.environment, Network | NetworkBox):
+        return ()
+    contacts, out = loop.environment.contacts(), []
+    device_of = {port: device.name for device in loop.devices for port in device.ports}
+    for device in found.devices:
+        for row in device.against_delay:
+            parts = counted_parts(replace(loop, tau=row.tau, series=()), max(loop.series))
+            for i, part in enumerate(parts):
+                if part and row.certified and device_of[i] == device.name:
+                    contact = contacts[loop.ports[i]].stiffness
+                    own = 1.0 / (1.0 / row.certified - part / contact)
+                    out.append(SeriesStiffness(loop.ports[i], row.tau, contact, part, row.certified, own))
+    return tuple(out)
+
+
+def print_series(console: Console, found: Sequence[SeriesStiffness], tau: float) -> None:
+    """Print what counting the world's springs in series allows each coupling; ``tau`` is the session's, s."""
+    if not found:
+        return
+    table = Table(title="with the world's own springs in series", title_justify="left")
+    table.add_column("port")
+    for column in ("τ [ms]", "its spring [N/m]", "counted", "without [N/m]", "certified below [N/m]"):
+        table.add_column(escape(column), justify="right")
+    ports = list(dict.fromkeys(row.port for row in found))
+    for port in ports[:_MOST_ROWS]:
+        for i, row in enumerate(row for row in found if row.port == port):
+            table.add_row(
+                port if i == 0 else "", _ms(row.tau) + (" (session)" if row.tau == tau else ""), _figure(row.contact),
+                f"{row.part:g}", _figure(row.without), _figure(row.certified),
+            )  # fmt: skip
+        table.add_section()
+    console.print(table)
+    if len(ports) > _MOST_ROWS:
+        console.print(f"{len(ports) - _MOST_ROWS} more ports are not shown; --json has all", markup=False)
+
+
+def budget_object(found: DelayBudget) -> dict[str, Any]:
+    """The object that ``--json`` prints; T and tau in s, stiffness in N/m, "share" null where it is infinite."""
+    loop = found.loop
+    return {
+        "session": loop.session,
+        "period": loop.period,
+        "tau": loop.tau,
+        "period_tolerance": loop.period_tolerance,
+        "environment": [
+            {"T": period, "share": json_number(share)}
+            for period, share in ((period, found.share_at(period)) for period in found.periods)
+        ],
+        "devices": {
+            device.name: {
+                "osp": device.level.tolist(),
+                "against_tau": [_plain(row) for row in device.against_delay],
+                "against_period": [_plain(row) for row in device.against_period],
+            }
+            for device in found.devices
+        },
+        **({"series": [asdict(row) for row in in_series]} if (in_series := series_budget(found)) else {}),
+    }
+
+
+def wave_links_object(found: Sequence[WaveLinkBudget]) -> dict[str, Any]:
+    """The part of the object about wave links; T, tau and round_trip in s, stiffness in N/m, mass in kg."""
+    return {
+        link.name: [asdict(link.at(T, round_trip)) for T in link.periods for round_trip in link.round_trips]
+        for link in found
+    }
+
+
+def _plain(row: Stiffness) -> dict[str, float | None]:
+    return {"T": row.T, "tau": row.tau, "certified": row.certified, "colgate": row.colgate, "kappa": row.kappa}
+
+
+def print_budget(console: Console, found: DelayBudget) -> None:
+    """Print two tables, stiffness over delay and over period; devices with equal levels share their rows."""
+    loop = found.loop
+    groups = _groups(found.devices)
+    shown = groups[:_MOST_ROWS]
+    title = f"{loop.session}: stiffest coupling, T = {_ms(loop.period)} ms"
+    table = Table(title=title, title_justify="left")
+    table.add_column("devices")
+    for column in ("τ [ms]", "τ/T", "certified below [N/m]", "Colgate's limit [N/m]", "κ"):
+        table.add_column(escape(column), justify="right")
+    for names, device in shown:
+        for i, row in enumerate(device.against_delay):
+            mark = " (session)" if row.tau == loop.tau else ""
+            table.add_row(
+                names if i == 0 else "", _ms(row.tau) + mark, f"{row.tau / row.T:.3g}", _figure(row.certified),
+                _figure(row.colgate), "" if row.kappa is None else f"{row.kappa:.3f}",
+            )  # fmt: skip
+        table.add_section()
+    console.print(table)
+    table = Table(title="the same against the period", title_justify="left")
+    table.add_column("devices")
+    own = [f"τ = {_ms(loop.tau)} ms"] if loop.tau > 0.0 else []
+    for column in ("T [ms]", "τ = 0", *own, "τ = T", "Colgate, τ = 0", "Colgate, τ = T"):
+        table.add_column(escape(column), justify="right")
+    for names, device in shown:
+        for i, period in enumerate(found.periods):
+            rows = {row.tau: row for row in device.against_period if period == row.T}
+            at_own = [_figure(rows[loop.tau].certified) if loop.tau in rows else "longer than T"] if own else []
+            table.add_row(
+                names if i == 0 else "", _ms(period), _figure(rows[0.0].certified), *at_own,
+                _figure(rows[period].certified), _figure(rows[0.0].colgate), _figure(rows[period].colgate),
+            )  # fmt: skip
+        table.add_section()
+    console.print(table)
+    if len(groups) > len(shown):
+        left = len(groups) - len(shown)
+        console.print(f"the {left} stronger levels are not shown; --json has every device", markup=False)
+    if loop.period_tolerance:
+        longest = f"{1.0 + loop.period_tolerance:g}"
+        console.print(f"Periods may be up to {longest} T long, Colgate's as well as ours.", markup=False)
+    console.print(_environment_text(found), markup=False, soft_wrap=True)
+
+
+def print_wave_links(console: Console, found: Sequence[WaveLinkBudget]) -> None:
+    """Print a table for each wave link: what is felt over its round trip, beside what a loop through it could be."""
+    for link in found[:_MOST_ROWS]:
+        title = f"{link.name}: over a wave link, τ = {_ms(link.tau)} ms at the site"
+        table = Table(title=title, title_justify="left")
+        table.add_column(escape("R [ms]"), justify="right")
+        for T in link.periods:
+            table.add_column(escape(f"felt, {1e-3 / T:.3g} kHz [N/m]"), justify="right")
+        for column in ("felt mass [g]", "least mass [g]", "loop through R [N/m]"):
+            table.add_column(escape(column), justify="right")
+        for round_trip in link.round_trips:
+            rows = [link.at(T, round_trip) for T in link.periods]
+            mark = " (session)" if round_trip == link.round_trip else ""
+            masses = [_figure(1e3 * mass) for mass in (rows[0].mass, rows[0].least_mass)]
+            felt = [_figure(row.felt) for row in rows]
+            table.add_row(_ms(round_trip) + mark, *felt, *masses, _figure(rows[0].naive))
+        console.print(table)
+    if len(found) > _MOST_ROWS:
+        console.print(f"{len(found) - _MOST_ROWS} more wave links are not shown; --json has all", markup=False)
+    if found:
+        console.print(
+            "Distance costs mass, and never stability: no linear passive link over R is lighter than K R²/4 for the "
+            "stiffness K that is felt. A loop through R is not certified here, and above its limit not passive.",
+            markup=False,
+            soft_wrap=True,
+        )
+
+
+def _environment_text(found: DelayBudget) -> str:
+    share = found.share_at(found.loop.period)
+    if share == 0.0:
+        return "The environment is passive: the limits do not depend on it."
+    if share >= 1.0:
+        return "The environment takes all that the devices dissipate, or more: nothing can be certified with it."
+    return f"The environment takes {share:.1%} of what the devices dissipate; the certified limits leave it that."
+
+
+def plot_budget(found: DelayBudget, path: Path) -> None:
+    """Plot the stiffness over the delay for several periods, certified and Colgate's, with a panel for each level.
+
+    With wave links the picture is about them instead: what is felt over the round trip, with a panel for each link.
+
+    Raises:
+        TargetError: the suffix is not that of a plot, or the folder does not exist.
+    """
+    require_picture(path)
+    if found.wave_links:
+        _plot_wave_links(found.loop.session, found.wave_links[:_MOST_PANELS], path)
+        return
+    from matplotlib.figure import Figure  # the plotter takes most of a second to import; the tables do not need it
+
+    panels = _groups(found.devices)[:_MOST_PANELS]
+    figure = Figure(figsize=(8.0, 0.6 + 3.6 * len(panels)), layout="constrained", facecolor="white")
+    rows = figure.subplots(len(panels), 1, squeeze=False, sharex=True)[:, 0]
+    for axes, (names, device) in zip(rows, panels, strict=True):
+        draw_budget(axes, found, device)
+        axes.set_title(names, loc="left", fontsize="medium")
+        axes.set_xlabel("delay τ inside the tick [ms]" if axes is rows[-1] else "")
+    figure.legend(handles=budget_keys(found), loc="outside lower center", ncols=4, fontsize="small", frameon=False)
+    figure.suptitle(f"{found.loop.session}: stiffest coupling", x=0.01, ha="left", fontsize="medium")
+    with replacing(path) as file:
+        figure.savefig(file, format=path.suffix[1:], dpi=130)
+
+
+def draw_budget(axes: Axes, found: DelayBudget, device: DeviceBudget) -> None:
+    """Draw the stiffness of one device over the delay, a colour for each period; solid certified, dashed Colgate's."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    loop, periods = found.loop, _plotted_periods(found)
+    for T, colour in zip(periods, _colours(len(periods)), strict=True):
+        delays = np.linspace(0.0, T, _PLOTTED_DELAYS)
+        curve = [_limits(loop, device.level, T, float(min(tau, T)), found.share_at(T)) for tau in delays]
+        certified = np.array([row.certified if row.certified > 0.0 else np.nan for row in curve])
+        axes.plot(1e3 * delays, certified, color=colour, linewidth=1.8)
+        axes.plot(1e3 * delays, [row.colgate for row in curve], color=colour, linewidth=1.2, linestyle="--")
+    own = next(row for row in device.against_delay if row.tau == loop.tau)
+    if own.certified > 0.0:
+        axes.plot(1e3 * own.tau, own.certified, "o", color="black", markersize=6, clip_on=False, zorder=5)
+    axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.set_title(device.name, loc="left", fontsize="medium")
+    axes.set_xlabel("delay τ inside the tick [ms]")
+    axes.set_ylabel("stiffness [N/m]")
+    axes.grid(alpha=0.3, which="both")
+    axes.set_xlim(0.0, 1e3 * periods[-1])
+
+
+def budget_keys(found: DelayBudget) -> list[Line2D]:
+    """What the lines of :func:`draw_budget` mean, for a legend."""
+    from matplotlib.lines import Line2D
+
+    periods = _plotted_periods(found)
+    keys = [
+        Line2D([], [], color=colour, label=f"T = {_ms(T)} ms")
+        for T, colour in zip(periods, _colours(len(periods)), strict=True)
+    ]
+    return [
+        *keys,
+        Line2D([], [], color="0.3", linewidth=1.8, label="certified below"),
+        Line2D([], [], color="0.3", linewidth=1.2, linestyle="--", label="Colgate's limit"),
+        Line2D([], [], color="black", marker="o", linestyle="", label="this session"),
+    ]
+
+
+def _plotted_periods(found: DelayBudget) -> tuple[float, ...]:
+    return _periods(found.loop, [part * found.loop.period for part in _PLOTTED_PERIODS])
+
+
+def _colours(count: int) -> Any:
+    """Dark to light, distinct in grey too."""
+    from matplotlib import colormaps
+
+    return colormaps["viridis"](np.linspace(0.0, 0.8, count))
+
+
+def _plot_wave_links(name: str, links: Sequence[WaveLinkBudget], path: Path) -> None:
+    """Plot the felt stiffness over the round trip, with a panel for each link."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, 0.6 + 3.6 * len(links)), layout="constrained", facecolor="white")
+    rows = figure.subplots(len(links), 1, squeeze=False, sharex=True)[:, 0]
+    for axes, link in zip(rows, links, strict=True):
+        draw_wave_link(axes, link)
+        axes.set_xlabel("round trip R [ms]" if axes is rows[-1] else "")
+    figure.suptitle(f"{name}: what is felt over wave links", x=0.01, ha="left", fontsize="medium")
+    with replacing(path) as file:
+        figure.savefig(file, format=path.suffix[1:], dpi=130)
+
+
+def draw_wave_link(axes: Axes, link: WaveLinkBudget) -> None:
+    """Draw the felt stiffness over the round trip, at each period of the site, beside the loop through the delay."""
+    times = np.geomspace(ROUND_TRIPS[0], ROUND_TRIPS[-1], _PLOTTED_DELAYS)
+    for T, colour in zip(link.periods, _colours(len(link.periods)), strict=True):
+        curve = np.array([link.at(T, float(R)).felt for R in times])
+        label = f"felt, site at {1e-3 / T:.3g} kHz"
+        axes.loglog(1e3 * times, np.where(curve > 0.0, curve, np.nan), color=colour, linewidth=1.8, label=label)
+    own = [link.at(link.period, float(R)) for R in times]
+    style = {"color": "0.3", "linewidth": 1.2}
+    axes.loglog(1e3 * times, [row.naive for row in own], linestyle="--", label="limit of a loop through R", **style)
+    law = [4.0 * row.mass / row.round_trip**2 for row in own]
+    axes.loglog(1e3 * times, law, linestyle=":", label="law: 4 M/R², M the felt mass", **style)
+    if link.round_trip is not None:
+        felt = link.at(link.period, link.round_trip).felt
+        axes.plot(1e3 * link.round_trip, felt, "o", color="black", label="this session", zorder=5)
+    axes.set_title(link.name, loc="left", fontsize="medium")
+    axes.set_xlabel("round trip R [ms]")
+    axes.set_ylabel("stiffness [N/m]")
+    axes.grid(alpha=0.3, which="both")
+    axes.legend(fontsize="small", frameon=False)
+
+
+def require_picture(path: Path) -> None:
+    """Refuse an output file for a plot that cannot be written; a command calls this before its work.
+
+    Raises:
+        MissingExtra: nothing here can draw.
+        TargetError: the folder does not exist, or the suffix is not one of :data:`PLOT_SUFFIXES`.
+    """
+    require("plot")
+    require_target(path)
+    if path.suffix not in PLOT_SUFFIXES:
+        raise TargetError(f"{path}: found the suffix {path.suffix!r}; expected one of {', '.join(PLOT_SUFFIXES)}")
+
+
+def _groups(devices: Sequence[DeviceBudget]) -> list[tuple[str, DeviceBudget]]:
+    """Devices with equal limits under one heading, weakest first."""
+    by_limit: dict[float, list[DeviceBudget]] = {}
+    for device in devices:
+        by_limit.setdefault(device.against_delay[0].colgate, []).append(device)
+    return [(_names([d.name for d in same]), same[0]) for _, same in sorted(by_limit.items())]
+
+
+def _names(names: Sequence[str]) -> str:
+    most = 4
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def _figure(value: float) -> str:
+    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}" if value > 0.0 else "none"
+
+
+def _ms(seconds: float) -> str:
+    return f"{1e3 * seconds:.4g}"

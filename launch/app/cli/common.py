@@ -1,0 +1,370 @@
+"""What the commands share: consoles, options, shell completion, and one message and exit code for every error.
+
+Completion runs at every press of Tab. Names of running sessions, topics, session files and nodes therefore come from
+files, and no session is contacted. Where a file cannot be read, there is no completion and no error message.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import typer
+from rich.console import Console
+
+from manyhands.design.certificate import unrecorded
+from manyhands.design.errors import CertificateError, DesignError
+from manyhands.extras import MissingExtra, explained, require
+from manyhands.launch.doctor import delay
+from manyhands.launch.doctor.profile import ProbeFailed, ProbeInterrupted
+from manyhands.launch.files import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, TargetError
+from manyhands.launch.look.display import say
+from manyhands.launch.look.page.security import ViewError
+from manyhands.launch.look.sessions import NoSession, find_session, running_sessions
+from manyhands.launch.look.topics import NoTopic, named_topics, session_of
+from manyhands.launch.plan.loop import NotCertified
+from manyhands.launch.plan.prepare import Prepared, prepare
+from manyhands.launch.plan.reach import ReachError
+from manyhands.launch.plan.sites import IN_TICK
+from manyhands.launch.plan.topology import LinkTooWide
+from manyhands.launch.recordings.recording import RecordingError
+from manyhands.launch.session import ENVIRONMENT, SUPERVISOR, Session, SessionError
+from manyhands.launch.session.session import whole_ticks
+from manyhands.launch.session.shipped import load_named, shipped_sessions
+from manyhands.nodes.bundle import CLOCKS
+from manyhands.nodes.device.plugin import DriverFailure
+from manyhands.nodes.environment.model import ModelFailure
+from manyhands.nodes.factory import FactoryError, is_shipped, place_of
+from manyhands.protocol.keys import KeyFileError
+from manyhands.protocol.transport import TransportError
+
+if TYPE_CHECKING:
+    from manyhands.launch.doctor.profile import Profile
+
+_MOST = 500  # completions
+
+
+def one_word_of(words: Iterable[str]) -> Callable[[str], list[str]]:
+    """The completion of an option that takes one of these words."""
+    known = tuple(words)
+
+    def complete(incomplete: str) -> list[str]:
+        return _that_begin_with(incomplete, known)
+
+    return complete
+
+
+def running_names(incomplete: str) -> list[str]:
+    """Names of running sessions; where several have the same name, their process ids instead."""
+    running = [one.about for one in running_sessions()]
+    names = [about.session for about in running]
+    return _that_begin_with(
+        incomplete, (str(one.pid) if names.count(one.session) > 1 else one.session for one in running)
+    )
+
+
+def topic_names(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Topics of the named or only session; with their full path where ``incomplete`` begins with a slash."""
+    try:
+        about = find_session(ctx.params.get("session") or session_of(incomplete)).about
+    except NoSession:
+        return []
+    topics = named_topics(about)
+    if incomplete.startswith("/"):
+        return _that_begin_with(incomplete, (named.full for named in topics.values()))
+    return _that_begin_with(incomplete, topics)
+
+
+def session_files(incomplete: str) -> list[str]:
+    """Session files and folders that complete the path, and the shipped sessions."""
+    names = [f"{name}.yaml" for name in shipped_sessions()]
+    folder, _, start = incomplete.rpartition("/")
+    prefix = f"{folder}/" if "/" in incomplete else ""
+    try:
+        entries = sorted(Path(prefix or ".").expanduser().iterdir())
+    except OSError:
+        entries = []
+    here = []
+    for path in entries:
+        if path.name.startswith(".") and not start.startswith("."):
+            continue
+        if path.suffix in (".yaml", ".yml"):
+            here.append(f"{prefix}{path.name}")
+        elif path.is_dir():
+            here.append(f"{prefix}{path.name}/")
+    return _that_begin_with(incomplete, dict.fromkeys([*here, *names]))
+
+
+def shipped_names(incomplete: str) -> list[str]:
+    """The names of shipped sessions."""
+    return _that_begin_with(incomplete, shipped_sessions())
+
+
+def node_names(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Nodes and observers of the session file that stands earlier on the command line."""
+    loaded = _named_session(ctx)
+    return [] if loaded is None else _that_begin_with(incomplete, [*loaded.roles, *loaded.observers])
+
+
+def _named_session(ctx: typer.Context) -> Session | None:
+    """The session whose file stands earlier on the command line, if it can be read."""
+    path = ctx.params.get("session")
+    try:
+        return None if path is None else load_named(path, ctx.params.get("overrides") or [])
+    except (SessionError, OSError):
+        return None
+
+
+def placed_node_names(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Nodes of the session file that stands earlier on the command line, each with the sign before its machine."""
+    return [f"{name}=" for name in node_names(ctx, incomplete)]
+
+
+def session_keys(ctx: typer.Context, incomplete: str) -> list[str]:
+    """The keys of single values in the session file that stands earlier on the command line, each with the sign = ."""
+    loaded = _named_session(ctx)
+    return [] if loaded is None else [f"{key}=" for key in _that_begin_with(incomplete, _keys("", loaded.as_plain()))]
+
+
+def _keys(prefix: str, tree: Mapping[str, object]) -> Iterator[str]:
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from _keys(f"{prefix}{key}.", value)
+        else:
+            yield f"{prefix}{key}"
+
+
+def part_names(ctx: typer.Context, incomplete: str) -> list[str]:
+    """The parts of the session file that stands earlier on the command line, each of which has a certificate."""
+    loaded = _named_session(ctx)
+    parts = [] if loaded is None else [*loaded.wave_links, IN_TICK, ENVIRONMENT]
+    return _that_begin_with(incomplete, parts)
+
+
+def key_names(ctx: typer.Context, incomplete: str) -> list[str]:
+    """The processes that have a key of their own, in the session file that stands earlier on the command line."""
+    return [*node_names(ctx, incomplete), *_that_begin_with(incomplete, [SUPERVISOR])]
+
+
+def _that_begin_with(incomplete: str, names: Iterable[str]) -> list[str]:
+    return [name for name in names if name.startswith(incomplete)][:_MOST]
+
+
+_NO_TERMINAL_WIDTH = 140  # columns, for tables in a file or a pipe
+
+
+class _Console(Console):
+    def on_broken_pipe(self) -> None:
+        """Raise BrokenPipeError, so that the command decides what a closed pipe means."""
+        raise BrokenPipeError
+
+
+def _console(stderr: bool) -> Console:
+    console = _Console(stderr=stderr, highlight=False, soft_wrap=True)
+    return console if console.is_terminal else _Console(stderr=stderr, highlight=False, width=_NO_TERMINAL_WIDTH)
+
+
+out, err = _console(stderr=False), _console(stderr=True)
+
+SessionPath = Annotated[
+    Path,
+    typer.Argument(
+        metavar="SESSION", help="A session file, or the name of a shipped one.", autocompletion=session_files
+    ),
+]
+Overrides = Annotated[
+    list[str],
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Override a value of the session; repeatable.",
+        autocompletion=session_keys,
+    ),
+]
+RunningName = Annotated[
+    str | None,
+    typer.Option(
+        "--running",
+        metavar="NAME",
+        help="A running session, by its name or process id; by default the only one.",
+        autocompletion=running_names,
+    ),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+Duration = Annotated[float, typer.Option("--duration", metavar="S", help="How long to run, in s.")]
+Clock = Annotated[
+    str,
+    typer.Option(
+        metavar="|".join(CLOCKS), help="The clock that paces the session.", autocompletion=one_word_of(CLOCKS)
+    ),
+]
+CertificatePath = Annotated[
+    Path | None, typer.Option("--certificate", metavar="CERT", help="Run under this certificate instead of designing.")
+]
+Uncertified = Annotated[bool, typer.Option("--uncertified", help="Run even if nothing proves the session stable.")]
+
+
+KeyFolder = Annotated[
+    Path | None,
+    typer.Option("--keys", metavar="DIR", help="The folder of the session's keys (manyhands invite); tcp only."),
+]
+Insecure = Annotated[
+    bool,
+    typer.Option("--insecure", help="Use TCP without encryption: anybody who can reach its ports can take part."),
+]
+ctrl_c: list[int] = []  # the signals that came: foreign code may catch the exception on its way up
+
+
+def unwind(signum: int, _frame: FrameType | None) -> None:
+    """Handle Ctrl-C: note the signal, and unwind the stack."""
+    ctrl_c.append(signum)
+    raise SystemExit(EXIT_INTERRUPTED)
+
+
+def prepare_session(session: Session, certificate: Path | None, uncertified: bool) -> Prepared:
+    """Settle the coupling of a run; print the design's progress, and what a certificate's file does not record."""
+    from manyhands.launch.app.design_report import progress_on
+
+    with progress_on(err, "designing the coupling") as progress:
+        prepared = prepare(session, certificate, uncertified, progress)
+    if prepared.certificate is not None and (lack := unrecorded(prepared.certificate)):
+        say(err, f"{certificate}: {lack}")
+    return prepared
+
+
+def settle_delay(
+    session: Session, *, realtime: bool, designed: bool = True, transport: str = "ipc", encrypted: bool = True
+) -> tuple[Session, Profile | None]:
+    """As :func:`manyhands.launch.doctor.delay.settle_delay`, which reports to the terminal.
+
+    Raises:
+        typer.Exit: nothing could be measured.
+    """
+    try:
+        return delay.settle_delay(
+            session,
+            partial(say, err),
+            lambda text: say(err, f"warning: {text}"),
+            realtime=realtime,
+            designed=designed,
+            transport=transport,
+            encrypted=encrypted,
+        )
+    except ProbeInterrupted as error:
+        raise typer.Exit(128 + error.signal) from error
+    except ProbeFailed as error:
+        say(err, f"error: the delay of a tick could not be measured: {error}; state one, such as design.tau=0.0005")
+        raise typer.Exit(EXIT_FAILED) from error
+
+
+def ticks_of(session: Session, duration: float, *, kept: bool = False) -> int:
+    """Number of ticks in ``duration`` (s); ``kept`` for a run whose values are kept in memory."""
+    try:
+        return whole_ticks(session, duration, kept=kept)
+    except ValueError as error:
+        refuse(f"--duration: {error}")
+
+
+def require_one_of(option: str, value: str, valid: tuple[str, ...]) -> None:
+    """End the command with an error unless the option's value is one of the valid ones."""
+    if value not in valid:
+        refuse(f"{option}: found {value!r}; expected {' or '.join(valid)}")
+
+
+def require_folder(path: Path | None) -> None:
+    """End the command with an error if there is a file where a folder is to be made."""
+    if path is not None and path.exists() and not path.is_dir():
+        refuse(f"{path}: found a file; expected the name of a folder")
+
+
+def end(code: int) -> None:
+    """End the command with this exit code."""
+    if code:
+        raise typer.Exit(code)
+
+
+def refuse(text: str) -> NoReturn:
+    """End the command with this error message and exit code 2."""
+    say(err, f"error: {text}")
+    raise typer.Exit(EXIT_BAD_INPUT)
+
+
+def warn_of_code(console: Console, session: Session, elsewhere: Collection[str] = ()) -> None:
+    """State, before it happens, that a run imports and executes code of other packages, and where it is from.
+
+    Args:
+        console: where to.
+        session: the session.
+        elsewhere: the nodes whose code this command does not run.
+    """
+    for key, name in session.foreign_code.items():
+        what = "driver" if key.startswith("devices.") else "model"
+        node = key.split(".")[1] if what == "driver" else ENVIRONMENT
+        if node not in elsewhere and not is_shipped(name.factory):
+            say(
+                console,
+                f"{session.name}: runs the code of the {what} {name.factory}, which is not confined ({key}); it is "
+                f"from {place_of(name)}; run only {what}s from people you trust",
+            )
+
+
+def warn_insecure(console: Console) -> None:
+    """Warn in red that a run is open to everybody on the network."""
+    console.print(
+        "warning: --insecure: nothing is encrypted and nobody proves who they are; anybody who can reach these ports "
+        "can read every motion and push every hand",
+        style="bold red",
+        markup=False,
+        soft_wrap=True,
+    )
+
+
+_BAD_INPUT = (
+    CertificateError,
+    MissingExtra,
+    KeyFileError,
+    LinkTooWide,
+    FactoryError,
+    NoSession,
+    NoTopic,
+    ReachError,
+    RecordingError,
+    SessionError,
+    TargetError,
+    TransportError,  # the address to listen at is not this machine's, or not free
+    ViewError,
+)
+
+
+@contextmanager
+def errors(*needed: str) -> Iterator[None]:
+    """Turn every expected error into one message and its exit code, and Ctrl-C into exit code 130.
+
+    Args:
+        needed: the extras that the command needs in every case; without them it ends before it begins.
+    """
+    try:
+        try:
+            require(*needed)
+            with explained():
+                yield
+        finally:
+            if ctrl_c:  # even where an import has turned the SystemExit into an error of its own
+                raise SystemExit(EXIT_INTERRUPTED) from None
+    except _BAD_INPUT as error:
+        say(err, f"error: {error}")
+        raise typer.Exit(EXIT_BAD_INPUT) from error
+    except (NotCertified, DesignError) as error:
+        say(err, f"error: {error}")
+        raise typer.Exit(EXIT_NOT_CERTIFIED) from error
+    except (DriverFailure, ModelFailure) as error:
+        say(err, f"error: {error}")
+        raise typer.Exit(EXIT_FAILED) from error
+    except OSError as error:
+        place = "" if error.filename is None else f"{error.filename}: "
+        say(err, f"error: {place}{error.strerror or error}")
+        raise typer.Exit(EXIT_FAILED) from error

@@ -1,0 +1,194 @@
+"""The commands that design and prove: design, verify, budget, sweep."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from manyhands.extras import require
+from manyhands.launch.app.cli.common import (
+    Json,
+    Overrides,
+    SessionPath,
+    end,
+    err,
+    errors,
+    out,
+    part_names,
+    refuse,
+    require_folder,
+    session_files,
+    session_keys,
+    settle_delay,
+)
+from manyhands.launch.files import EXIT_FAILED, require_target
+from manyhands.launch.look.display import say
+from manyhands.launch.session.shipped import load_named
+
+commands = typer.Typer()
+
+
+@commands.command(epilog="Example: manyhands design example1.yaml -o example1.cert.json")
+def design(
+    session: SessionPath,
+    output: Annotated[Path | None, typer.Option("-o", metavar="CERT", help="Write the certificate here.")] = None,
+    pictures: Annotated[
+        Path | None, typer.Option("--plot", metavar="DIR", help="Draw the design into this folder.")
+    ] = None,
+    part: Annotated[
+        str | None,
+        typer.Option(
+            "--part",
+            metavar="NAME",
+            help="With wave links: only this coupling's site, or in-tick, or environment.",
+            autocompletion=part_names,
+        ),
+    ] = None,
+    overrides: Overrides = [],  # noqa: B006 -- typer reads the default and makes its own list
+    as_json: Json = False,
+) -> None:
+    """Find a virtual coupling, prove it, and write the certificate. Exit code 3: infeasible.
+
+    A session with wave links has a certificate for each site, one for the users in the tick, and one for its world,
+    which is written to CERT; the others stand beside it, under the name of their part.
+
+    Ctrl-C ends a long search and keeps the best coupling so far, proved like any other (exit code 130).
+    """
+    with errors("design"):
+        from manyhands.launch.app.design_report import run_design
+        from manyhands.launch.app.site_report import require_parts, run_design_parts
+
+        if pictures is not None:
+            require("plot")
+        loaded = load_named(session, overrides)
+        require_parts(loaded, output, part)
+        if output is not None:
+            require_target(output)
+        require_folder(pictures)
+        loaded, _ = settle_delay(loaded, realtime=False)
+        if loaded.wave_links:
+            if pictures is not None:
+                say(err, "no pictures: they show the environment's response, which a site does not know")
+            end(run_design_parts(loaded, out, err, output, part, as_json))
+        else:
+            end(run_design(loaded, out, err, output, pictures, as_json))
+
+
+@commands.command(name="verify", epilog="Example: manyhands verify example1.cert.json --session example1.yaml")
+def verify_command(
+    certificate: Annotated[Path, typer.Argument(metavar="CERT", help="A certificate file.")],
+    session: Annotated[
+        Path | None,
+        typer.Option(
+            "--session",
+            metavar="SESSION",
+            help="Also check that it belongs to this session.",
+            autocompletion=session_files,
+        ),
+    ] = None,
+    together: Annotated[
+        list[Path], typer.Option("--with", metavar="CERT", help="Of a world: also prove this part of it; repeatable.")
+    ] = [],  # noqa: B006
+    as_json: Json = False,
+) -> None:
+    """Prove a certificate again, from its physical data in exact and ball arithmetic. Exit code 3: not proved.
+
+    For a world, --with also proves that the certificates of sites, or of the users in the tick, meet it. With
+    --session, the world and each of them is compared with its part of the session.
+    """
+    with errors("design"):
+        from manyhands.design.certificate import read_plain
+        from manyhands.design.world import is_world
+        from manyhands.launch.app.design_report import run_verify
+        from manyhands.launch.app.site_report import run_verify_world
+
+        loaded = None if session is None else load_named(session, [])
+        data = read_plain(certificate)
+        if is_world(data):
+            end(run_verify_world(certificate, data, together, loaded, out, err, as_json))
+        elif together:
+            refuse(f"--with: found {certificate}, which is no world's certificate; expected that of a world")
+        else:
+            end(run_verify(certificate, loaded, out, err, as_json))
+
+
+@commands.command(epilog="Example: manyhands budget example1.yaml --plot budget.png")
+def budget(
+    session: SessionPath,
+    picture: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE", help="Draw the curves (.png, .svg or .pdf).")
+    ] = None,
+    overrides: Overrides = [],  # noqa: B006
+    as_json: Json = False,
+) -> None:
+    """Show the stiffness that can be certified for each device, over the delay inside the tick and the period.
+
+    At another rate: --set period=0.0005 (s; 2 kHz). With another delay inside the tick: --set design.tau=0.0002.
+
+    For a user who is 80 ms away, one way, R is 160 ms there and back, beyond any tick: --set
+    'couplings.cx.wave_link={mass: 0.5, round_trip: 0.16}' shows what is felt over a wave link.
+    """
+    with errors("design"):
+        from manyhands.launch.app.budget import require_picture
+        from manyhands.launch.app.design_report import run_budget
+
+        loaded = load_named(session, overrides)
+        if picture is not None:
+            require_picture(picture)
+        loaded, _ = settle_delay(loaded, realtime=False)
+        end(run_budget(loaded, out, err, picture, as_json))
+
+
+@commands.command(epilog="Example: manyhands sweep example1.yaml --vary 'design.tau=[0, 0.0002, 0.0005]' -o sweep.csv")
+def sweep(
+    session: SessionPath,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o", metavar="FILE", help="Where the table goes (.csv); FILE.journal keeps what is done, to go on from."
+        ),
+    ],
+    vary: Annotated[
+        list[str],
+        typer.Option(
+            "--vary",
+            metavar="KEY=[VALUE,...]",
+            help="Values of one key; repeatable, for every combination.",
+            autocompletion=session_keys,
+        ),
+    ],
+    workers: Annotated[
+        int | None, typer.Option("--workers", metavar="N", min=1, help="Processes; by default one for each processor.")
+    ] = None,
+    overrides: Overrides = [],  # noqa: B006
+) -> None:
+    """Design a session for every combination of values, in parallel. Exit code 1: some design has no result.
+
+    What cannot be certified is a result, too. A sweep that was ended goes on where it was, by the same command.
+    """
+    with errors("design"):
+        from rich.progress import Progress
+
+        from manyhands.launch.app.sweep import sweep as run_sweep
+        from manyhands.launch.recordings.recording import require_suffix
+        from manyhands.launch.session.yaml import read_choices
+
+        loaded = load_named(session, overrides)
+        choices = dict(read_choices(one) for one in vary)
+        require_suffix(output, (".csv",))
+        with Progress(console=err, transient=True, disable=not err.is_terminal) as bar:
+            task = bar.add_task("designing", total=None)
+            found = run_sweep(
+                loaded,
+                choices,
+                workers=workers,
+                journal=output.with_name(f"{output.name}.journal"),
+                progress=lambda done, every: bar.update(task, completed=done, total=every),
+            )
+        found.save(output)
+        say(err, f"{len(found)} designs written to {output}")
+        for index, error in sorted(found.errors.items()):
+            say(err, f"error: {dict(found.cases[index])}: {error}")
+        end(EXIT_FAILED if found.errors else 0)

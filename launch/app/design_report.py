@@ -1,0 +1,554 @@
+"""The commands `manyhands design`, `verify` and `budget`: from a loaded session or file to output and files.
+
+Certificates and reports are printed as tables for people, or as objects for other programs (``--json``).
+"""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from manyhands.design.certificate import Certificate, asked_text, load, save, unrecorded
+from manyhands.design.errors import CertificateError, DesignError, Infeasible
+from manyhands.design.models.coupling import SpringDamper
+from manyhands.design.models.environment import DeclaredEnvironment, DeclaredScene, NetworkBox, ProxyEnvironment
+from manyhands.design.models.network import Network
+from manyhands.design.models.statespace import Matrix
+from manyhands.design.models.weights import Filter
+from manyhands.design.problem import HapticLoop
+from manyhands.design.wave_link import FELT_STIFFNESS, WaveLinkFace, WorldPromise, felt_mass
+from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK
+from manyhands.launch.look.display import figure_table, printable, promise_lines, say, status, world_lines
+from manyhands.launch.output import print_json
+from manyhands.launch.plan.loop import haptic_loop
+from manyhands.launch.plan.prepare import certify
+from manyhands.launch.run.outcome import given_sentences, lateness_sentence, rows_of, wave_link_sentences
+from manyhands.launch.session import Session
+from manyhands.nodes import telemetry as names
+from manyhands.nodes.observer.given import shares_cell
+from manyhands.nodes.observer.health import verdict
+
+if TYPE_CHECKING:
+    from manyhands.design.proof import Finding
+    from manyhands.design.synthesis import Designed
+
+
+CERTIFIED, INFEASIBLE = "certified", "infeasible"
+CONDITION_10 = "(10)"
+_MOST_FINDINGS = 60  # lines of a proof that are shown; every block has several
+_LARGEST_SHOWN = 8  # ports; of a larger matrix only the range of the diagonal is shown
+
+
+def certificate_object(certificate: Certificate, proved: bool = True) -> dict[str, Any]:
+    """The object that ``--json`` prints for a certificate."""
+    loop, levels = certificate.loop, certificate.levels
+    coupling: dict[str, Any]
+    springs = certificate.spring_damper
+    if springs is not None:
+        coupling = {"stiffness": springs.stiffness.tolist(), "damping": springs.damping.tolist()}
+    else:
+        V = loop.partition.join(certificate.blocks)
+        coupling = {name: getattr(V, name).tolist() for name in "ABCD"}
+    return {
+        "status": CERTIFIED if proved else INFEASIBLE,
+        "id": certificate.id,
+        "version": certificate.version,
+        "asked": certificate.asked,
+        "margin": certificate.margins.get(CONDITION_10),
+        "gamma": None if certificate.transparency is None else certificate.transparency.gamma,
+        "coupling": coupling,
+        "series": series_rows(certificate) or None,
+        "levels": {
+            "Delta_D": loop.partition.embed(levels.Delta_D).tolist(),
+            "Delta_V": loop.partition.embed(levels.Delta_V).tolist(),
+            "Phi_E": levels.Phi_E.tolist(),
+            "share": levels.device.share,
+            "kappa": levels.device.kappa,
+        },
+        "margins": dict(certificate.margins),
+        "period": loop.period,
+        "tau": certificate.tau,
+        "period_tolerance": certificate.period_tolerance,
+        "structure": _structure(loop),
+        "enforced": list(loop.enforced),
+    }
+
+
+def infeasible_object(loop: HapticLoop, reason: str, relax: tuple[str, ...]) -> dict[str, Any]:
+    """The object that ``--json`` prints when nothing could be certified."""
+    return {
+        "status": INFEASIBLE,
+        "id": None,
+        "version": None,
+        "asked": None,
+        "margin": None,
+        "gamma": None,
+        "coupling": None,
+        "series": None,
+        "levels": {"Delta_D": loop.Delta_D.tolist(), "Delta_V": None, "Phi_E": None},
+        "margins": {},
+        "period": loop.period,
+        "tau": None,
+        "period_tolerance": None,
+        "structure": _structure(loop),
+        "enforced": list(loop.enforced),
+        "reason": reason,
+        "relax": list(relax),
+    }
+
+
+def print_certificate(console: Console, certificate: Certificate) -> None:
+    """Print a certificate's id, structure, coupling and margins."""
+    loop = certificate.loop
+    console.print(f"certificate {certificate.id}")  # outside the table, which could cut it
+    table = Table(title=f"{loop.session}: certified", title_justify="left", show_header=False)
+    table.add_column(style="bold")
+    table.add_column()
+    if certificate.asked is not None:
+        table.add_row("asked for", _escaped(asked_text(certificate.asked)))
+    table.add_row("found by", ", ".join(f"{key} {value}" for key, value in certificate.method.items()))
+    table.add_row("blocks of V", "; ".join(f"{name}: {', '.join(ports)}" for name, ports in _blocks(loop)))
+    tolerance = f", periods up to {1.0 + loop.period_tolerance:g} T" if loop.period_tolerance else ""
+    table.add_row("assumes", f"T = {loop.period:g} s, tau = {certificate.tau:g} s{tolerance}")
+    levels = certificate.levels
+    if not loop.punctual:
+        table.add_row("left of Δ_D", f"{levels.device.share:.4f}, with K = {levels.device.kappa:.4f} T/Δ_D")
+    if certificate.spring_damper is not None:
+        _coupling_rows(table, certificate.spring_damper, of_run=bool(loop.series))
+    else:
+        orders = ", ".join(
+            f"{name} {b.order}" for name, b in zip(loop.partition.names, certificate.blocks, strict=True)
+        )
+        table.add_row("states of V" + (", run" if loop.series else ""), orders)
+    _series_rows(table, certificate)
+    claim = certificate.transparency
+    if claim is not None:
+        norm = "‖W1 E V W2‖" if claim.aim.objective == "loop-shaping" else "‖W1 (F(E,V) − E) W2‖"
+        table.add_row(norm, f"< {claim.gamma:.4f}" + ("" if claim.aim.objective == "loop-shaping" else " N/m"))
+    if isinstance(loop.environment, WaveLinkFace):
+        _face_rows(table, loop.environment, certificate.margins)
+    elif isinstance(loop.environment, WorldPromise):
+        table.add_row("environment", "a level that the certificate of the world proves, and that is assumed here")
+    elif isinstance(loop.environment, DeclaredScene):
+        table.add_row(
+            "environment", "a scene, level 0: by its contacts' energy, and enforced at run time by a controller"
+        )
+    elif isinstance(loop.environment, ProxyEnvironment):
+        tank = loop.environment.tank
+        gives = f"; they give out at most the {tank:g} J of their tank" if tank else ""
+        table.add_row("environment", f"springs to proxies: their level is kept by the proxy test at every tick{gives}")
+    elif loop.enforced:
+        table.add_row("environment", "enforced: not proved, its declared level is kept at run time by a controller")
+    else:
+        energy = isinstance(levels.P_E, str)
+        by = "its mechanical energy" if energy else f"a storage matrix of order {len(levels.P_E)}"
+        table.add_row("environment proved by", by)
+    table.add_row("margin of (10)", f"{certificate.margins[CONDITION_10]:.4f} N·s/m")
+    for key, margin in certificate.margins.items():
+        if key not in (CONDITION_10, FELT_STIFFNESS):
+            table.add_row(f"  {key}", f"{margin:.3e}")
+    console.print(table)
+
+
+def _face_rows(table: Table, face: WaveLinkFace, margins: Mapping[str, float]) -> None:
+    """What a site's wave link is, and what it is felt as."""
+    table.add_row("wave link", face.id)
+    table.add_row("b [N·s/m]", _matrix_text(face.b, ".4f"))
+    harvest = ", ".join(f"{theta:g}" for theta in dict.fromkeys(face.harvest))
+    table.add_row("E₀", f"{face.tank:g} J; harvest {harvest} N·s/m")
+    if face.round_trip is not None:
+        mass = float(np.linalg.eigvalsh(felt_mass(face.b, face.round_trip))[-1])
+        over = f"over a round trip of {1e3 * face.round_trip:.4g} ms"
+        table.add_row("felt", f"at least {margins[FELT_STIFFNESS]:.1f} N/m and at most {1e3 * mass:.4g} g {over}")
+
+
+def print_findings(console: Console, findings: tuple[Finding, ...]) -> None:
+    """Print every condition and its result."""
+    table = Table(show_header=True)
+    table.add_column("condition")
+    table.add_column("found", justify="right")
+    table.add_column("")
+    table.add_column("by")
+    for finding in _shortened(findings):
+        mark = "[green]proved[/green]" if finding.holds else "[bold red]not proved[/bold red]"
+        if finding.enforced or finding.assumed:
+            mark = "[yellow]enforced[/yellow]" if finding.enforced else "[yellow]assumed[/yellow]"
+        table.add_row(_escaped(finding.condition), f"{finding.value:.4g}", mark, _escaped(finding.argument))
+    console.print(table)
+
+
+_PERIOD: Final = "period [µs]\np50/p99/p99.9/max"
+_LEDGER: Final = "ledger\nmin [J]"
+_GIVEN: Final = "given [%]\nforce/time"
+_REPORTED: Final = (
+    *("node", "ticks", "late", "τ [µs]\np50/p99/p99.9/max", _PERIOD, _GIVEN, _LEDGER),
+    *("account\nmin/bound [J]", "speed [m/s]\npeak → final"),
+)
+_REPORT_RANKS: Final = {_PERIOD: 3, _GIVEN: 2, _LEDGER: 1}
+
+
+def print_report(console: Console, report: Mapping[str, Any], faults: Sequence[str] = ()) -> None:
+    """Print ticks, lateness, percentiles, ledgers and speeds of every node, and what was refused or clipped.
+
+    The last line says what was worst, or that all promises were kept.
+
+    Args:
+        console: where it goes.
+        report: the whole report of a run.
+        faults: what made the run fail, which is worse than any promise.
+    """
+    title = f"{report['session']}: {report['duration']:g} s, {report['clock']} clock"
+    rows = []
+    for name, node in report["nodes"].items():
+        speeds = f"{node['peak_speed']:.3g} → {node['final_speed']:.1e}" if "peak_speed" in node else ""
+        ledger = f"{node['ledger']['min']:.1e}" if "ledger" in node else ""
+        percentiles = ["/".join(f"{v:.0f}" for v in node.get(q, {}).values()) for q in ("tau_us", "period_us")]
+        late = str(node.get("late", ""))
+        shares = node.get("given", {})
+        given = shares_cell(shares.get("force"), shares.get("time"))
+        rows.append([name, str(node["ticks"]), late, *percentiles, given, ledger, _account(node, report), speeds])
+    rows += [[name, "no report", *[""] * (len(_REPORTED) - 2)] for name in report.get("unreported", ())]
+    table, left_out = figure_table(title, _REPORTED, rows, _REPORT_RANKS, console.width)
+    console.print(table)
+    if left_out:
+        short = ", ".join(column.split("\n")[0] for column in left_out)
+        say(console, f"no room for {short}: a wider terminal shows it, and --report has it")
+    promises = rows_of(report)
+    for line, _ in promise_lines(promises, {row.remark for row in promises}):  # what they say is among the notices
+        say(console, line)
+    for felt in wave_link_sentences(report):
+        say(console, felt)
+    if sentence := lateness_sentence(report):
+        say(console, sentence)
+    last = f"failed: {faults[0].splitlines()[0]}" if faults else verdict(promises) if promises else ""
+    for lack in given_sentences(report):
+        if lack not in last:
+            say(console, lack)
+    for node in report["nodes"].values():
+        entry = node.get("energy", {})
+        figures = {f"{names.MOVED}{pair}": joules for pair, joules in entry.get("moved", {}).items()}
+        figures |= {f"{names.SCALED}{party}": ticks for party, ticks in entry.get("scaled", {}).items()}
+        figures |= {f"{names.HELD}{party}": ticks for party, ticks in node.get("held", {}).items()}
+        figures |= {f"{names.CHATTER}{party}": most for party, most in node.get("chatter", {}).items()}
+        for line in world_lines(figures):
+            say(console, line)
+    for name, node in report["nodes"].items():
+        counts = {**node.get("refused", {}), **node.get("dropped", {})}
+        counts |= {kind: node[kind] for kind in ("clipped", "saturated") if node.get(kind)}
+        if counts:
+            listed = ", ".join(f"{kind} {count}" for kind, count in counts.items())
+            say(console, f"{name}: not admitted, or not as it came: {listed}")
+    if last:
+        say(console, last)
+
+
+def _account(node: Mapping[str, Any], report: Mapping[str, Any]) -> str:
+    """The least account of a node's interface beside its bound, as far as there are any."""
+    if "interface" not in node:
+        return ""
+    bound = f"/{0.0 - report['lateness']['tank']:.0e}" if "lateness" in report else ""
+    return f"{node['interface']['min']:.1e}{bound}"
+
+
+def _coupling_rows(table: Table, coupling: SpringDamper, of_run: bool) -> None:
+    run = ", run" if of_run else ""
+    table.add_row(f"K{run} [N/m]", _matrix_text(coupling.stiffness, ".4f"))
+    table.add_row(f"B{run} [N·s/m]", _matrix_text(coupling.damping, ".4f"))
+
+
+def series_rows(certificate: Certificate) -> dict[str, dict[str, float]]:
+    """Of each port where compliance of the world is counted in series: whose stiffness the hand feels at rest, N/m.
+
+    ``part`` of the compliance of a network's spring is counted; ``coupling`` is the coupling itself, ``contact`` the
+    world's spring, and ``together`` both in series, all other ports free of force. Of a world without springs of its
+    own it is ``compliance`` (m/N) that is counted, and ``coupling`` is the coupling itself.
+    """
+    loop = certificate.loop
+    environment = loop.environment.nominal if isinstance(loop.environment, NetworkBox) else loop.environment
+    if not loop.series:
+        return {}
+    compliance = np.diag(np.linalg.inv(certificate.stiffness))
+    if not isinstance(environment, Network):
+        found = zip(loop.ports, loop.series, compliance, strict=True)
+        return {port: {"compliance": c, "coupling": float(1.0 / own)} for port, c, own in found if c}
+    contacts, out = environment.contacts(), {}
+    for port, part, own in zip(loop.ports, loop.series, compliance, strict=True):
+        if part:
+            k = contacts[port].stiffness
+            together = float(1.0 / (own + 1.0 / k))
+            out[port] = {"part": part, "coupling": float(1.0 / own), "contact": k, "together": together}
+    return out
+
+
+def _series_rows(table: Table, certificate: Certificate) -> None:
+    """What is counted in series, and whose stiffness the hand feels at rest."""
+    rows = series_rows(certificate)
+    if not rows:
+        return
+    few = list(rows.items())[:_LARGEST_SHOWN]
+    more = [f"and {len(rows) - len(few)} more"] if len(rows) > len(few) else []
+    if any("compliance" in row for row in rows.values()):
+        springs = [f"{port} {1e3 * row['compliance']:g} mm/N of the world" for port, row in few]
+        table.add_row("counted in series", "\n".join([*springs, *more]))
+        table.add_row("coupling at rest", "\n".join([*(f"{p} {row['coupling']:.0f} N/m" for p, row in few), *more]))
+        return
+    counted = [f"{port} {row['part']:g} of {row['contact']:.6g} N/m" for port, row in few]
+    felt = [f"{port} {row['coupling']:.0f}, {row['contact']:.0f}, {row['together']:.0f} N/m" for port, row in few]
+    table.add_row("counted in series", "\n".join([*counted, *more]))
+    table.add_row("coupling, contact,\nboth, at rest", "\n".join([*felt, *more]))
+
+
+def _matrix_text(M: Matrix, form: str) -> str:
+    if M.shape[0] > _LARGEST_SHOWN:
+        diagonal = np.diag(M)
+        return f"{M.shape[0]} x {M.shape[0]}, diagonal {diagonal.min():{form}} ... {diagonal.max():{form}}"
+    return "\n".join("  ".join(f"{value:{form}}".rjust(10) for value in row) for row in M)
+
+
+def _blocks(loop: HapticLoop) -> list[tuple[str, list[str]]]:
+    return [
+        (name, [loop.ports[p] for p in block])
+        for name, block in zip(loop.partition.names, loop.partition.blocks, strict=True)
+    ]
+
+
+def _structure(loop: HapticLoop) -> list[list[str]]:
+    return [ports for _, ports in _blocks(loop)]
+
+
+def _shortened(findings: tuple[Finding, ...]) -> list[Finding]:
+    """All findings that fail, and the first :data:`_MOST_FINDINGS` that hold."""
+    failing = [finding for finding in findings if not finding.holds]
+    return failing + [finding for finding in findings if finding.holds][:_MOST_FINDINGS]
+
+
+def _escaped(text: str) -> str:
+    return printable(text).replace("[", "\\[")
+
+
+Progress = Callable[[str], None]
+
+
+def run_design(
+    session: Session, out: Console, err: Console, output: Path | None, pictures: Path | None, as_json: bool
+) -> int:
+    """Design, prove, write and show a session's coupling.
+
+    Ctrl-C ends a search and keeps the best coupling so far, proved like any other; a second Ctrl-C ends at once.
+
+    Args:
+        session: the session.
+        out: for results.
+        err: for progress and messages.
+        output: the file for the certificate; None for none.
+        pictures: the folder for plots; None for none.
+        as_json: print one JSON object instead of tables.
+
+    Returns:
+        The exit code.
+    """
+    try:
+        with interruptible() as asked, progress_on(err, "designing the coupling") as progress:
+            designed = certify(session, progress)
+    except KeyboardInterrupt:
+        say(err, f"{session.name}: interrupted before a coupling was found")
+        return EXIT_INTERRUPTED
+    except DesignError as error:
+        reason = error.condition if isinstance(error, Infeasible) else str(error)
+        relax = error.relax if isinstance(error, Infeasible) else ()
+        if as_json:
+            print_json(infeasible_object(haptic_loop(session), reason, relax))
+        say(err, f"{session.name}: not certified: {reason}")
+        for way in relax:
+            say(err, f"  could help: {way}")
+        return EXIT_NOT_CERTIFIED
+    certificate = designed.certificate
+    if output is not None:
+        save(certificate, output)
+    if as_json:
+        print_json(certificate_object(certificate))
+    else:
+        print_certificate(out, certificate)
+        if output is not None:
+            say(err, f"written to {output}; prove it again with: manyhands verify {output}")
+    known_by_level = (DeclaredEnvironment, DeclaredScene, ProxyEnvironment)
+    if pictures is not None and type(certificate.loop.environment) in known_by_level:
+        say(err, "no pictures: they show the environment's response, and of this one only its level is known")
+    elif pictures is not None:
+        with progress_on(err, "drawing") as progress:
+            paths = _draw(designed, pictures, progress)
+        say(err, "pictures: " + ", ".join(str(path) for path in paths))
+    if designed.interrupted or asked:
+        say(err, f"{session.name}: interrupted; this is the best coupling so far, and it is certified")
+        return EXIT_INTERRUPTED
+    return EXIT_OK
+
+
+def _draw(designed: Designed, folder: Path, progress: Progress) -> tuple[Path, ...]:
+    """Draw the four plots of a design; returns their paths."""
+    from manyhands.launch.app.design_plots import plot_design  # matplotlib takes a while to import
+
+    certificate = designed.certificate
+    loop, levels, claim = certificate.loop, certificate.levels, certificate.transparency
+    embed = loop.partition.embed
+    return plot_design(
+        folder,
+        E=loop.cut.environment.environment(loop.period),
+        blocks=certificate.blocks,
+        partition=loop.partition,
+        K=embed(loop.loop_gain(levels.device.kappa)),
+        Delta_V=embed(levels.Delta_V),
+        Phi_E=levels.Phi_E,
+        Delta_G=levels.device.share * embed(levels.Delta_D),
+        T=loop.period,
+        ports=loop.ports,
+        W1=None if claim is None else _at_points(claim.aim.W1),
+        W2=None if claim is None else _at_points(claim.aim.W2),
+        objective=None if claim is None else claim.aim.objective,
+        gamma=None if claim is None else claim.gamma,
+        counted=(loop.environment.environment(loop.period), loop.counted) if loop.series else None,
+        history=designed.history,
+        history_label=designed.watched,
+        progress=progress,
+    )
+
+
+def _at_points(weight: Filter) -> Callable[[complex], complex]:
+    return lambda z: complex(weight.response(np.array([z]))[0])
+
+
+def run_verify(file: Path, session: Session | None, out: Console, err: Console, as_json: bool) -> int:
+    """Prove a certificate again, and compare it with the session where one is given.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        CertificateError: the file is not a certificate.
+    """
+    from manyhands.design.proof import ProofInputError
+    from manyhands.launch.plan.proofs import prove_loop
+
+    certificate, data = load(file)
+    try:
+        with progress_on(err, "proving") as progress:
+            proof = prove_loop(certificate, data, session, progress)
+    except ProofInputError as error:
+        raise CertificateError(f"{file}: {error}") from error
+    failing = proof.failing
+    if as_json:
+        object_ = certificate_object(certificate, proved=not failing)
+        print_json(object_ | {"failing": [finding.condition for finding in failing]})
+    else:
+        print_findings(out, proof.findings)
+        print_request(out, file, certificate, session)
+    for finding in failing:
+        because = f" ({finding.argument})" if finding.argument else ""
+        say(err, f"{file}: not proved: {finding.condition}: found {finding.value:.6g}{because}")
+    if failing:
+        return EXIT_NOT_CERTIFIED
+    if not as_json:
+        enforced = ", ".join(certificate.loop.enforced)
+        proved = f"proved, where the level of the {enforced} is enforced at run time" if enforced else "proved"
+        if isinstance(certificate.loop.environment, ProxyEnvironment):
+            proved = "proved, where the level of the environment is kept by the proxy test at every tick"
+            if tank := certificate.loop.environment.tank:
+                proved += f", and the world gives out at most the {tank:g} J of its tank"
+        elif isinstance(certificate.loop.environment, WaveLinkFace):
+            proved = f"{certificate.loop.partition.names[0]}: proved, whatever is behind its wave link"
+        elif isinstance(certificate.loop.environment, WorldPromise):
+            proved = "users in the tick: proved, where the certificate of the world proves the level assumed of it"
+        say(out, f"{certificate.loop.session}: {proved}; certificate {certificate.id}")
+    return EXIT_OK
+
+
+def print_request(out: Console, file: Path, certificate: Certificate, session: Session | None) -> None:
+    """Print what the certificate records of the request; this is not proved, and may be absent."""
+    if certificate.asked is not None:
+        say(out, f"{file}: recorded as asked for, which is no claim and not proved: {asked_text(certificate.asked)}")
+        return
+    say(out, f"{file}: {unrecorded(certificate)}")
+    if session is not None:
+        objective = session.design.objective
+        say(out, f"{file}: not compared with the session's design.objective={objective}: its own is not recorded")
+
+
+def run_budget(session: Session, out: Console, err: Console, picture: Path | None, as_json: bool) -> int:
+    """Show the stiffness that can be certified for the session's devices, over delay and period, and over wave links.
+
+    Returns:
+        The exit code.
+    """
+    from manyhands.launch.app.budget import (
+        budget_object,
+        plot_budget,
+        print_budget,
+        print_series,
+        print_wave_links,
+        series_budget,
+        session_budget,
+        wave_links_object,
+    )
+    from manyhands.launch.doctor.advice import Worth
+    from manyhands.launch.doctor.rates import form_figures, kept_forms, print_rates, rates_object
+
+    found = session_budget(session)
+    loop, links = found.loop, found.wave_links
+    rates = list(form_figures(Worth(loop, found.share_at(loop.period)), kept_forms(session, time.time())))
+    if as_json:
+        own = {"wave_links": wave_links_object(links)} if links else {}
+        print_json(budget_object(found) | {"rates": rates_object(rates)} | own)
+    else:
+        print_budget(out, found)
+        print_series(out, series_budget(found), loop.tau)
+        print_wave_links(out, links)
+        print_rates(out, session.name, rates)
+    if picture is not None:
+        plot_budget(found, picture)
+        say(err, f"picture: {picture}")
+    return EXIT_OK
+
+
+@contextmanager
+def progress_on(err: Console, what: str) -> Iterator[Progress]:
+    """Show a status line on a terminal; yields a function that takes the present step as a text."""
+    with status(err, what) as update:
+        yield lambda text: update(f"{what}: {text}")
+
+
+@contextmanager
+def interruptible() -> Iterator[list[int]]:
+    """While entered, the first Ctrl-C raises KeyboardInterrupt; a search may catch it and return its best result.
+
+    Yields:
+        The signals that came, so that a request is known even where other code has caught the exception.
+
+    Raises:
+        KeyboardInterrupt: a signal came and no search caught it, or other code turned the exception into its own.
+    """
+    asked: list[int] = []
+
+    def note(number: int, _frame: FrameType | None) -> None:
+        asked.append(number)
+        if len(asked) > 1:
+            raise SystemExit(EXIT_INTERRUPTED)
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGINT, note)
+    try:
+        yield asked
+    except Exception:
+        if asked:
+            raise KeyboardInterrupt from None
+        raise
+    finally:
+        signal.signal(signal.SIGINT, before)

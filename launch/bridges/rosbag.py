@@ -1,0 +1,354 @@
+"""Writes a recording as a bag of ROS 2: motions and forces of each device, under the names of CRTK ([CRTK2023]_).
+
+The topics and their messages (:func:`device_topics`, :func:`serialiser`) are also those of a running session, which
+:mod:`manyhands.launch.bridges.ros` publishes. Each device has the namespace ``/SESSION/DEVICE``, and in each tick up to
+four messages, stamped with the tick's time:
+
+- ``measured_cp`` (geometry_msgs/PoseStamped), of a device with three axes: x, in the device's own frame, whose axes are
+  those of the device in their order. It has no orientation to report; the pose has that of the frame.
+- ``measured_cv`` (geometry_msgs/TwistStamped), of such a device: its velocity (x(k) - x(k-1))/T, m/s. A device in wall
+  time has the difference of the recorded instants in place of T. After a missing tick there is none.
+- ``measured_js`` (sensor_msgs/JointState), of every other device: x, its velocity and the exerted force by axis, m, m/s
+  and N. A pose would state coordinates that such a device does not have.
+- ``measured_cf`` (geometry_msgs/WrenchStamped): the force that the device exerted on the hand, N.
+- ``servo_cf`` (geometry_msgs/WrenchStamped): the force that its couplings sent it, N. The device's limits, and what
+  bounds the cost of lateness, stand between the two.
+
+A device of more than three axes has ``servo_jf`` (JointState, effort alone) in place of the last two. The numbers are
+those of the recording, exactly; velocities alone are computed from them. A tick that the recording misses has no
+message.
+"""
+
+from __future__ import annotations
+
+import heapq
+import os
+import re
+import secrets
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import repeat
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manyhands.extras import require
+from manyhands.launch.recordings.recording import Array, RecordingError
+from manyhands.launch.recordings.run import RecordedRun
+from manyhands.launch.recordings.tables import Progress, Traces, chosen
+from manyhands.protocol.channels import DISPLACEMENT, FORCE
+from manyhands.protocol.messages import Role
+
+ROSBAG: Final = "rosbag"
+"""The name of the format, and the suffix of a bag's folder."""
+
+CARTESIAN: Final = 3
+"""The number of axes of a device whose position is a point in space."""
+
+POSE: Final = "geometry_msgs/msg/PoseStamped"
+TWIST: Final = "geometry_msgs/msg/TwistStamped"
+WRENCH: Final = "geometry_msgs/msg/WrenchStamped"
+JOINTS: Final = "sensor_msgs/msg/JointState"
+
+LATEST: Final = 2**31 * 10**9
+"""The end of the times that a stamp of ROS 2 can have, ns since 1970: its seconds have 32 bits."""
+
+_VERSION: Final = 9  # of the metadata of rosbag2: that of ROS 2 Jazzy and later
+_REPORTED: Final = 4096  # messages between two reports of progress
+
+
+@dataclass(frozen=True)
+class RosTopic:
+    """A topic of ROS 2.
+
+    Attributes:
+        name: its full name, such as ``/session/device/measured_cf``.
+        type: of its messages.
+        device: whose it is; also the name of the frame.
+        axes: names of the device's axes.
+    """
+
+    name: str
+    type: str
+    device: str
+    axes: tuple[str, ...]
+
+
+class DeviceTopics(NamedTuple):
+    """The topics of a device.
+
+    Attributes:
+        motion: its position; a JointState has velocity and effort beside it.
+        velocity: of a device with three axes.
+        exerted: the force that it exerted; None beyond three axes.
+        sent: the force that its couplings sent it.
+    """
+
+    motion: RosTopic
+    velocity: RosTopic | None
+    exerted: RosTopic | None
+    sent: RosTopic
+
+
+def device_topics(session: str, devices: Mapping[str, tuple[str, ...]]) -> dict[str, DeviceTopics]:
+    """The topics of the devices of a session, by device.
+
+    Args:
+        session: its name.
+        devices: names of the axes of each device.
+
+    Raises:
+        RecordingError: two devices would have one namespace.
+    """
+    spaces: dict[str, str] = {}
+    out = {}
+    for device, axes in devices.items():
+        space = f"/{ros_name(session)}/{ros_name(device)}"
+        if space in spaces:
+            raise RecordingError(
+                f"found the devices {spaces[space]!r} and {device!r}, which ROS 2 would both call {space}; expected "
+                "names that differ in more than '-' and '.'"
+            )
+        spaces[space] = device
+        point, wrench = len(axes) == CARTESIAN, len(axes) <= CARTESIAN
+        motion = ("measured_cp", POSE) if point else ("measured_js", JOINTS)
+        sent = ("servo_cf", WRENCH) if wrench else ("servo_jf", JOINTS)
+        out[device] = DeviceTopics(
+            RosTopic(f"{space}/{motion[0]}", motion[1], device, axes),
+            RosTopic(f"{space}/measured_cv", TWIST, device, axes) if point else None,
+            RosTopic(f"{space}/measured_cf", WRENCH, device, axes) if wrench else None,
+            RosTopic(f"{space}/{sent[0]}", sent[1], device, axes),
+        )
+    return out
+
+
+def motion_rows(topic: RosTopic, x: Array, v: Array | None, f: Array | None) -> Array:
+    """The rows of a device's motion: of a JointState with its velocities and the forces that it exerted, NaN for None.
+
+    Each is ticks x axes, m, m/s and N.
+    """
+    if topic.type == POSE:
+        return x
+    return np.hstack([x, *(np.full_like(x, np.nan) if known is None else known for known in (v, f))])
+
+
+def whole_rows(topic: RosTopic, values: Array) -> NDArray[np.bool_]:
+    """The rows that have a message: all finite; a velocity or an effort beside a position may be missing."""
+    return np.asarray(np.isfinite(values[:, : len(topic.axes)]).all(axis=1), dtype=np.bool_)
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """The messages of one topic of the bag.
+
+    Attributes:
+        topic: the topic.
+        tick: the device's tick of the first row.
+        tick_ns: its T, ns.
+        values: ticks x columns: what its messages hold, m, m/s or N.
+    """
+
+    topic: RosTopic
+    tick: int
+    tick_ns: float
+    values: Array
+
+
+def streams_of(run: RecordedRun, traces: Traces) -> list[Stream]:
+    """The topics of a bag of these traces that have a message.
+
+    Raises:
+        RecordingError: two devices would have one namespace, or no trace is a device's motion or force.
+    """
+    recorded, out = run.recorded, []
+    topics = device_topics(recorded.session, recorded.devices)
+    for device, (motion, velocity, exerted, sent) in topics.items():
+        x, f = (_trace_of(traces, device, name) for name in (DISPLACEMENT, FORCE))
+        v = None if x is None else run.velocity_of(device)
+        found = [
+            (motion, None if x is None else motion_rows(motion, x, v, f)),
+            (velocity, v),
+            (exerted, f),
+            (sent, _sent_to(run, traces, device)),
+        ]
+        first, tick_ns = run.first_of(device), recorded.tick_ns(device)
+        out += [
+            Stream(topic, first, tick_ns, values) for topic, values in found if topic is not None and values is not None
+        ]
+    out = [stream for stream in out if whole_rows(stream.topic, stream.values).any()]
+    if not out:
+        raise RecordingError(
+            "--topics: found no motion or force of a device; expected sample or force among the topics"
+        )
+    return out
+
+
+def ros_name(name: str) -> str:
+    """A name as ROS 2 allows it: ASCII letters, digits and single underscores, no digit first."""
+    plain = re.sub("_+", "_", re.sub("[^A-Za-z0-9_]", "_", name))
+    return f"_{plain}" if plain[:1].isdigit() else plain
+
+
+def _trace_of(traces: Traces, node: str, name: str) -> Array | None:
+    return next((kept.values for (of, _), kept in traces.items() if (of, kept.topic.trace) == (node, name)), None)
+
+
+def _sent_to(run: RecordedRun, traces: Traces, device: str) -> Array | None:
+    """The forces that the couplings of a device sent it, ticks x axes, N; None where one of them is not there."""
+    columns: dict[str, Array] = {}
+    for (node, _), kept in traces.items():
+        if run.recorded.roles[node] is Role.COUPLING and kept.topic.trace == FORCE:
+            columns |= dict(zip(kept.columns, kept.values.T, strict=True))
+    ports = run.recorded.devices[device]
+    if not columns.keys() >= {*ports}:
+        return None
+    rows = min(len(columns[port]) for port in ports)
+    return np.stack([columns[port][:rows] for port in ports], axis=1)
+
+
+Serialise = Callable[[int, Sequence[float]], bytes]
+"""Makes a message of a time, ns since 1970, and a row."""
+
+
+def messages_of(stream: Stream, started: int, serialise: Serialise) -> Iterator[tuple[int, bytes]]:
+    """The messages of a stream with their times, ns since 1970; a row that was not recorded has none.
+
+    Args:
+        stream: the stream.
+        started: the time of tick 0, ns since 1970.
+        serialise: makes a message.
+    """
+    whole = np.flatnonzero(whole_rows(stream.topic, stream.values))
+    times = (started + np.rint((stream.tick + whole) * stream.tick_ns).astype(np.int64)).tolist()
+    for row, time in zip(whole.tolist(), times, strict=True):
+        yield time, serialise(time, stream.values[row].tolist())
+
+
+def ros_types() -> Any:
+    """The message types of ROS 2, of rosbags: a type store.
+
+    Raises:
+        MissingExtra: rosbags is not installed.
+    """
+    require("ros")
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+def serialiser(typestore: Any, topic: RosTopic) -> Serialise:
+    """What makes the messages of a topic, as CDR with its encapsulation.
+
+    Args:
+        typestore: of :func:`ros_types`.
+        topic: the topic.
+    """
+    types, name, width = typestore.types, topic.type, len(topic.axes)
+    header, stamp = types["std_msgs/msg/Header"], types["builtin_interfaces/msg/Time"]
+    vector, message = types["geometry_msgs/msg/Vector3"], types[name]
+    point, pose = types["geometry_msgs/msg/Point"], types["geometry_msgs/msg/Pose"]
+    upright, wrench = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0), types["geometry_msgs/msg/Wrench"]
+    twist = types["geometry_msgs/msg/Twist"]
+    no_turn, none, axes = vector(0.0, 0.0, 0.0), np.empty(0), list(topic.axes)
+    effort_alone = topic.name.endswith("servo_jf")
+
+    def body(row: Sequence[float]) -> tuple[Any, ...]:
+        if name == POSE:
+            return (pose(point(*row), upright),)
+        if name == WRENCH:
+            return (wrench(vector(*row, *(0.0,) * (CARTESIAN - width)), no_turn),)
+        if name == TWIST:
+            return (twist(vector(*row), no_turn),)
+        numbers = np.array(row)
+        if effort_alone:
+            return axes, none, none, numbers
+        velocity, effort = (known if np.isfinite(known).all() else none for known in np.split(numbers[width:], 2))
+        return axes, numbers[:width], velocity, effort
+
+    def serialise(time: int, row: Sequence[float]) -> bytes:
+        seconds, nanoseconds = divmod(time, 10**9)
+        made = message(header(stamp(seconds, nanoseconds), topic.device), *body(row))
+        return bytes(typestore.serialize_cdr(made, name))
+
+    return serialise
+
+
+def save_bag(run: RecordedRun, path: Path, patterns: Sequence[str] = (), progress: Progress | None = None) -> int:
+    """Write a bag: a folder with an MCAP file and its metadata, whole or not at all.
+
+    Args:
+        run: the recording.
+        path: the folder, which must not exist.
+        patterns: the topics of the recording to write; see :func:`~manyhands.launch.recordings.tables.chosen`.
+        progress: called with the part that is done, 0 to 1.
+
+    Returns:
+        The number of messages.
+
+    Raises:
+        MissingExtra: rosbags is not installed.
+        RecordingError: something of that name exists; a pattern names no topic, or no motion
+            or force; or the bag cannot be written.
+    """
+    streams = streams_of(run, chosen(run, patterns))
+    started = run.started or 0
+    end = max(started + (one.tick + len(one.values)) * one.tick_ns for one in streams)
+    if end >= LATEST:
+        raise RecordingError(
+            f"found a tick at {end / 1e9:.0f} s since 1970; expected times that ROS 2 can write, to 2038"
+        )
+    try:
+        with _making(path) as folder:
+            return _write(streams, started, folder, progress or (lambda _part: None))
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def _write(streams: Sequence[Stream], started: int, folder: Path, progress: Progress) -> int:
+    typestore = ros_types()
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    total, done = max(1, sum(len(stream.values) for stream in streams)), 0
+    with Writer(folder, version=_VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
+        connections = [writer.add_connection(one.topic.name, one.topic.type, typestore=typestore) for one in streams]
+        by_stream = [
+            zip(messages_of(one, started, serialiser(typestore, one.topic)), repeat(connection))
+            for one, connection in zip(streams, connections, strict=True)
+        ]
+        for (time, data), connection in heapq.merge(*by_stream, key=lambda entry: entry[0][0]):
+            writer.write(connection, time, data)
+            done += 1
+            if done % _REPORTED == 0:
+                progress(done / total)
+    progress(1.0)
+    return done
+
+
+@contextmanager
+def _making(path: Path) -> Iterator[Path]:
+    """A folder to make: at the end it is flushed to the disk and takes its name; on an error nothing is left.
+
+    Yields:
+        A path with the same last part, which does not exist yet, in a folder that nobody can guess.
+
+    Raises:
+        RecordingError: something of that name exists, or its parent does not.
+    """
+    if os.path.lexists(path):
+        raise RecordingError(f"{path}: found something of that name; expected a new name, for a bag is a folder")
+    if not path.absolute().parent.is_dir():
+        raise RecordingError(f"{path}: found no folder {path.parent}; expected one that exists")
+    partial = path.absolute().with_name(f".{secrets.token_hex(16)}.part")
+    partial.mkdir(mode=0o700)
+    try:
+        yield partial / path.name
+        for file in (partial / path.name).iterdir():
+            with file.open("rb") as written:
+                os.fsync(written.fileno())
+        os.rename(partial / path.name, path)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
