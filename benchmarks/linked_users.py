@@ -31,8 +31,8 @@ from page import add_outputs, fill, make_folders
 from users_curve import HOLDS, curve, headline, verdict
 from users_load import Broken, Served, scheduled, serving, session_text
 
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.supervisor_line import NOT_AT_ALL
+from manyhands.nodes.link.supervisor_line import NOT_AT_ALL
+from manyhands.nodes.rows import telemetry as names
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.codec import WaveWriter, decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES

@@ -25,7 +25,7 @@ import numpy as np
 
 from benchmarks.proc import cpu_seconds, family
 from manyhands.design.models.scene import Body, ContactScene
-from manyhands.nodes.observer.scene import About
+from manyhands.nodes.monitor.session_state import About
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Observation

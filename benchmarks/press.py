@@ -38,8 +38,8 @@ from manyhands.launch.run.outcome import Outcome
 from manyhands.launch.run.recorder import Recorder
 from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import Session, load_session
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.bundle import REALTIME
+from manyhands.nodes.kernel.bundle import REALTIME
+from manyhands.nodes.rows import telemetry as names
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Observation

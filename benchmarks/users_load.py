@@ -33,8 +33,8 @@ from manyhands.launch.plan.reach import HUB_NAME
 from manyhands.launch.run.processes import ONE_THREAD
 from manyhands.launch.session import load_session
 from manyhands.launch.session.session import ENVIRONMENT
-from manyhands.nodes import realtime
-from manyhands.nodes.bundle import REALTIME, EnvironmentBundle, save
+from manyhands.nodes.kernel import realtime
+from manyhands.nodes.kernel.bundle import REALTIME, EnvironmentBundle, save
 from manyhands.nodes.wave_link.faces import wave_feedthrough
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds
 from manyhands.protocol.codec import USUAL, decode, encode

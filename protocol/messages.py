@@ -342,7 +342,7 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class PromiseStatus:
-    """How one promise of a session stands: a row of its health (:mod:`manyhands.nodes.observer.health`).
+    """How one promise of a session stands: a row of its health (:mod:`manyhands.nodes.monitor.health`).
 
     Attributes:
         promise: its name.

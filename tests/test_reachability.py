@@ -28,7 +28,7 @@ from typing import Any
 
 import manyhands
 from manyhands.launch.app.cli import GROUPS
-from manyhands.nodes.factory import MESH, SHIPPED
+from manyhands.nodes.kernel.factory import MESH, SHIPPED
 
 PRODUCT = Path(manyhands.__file__).parent
 REPOSITORY = Path(__file__).parents[1]

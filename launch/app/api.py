@@ -23,8 +23,8 @@ from manyhands.launch.plan.prepare import Prepared, certify, prepare
 from manyhands.launch.session import ENVIRONMENT, AskedEnvironment, Session
 from manyhands.launch.session.session import whole_ticks
 from manyhands.launch.session.shipped import load_named
-from manyhands.nodes.bundle import CLOCKS, REALTIME
-from manyhands.nodes.factory import is_shipped
+from manyhands.nodes.kernel.bundle import CLOCKS, REALTIME
+from manyhands.nodes.kernel.factory import is_shipped
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,7 +12,7 @@ from manyhands.launch.audit.findings import Check, CheckVerdict, UncheckedTicks,
 from manyhands.launch.audit.replay import Replayed
 from manyhands.launch.look.display import promise_lines, say
 from manyhands.launch.recordings.integrity import Damage
-from manyhands.nodes.observer.health import PROMISES, Promise, PromiseState, grouped, missed, parties
+from manyhands.nodes.monitor.health import PROMISES, Promise, PromiseState, grouped, missed, parties
 
 
 def print_damage(out: Console, name: str, damage: Sequence[Damage]) -> None:

@@ -32,7 +32,7 @@ from manyhands.launch.plan.loop import haptic_loop
 from manyhands.launch.plan.sites import site
 from manyhands.launch.recordings.recording import data_frame
 from manyhands.launch.session import Session
-from manyhands.nodes.json_number import json_number
+from manyhands.nodes.kernel.json_number import json_number
 
 if TYPE_CHECKING:
     import pandas

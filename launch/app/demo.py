@@ -34,8 +34,8 @@ from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.recordings.run import RecordedRun, read_run, rows_of
 from manyhands.launch.run.outcome import Outcome, falling, joules
 from manyhands.launch.session import Session
-from manyhands.nodes.bundle import REALTIME
-from manyhands.nodes.observer.health_model import LEDGER_ROUNDING
+from manyhands.nodes.kernel.bundle import REALTIME
+from manyhands.nodes.monitor.health_model import LEDGER_ROUNDING
 from manyhands.protocol.channels import FORCE, INTERFACE
 
 _WIDTH, _ONE, _OF_SEVERAL = 8.0, 3.2, 2.2  # inches

@@ -33,9 +33,9 @@ from manyhands.launch.plan.loop import haptic_loop
 from manyhands.launch.plan.prepare import certify
 from manyhands.launch.run.outcome import given_sentences, lateness_sentence, rows_of, wave_link_sentences
 from manyhands.launch.session import Session
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.observer.given import shares_cell
-from manyhands.nodes.observer.health import verdict
+from manyhands.nodes.monitor.given import shares_cell
+from manyhands.nodes.monitor.health import verdict
+from manyhands.nodes.rows import telemetry as names
 
 if TYPE_CHECKING:
     from manyhands.design.proof import Finding

@@ -36,7 +36,7 @@ from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.topology import chains_of, require_runnable
 from manyhands.launch.session import Session
 from manyhands.launch.session.design import AUTO
-from manyhands.nodes.realtime import Grant
+from manyhands.nodes.kernel.realtime import Grant
 
 _WAYS = {
     "default_slack": "timer slack 50 us (the default)",

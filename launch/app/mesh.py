@@ -13,7 +13,7 @@ from manyhands.design.models.distance_grid import BAND, DistanceGrid, grid_of_me
 from manyhands.design.models.triangle_mesh import MeshError, TriangleMesh, solid
 from manyhands.extras import explained
 from manyhands.launch.session.limits import MAX_MESH_BYTES, MAX_MODEL_BYTES
-from manyhands.nodes.factory import in_one_line
+from manyhands.nodes.kernel.factory import in_one_line
 
 _SUFFIXES: Final = (".stl", ".obj")
 _CELLS: Final = 64  # along the longest side, where no cell is stated

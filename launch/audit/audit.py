@@ -78,8 +78,9 @@ from manyhands.launch.recordings.run import (
     there,
 )
 from manyhands.launch.session.session import ENVIRONMENT
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.bundle import (
+from manyhands.nodes.device.core import Guard
+from manyhands.nodes.environment.clutch import LET_GO
+from manyhands.nodes.kernel.bundle import (
     SIMULATED,
     WALL,
     CouplingBundle,
@@ -87,12 +88,11 @@ from manyhands.nodes.bundle import (
     EnvironmentBundle,
     WaveEnd,
 )
-from manyhands.nodes.device.core import Guard
-from manyhands.nodes.environment.clutch import LET_GO
-from manyhands.nodes.observer.given import FIGURES
-from manyhands.nodes.observer.health import PROMISES, SESSION, Promise, PromiseState, as_plain, holds
+from manyhands.nodes.monitor.given import FIGURES
+from manyhands.nodes.monitor.health import PROMISES, SESSION, Promise, PromiseState, as_plain, holds
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
-from manyhands.nodes.tick_events import Kind, events_in
+from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows.tick_events import Kind, events_in
 from manyhands.nodes.wave_link.faces import wave_feedthrough
 from manyhands.protocol.channels import TANK_NAMES
 from manyhands.protocol.clock import from_seconds

@@ -18,9 +18,9 @@ from manyhands.launch.audit.environment import ROUNDING, Blocks
 from manyhands.launch.audit.events import Course
 from manyhands.launch.audit.findings import EXACT, Check, CheckVerdict, UncheckedTicks, compare, first_of
 from manyhands.launch.recordings.run import RecordedRun, rows_of, there
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.bundle import NOTHING, SIMULATED, WALL, DeviceBundle
-from manyhands.nodes.device.allowance import LatenessAllowance
+from manyhands.nodes.kernel.allowance import LatenessAllowance
+from manyhands.nodes.kernel.bundle import NOTHING, SIMULATED, WALL, DeviceBundle
+from manyhands.nodes.rows import telemetry as names
 from manyhands.protocol.channels import INSTANT_NAMES
 
 Array = NDArray[np.float64]

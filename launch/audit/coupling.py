@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from manyhands.launch.audit.events import Course, Happening
 from manyhands.launch.audit.findings import EVERY, Progress, Recomputed, gaps_of, no_progress
 from manyhands.launch.recordings.run import there
-from manyhands.nodes.bundle import CouplingBundle
 from manyhands.nodes.coupling.core import CouplingCore
+from manyhands.nodes.kernel.bundle import CouplingBundle
 
 Array = NDArray[np.float64]
 

@@ -41,14 +41,14 @@ from manyhands.launch.audit.findings import (
 )
 from manyhands.launch.audit.replay import GivenMotion
 from manyhands.launch.recordings.run import there
-from manyhands.nodes.arithmetic import Floats
-from manyhands.nodes.bundle import DeviceBundle
 from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.drivers import Driver
 from manyhands.nodes.device.telemetry import given_figures
 from manyhands.nodes.device.tick import WallTimeTick
 from manyhands.nodes.device.wall_time import LONGEST_GAP
-from manyhands.nodes.observer.given import FIGURES
+from manyhands.nodes.kernel.arithmetic import Floats
+from manyhands.nodes.kernel.bundle import DeviceBundle
+from manyhands.nodes.monitor.given import FIGURES
 from manyhands.protocol.clock import Instant, from_seconds
 
 Array = NDArray[np.float64]

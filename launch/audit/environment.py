@@ -26,11 +26,11 @@ from numpy.typing import NDArray
 from manyhands.launch.audit.events import Course
 from manyhands.launch.audit.findings import UncheckedTicks, gaps_of
 from manyhands.launch.recordings.run import there
-from manyhands.nodes.arithmetic import Saturation
-from manyhands.nodes.bundle import CouplingBundle, EnvironmentBundle
 from manyhands.nodes.environment.clutch import LET_GO
 from manyhands.nodes.environment.core import environment_core
-from manyhands.nodes.factory import MESH
+from manyhands.nodes.kernel.arithmetic import Saturation
+from manyhands.nodes.kernel.bundle import CouplingBundle, EnvironmentBundle
+from manyhands.nodes.kernel.factory import MESH
 
 Array = NDArray[np.float64]
 Progress = Callable[[int], None]

@@ -1,9 +1,9 @@
 """What happened to a recorded node between its rows, by the events that it recorded with their ticks.
 
 A process began at rest, ran free for some periods, went on at a later tick, or changed its rung
-(:mod:`manyhands.nodes.tick_events`). Events travel with the rows of the same telemetry message, and counts among the
-figures state how many there were. Sometimes a count or the rows show that something happened, and no event states what.
-Then a node's state is unknown from that tick on, until a new process begins, and the audit reports so.
+(:mod:`manyhands.nodes.rows.tick_events`). Events travel with the rows of the same telemetry message, and counts among
+the figures state how many there were. Sometimes a count or the rows show that something happened, and no event states
+what. Then a node's state is unknown from that tick on, until a new process begins, and the audit reports so.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from manyhands.launch.audit.findings import UncheckedTicks
 from manyhands.launch.recordings.run import Figures, changed_after
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.tick_events import Kind, events_in
+from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows.tick_events import Kind, events_in
 
 _NEVER: Final = 2**62
 

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.nodes.json_number import json_number
+from manyhands.nodes.kernel.json_number import json_number
 
 Array = NDArray[np.float64]
 

@@ -1,6 +1,6 @@
 """What an audit says of the promises of a run: the rows of its health, from the checks and the recorded telemetry.
 
-The telemetry gives the rows that the session itself has shown (:mod:`manyhands.nodes.observer.health`), except for
+The telemetry gives the rows that the session itself has shown (:mod:`manyhands.nodes.monitor.health`), except for
 what only its supervisor's clock shows: the pace, and who was away. These are in the session's last condition, as the
 page, `top` and the report had them. A check that was computed again knows more: the exact tick, or that a number was
 changed. So each check adds to the row of its promise, or makes it graver. What the recording does not hold is *not
@@ -20,8 +20,8 @@ from manyhands.launch.audit.findings import Check, CheckVerdict
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.run import RecordedRun
 from manyhands.launch.run.broadcast import describe
-from manyhands.nodes.observer.health import GRAVITY, SESSION, Promise, PromiseState, most_grave, readable
-from manyhands.nodes.observer.health_model import HealthModel
+from manyhands.nodes.monitor.health import GRAVITY, SESSION, Promise, PromiseState, most_grave, readable
+from manyhands.nodes.monitor.health_model import HealthModel
 from manyhands.protocol.messages import PromiseStatus
 
 _OF_CHECKS: Final[Mapping[str, Promise]] = {

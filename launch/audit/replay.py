@@ -26,9 +26,9 @@ from manyhands.launch.plan.recorded import Traces
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.run import RecordedRun, RecordedTrace, rows_of
 from manyhands.launch.session import Session
-from manyhands.nodes.bundle import SIMULATED, DeviceBundle
 from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.environment.model import ModelFailure
+from manyhands.nodes.kernel.bundle import SIMULATED, DeviceBundle
 from manyhands.nodes.recorder.coverage import Coverage
 from manyhands.protocol.channels import DISPLACEMENT, LEDGER, TAU
 from manyhands.protocol.clock import Instant

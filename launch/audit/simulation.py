@@ -24,19 +24,19 @@ from manyhands.launch.recordings.run import RecordedRun
 from manyhands.launch.run.directory import kept_files
 from manyhands.launch.session import Session
 from manyhands.launch.session.session import ENVIRONMENT
-from manyhands.nodes.arithmetic import Floats
-from manyhands.nodes.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle
 from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.environment.core import environment_core
 from manyhands.nodes.environment.enforced import EnforcedCore
 from manyhands.nodes.environment.model import ModelFailure
-from manyhands.nodes.passivity import Ledger
-from manyhands.nodes.peer_link import WaveRow
-from manyhands.nodes.telemetry import WorldRows, wave_traces
+from manyhands.nodes.kernel.arithmetic import Floats
+from manyhands.nodes.kernel.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle
+from manyhands.nodes.kernel.passivity import Ledger
+from manyhands.nodes.link.peer_link import WaveRow
 from manyhands.nodes.wave_link.ends import turns, user_face, world_face
 from manyhands.nodes.wave_link.faces import UserFace, WorldFace, wave_feedthrough
+from manyhands.nodes.wave_link.rows import WorldRows, wave_traces
 from manyhands.protocol.clock import Instant, from_seconds
 
 _PROGRESS_TICKS = 1000

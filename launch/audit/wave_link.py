@@ -31,10 +31,10 @@ from numpy.typing import NDArray
 from manyhands.launch.audit.events import Course
 from manyhands.launch.audit.findings import Check, CheckVerdict, UncheckedTicks, compare, first_of, gaps_of
 from manyhands.launch.recordings.run import Figures, there
-from manyhands.nodes.arithmetic import Floats, Saturation
-from manyhands.nodes.bundle import Common, CouplingBundle, WaveEnd
-from manyhands.nodes.own_ticks import own_tick_before
-from manyhands.nodes.tick_events import Kind, events_in
+from manyhands.nodes.kernel.arithmetic import Floats, Saturation
+from manyhands.nodes.kernel.bundle import Common, CouplingBundle, WaveEnd
+from manyhands.nodes.rows.own_ticks import own_tick_before
+from manyhands.nodes.rows.tick_events import Kind, events_in
 from manyhands.nodes.wave_link.ends import user_face, world_face
 from manyhands.protocol.channels import TANK_NAMES
 

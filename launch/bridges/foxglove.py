@@ -31,8 +31,8 @@ from manyhands.launch.look.page.feed import EVERY, BroadcastFollower, SessionTim
 from manyhands.launch.look.page.security import Doorstep, Token, ViewError
 from manyhands.launch.look.page.server import Connections, address_of, listen
 from manyhands.launch.look.sessions import Running
-from manyhands.nodes.json_number import json_number
-from manyhands.nodes.observer.scene import About, Scene
+from manyhands.nodes.kernel.json_number import json_number
+from manyhands.nodes.monitor.session_state import About, Scene
 from manyhands.nodes.recorder.core import Ticks, trace_messages
 from manyhands.nodes.recorder.format import (
     MESSAGE_ENCODING,

@@ -20,10 +20,10 @@ from typing import Any, Final, TypeAlias
 from manyhands.design.files import replacing
 from manyhands.design.models.scene import ContactScene
 from manyhands.launch.files import TargetError, require_target
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.observer.scene import About
+from manyhands.nodes.monitor.session_state import About
 from manyhands.nodes.recorder.format import FIGURES, SUPERVISOR, Recorded
 from manyhands.nodes.recorder.scene_messages import SCENE
+from manyhands.nodes.rows import telemetry as names
 from manyhands.protocol.channels import CONDITION, LEDGER, TELEMETRY, Columns, Topic, topic_name
 from manyhands.protocol.messages import Role
 

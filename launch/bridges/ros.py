@@ -49,7 +49,7 @@ from manyhands.launch.look.page.pointer import DEMANDS_PER_S, Hold, Holding, hol
 from manyhands.launch.look.page.security import ViewError, is_loopback
 from manyhands.launch.look.sessions import Running
 from manyhands.launch.recordings.recording import Array
-from manyhands.nodes.observer.scene import About, Scene
+from manyhands.nodes.monitor.session_state import About, Scene
 from manyhands.nodes.recorder.format import recorded_of
 from manyhands.protocol.channels import DISPLACEMENT, FORCE
 from manyhands.protocol.clock import Clock, Instant, RealtimeClock

@@ -34,7 +34,7 @@ from manyhands.launch.conformance.timing import CallTimer
 from manyhands.nodes.environment.enforced import BlackBox, ForceLaw
 from manyhands.nodes.environment.model import PROXY, REACT, STEP, AskedModel, EnvironmentModel
 from manyhands.nodes.environment.proxy import ProxyLaw
-from manyhands.nodes.factory import in_one_line
+from manyhands.nodes.kernel.factory import in_one_line
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ from manyhands.design.problem import HapticLoop
 from manyhands.launch.doctor.machine import Machine
 from manyhands.launch.doctor.probe import Measured, Ticking
 from manyhands.launch.doctor.wakeup import Spread
-from manyhands.nodes.realtime import FIFO_PRIORITY
+from manyhands.nodes.kernel.realtime import FIFO_PRIORITY
 
 QUANTILES = ("p50", "p999")
 """The percentiles of the delay for which a stiffness is computed."""

@@ -16,7 +16,7 @@ from typing import Any
 import zmq
 
 from manyhands.nodes.device import tick
-from manyhands.nodes.realtime import CAP_IPC_LOCK, CAP_SYS_NICE, Linux
+from manyhands.nodes.kernel.realtime import CAP_IPC_LOCK, CAP_SYS_NICE, Linux
 
 _CONTAINER_MARKS = (".dockerenv", "run/.containerenv", "run/systemd/container")
 

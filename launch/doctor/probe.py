@@ -27,9 +27,9 @@ from manyhands.launch.run.processes import Interrupt, Processes
 from manyhands.launch.run.recorder import Recorder
 from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import Session
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.bundle import REALTIME
-from manyhands.nodes.realtime import FIFO_PRIORITY
+from manyhands.nodes.kernel.bundle import REALTIME
+from manyhands.nodes.kernel.realtime import FIFO_PRIORITY
+from manyhands.nodes.rows import telemetry as names
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES

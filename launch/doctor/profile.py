@@ -40,7 +40,7 @@ from manyhands import __version__
 from manyhands.design.files import open_regular, replacing
 from manyhands.launch.doctor.machine import has_compiled_tick
 from manyhands.launch.plan.plan import Plan
-from manyhands.nodes.realtime import may_raise
+from manyhands.nodes.kernel.realtime import may_raise
 
 QUANTILE: Final = 0.995
 """The part of a device's ticks whose delay a design covers."""

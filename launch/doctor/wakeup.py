@@ -16,9 +16,9 @@ from typing import Any, Self
 
 import numpy as np
 
-from manyhands.nodes.lifetime import Life, Stopped
-from manyhands.nodes.realtime import Grant, Granted, RealtimeWishes, prepare, restore
-from manyhands.nodes.telemetry import PERCENTILES
+from manyhands.nodes.kernel.lifetime import Life, Stopped
+from manyhands.nodes.kernel.realtime import Grant, Granted, RealtimeWishes, prepare, restore
+from manyhands.nodes.rows.distribution import PERCENTILES
 from manyhands.protocol.clock import Instant, RealtimeClock
 
 DEFAULT_SLACK = 50_000  # ns, the kernel's own

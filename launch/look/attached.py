@@ -20,12 +20,12 @@ from manyhands.design.files import open_regular
 from manyhands.launch.look.sessions import NoSession, Running
 from manyhands.launch.run.processes import Interrupt
 from manyhands.launch.run.states import SessionPhase
-from manyhands.nodes.observer.scene import ABOUT
-from manyhands.nodes.own_ticks import session_tick
+from manyhands.nodes.monitor.session_state import ABOUT
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import Recorded, media_type, recorded_of
 from manyhands.nodes.recorder.mcap import RecordingFile
 from manyhands.nodes.recorder.node import FLUSH_EVERY
+from manyhands.nodes.rows.own_ticks import session_tick
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES

@@ -23,11 +23,11 @@ from manyhands.launch.plan.topology import Topology
 from manyhands.launch.run.outcome import Progress, felt_links
 from manyhands.launch.run.states import NodeState, SessionPhase
 from manyhands.launch.session import Session
-from manyhands.nodes import telemetry as names
 from manyhands.nodes.environment.chatter import MOST as MOST_REVERSALS
-from manyhands.nodes.observer.given import GivenForce, shares_cell
-from manyhands.nodes.observer.health import Promise, PromiseState, condensed, is_present, missed, sentence
-from manyhands.nodes.own_ticks import session_tick
+from manyhands.nodes.monitor.given import GivenForce, shares_cell
+from manyhands.nodes.monitor.health import Promise, PromiseState, condensed, is_present, missed, sentence
+from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows.own_ticks import session_tick
 from manyhands.protocol.messages import PromiseStatus, Telemetry
 
 

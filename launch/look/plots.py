@@ -47,9 +47,9 @@ from manyhands.launch.recordings.recording import RUN_SUFFIXES, STREAMED, Record
 from manyhands.launch.recordings.run import RecordedRun, RecordedTrace, read_run
 from manyhands.launch.recordings.tables import read_saved
 from manyhands.launch.run.states import is_summary
-from manyhands.nodes.bundle import REALTIME
-from manyhands.nodes.own_ticks import own_tick
+from manyhands.nodes.kernel.bundle import REALTIME
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
+from manyhands.nodes.rows.own_ticks import own_tick
 from manyhands.protocol.channels import INSTANTS, INTERFACE, LEDGER, TAU, TOPICS
 from manyhands.protocol.messages import Condition, Role, presentable
 

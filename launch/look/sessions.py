@@ -1,7 +1,7 @@
 """The running sessions of this user on this machine, and the loop that observes one of them.
 
 Each session has its own directory below the temporary one (:mod:`manyhands.launch.run.directory`), which no other user
-may enter. A file there describes the session (:class:`manyhands.nodes.observer.scene.About`).
+may enter. A file there describes the session (:class:`manyhands.nodes.monitor.session_state.About`).
 
 The loop (:func:`watch`) takes frames of the session's broadcast. It ends when the session reports its end, when the
 supervisor's process has ended, or at a deadline. It waits for frames only, and its only clock is the given one.
@@ -20,8 +20,8 @@ from typing import Final, Protocol, TypeAlias
 
 from manyhands.launch.run.directory import run_directories
 from manyhands.launch.run.states import SessionPhase
-from manyhands.nodes.log import LOG_FOLDER
-from manyhands.nodes.observer.scene import ABOUT, About, AboutError, Scene
+from manyhands.nodes.kernel.log import LOG_FOLDER
+from manyhands.nodes.monitor.session_state import ABOUT, About, AboutError, Scene
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
 from manyhands.protocol.messages import Condition, Observation
 from manyhands.protocol.transport.broadcast import Visit

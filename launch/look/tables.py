@@ -26,10 +26,10 @@ from rich.text import Text
 from manyhands.launch.look.display import COLUMNS, RANKS, figure_table, heading, promise_lines, say, world_lines
 from manyhands.launch.look.sessions import Running, Seeing, Source
 from manyhands.launch.run.states import NodeState
-from manyhands.nodes.json_number import json_number
-from manyhands.nodes.observer.given import FIGURES
-from manyhands.nodes.observer.health import Health, as_plain, summary
-from manyhands.nodes.observer.scene import NodeScene, Scene
+from manyhands.nodes.kernel.json_number import json_number
+from manyhands.nodes.monitor.given import FIGURES
+from manyhands.nodes.monitor.health import Health, as_plain, summary
+from manyhands.nodes.monitor.session_state import NodeScene, Scene
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
 from manyhands.protocol.transport import TransportError
 from manyhands.protocol.transport.broadcast import Visit, await_any

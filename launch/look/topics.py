@@ -21,9 +21,9 @@ from typing import Any, Final
 import numpy as np
 
 from manyhands.launch.session import SUPERVISOR
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.json_number import json_number
-from manyhands.nodes.observer.scene import About
+from manyhands.nodes.kernel.json_number import json_number
+from manyhands.nodes.monitor.session_state import About
+from manyhands.nodes.rows import telemetry as names
 from manyhands.protocol.channels import CONDITION, LEDGER, TAU, TELEMETRY, Columns, Topic, topic_name
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Condition, Observation

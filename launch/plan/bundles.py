@@ -39,9 +39,9 @@ from manyhands.launch.session.limits import HAND_STORE
 from manyhands.launch.session.motion import plain_intent
 from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.launch.session.wave_link import WaveLink
-from manyhands.nodes import bundle as bundle_files
-from manyhands.nodes.arithmetic import feedthrough_digest
-from manyhands.nodes.bundle import (
+from manyhands.nodes.kernel import bundle as bundle_files
+from manyhands.nodes.kernel.arithmetic import feedthrough_digest
+from manyhands.nodes.kernel.bundle import (
     MAX_TELEMETRY_TICKS,
     OWN,
     REALTIME,
@@ -63,9 +63,9 @@ from manyhands.nodes.bundle import (
     Source,
     WaveEnd,
 )
-from manyhands.nodes.environment.energy import EnergyBudget
-from manyhands.nodes.factory import FactoryName
-from manyhands.nodes.wave_link.bounds import SiteBounds, site_bounds
+from manyhands.nodes.kernel.energy_budget import EnergyBudget
+from manyhands.nodes.kernel.factory import FactoryName
+from manyhands.nodes.kernel.site_bounds import SiteBounds, site_bounds
 from manyhands.nodes.wave_link.faces import wave_feedthrough
 from manyhands.protocol.channels import links_at, topics_of
 from manyhands.protocol.limits import MAX_CONTROL_BYTES

@@ -9,7 +9,7 @@ from __future__ import annotations
 from manyhands.launch.session import Session
 from manyhands.launch.session.environment import EngineEnvironment
 from manyhands.nodes.environment.model import PROXY, make_model
-from manyhands.nodes.factory import is_shipped
+from manyhands.nodes.kernel.factory import is_shipped
 
 
 def require_engine(session: Session) -> None:

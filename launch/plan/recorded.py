@@ -15,7 +15,7 @@ from manyhands.launch.plan.bundles import mass_names, scene_geometry
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.run import RecordedTrace
-from manyhands.nodes.passivity import Ledger
+from manyhands.nodes.kernel.passivity import Ledger
 from manyhands.nodes.recorder.format import Recorded
 from manyhands.protocol.channels import LEDGER, TAU, links_at, topics_of
 

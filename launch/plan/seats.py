@@ -21,9 +21,9 @@ from manyhands.launch.plan.prepare import certificate_files
 from manyhands.launch.plan.reach import Listen, ReachError, reach
 from manyhands.launch.session import SUPERVISOR, Session
 from manyhands.launch.session.errors import listed
-from manyhands.nodes.bundle import REALTIME, CouplingBundle, DeviceBundle
-from manyhands.nodes.invitation import Invitation
-from manyhands.nodes.seat_part import SeatPart
+from manyhands.nodes.guest.invitation import Invitation
+from manyhands.nodes.guest.seat_part import SeatPart
+from manyhands.nodes.kernel.bundle import REALTIME, CouplingBundle, DeviceBundle
 
 if TYPE_CHECKING:
     from manyhands.launch.plan.prepare import Prepared

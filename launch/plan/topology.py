@@ -22,7 +22,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from manyhands.launch.session import ENVIRONMENT, SUPERVISOR, Session
-from manyhands.nodes.realtime import may_raise
+from manyhands.nodes.kernel.realtime import may_raise
 from manyhands.protocol.limits import MAX_PORTS
 from manyhands.protocol.messages import Role
 from manyhands.protocol.transport.descriptors import node_needs, require_descriptors
@@ -132,7 +132,7 @@ def placement(
         graph: the session's nodes and links.
         processors: the processors that this process may use.
         raised: whether pinned processes will have a real-time priority
-            (:func:`manyhands.nodes.realtime.may_raise`).
+            (:func:`manyhands.nodes.kernel.realtime.may_raise`).
         remote: the nodes that run on other machines.
     """
     chains = [local for chain in chains_of(graph) if (local := [node for node in chain if node not in remote])]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.nodes.own_ticks import own_span
+from manyhands.nodes.rows.own_ticks import own_span
 
 Array = NDArray[np.float64]
 

@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 from manyhands.design.models.brief import brief_names, brief_repr
 from manyhands.launch.recordings.curves import backward_difference
 from manyhands.launch.recordings.recording import RecordingError, data_frame, require_suffix
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.own_ticks import own_span, own_tick, own_ticks_before, session_tick
 from manyhands.nodes.recorder.format import METADATA, SUPERVISOR, TICK, Recorded, decode_condition, decode_figures
-from manyhands.nodes.tick_events import Kind, events_in
+from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows.own_ticks import own_span, own_tick, own_ticks_before, session_tick
+from manyhands.nodes.rows.tick_events import Kind, events_in
 from manyhands.protocol.channels import (
     CONDITION,
     DISPLACEMENT,

@@ -40,9 +40,9 @@ from manyhands.launch.recordings.run import (
     require_beginning,
     span_of,
 )
-from manyhands.nodes.own_ticks import own_span
 from manyhands.nodes.recorder.coverage import Coverage, missing_by_party
 from manyhands.nodes.recorder.format import Recorded
+from manyhands.nodes.rows.own_ticks import own_span
 from manyhands.protocol.channels import DISPLACEMENT, FORCE, topic_name, topics_of
 from manyhands.protocol.messages import Role
 

@@ -22,7 +22,7 @@ time. So the number of changes grows with the logarithm of time.
 
 :class:`UserIncidents` describes what a session survives of its users: couplings that stay frozen, and energy. A device
 beyond its limits knows that it is, but not what moved it. The environment knows whose energy went where
-(:mod:`manyhands.nodes.observer.causes`). The two are combined here, so that the incident names the supplier and not
+(:mod:`manyhands.nodes.monitor.causes`). The two are combined here, so that the incident names the supplier and not
 the user that was moved.
 """
 
@@ -41,11 +41,11 @@ import numpy as np
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.topology import Topology
 from manyhands.launch.session.session import ENVIRONMENT
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.bundle import REALTIME
-from manyhands.nodes.observer.causes import Causes
-from manyhands.nodes.own_ticks import session_tick
-from manyhands.nodes.tick_events import Kind, events_in
+from manyhands.nodes.kernel.bundle import REALTIME
+from manyhands.nodes.monitor.causes import Causes
+from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows.own_ticks import session_tick
+from manyhands.nodes.rows.tick_events import Kind, events_in
 from manyhands.protocol.messages import Role, Telemetry
 
 SHARE: Final = 0.05

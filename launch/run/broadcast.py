@@ -34,9 +34,9 @@ from manyhands.launch.session import (
     SceneEnvironment,
     Session,
 )
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.bundle import SIMULATED
-from manyhands.nodes.observer.scene import About, CertificateAbout, LinkAbout, NodeAbout, SpringAbout
+from manyhands.nodes.kernel.bundle import SIMULATED
+from manyhands.nodes.monitor.session_state import About, CertificateAbout, LinkAbout, NodeAbout, SpringAbout
+from manyhands.nodes.rows import telemetry as names
 from manyhands.protocol.codec import encode
 from manyhands.protocol.limits import MAX_SENTENCES
 from manyhands.protocol.messages import Condition, Observation, Telemetry, presentable

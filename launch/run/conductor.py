@@ -27,7 +27,7 @@ from manyhands.launch.run.states import (
     Terminate,
     ending,
 )
-from manyhands.nodes.observer.health import FREE_STATE
+from manyhands.nodes.monitor.health import FREE_STATE
 from manyhands.protocol.codec import ForeignHello, Malformed, Received
 from manyhands.protocol.handshake import check_node_hello
 from manyhands.protocol.limits import MAX_PIECE_BYTES

@@ -23,7 +23,7 @@ from manyhands.design.files import naming, replacing
 from manyhands.launch.files import TargetError
 from manyhands.launch.plan.prepare import certificate_files
 from manyhands.launch.run.outcome import save_json
-from manyhands.nodes.log import LOG_FOLDER
+from manyhands.nodes.kernel.log import LOG_FOLDER
 from manyhands.nodes.recorder.format import SESSION_FILE
 
 if TYPE_CHECKING:

@@ -20,10 +20,10 @@ from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.run.states import Incidents, SessionPhase
 from manyhands.launch.session import Session
 from manyhands.launch.session.session import ENVIRONMENT
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.observer.given import GivenForce, percent
-from manyhands.nodes.observer.health import Promise, as_plain, condensed, missed
-from manyhands.nodes.telemetry import PERCENTILES
+from manyhands.nodes.monitor.given import GivenForce, percent
+from manyhands.nodes.monitor.health import Promise, as_plain, condensed, missed
+from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows.distribution import PERCENTILES
 from manyhands.nodes.wave_link.felt import FeltLink, felt_link
 from manyhands.protocol.limits import MAX_COUNT
 from manyhands.protocol.messages import PromiseStatus, Report, Role, Telemetry

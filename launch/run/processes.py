@@ -25,7 +25,7 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Self
 
-from manyhands.nodes.lifetime import terminal_signals
+from manyhands.nodes.kernel.lifetime import terminal_signals
 from manyhands.protocol.messages import Role
 
 _LOG_SHOWN = 2000  # characters of a process's error output that a message quotes

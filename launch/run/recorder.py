@@ -22,7 +22,7 @@ from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.run.directory import kept_files
 from manyhands.launch.run.processes import Processes
 from manyhands.launch.run.states import signal_name
-from manyhands.nodes.bundle import SIMULATED
+from manyhands.nodes.kernel.bundle import SIMULATED
 from manyhands.nodes.recorder.node import Closed, FileBegun, Lines, RecordingPlan, Status, Taken, WriteFailed
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds
 from manyhands.protocol.codec import encode

@@ -45,14 +45,14 @@ from manyhands.launch.run.states import (
     Terminate,
 )
 from manyhands.launch.session import SUPERVISOR
-from manyhands.nodes import bundle as bundle_files
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.bundle import REALTIME, SIMULATED
-from manyhands.nodes.handed_over import handed_over
-from manyhands.nodes.log import Log, LogEvent, log_path
-from manyhands.nodes.observer.health import Promise, PromiseState, cut_forces
-from manyhands.nodes.observer.health_model import HealthModel
-from manyhands.nodes.peer_link import HANDSHAKE_TIME
+from manyhands.nodes.guest.handed_over import handed_over
+from manyhands.nodes.kernel import bundle as bundle_files
+from manyhands.nodes.kernel.bundle import REALTIME, SIMULATED
+from manyhands.nodes.kernel.log import Log, LogEvent, log_path
+from manyhands.nodes.link.peer_link import HANDSHAKE_TIME
+from manyhands.nodes.monitor.health import Promise, PromiseState, cut_forces
+from manyhands.nodes.monitor.health_model import HealthModel
+from manyhands.nodes.rows import telemetry as names
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds, seconds
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import HUB_FRAMES_PER_S, MAX_CONTROL_BYTES

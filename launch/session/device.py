@@ -84,11 +84,11 @@ from manyhands.launch.session.limits import (
 )
 from manyhands.launch.session.matrices import Entry, Rational
 from manyhands.launch.session.motion import MOTION_FORM, Motion, TraceData, motion_of, read_trace, trace_from_numbers
-from manyhands.nodes.bundle import TIMES, WALL
-from manyhands.nodes.device.inertia import Inertia
-from manyhands.nodes.device.intent import ALLOWED, Formula, FormulaError
-from manyhands.nodes.device.specification import DeviceTiming, DriverWord
-from manyhands.nodes.factory import DRIVERS
+from manyhands.nodes.kernel.bundle import TIMES, WALL
+from manyhands.nodes.kernel.driver_statement import DeviceTiming, DriverWord
+from manyhands.nodes.kernel.factory import DRIVERS
+from manyhands.nodes.kernel.inertia import Inertia
+from manyhands.nodes.kernel.intent import ALLOWED, Formula, FormulaError
 
 DEFAULT_HAND: Final[Mapping[str, object]] = {
     "operator": {"num": [0.02, 1.2, 20.0], "den": [1.0, 10.3, 100.0]},

@@ -84,7 +84,7 @@ from manyhands.launch.session.matrices import (
 )
 from manyhands.launch.session.scene import FRICTION, TOUCH, SceneEnvironment, SceneTool, tool_problems, tool_spheres
 from manyhands.nodes.environment.mesh import Lookup
-from manyhands.nodes.factory import ENGINES, MESH, MODELS
+from manyhands.nodes.kernel.factory import ENGINES, MESH, MODELS
 
 _LEVEL: Final = Quantity("a level", "N·s/m")
 _STIFFNESS: Final = Quantity("a stiffness", "N/m", magnitude=MAX_STIFFNESS)

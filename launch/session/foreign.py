@@ -18,7 +18,7 @@ from manyhands.launch.session.fields import Described, Problem, refusal, refuse
 from manyhands.launch.session.forms import JsonSchema, either
 from manyhands.launch.session.limits import MAX_FACTORY_NAME
 from manyhands.launch.session.yaml import KeyPath
-from manyhands.nodes.factory import FACTORY, published
+from manyhands.nodes.kernel.factory import FACTORY, published
 
 _SHORT: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 
@@ -28,7 +28,7 @@ def factory_of(value: object, group: str, words: tuple[str, ...] = ()) -> str:
 
     Args:
         value: as the session has it.
-        group: of the entry points, :data:`manyhands.nodes.factory.DRIVERS` or ``MODELS``.
+        group: of the entry points, :data:`manyhands.nodes.kernel.factory.DRIVERS` or ``MODELS``.
         words: that stand for no code of another package.
     """
     if isinstance(value, str) and (value in words or (len(value) <= MAX_FACTORY_NAME and FACTORY.fullmatch(value))):

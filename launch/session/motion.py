@@ -32,7 +32,7 @@ from manyhands.launch.session.limits import (
     MAX_TRACE_LINE,
     MAX_TRACE_ROWS,
 )
-from manyhands.nodes.device.intent import IntentError, SampledSignal
+from manyhands.nodes.kernel.intent import IntentError, SampledSignal
 
 _ROW: Final = "rows of two numbers, 't,value', with t in s increasing from 0"
 
@@ -58,7 +58,7 @@ def trace_from_numbers(times: tuple[float, ...], values: tuple[float, ...], name
 
 
 def plain_intent(intent: float | str | TraceData) -> object:
-    """An intention as a bundle has it, and :func:`manyhands.nodes.device.intent.intent_from` reads it."""
+    """An intention as a bundle has it, and :func:`manyhands.nodes.kernel.intent.intent_from` reads it."""
     if isinstance(intent, TraceData):
         return {"times": list(intent.times), "values": list(intent.values)}
     return intent

@@ -51,7 +51,7 @@ from manyhands.launch.session.fields import (
 from manyhands.launch.session.forms import JsonSchema, either, list_of, where
 from manyhands.launch.session.limits import MAX_LINKS
 from manyhands.launch.session.motion import TraceData, plain_intent
-from manyhands.nodes.device.intent import intent_from
+from manyhands.nodes.kernel.intent import intent_from
 
 _XYZ: Final = ("x", "y", "z")
 TOUCH: Final = 1e-9  # m; a tool may touch at the start

@@ -90,9 +90,9 @@ from manyhands.launch.session.motion import motion_problems, with_own_names
 from manyhands.launch.session.objects import plain_value, tree_of
 from manyhands.launch.session.wave_link import WaveLink
 from manyhands.launch.session.yaml import SessionTree, apply_overrides, read_tree, replaced
-from manyhands.nodes.bundle import REALTIME, WALL
-from manyhands.nodes.device.allowance import LatenessAllowance
-from manyhands.nodes.factory import FactoryName
+from manyhands.nodes.kernel.allowance import LatenessAllowance
+from manyhands.nodes.kernel.bundle import REALTIME, WALL
+from manyhands.nodes.kernel.factory import FactoryName
 from manyhands.protocol.channels import CHANNELS, Channel, Rate
 from manyhands.protocol.messages import Role
 

@@ -2,9 +2,9 @@
 
 import sys
 
-from manyhands.nodes.bundle import CouplingBundle
 from manyhands.nodes.coupling.node import CouplingNode
-from manyhands.nodes.process import main
+from manyhands.nodes.kernel.bundle import CouplingBundle
+from manyhands.nodes.link.process import main
 
 if __name__ == "__main__":
     sys.exit(main(CouplingBundle, CouplingNode))

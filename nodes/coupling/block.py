@@ -8,20 +8,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.arithmetic import Floats
-from manyhands.nodes.bundle import REALTIME, CouplingBundle
 from manyhands.nodes.coupling.core import CouplingCore
-from manyhands.nodes.lifetime import Life
-from manyhands.nodes.peer_link import PeerLink, Received, WaveRow
-from manyhands.nodes.supervisor_line import ControlLine
-from manyhands.nodes.tick_events import TickEvents
+from manyhands.nodes.kernel.arithmetic import Floats
+from manyhands.nodes.kernel.bundle import REALTIME, CouplingBundle
+from manyhands.nodes.kernel.lifetime import Life
+from manyhands.nodes.link.peer_link import PeerLink, Received, WaveRow, dropped_frames, stray_frames
+from manyhands.nodes.link.supervisor_line import ControlLine
+from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows.tick_events import TickEvents
+from manyhands.nodes.wave_link.rows import wave_traces
 from manyhands.protocol.clock import Duration
 from manyhands.protocol.messages import Absent, Report, Rung, Telemetry, Tool
 
 
 class Block:
-    """The block in its loop, and the :class:`manyhands.nodes.peer_link.Listener` on its link to the environment.
+    """The block in its loop, and the :class:`manyhands.nodes.link.peer_link.Listener` on its link to the environment.
 
     Attributes:
         core: the block at its present rung.
@@ -152,7 +153,7 @@ class Block:
             names.JUMPS: float(self.jumps),
             names.RUNG: float(self.rung),
             **names.ledger_figures(self.core.ledger),
-            **names.stray_frames([*devices, self.environment]),
+            **stray_frames([*devices, self.environment]),
             **self.environment.figures(),
             **self._events.take(self.ticks - rows, self.ticks),
         }
@@ -160,7 +161,7 @@ class Block:
             names.FREE_POSITION: np.array(self._trace_p[:rows]),
             names.FORCE: np.array(self._trace_f[:rows]),
             **names.ledger_trace(self.core.ledger, self._energy[:rows]),
-            **names.wave_traces(self._waves[:rows]),
+            **wave_traces(self._waves[:rows]),
         }
         control.publish(Telemetry(self.ticks, figures, traces))
 
@@ -173,7 +174,7 @@ class Block:
                 names.SATURATED: self.core.saturated,
                 names.JUMPS: self.jumps,
                 names.RUNG: self.rung,
-                **names.dropped_frames([*devices, self.environment]),
+                **dropped_frames([*devices, self.environment]),
             },
             {},
         )

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.design.models.statespace import StateSpace
-from manyhands.nodes.arithmetic import Floats, Saturation, dot, linear_map, minus, plus
-from manyhands.nodes.passivity import Ledger
+from manyhands.nodes.kernel.arithmetic import Floats, Saturation, dot, linear_map, minus, plus
+from manyhands.nodes.kernel.passivity import Ledger
 
 Vector = NDArray[np.float64]
 

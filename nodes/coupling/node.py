@@ -10,15 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
-from manyhands.nodes.arithmetic import Floats
-from manyhands.nodes.bundle import CouplingBundle
 from manyhands.nodes.coupling.block import Block
-from manyhands.nodes.lifetime import Life
-from manyhands.nodes.peer_link import PeerLink, Received, await_all, bounds_by_peer, establish
-from manyhands.nodes.realtime import way_giver
-from manyhands.nodes.relink import follow
-from manyhands.nodes.supervisor_line import NOT_AT_ALL, ControlLine, Word
-from manyhands.nodes.timeouts import LISTEN_TICKS, timeouts
+from manyhands.nodes.kernel.arithmetic import Floats
+from manyhands.nodes.kernel.bundle import CouplingBundle
+from manyhands.nodes.kernel.lifetime import Life
+from manyhands.nodes.kernel.realtime import way_giver
+from manyhands.nodes.kernel.timeouts import LISTEN_TICKS, timeouts
+from manyhands.nodes.link.peer_link import PeerLink, Received, await_all, bounds_by_peer, establish
+from manyhands.nodes.link.relink import follow
+from manyhands.nodes.link.supervisor_line import NOT_AT_ALL, ControlLine, Word
 from manyhands.nodes.wave_link.ends import user_ends
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock
 from manyhands.protocol.messages import Absent, Force, Reaction, Report, Role, Rung, Sample, SignalMessage, Start
@@ -26,7 +26,7 @@ from manyhands.protocol.transport import Link
 
 
 class CouplingNode:
-    """A :class:`manyhands.nodes.process.Node` for one block of V, and the :class:`Listener` on its devices' links.
+    """A :class:`manyhands.nodes.link.process.Node` for one block of V, and the :class:`Listener` on its devices' links.
 
     Attributes:
         peer_links: the links to the devices and the environment, once every handshake is done.

@@ -4,12 +4,12 @@ import sys
 from contextlib import ExitStack
 from pathlib import Path
 
-from manyhands.nodes.bundle import DeviceBundle
 from manyhands.nodes.device.colocated import colocated
 from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.device.plugin import DriverFailure
-from manyhands.nodes.process import EXIT_FAILED, main, main_together
+from manyhands.nodes.kernel.bundle import DeviceBundle
+from manyhands.nodes.link.process import EXIT_FAILED, main, main_together
 
 
 def run(carried: list[Path]) -> int:

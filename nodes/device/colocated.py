@@ -10,16 +10,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from manyhands.nodes.arithmetic import Floats
-from manyhands.nodes.bundle import CouplingBundle, DeviceBundle, Peer, load
 from manyhands.nodes.coupling.block import Block
 from manyhands.nodes.device.drivers import Driver
 from manyhands.nodes.device.node import DeviceNode
-from manyhands.nodes.lifetime import Life
-from manyhands.nodes.peer_link import Listener, PeerLink, Received, establish, hello_to, positions
-from manyhands.nodes.process import Node
-from manyhands.nodes.relink import follow
-from manyhands.nodes.supervisor_line import ControlLine
+from manyhands.nodes.kernel.arithmetic import Floats
+from manyhands.nodes.kernel.bundle import CouplingBundle, DeviceBundle, Peer, load
+from manyhands.nodes.kernel.lifetime import Life
+from manyhands.nodes.link.peer_link import Listener, PeerLink, Received, establish, hello_to, positions
+from manyhands.nodes.link.process import Node
+from manyhands.nodes.link.relink import follow
+from manyhands.nodes.link.supervisor_line import ControlLine
 from manyhands.nodes.wave_link.ends import user_ends
 from manyhands.protocol.clock import Duration, RealtimeClock
 from manyhands.protocol.messages import Force, Reaction, Report, Role, Rung, SignalMessage, Start
@@ -27,7 +27,7 @@ from manyhands.protocol.transport import Link
 
 
 class CarriedBlock:
-    """A :class:`manyhands.nodes.process.Node` for a coupling that runs in the loop of its device."""
+    """A :class:`manyhands.nodes.link.process.Node` for a coupling that runs in the loop of its device."""
 
     def __init__(self, bundle: CouplingBundle) -> None:
         """Take the coupling's part of the session; :meth:`establish` makes the block."""

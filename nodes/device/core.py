@@ -48,9 +48,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.nodes.arithmetic import Floats, Saturation, dot, linear_map, minus, plus
-from manyhands.nodes.bundle import Limits
-from manyhands.nodes.passivity import Ledger
+from manyhands.nodes.kernel.arithmetic import Floats, Saturation, dot, linear_map, minus, plus
+from manyhands.nodes.kernel.bundle import Limits
+from manyhands.nodes.kernel.passivity import Ledger
 
 Vector = NDArray[np.float64]
 

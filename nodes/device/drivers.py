@@ -21,13 +21,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Protocol
 
-from manyhands.nodes.arithmetic import Floats, dot, linear_map
-from manyhands.nodes.bundle import WALL, BrowserHand, DeviceBundle, PluginDevice, RecordedMotion, SimulatedHand
-from manyhands.nodes.device.intent import SampledSignal
 from manyhands.nodes.device.plugin import plugin_driver
 from manyhands.nodes.device.pointer import pointer_hand, pointer_of
 from manyhands.nodes.device.simulated import Hand, HeldDeviceDriver, OwnTimeDriver, intent_hand
 from manyhands.nodes.device.wall_time import WallTimeDriver
+from manyhands.nodes.kernel.arithmetic import Floats, dot, linear_map
+from manyhands.nodes.kernel.bundle import WALL, BrowserHand, DeviceBundle, PluginDevice, RecordedMotion, SimulatedHand
+from manyhands.nodes.kernel.intent import SampledSignal
 from manyhands.protocol.clock import Duration, Instant, seconds
 
 
@@ -73,7 +73,7 @@ class Driver(Protocol):
         ...
 
     def figures(self) -> Mapping[str, float]:
-        """The driver's own figures for the telemetry, by the names of :mod:`manyhands.nodes.telemetry`."""
+        """The driver's own figures for the telemetry, by the names of :mod:`manyhands.nodes.rows.telemetry`."""
         ...
 
     def close(self) -> None:

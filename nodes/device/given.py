@@ -30,9 +30,8 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import Final
 
-from manyhands.nodes.arithmetic import Floats
-from manyhands.nodes.environment.clutch import RAMP
-from manyhands.nodes.timeouts import PATIENCE_TICKS
+from manyhands.nodes.kernel.arithmetic import Floats
+from manyhands.nodes.kernel.timeouts import PATIENCE_TICKS, RAMP
 from manyhands.protocol.clock import Duration, Instant
 
 ALL: Final = 0.99

@@ -28,8 +28,8 @@ interface chooses w so that B stays above what the force may still cost until it
     R = h p(r),    p(r) = max over v of r^T v - v^T Delta_D v  <=  r^T Delta_D^-1 r / 4,
 
 with h the time left, and v within the device's limit of speed. Where a mass and the hand's force are stated, v is
-within what they allow as well (:mod:`manyhands.nodes.device.inertia`), until a motion shows that they are not so. So
-the bound rests on that limit and on these statements: it holds for every motion that keeps them, on each axis and in
+within what they allow as well (:mod:`manyhands.nodes.device.speed_bound`), until a motion shows that they are not so.
+So the bound rests on that limit and on these statements: it holds for every motion that keeps them, on each axis and in
 the mean over each piece. A faster one costs more than R holds by at most h (r^T Delta_D^-1 r / 4 - p(r)) a piece. It is
 seen at the next sample at the earliest. Then the account is below its bound by no more than this excess, and nothing is
 exerted until the motion has paid for it.
@@ -52,12 +52,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.design.levels.contract import DeviceShare
-from manyhands.nodes.arithmetic import Floats, dot, linear_map, minus
-from manyhands.nodes.bundle import DeviceBundle
-from manyhands.nodes.device.allowance import LatenessAllowance
 from manyhands.nodes.device.given import ForceGiven
-from manyhands.nodes.device.inertia import Inertia, SpeedBound
-from manyhands.nodes.timeouts import timeouts
+from manyhands.nodes.device.speed_bound import SpeedBound
+from manyhands.nodes.kernel.allowance import LatenessAllowance
+from manyhands.nodes.kernel.arithmetic import Floats, dot, linear_map, minus
+from manyhands.nodes.kernel.bundle import DeviceBundle
+from manyhands.nodes.kernel.inertia import Inertia
+from manyhands.nodes.kernel.timeouts import timeouts
 from manyhands.protocol.clock import Duration, Instant, from_seconds
 
 Matrix = NDArray[np.float64]

@@ -21,18 +21,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from manyhands.nodes.arithmetic import Floats
-from manyhands.nodes.bundle import SIMULATED, DeviceBundle
 from manyhands.nodes.device.drivers import Driver
 from manyhands.nodes.device.telemetry import DeviceTelemetry
 from manyhands.nodes.device.tick import tick_of
-from manyhands.nodes.lifetime import Life
-from manyhands.nodes.log import LogEvent
-from manyhands.nodes.peer_link import PeerLink, Received, await_all, establish
-from manyhands.nodes.realtime import way_giver
-from manyhands.nodes.relink import follow
-from manyhands.nodes.supervisor_line import NOT_AT_ALL, ControlLine
-from manyhands.nodes.timeouts import LISTEN_TICKS, timeouts
+from manyhands.nodes.kernel.arithmetic import Floats
+from manyhands.nodes.kernel.bundle import SIMULATED, DeviceBundle
+from manyhands.nodes.kernel.lifetime import Life
+from manyhands.nodes.kernel.log import LogEvent
+from manyhands.nodes.kernel.realtime import way_giver
+from manyhands.nodes.kernel.timeouts import LISTEN_TICKS, timeouts
+from manyhands.nodes.link.peer_link import PeerLink, Received, await_all, establish
+from manyhands.nodes.link.relink import follow
+from manyhands.nodes.link.supervisor_line import NOT_AT_ALL, ControlLine
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, SimulatedClock, from_seconds
 from manyhands.protocol.messages import Absent, Force, Report, Rung, Sample, Start
 from manyhands.protocol.transport import Link
@@ -45,12 +45,12 @@ BREATH = from_seconds(0.05)
 """How long a loop may be behind its schedule without waiting once; then it leaves a period out.
 
 A loop that needs more than T a tick would never wait, and the kernel ends a process that computes for too long at a
-real-time priority (:data:`manyhands.nodes.realtime.RUNAWAY_TIME`).
+real-time priority (:data:`manyhands.nodes.kernel.realtime.RUNAWAY_TIME`).
 """
 
 
 class DeviceNode:
-    """A :class:`manyhands.nodes.process.Node` for a device, and the :class:`Listener` on its links.
+    """A :class:`manyhands.nodes.link.process.Node` for a device, and the :class:`Listener` on its links.
 
     Attributes:
         device: the device with its driver, its limits and its accounts.

@@ -1,7 +1,7 @@
 """A driver of another package: its base class (:class:`DeviceDriver`), and what stands between it and the loop.
 
-A session names the driver's factory (:mod:`manyhands.nodes.factory`). The device's process calls it, and nothing else
-does. :class:`PluginDriver` makes a :class:`manyhands.nodes.device.drivers.Driver` of the result: it maps the axes,
+A session names the driver's factory (:mod:`manyhands.nodes.kernel.factory`). The device's process calls it, and nothing
+else does. :class:`PluginDriver` makes a :class:`manyhands.nodes.device.drivers.Driver` of the result: it maps the axes,
 checks every answer, and names the driver where one is of no use.
 
 **The session promises, the driver states, and the process compares.** A certificate is designed without running the
@@ -25,12 +25,13 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.arithmetic import Floats
-from manyhands.nodes.bundle import SIMULATED, DeviceBundle, PluginDevice
-from manyhands.nodes.device.specification import AxisMap, DeviceSpecification, DeviceTiming, promises_too_much
-from manyhands.nodes.factory import FactoryError, FactoryName, in_one_line, made_by
-from manyhands.nodes.lifetime import Stopped
+from manyhands.nodes.device.specification import AxisMap, DeviceSpecification, promises_too_much
+from manyhands.nodes.kernel.arithmetic import Floats
+from manyhands.nodes.kernel.bundle import SIMULATED, DeviceBundle, PluginDevice
+from manyhands.nodes.kernel.driver_statement import DeviceTiming
+from manyhands.nodes.kernel.factory import FactoryError, FactoryName, in_one_line, made_by
+from manyhands.nodes.kernel.lifetime import Stopped
+from manyhands.nodes.rows import telemetry as names
 from manyhands.protocol.clock import Duration, Instant, from_seconds
 
 REQUIRED: Final = (

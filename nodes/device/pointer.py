@@ -35,10 +35,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.arithmetic import Floats
-from manyhands.nodes.bundle import SIMULATED, Common, Limits, SimulatedHand
 from manyhands.nodes.device.simulated import Hand, Intention, Plant, bare_device_of, device_of
+from manyhands.nodes.kernel.arithmetic import Floats
+from manyhands.nodes.kernel.bundle import SIMULATED, Common, Limits, SimulatedHand
+from manyhands.nodes.rows import telemetry as names
 from manyhands.protocol.messages import Grasp, Release
 from manyhands.protocol.transport.pointer import PointerInlet
 

@@ -17,10 +17,10 @@ import numpy as np
 
 from manyhands.design.models.device import HeldDevice, exponential_less_identity, held_device
 from manyhands.design.models.statespace import StateSpace
-from manyhands.nodes.arithmetic import NARROW, Floats, Rows, dot, linear_map, minus, plus
-from manyhands.nodes.bundle import SimulatedHand
-from manyhands.nodes.device.intent import Intent, intent_from
 from manyhands.nodes.device.wall_time import WallTimeDriver
+from manyhands.nodes.kernel.arithmetic import NARROW, Floats, Rows, dot, linear_map, minus, plus
+from manyhands.nodes.kernel.bundle import SimulatedHand
+from manyhands.nodes.kernel.intent import Intent, intent_from
 from manyhands.protocol.clock import Duration, Instant, from_seconds, seconds
 
 

@@ -28,18 +28,18 @@ from enum import StrEnum
 
 import numpy as np
 
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.arithmetic import Floats
-from manyhands.nodes.bundle import Common, DeviceRung
 from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.given import ForceGiven, Loss
 from manyhands.nodes.device.interface import DeviceInterface
-from manyhands.nodes.device.specification import NO_DELAY, DeviceTiming
 from manyhands.nodes.device.tick import NO_INSTANTS, Instants
-from manyhands.nodes.peer_link import PeerLink
-from manyhands.nodes.supervisor_line import ControlLine
-from manyhands.nodes.telemetry import Distribution
-from manyhands.nodes.tick_events import TickEvents
+from manyhands.nodes.kernel.arithmetic import Floats
+from manyhands.nodes.kernel.bundle import Common, DeviceRung
+from manyhands.nodes.kernel.driver_statement import NO_DELAY, DeviceTiming
+from manyhands.nodes.link.peer_link import PeerLink, dropped_frames, stray_frames
+from manyhands.nodes.link.supervisor_line import ControlLine
+from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows.distribution import Distribution
+from manyhands.nodes.rows.tick_events import TickEvents
 from manyhands.protocol.clock import Duration, Instant, from_seconds
 from manyhands.protocol.messages import Report, Telemetry
 
@@ -303,7 +303,7 @@ class DeviceTelemetry:
             f"{names.PERIOD}_p99": self._true_period.quantile(0.99),
             **names.ledger_figures(core.ledger),
             **self._interface_figures(),
-            **names.stray_frames(peer_links),
+            **stray_frames(peer_links),
             **self._events.take(self.ticks - rows, self.ticks),
             **self._driver_figures(),
         }
@@ -359,7 +359,7 @@ class DeviceTelemetry:
                 names.PERIOD_BREACHES: self._period_breaches,
                 names.CLIPPED: guard.clipped,
                 names.LET_GO: guard.let_go,
-                **names.dropped_frames(peer_links),
+                **dropped_frames(peer_links),
             },
             {names.TAU: self._tau.percentiles(), names.PERIOD: self._true_period.percentiles()},
         )

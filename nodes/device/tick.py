@@ -26,12 +26,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Final
 
-from manyhands.nodes.arithmetic import Floats
-from manyhands.nodes.bundle import WALL, DeviceBundle
 from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.drivers import Driver
 from manyhands.nodes.device.interface import DeviceInterface, interface_of
 from manyhands.nodes.device.plugin import PluginDriver
+from manyhands.nodes.kernel.arithmetic import Floats
+from manyhands.nodes.kernel.bundle import WALL, DeviceBundle
 from manyhands.protocol.clock import Instant, from_seconds
 
 Instants = tuple[Instant, Instant, Instant]

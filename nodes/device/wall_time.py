@@ -20,7 +20,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
-from manyhands.nodes.arithmetic import Floats
+from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.protocol.clock import Instant, from_seconds
 
 LONGEST_GAP: Final = from_seconds(10.0)

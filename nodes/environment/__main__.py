@@ -2,9 +2,9 @@
 
 import sys
 
-from manyhands.nodes.bundle import EnvironmentBundle
 from manyhands.nodes.environment.node import EnvironmentNode
-from manyhands.nodes.process import main
+from manyhands.nodes.kernel.bundle import EnvironmentBundle
+from manyhands.nodes.link.process import main
 from manyhands.protocol.transport.zeromq import await_links
 
 if __name__ == "__main__":

@@ -49,15 +49,12 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.nodes.arithmetic import Floats, dot
 from manyhands.nodes.environment.energy import Energy
+from manyhands.nodes.kernel.arithmetic import Floats, dot
 
 Vector = NDArray[np.float64]
 Blocks: TypeAlias = Sequence[slice | Sequence[int] | NDArray[np.intp]]
 """The ports of each coupling, in its own order."""
-
-RAMP: Final = 100
-"""Ticks from s = 0 to s = 1."""
 
 SLOWEST: Final = 0.8
 """The least ratio by which an offset is worked off."""

@@ -39,11 +39,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.design.models.statespace import StateSpace
-from manyhands.nodes.arithmetic import FEW, Floats, LinearMap, Rows, dot, linear_map, minus, solve
-from manyhands.nodes.bundle import EnvironmentBundle
 from manyhands.nodes.environment.chatter import Chatter
 from manyhands.nodes.environment.clutch import (
-    RAMP,
     SINGULAR,
     Blocks,
     Clutch,
@@ -55,12 +52,16 @@ from manyhands.nodes.environment.clutch import (
     ports_of_blocks,
     require_within,
 )
-from manyhands.nodes.environment.energy import BOUND_TICKS, Energy, EnergyBudget
+from manyhands.nodes.environment.energy import BOUND_TICKS, Energy
 from manyhands.nodes.environment.enforced import BlackBox, EnforcedCore, ForceLaw, LinearLaw
 from manyhands.nodes.environment.model import PROXY, REACT, AskedModel, make_model
 from manyhands.nodes.environment.proxy import ProxyLaw
 from manyhands.nodes.environment.scene import SceneLaw
-from manyhands.nodes.passivity import Ledger, PassivityController
+from manyhands.nodes.kernel.arithmetic import FEW, Floats, LinearMap, Rows, dot, linear_map, minus, solve
+from manyhands.nodes.kernel.bundle import EnvironmentBundle
+from manyhands.nodes.kernel.energy_budget import EnergyBudget
+from manyhands.nodes.kernel.passivity import Ledger, PassivityController
+from manyhands.nodes.kernel.timeouts import RAMP
 
 Vector = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 from enum import Enum
 from typing import Final, NamedTuple
 
-from manyhands.nodes.timeouts import Timeouts
+from manyhands.nodes.kernel.timeouts import Timeouts
 from manyhands.protocol.clock import Duration, Instant
 
 _NOBODY_WAITS: Final = Instant(2**62)

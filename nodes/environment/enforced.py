@@ -1,7 +1,7 @@
 """The environment's tick for a model whose promise is enforced by a passivity controller.
 
 At every tick the model returns the forces f_m that it wants to exert. Where its promise is *enforced*, the passivity
-controller (:mod:`manyhands.nodes.passivity`) decides which part of them is exerted:
+controller (:mod:`manyhands.nodes.kernel.passivity`) decides which part of them is exerted:
 
     f_e = part f_m + (1 - part) h,     x_e = r + S D_V S f_e,     h = (S D_V S)^{-1} (x_e(k-1) - r),
 
@@ -28,10 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.design.models.statespace import StateSpace
-from manyhands.nodes.arithmetic import Floats
 from manyhands.nodes.environment.chatter import Chatter
 from manyhands.nodes.environment.clutch import (
-    RAMP,
     Blocks,
     Clutch,
     Clutches,
@@ -41,9 +39,12 @@ from manyhands.nodes.environment.clutch import (
     ports_of_blocks,
     require_within,
 )
-from manyhands.nodes.environment.energy import Energy, EnergyBudget
+from manyhands.nodes.environment.energy import Energy
 from manyhands.nodes.environment.model import AskedModel
-from manyhands.nodes.passivity import Ledger, PassivityController
+from manyhands.nodes.kernel.arithmetic import Floats
+from manyhands.nodes.kernel.energy_budget import EnergyBudget
+from manyhands.nodes.kernel.passivity import Ledger, PassivityController
+from manyhands.nodes.kernel.timeouts import RAMP
 
 Vector = NDArray[np.float64]
 
@@ -82,7 +83,7 @@ class ForceLaw(Protocol):
 
     @property
     def figures(self) -> Mapping[str, float]:
-        """What it counts itself, by the names of :mod:`manyhands.nodes.telemetry`; empty for most."""
+        """What it counts itself, by the names of :mod:`manyhands.nodes.rows.telemetry`; empty for most."""
         ...
 
 
@@ -266,7 +267,7 @@ class EnforcedCore:
 
     @property
     def figures(self) -> Mapping[str, float]:
-        """What the law counts itself, by the names of :mod:`manyhands.nodes.telemetry`."""
+        """What the law counts itself, by the names of :mod:`manyhands.nodes.rows.telemetry`."""
         return self._law.figures
 
     def load(self, block: int) -> float:

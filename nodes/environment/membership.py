@@ -6,8 +6,8 @@ spring from a tool at rest, and with the tick that it goes on after (:mod:`manyh
 coupling that is late again and again is not waited for any more, and is held whenever it is late
 (:mod:`manyhands.nodes.environment.late_arrivals`).
 
-A coupling that stays silent for :data:`~manyhands.nodes.timeouts.PATIENCE_TICKS` ticks is frozen: its user feels no
-force (docs/decisions/0015-the-clutch.md).
+A coupling that stays silent for :data:`~manyhands.nodes.kernel.timeouts.PATIENCE_TICKS` ticks is frozen: its user feels
+no force (docs/decisions/0015-the-clutch.md).
 
 A frozen coupling that sends a signal is rejoining: the environment waits for it once more. With its signal of the
 present tick it is active, and its clutch raises its force by a ramp. A coupling that sends a signal and then stays
@@ -27,15 +27,15 @@ from typing import Final
 
 import numpy as np
 
-from manyhands.nodes.arithmetic import Floats, feedthrough_digest
 from manyhands.nodes.environment.core import Core
-from manyhands.nodes.lifetime import Life
-from manyhands.nodes.log import Log, LogEvent
-from manyhands.nodes.peer_link import PeerLink, Received
-from manyhands.nodes.relink import follow
-from manyhands.nodes.supervisor_line import ControlLine, Word
-from manyhands.nodes.tick_events import TickEvents
-from manyhands.nodes.timeouts import PATIENCE_TICKS
+from manyhands.nodes.kernel.arithmetic import Floats, feedthrough_digest
+from manyhands.nodes.kernel.lifetime import Life
+from manyhands.nodes.kernel.log import Log, LogEvent
+from manyhands.nodes.kernel.timeouts import PATIENCE_TICKS
+from manyhands.nodes.link.peer_link import PeerLink, Received
+from manyhands.nodes.link.relink import follow
+from manyhands.nodes.link.supervisor_line import ControlLine, Word
+from manyhands.nodes.rows.tick_events import TickEvents
 from manyhands.protocol.clock import Duration, Instant
 from manyhands.protocol.messages import Absent, Reaction, Refusal, RefusalCode, Rung, Shift, Values
 
@@ -250,7 +250,7 @@ def _never() -> bool:
 
 
 class Members:
-    """All couplings of an environment; the :class:`manyhands.nodes.peer_link.Listener` on their links.
+    """All couplings of an environment; the :class:`manyhands.nodes.link.peer_link.Listener` on their links.
 
     Attributes:
         all: one member for each coupling.

@@ -1,7 +1,7 @@
 """A user's own model as the environment: how it is made, and how it is asked for proxies or for forces.
 
-A session names the model's factory (:mod:`manyhands.nodes.factory`). The environment's process calls it once, and asks
-the model that it returns once a tick: for proxies (:class:`ProxyModel`) where the session states their stiffness, else
+A session names the model's factory (:mod:`manyhands.nodes.kernel.factory`). The environment's process calls it once, and
+asks the model that it returns once a tick: for proxies (:class:`ProxyModel`) where the session states their stiffness, else
 for forces (:class:`ForceModel`).
 
 **The model is trusted code.** It runs in the environment's process with that process's rights, and nothing here
@@ -21,7 +21,7 @@ from typing import Any, Final, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.nodes.factory import FactoryError, FactoryName, in_one_line, made_by
+from manyhands.nodes.kernel.factory import FactoryError, FactoryName, in_one_line, made_by
 
 Vector = NDArray[np.float64]
 

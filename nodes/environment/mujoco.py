@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from manyhands.nodes.environment.mjcf import ModelRefused, steps_of
 from manyhands.nodes.environment.mujoco_compiler import compiled
 from manyhands.nodes.environment.mujoco_library import import_mujoco
-from manyhands.nodes.factory import FactoryError
+from manyhands.nodes.kernel.factory import FactoryError
 
 Vector = NDArray[np.float64]
 

@@ -16,21 +16,33 @@ from functools import lru_cache
 
 import numpy as np
 
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.arithmetic import Floats, feedthrough_digest
-from manyhands.nodes.bundle import REALTIME, Common, EnvironmentBundle
+from manyhands.nodes.environment.chatter import contact_figures
 from manyhands.nodes.environment.core import Core, environment_core
 from manyhands.nodes.environment.deadline import Deadline, Step
+from manyhands.nodes.environment.energy import energy_figures
 from manyhands.nodes.environment.late_arrivals import AT_ONCE, CROSSING, LateArrivals, allowance
 from manyhands.nodes.environment.membership import Member, Members, Membership
 from manyhands.nodes.environment.pace import Pace
-from manyhands.nodes.lifetime import Life
-from manyhands.nodes.peer_link import PeerLink, Received, WaveRow, bounds_by_peer, establish, peer_link_of
-from manyhands.nodes.realtime import way_giver
-from manyhands.nodes.supervisor_line import NOT_AT_ALL, ControlLine
-from manyhands.nodes.tick_events import TickEvents
-from manyhands.nodes.timeouts import LISTEN_TICKS, timeouts
+from manyhands.nodes.kernel.arithmetic import Floats, feedthrough_digest
+from manyhands.nodes.kernel.bundle import REALTIME, Common, EnvironmentBundle
+from manyhands.nodes.kernel.lifetime import Life
+from manyhands.nodes.kernel.realtime import way_giver
+from manyhands.nodes.kernel.timeouts import LISTEN_TICKS, timeouts
+from manyhands.nodes.link.peer_link import (
+    PeerLink,
+    Received,
+    WaveRow,
+    bounds_by_peer,
+    dropped_frames,
+    establish,
+    peer_link_of,
+    stray_frames,
+)
+from manyhands.nodes.link.supervisor_line import NOT_AT_ALL, ControlLine
+from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows.tick_events import TickEvents
 from manyhands.nodes.wave_link.ends import WorldEnd, WorldEnds, datagram_socket, world_ends
+from manyhands.nodes.wave_link.rows import WorldRows
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds
 from manyhands.protocol.handshake import HandshakeRefused
 from manyhands.protocol.messages import LinkHello, Reaction, Report, Role, Start, Telemetry, Tool, Values
@@ -84,7 +96,7 @@ class EnvironmentTelemetry:
         self._tools = array("d")
         self._masses: list[Floats] = [[]] * rows
         self._energy = [0.0] * rows
-        self._waves = names.WorldRows()
+        self._waves = WorldRows()
         self._begun: list[tuple[int, str]] = []  # ticks and wave links of which a life began in them
         self._filled, self._rows, self._every = 0, common.telemetry_first, rows
         self.ticks = 0
@@ -155,7 +167,7 @@ _GOODBYE = from_seconds(0.05)  # several times as long as a coupling waits befor
 
 
 class EnvironmentNode:
-    """A :class:`manyhands.nodes.process.Node` for the shared environment.
+    """A :class:`manyhands.nodes.link.process.Node` for the shared environment.
 
     Attributes:
         peer_links: the links to the couplings, once every handshake is done.
@@ -509,7 +521,7 @@ class EnvironmentNode:
                 names.ABSENCES: 0 if members is None else members.absences,
                 **self._late_ticks(),
                 **names.lateness_counts(lateness),
-                **names.dropped_frames(self.peer_links),
+                **dropped_frames(self.peer_links),
             },
             {},
         )
@@ -541,9 +553,9 @@ class EnvironmentNode:
         for peer_link in self.peer_links:
             if figures := peer_link.figures():
                 found.update(zip(_named(tuple(figures), peer_link.peer.name), figures.values(), strict=True))
-        found |= names.contact_figures(core.held, core.chatter, self._parties)
+        found |= contact_figures(core.held, core.chatter, self._parties)
         found.update(core.figures)
-        return found | names.energy_figures(core.energy, self._parties)
+        return found | energy_figures(core.energy, self._parties)
 
     def _publish(self, control: ControlLine, core: Core, members: Members) -> None:
         lateness = self._lateness(members)
@@ -560,7 +572,7 @@ class EnvironmentNode:
             **names.lateness_counts(lateness),
             **names.lateness_times(lateness),
             **self._figures(),
-            **names.stray_frames(self.peer_links),
+            **stray_frames(self.peer_links),
         }
         late = {
             member.peer_link.peer.name: ticks for member in members.all if (ticks := self._late.lately[member.index])

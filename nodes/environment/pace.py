@@ -5,7 +5,7 @@ stand still meanwhile: the next one begins at once. Two things let go of ticks. 
 or more begins with the present one, and what was missed is missing in no wave, for waves are sums. And where
 :data:`UNRESTED` ticks in a row were late, the machine is too slow for the world. Ticks are then let go until one
 can be waited for: a loop that never waits would be ended as a runaway
-(:data:`manyhands.nodes.realtime.RUNAWAY_TIME`).
+(:data:`manyhands.nodes.kernel.realtime.RUNAWAY_TIME`).
 """
 
 from __future__ import annotations

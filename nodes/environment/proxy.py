@@ -37,9 +37,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.nodes.arithmetic import Floats
 from manyhands.nodes.environment.model import AskedModel
-from manyhands.nodes.passivity import greatest_part
+from manyhands.nodes.kernel.arithmetic import Floats
+from manyhands.nodes.kernel.passivity import greatest_part
 
 Vector = NDArray[np.float64]
 

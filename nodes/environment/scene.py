@@ -35,10 +35,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.design.models.scene import ContactScene
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.arithmetic import Floats
-from manyhands.nodes.device.intent import Intent, intent_from
 from manyhands.nodes.environment.model import MOST_FORCE
+from manyhands.nodes.kernel.arithmetic import Floats
+from manyhands.nodes.kernel.intent import Intent, intent_from
+from manyhands.nodes.rows import telemetry as names
 
 Vector = NDArray[np.float64]
 

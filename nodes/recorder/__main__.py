@@ -3,8 +3,8 @@
 import sys
 from pathlib import Path
 
-from manyhands.nodes.lifetime import Life, Stopped
-from manyhands.nodes.process import EXIT_BAD_INPUT, EXIT_OK
+from manyhands.nodes.kernel.lifetime import Life, Stopped
+from manyhands.nodes.link.process import EXIT_BAD_INPUT, EXIT_OK
 from manyhands.nodes.recorder.node import PlanError, RecordingPlan, record, to_pipe
 from manyhands.protocol.clock import RealtimeClock
 

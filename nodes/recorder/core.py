@@ -20,7 +20,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.nodes.own_ticks import session_tick
 from manyhands.nodes.recorder.coverage import Coverage, missing_by_party, spans_by_party
 from manyhands.nodes.recorder.format import (
     MAX_TIME_NS,
@@ -37,7 +36,8 @@ from manyhands.nodes.recorder.format import (
     media_type,
 )
 from manyhands.nodes.recorder.mcap import Tape
-from manyhands.nodes.tick_events import Kind
+from manyhands.nodes.rows.own_ticks import session_tick
+from manyhands.nodes.rows.tick_events import Kind
 from manyhands.protocol.channels import CONDITION, TELEMETRY, Columns, Topic
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES

@@ -1,6 +1,6 @@
 """The ticks of a party that a recording holds, and how many are missing: one count for writer and readers.
 
-A party's ticks are its own (:mod:`manyhands.nodes.own_ticks`).
+A party's ticks are its own (:mod:`manyhands.nodes.rows.own_ticks`).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.nodes.own_ticks import own_tick, own_tick_before, session_tick
+from manyhands.nodes.rows.own_ticks import own_tick, own_tick_before, session_tick
 
 MOST_GAPS: Final = 1000
 """The most gaps of one party that are kept one by one; the count includes all."""

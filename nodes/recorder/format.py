@@ -16,10 +16,10 @@ from typing import Any, Final
 
 from manyhands import __version__
 from manyhands.design.models.scene import ContactScene, geometry_of
-from manyhands.nodes.bundle import REALTIME
-from manyhands.nodes.json_number import json_number
-from manyhands.nodes.observer.health import as_plain
-from manyhands.nodes.observer.scene import About
+from manyhands.nodes.kernel.bundle import REALTIME
+from manyhands.nodes.kernel.json_number import json_number
+from manyhands.nodes.monitor.health import as_plain
+from manyhands.nodes.monitor.session_state import About
 from manyhands.nodes.recorder.scene_messages import SCENE_SCHEMAS, SceneMessages
 from manyhands.protocol.channels import CONDITION, TELEMETRY, Columns, Topic, links_at, topic_name, topics_of
 from manyhands.protocol.messages import Condition, PromiseStatus, Role

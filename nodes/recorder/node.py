@@ -28,8 +28,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from manyhands.design.files import open_new
-from manyhands.nodes.lifetime import Life
-from manyhands.nodes.process import EXIT_FAILED, EXIT_OK
+from manyhands.nodes.kernel.lifetime import Life
+from manyhands.nodes.link.process import EXIT_FAILED, EXIT_OK
 from manyhands.nodes.recorder.format import Recorded
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
 from manyhands.protocol.messages import presentable

@@ -29,11 +29,11 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.arithmetic import Floats
-from manyhands.nodes.bundle import SIMULATED, Common, CouplingBundle, EnvironmentBundle, Peer, WaveEnd
-from manyhands.nodes.peer_link import Listener, PeerLink, Received, WaveRow, hello_to, positions
-from manyhands.nodes.supervisor_line import NOT_AT_ALL
+from manyhands.nodes.kernel.arithmetic import Floats
+from manyhands.nodes.kernel.bundle import SIMULATED, Common, CouplingBundle, EnvironmentBundle, Peer, WaveEnd
+from manyhands.nodes.link.peer_link import Listener, PeerLink, Received, WaveRow, hello_to, positions
+from manyhands.nodes.link.supervisor_line import NOT_AT_ALL
+from manyhands.nodes.rows import telemetry as names
 from manyhands.nodes.wave_link.faces import UserFace, WorldFace, wave_feedthrough
 from manyhands.nodes.wave_link.play_out import DEAF
 from manyhands.nodes.wave_link.thinning import Turns
@@ -486,7 +486,7 @@ class WorldEnds:
 
 
 def user_ends(bundle: CouplingBundle, clock: Clock) -> dict[str, Callable[[Peer, Link | None], PeerLink]]:
-    """What makes a coupling's end of its wave link, for :func:`manyhands.nodes.peer_link.establish`."""
+    """What makes a coupling's end of its wave link, for :func:`manyhands.nodes.link.peer_link.establish`."""
     wave = bundle.wave
     if wave is None:
         return {}
@@ -501,7 +501,7 @@ def world_ends(
     bundle: EnvironmentBundle, clock: Clock, datagrams: DatagramSocket | None = None
 ) -> dict[str, Callable[[Peer, Link | None], PeerLink]]:
     """What makes the environment's ends of wave links, by coupling, for
-    :func:`manyhands.nodes.peer_link.establish`; ``datagrams`` is the socket of :func:`datagram_socket`.
+    :func:`manyhands.nodes.link.peer_link.establish`; ``datagrams`` is the socket of :func:`datagram_socket`.
     """
 
     def make(peer: Peer, link: Link | None) -> WorldEnd:

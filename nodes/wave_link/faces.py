@@ -41,8 +41,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.nodes.arithmetic import Floats, dot, linear_map, minus, plus
-from manyhands.nodes.wave_link.bounds import SiteBounds
+from manyhands.nodes.kernel.arithmetic import Floats, dot, linear_map, minus, plus
+from manyhands.nodes.kernel.site_bounds import SiteBounds
 from manyhands.nodes.wave_link.play_out import PlayOut
 from manyhands.nodes.wave_link.tank import Tank
 

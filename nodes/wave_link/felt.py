@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from manyhands.nodes import telemetry as names
+from manyhands.nodes.rows import telemetry as names
 
 
 @dataclass(frozen=True)

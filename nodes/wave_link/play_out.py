@@ -17,7 +17,7 @@ from collections import deque
 from heapq import heapreplace
 from typing import Final, TypeAlias
 
-from manyhands.nodes.arithmetic import Floats, dot, minus
+from manyhands.nodes.kernel.arithmetic import Floats, dot, minus
 
 DEAF: Final = 0.03
 """Time beyond the newest message after which a face counts as deaf, s."""

@@ -23,7 +23,7 @@ import math
 import sys
 from typing import Final
 
-from manyhands.nodes.arithmetic import Floats, dot
+from manyhands.nodes.kernel.arithmetic import Floats, dot
 
 FULL: Final = 2.0**50
 """The energy beyond which a tank, and G, take in no more, J; what comes beyond is lost."""

@@ -25,7 +25,7 @@ from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.run.states import SessionPhase
 from manyhands.launch.session import load_session
 from manyhands.nodes.device.drivers import Driver
-from manyhands.nodes.observer.health import PromiseState, missed, verdict
+from manyhands.nodes.monitor.health import PromiseState, missed, verdict
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES

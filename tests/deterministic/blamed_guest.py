@@ -12,7 +12,7 @@ from dataclasses import replace
 from random import Random
 
 from manyhands.nodes.device.wall_time import WallTimeDriver
-from manyhands.nodes.supervisor_line import ControlLine
+from manyhands.nodes.link.supervisor_line import ControlLine
 from manyhands.nodes.wave_link import ends, faces
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Telemetry

@@ -14,10 +14,10 @@ from enum import StrEnum
 from random import Random
 from typing import Final
 
-from manyhands.nodes.bundle import DeviceBundle, Limits
 from manyhands.nodes.device.core import Guard
 from manyhands.nodes.device.drivers import Driver
 from manyhands.nodes.device.node import DeviceNode
+from manyhands.nodes.kernel.bundle import DeviceBundle, Limits
 from manyhands.protocol.clock import Duration, Instant, from_seconds
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_COUNT

@@ -28,8 +28,8 @@ import chaos_kinds
 from manyhands.launch.audit.audit import Audit
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
-from manyhands.nodes.observer.health import PROMISES, Promise, PromiseState
-from manyhands.nodes.tick_events import events_in
+from manyhands.nodes.monitor.health import PROMISES, Promise, PromiseState
+from manyhands.nodes.rows.tick_events import events_in
 
 from .recorded import Told, WatchedSession, audited
 from .world import SimulatedSession

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from manyhands.nodes.device.inertia import Inertia
+from manyhands.nodes.kernel.inertia import Inertia
 from tests.support.moved_device import E_0, OSP, TICK, Device, promise
 
 Generator = np.random.Generator

@@ -9,8 +9,8 @@ import numpy as np
 
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.run.states import SessionPhase
-from manyhands.nodes import telemetry as names
 from manyhands.nodes.device.drivers import Driver
+from manyhands.nodes.rows import telemetry as names
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES

@@ -43,8 +43,15 @@ from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
 from manyhands.launch.session.device import Device
-from manyhands.nodes.arithmetic import plus
-from manyhands.nodes.bundle import (
+from manyhands.nodes.coupling.core import CouplingCore
+from manyhands.nodes.device.drivers import Driver, driver_of
+from manyhands.nodes.device.simulated import HeldDeviceDriver, IntentHand, Intention, Plant, device_of
+from manyhands.nodes.device.tick import WallTimeTick
+from manyhands.nodes.environment.core import environment_core
+from manyhands.nodes.environment.enforced import EnforcedCore
+from manyhands.nodes.kernel.allowance import LatenessAllowance
+from manyhands.nodes.kernel.arithmetic import plus
+from manyhands.nodes.kernel.bundle import (
     REALTIME,
     CouplingBundle,
     DeviceBundle,
@@ -52,18 +59,11 @@ from manyhands.nodes.bundle import (
     PluginDevice,
     SimulatedHand,
 )
-from manyhands.nodes.coupling.core import CouplingCore
-from manyhands.nodes.device.allowance import LatenessAllowance
-from manyhands.nodes.device.drivers import Driver, driver_of
-from manyhands.nodes.device.intent import intent_from
-from manyhands.nodes.device.simulated import HeldDeviceDriver, IntentHand, Intention, Plant, device_of
-from manyhands.nodes.device.specification import DeviceTiming
-from manyhands.nodes.device.tick import WallTimeTick
-from manyhands.nodes.environment.core import environment_core
-from manyhands.nodes.environment.enforced import EnforcedCore
-from manyhands.nodes.factory import FactoryName
-from manyhands.nodes.passivity import Ledger
-from manyhands.nodes.timeouts import STALE_TICKS
+from manyhands.nodes.kernel.driver_statement import DeviceTiming
+from manyhands.nodes.kernel.factory import FactoryName
+from manyhands.nodes.kernel.intent import intent_from
+from manyhands.nodes.kernel.passivity import Ledger
+from manyhands.nodes.kernel.timeouts import STALE_TICKS
 from manyhands.protocol.clock import Duration, Instant, from_seconds
 from tests.support.scenes import random_scene, scene_session
 

@@ -20,7 +20,7 @@ from typing import Final
 
 import numpy as np
 
-from manyhands.nodes.arithmetic import Floats
+from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.wave_link import UserFace, WorldFace
 from tests.nodes.wave_link.exact_tank import ExactTank
 

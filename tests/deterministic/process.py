@@ -6,18 +6,18 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Protocol
 
-from manyhands.nodes.bundle import SIMULATED, Bundle, Common, CouplingBundle, DeviceBundle, EnvironmentBundle
 from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.device.plugin import PluginDriver
 from manyhands.nodes.environment.core import Core
 from manyhands.nodes.environment.node import EnvironmentNode, EnvironmentTelemetry
-from manyhands.nodes.lifetime import Sight, Stopped
-from manyhands.nodes.log import Log, LogEvent, Value
-from manyhands.nodes.peer_link import PeerLink, WaveRow
-from manyhands.nodes.process import HostedNode, run_members
-from manyhands.nodes.supervisor_line import ControlLine
+from manyhands.nodes.kernel.bundle import SIMULATED, Bundle, Common, CouplingBundle, DeviceBundle, EnvironmentBundle
+from manyhands.nodes.kernel.lifetime import Sight, Stopped
+from manyhands.nodes.kernel.log import Log, LogEvent, Value
+from manyhands.nodes.link.peer_link import PeerLink, WaveRow
+from manyhands.nodes.link.process import HostedNode, run_members
+from manyhands.nodes.link.supervisor_line import ControlLine
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Telemetry
 from manyhands.protocol.transport import Link
@@ -30,7 +30,7 @@ Note = Callable[[str], None]
 
 
 class VirtualLife:
-    """A :class:`manyhands.nodes.lifetime.Life` that only the world's signals reach."""
+    """A :class:`manyhands.nodes.kernel.lifetime.Life` that only the world's signals reach."""
 
     def __init__(self) -> None:
         self.stopping = self.orphaned = False

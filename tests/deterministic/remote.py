@@ -18,9 +18,9 @@ from manyhands.design.models.coupling import SpringDamper
 from manyhands.design.models.device import HeldDevice, zero_order_hold
 from manyhands.design.models.network import Network, NetworkLink
 from manyhands.design.models.statespace import StateSpace
-from manyhands.nodes.arithmetic import Floats, LinearMap, linear_map
 from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.environment.core import EnvironmentCore
+from manyhands.nodes.kernel.arithmetic import Floats, LinearMap, linear_map
 from manyhands.nodes.wave_link import UserFace, WorldFace
 
 from .network import Channel, Path

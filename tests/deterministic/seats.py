@@ -28,11 +28,11 @@ import yaml
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
-from manyhands.nodes.arithmetic import Floats
-from manyhands.nodes.bundle import REALTIME, CouplingBundle, EnvironmentBundle
 from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.environment.core import environment_core
-from manyhands.nodes.peer_link import PeerLink, Received
+from manyhands.nodes.kernel.arithmetic import Floats
+from manyhands.nodes.kernel.bundle import REALTIME, CouplingBundle, EnvironmentBundle
+from manyhands.nodes.link.peer_link import PeerLink, Received
 from manyhands.nodes.wave_link.ends import UserEnd, WorldEnd
 from manyhands.protocol.clock import Duration, Instant
 from manyhands.protocol.codec import encode

@@ -11,11 +11,11 @@ from manyhands.launch.audit.findings import CheckVerdict
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.run.broadcast import describe
 from manyhands.launch.session import load_session
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.bundle import REALTIME
-from manyhands.nodes.observer.given import GivenForce
-from manyhands.nodes.observer.health import Promise, PromiseState
-from manyhands.nodes.observer.health_model import HealthModel
+from manyhands.nodes.kernel.bundle import REALTIME
+from manyhands.nodes.monitor.given import GivenForce
+from manyhands.nodes.monitor.health import Promise, PromiseState
+from manyhands.nodes.monitor.health_model import HealthModel
+from manyhands.nodes.rows import telemetry as names
 from manyhands.protocol.messages import PromiseStatus
 from tests.support.simulated_recordings import SESSIONS
 

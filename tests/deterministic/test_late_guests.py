@@ -16,8 +16,8 @@ from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.run import breaches
 from manyhands.launch.run.breaches import Cause
 from manyhands.launch.session import load_session
-from manyhands.nodes import telemetry as names
 from manyhands.nodes.environment.late_arrivals import BURST, SHARE
+from manyhands.nodes.rows import telemetry as names
 
 from .late import Delay, LateSession
 

@@ -13,9 +13,9 @@ import pytest
 
 from manyhands.design.models.statespace import Matrix, StateSpace
 from manyhands.launch.plan.bundles import RunPlan, cut
-from manyhands.nodes.bundle import REALTIME, DeviceBundle
 from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.environment.scene import SceneLaw
+from manyhands.nodes.kernel.bundle import REALTIME, DeviceBundle
 from manyhands.protocol.clock import Instant
 from tests.deterministic.lateness import (
     E_0,

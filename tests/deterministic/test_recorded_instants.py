@@ -19,12 +19,12 @@ from manyhands.launch.audit.findings import ABSENT, Check, CheckVerdict
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.recordings.run import RecordedRun, read_run
 from manyhands.launch.session import load_session
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.arithmetic import Floats
-from manyhands.nodes.device.allowance import LatenessAllowance
 from manyhands.nodes.device.node import DeviceNode
+from manyhands.nodes.kernel.allowance import LatenessAllowance
+from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.recorder.core import RecorderCore
-from manyhands.nodes.tick_events import Kind, events_in
+from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows.tick_events import Kind, events_in
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Observation
 from tests.support.forged_recordings import REALTIME, Forged

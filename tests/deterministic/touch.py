@@ -33,11 +33,11 @@ from manyhands.design.models.statespace import StateSpace
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import load_session
-from manyhands.nodes.bundle import REALTIME, CouplingBundle, EnvironmentBundle, SimulatedHand
 from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.device.simulated import HeldDeviceDriver, intent_hand
 from manyhands.nodes.environment.chatter import Chatter
 from manyhands.nodes.environment.core import environment_core
+from manyhands.nodes.kernel.bundle import REALTIME, CouplingBundle, EnvironmentBundle, SimulatedHand
 from manyhands.protocol.clock import Instant, from_seconds
 from tests.deterministic.lateness import HostileHand
 

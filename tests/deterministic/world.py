@@ -31,13 +31,13 @@ from manyhands.launch.run.states import (
     Terminate,
 )
 from manyhands.launch.session.session import ENVIRONMENT
-from manyhands.nodes import telemetry as names
 from manyhands.nodes.device.drivers import Driver
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.environment.membership import Members
 from manyhands.nodes.environment.node import EnvironmentNode
-from manyhands.nodes.lifetime import Stopped
-from manyhands.nodes.observer.health_model import HealthModel
+from manyhands.nodes.kernel.lifetime import Stopped
+from manyhands.nodes.monitor.health_model import HealthModel
+from manyhands.nodes.rows import telemetry as names
 from manyhands.protocol.clock import Instant, from_seconds
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES

@@ -108,13 +108,13 @@ BY_OTHER_MEANS = {
     "launch/files.py": "locks, which are never written through and never replaced",
     "launch/plan/keys.py": "keys, with protocol/keys.py in a folder that its owner alone may write to",
     "protocol/keys.py": "likewise",
-    "nodes/log.py": "logs are continued; never through a link",
+    "nodes/kernel/log.py": "logs are continued; never through a link",
     "launch/app/sweep.py": "a sweep's journal is continued likewise",
     "nodes/recorder/mcap.py": "a recording takes its place when it has its beginning, and grows",
     "launch/run/processes.py": "in the run's own directory, mode 0700",
     "launch/bridges/rosbag.py": "a bag is a folder, and takes its place when it is whole",
     "launch/audit/prepared.py": "in a temporary folder, mode 0700",
-    "nodes/observer/node.py": "/dev/null",
+    "nodes/guest/observer.py": "/dev/null",
 }
 
 

@@ -36,8 +36,8 @@ from manyhands.launch.recordings.run import read_run
 from manyhands.launch.recordings.tables import read_saved
 from manyhands.launch.session import SessionError, load_session
 from manyhands.launch.session import yaml as session_source
-from manyhands.nodes.bundle import BundleError, DeviceBundle
-from manyhands.nodes.bundle import load as load_bundle
+from manyhands.nodes.kernel.bundle import BundleError, DeviceBundle
+from manyhands.nodes.kernel.bundle import load as load_bundle
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.protocol.codec import encode
 from manyhands.protocol.keys import KeyFileError, PublicKeys, load_private, new_pair, save_private

@@ -22,8 +22,8 @@ from manyhands.launch.run.breaches import QUIET, UserIncidents
 from manyhands.launch.run.outcome import node_entry
 from manyhands.launch.session import load_session
 from manyhands.nodes.environment.core import EnvironmentCore
-from manyhands.nodes.environment.energy import EnergyBudget
 from manyhands.nodes.environment.enforced import EnforcedCore
+from manyhands.nodes.kernel.energy_budget import EnergyBudget
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Report, Role, Telemetry
 

@@ -22,10 +22,10 @@ from manyhands.launch.plan.certificates import read_certificate
 from manyhands.launch.plan.loop import NotCertified, haptic_loop
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import PythonEnvironment, Session, SessionError, load_session
-from manyhands.nodes.bundle import SIMULATED, BundleError, EnvironmentBundle, load, save
 from manyhands.nodes.environment.enforced import EnforcedCore
 from manyhands.nodes.environment.model import ModelFailure
-from manyhands.nodes.factory import FactoryError
+from manyhands.nodes.kernel.bundle import SIMULATED, BundleError, EnvironmentBundle, load, save
+from manyhands.nodes.kernel.factory import FactoryError
 
 MODULE = "models_of_these_tests"
 MODELS = """

@@ -23,7 +23,8 @@ from manyhands.launch.audit.simulation import Silence, Simulation
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.session import Session, load_session
-from manyhands.nodes.environment.clutch import LET_GO, RAMP, SLOWEST
+from manyhands.nodes.environment.clutch import LET_GO, SLOWEST
+from manyhands.nodes.kernel.timeouts import RAMP
 from tests.support.reduction import at_any_ratio, reduced
 
 from ..support.cases import cases

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manyhands.nodes.log import Log
+from manyhands.nodes.kernel.log import Log
 from manyhands.protocol.clock import RealtimeClock
 from manyhands.protocol.messages import Telemetry
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.nodes.arithmetic import FEW, NARROW, dot, linear_map, solve
+from manyhands.nodes.kernel.arithmetic import FEW, NARROW, dot, linear_map, solve
 
 ENTRIES = st.floats(-1e6, 1e6)
 

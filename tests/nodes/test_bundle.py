@@ -13,7 +13,8 @@ from manyhands.design.levels.contract import DeviceShare
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
-from manyhands.nodes.bundle import (
+from manyhands.nodes.kernel.allowance import LatenessAllowance
+from manyhands.nodes.kernel.bundle import (
     BundleError,
     CouplingBundle,
     DeviceBundle,
@@ -24,7 +25,6 @@ from manyhands.nodes.bundle import (
     load,
     save,
 )
-from manyhands.nodes.device.allowance import LatenessAllowance
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 

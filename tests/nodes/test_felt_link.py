@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from manyhands.nodes import telemetry as names
+from manyhands.nodes.rows import telemetry as names
 from manyhands.nodes.wave_link.felt import FeltLink, felt_link
 
 USER = {

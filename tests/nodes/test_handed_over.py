@@ -15,9 +15,9 @@ from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.plan.reach import Listen, reach
 from manyhands.launch.session import load_session
-from manyhands.nodes.bundle import BundleError, DeviceBundle, load
-from manyhands.nodes.handed_over import handed_over, taken_over
-from manyhands.nodes.process import EXIT_BAD_INPUT
+from manyhands.nodes.guest.handed_over import handed_over, taken_over
+from manyhands.nodes.kernel.bundle import BundleError, DeviceBundle, load
+from manyhands.nodes.link.process import EXIT_BAD_INPUT
 from manyhands.protocol.keys import load_private
 
 from ..support.commands import MANYHANDS

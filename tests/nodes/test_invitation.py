@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.nodes.invitation import MAX_CHARACTERS, Invitation, InvitationError, parsed, read_invitation
-from manyhands.nodes.seat import take_seat
+from manyhands.nodes.guest.invitation import MAX_CHARACTERS, Invitation, InvitationError, parsed, read_invitation
+from manyhands.nodes.guest.seat import take_seat
 from manyhands.protocol.keys import KeyFileError, new_pair
 from manyhands.protocol.limits import MAX_NAME
 

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.nodes.log import LEVELS, MAX_VALUE, QUEUE_EVENTS, Log, LogEvent, LogLevel, log_path
+from manyhands.nodes.kernel.log import LEVELS, MAX_VALUE, QUEUE_EVENTS, Log, LogEvent, LogLevel, log_path
 from manyhands.protocol.clock import Instant, SimulatedClock
 
 WALL = 1_767_323_045_678_901_234  # 2026-01-02 03:04:05.678901234 UTC

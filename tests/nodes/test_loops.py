@@ -17,11 +17,11 @@ from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.topology import topology
 from manyhands.launch.recordings.recording import Collector
 from manyhands.launch.session import load_session
-from manyhands.nodes.bundle import CouplingBundle, DeviceBundle, EnvironmentBundle
 from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.environment.node import EnvironmentNode
+from manyhands.nodes.kernel.bundle import CouplingBundle, DeviceBundle, EnvironmentBundle
 from manyhands.protocol.messages import Start
 from manyhands.protocol.transport import Link
 from tests.support.memory_transport import MemoryTransport

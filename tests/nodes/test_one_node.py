@@ -14,11 +14,11 @@ import pytest
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
-from manyhands.nodes.bundle import Bundle, CouplingBundle, DeviceBundle, EnvironmentBundle, Peer
 from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.environment.node import EnvironmentNode
-from manyhands.nodes.peer_link import establish
+from manyhands.nodes.kernel.bundle import Bundle, CouplingBundle, DeviceBundle, EnvironmentBundle, Peer
+from manyhands.nodes.link.peer_link import establish
 from manyhands.protocol.clock import Instant, RealtimeClock
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.handshake import HandshakeRefused

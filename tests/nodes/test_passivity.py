@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from manyhands.nodes.passivity import PassivityController
+from manyhands.nodes.kernel.passivity import PassivityController
 
 T = 1e-3
 NUMBER = st.floats(-1e3, 1e3)

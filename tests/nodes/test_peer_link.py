@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.nodes.bundle import Peer
-from manyhands.nodes.peer_link import PeerLink, Received, await_all, handshake_of, peer_link_of
+from manyhands.nodes.kernel.bundle import Peer
+from manyhands.nodes.link.peer_link import PeerLink, Received, await_all, handshake_of, peer_link_of
 from manyhands.protocol.clock import Duration, Instant
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_STRAY_FRAMES

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.nodes.bundle import Common, Peer
-from manyhands.nodes.peer_link import (
+from manyhands.nodes.kernel.bundle import Common, Peer
+from manyhands.nodes.link.peer_link import (
     HANDSHAKE_TIME,
     Received,
     bind_links,

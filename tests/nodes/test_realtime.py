@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.nodes.realtime import (
+from manyhands.nodes.kernel.realtime import (
     CAP_IPC_LOCK,
     CAP_SYS_NICE,
     FEW_LINKS,
@@ -210,8 +210,8 @@ permitted = pytest.mark.skipif(not may_raise(), reason="real-time priorities are
 PREPARED = """
 import threading, zmq
 from pathlib import Path
-from manyhands.nodes.realtime import Linux
-from manyhands.nodes.realtime import RealtimeWishes, prepare, restore
+from manyhands.nodes.kernel.realtime import Linux
+from manyhands.nodes.kernel.realtime import RealtimeWishes, prepare, restore
 from manyhands.protocol.clock import Duration
 def policies():
     # by name of the thread
@@ -300,7 +300,10 @@ transport.close()
 @permitted
 def test_a_guest_pins_itself_to_a_processor_that_its_name_chooses() -> None:
     several = sorted(os.sched_getaffinity(0))
-    code = "import os\nfrom manyhands.nodes.realtime import pin_guest\npin_guest({!r})\nprint(*os.sched_getaffinity(0))"
+    code = (
+        "import os\nfrom manyhands.nodes.kernel.realtime import pin_guest\n"
+        "pin_guest({!r})\nprint(*os.sched_getaffinity(0))"
+    )
     found = {int(run(code.format(f"d{i}"), pin=False).stdout) for i in range(8)}  # ValueError: several, or none
     assert found == set(several) if len(several) <= 2 else found <= set(several)
 
@@ -341,7 +344,7 @@ def test_too_small_a_limit_leaves_the_process_able_to_allocate() -> None:
     """As an ordinary user; locking with what is to come would have the next allocations fail."""
     code = """
 import resource
-from manyhands.nodes.realtime import RealtimeWishes, prepare
+from manyhands.nodes.kernel.realtime import RealtimeWishes, prepare
 resource.setrlimit(resource.RLIMIT_MEMLOCK, (8 << 20, 8 << 20))
 if os.getuid() == 0:
     os.setuid(65534)

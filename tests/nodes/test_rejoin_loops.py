@@ -12,9 +12,9 @@ import pytest
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
 from manyhands.launch.session.session import ENVIRONMENT
-from manyhands.nodes.bundle import REALTIME
 from manyhands.nodes.environment.clutch import SLOWEST
 from manyhands.nodes.environment.membership import Membership
+from manyhands.nodes.kernel.bundle import REALTIME
 from manyhands.protocol.messages import Absent, Report, Shift
 
 from ..support.threaded_session import ThreadedSession

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from manyhands.nodes.bundle import Peer
-from manyhands.nodes.peer_link import PeerLink
-from manyhands.nodes.relink import relink, unlink
-from manyhands.nodes.supervisor_line import NOT_AT_ALL
+from manyhands.nodes.kernel.bundle import Peer
+from manyhands.nodes.link.peer_link import PeerLink
+from manyhands.nodes.link.relink import relink, unlink
+from manyhands.nodes.link.supervisor_line import NOT_AT_ALL
 from manyhands.protocol.clock import RealtimeClock
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES

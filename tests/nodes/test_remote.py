@@ -16,9 +16,9 @@ from manyhands.launch.plan.keys import Keys, ephemeral
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.topology import roster
 from manyhands.launch.session import load_session
-from manyhands.nodes import remote
-from manyhands.nodes.bundle import Bundle, BundleError, load
-from manyhands.nodes.process import EXIT_BAD_INPUT
+from manyhands.nodes.guest import remote
+from manyhands.nodes.kernel.bundle import Bundle, BundleError, load
+from manyhands.nodes.link.process import EXIT_BAD_INPUT
 from manyhands.protocol.keys import save_private
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"

@@ -15,10 +15,10 @@ import pytest
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session.shipped import load_named
-from manyhands.nodes import seat
-from manyhands.nodes.bundle import CouplingBundle, DeviceBundle
-from manyhands.nodes.lifetime import Sight, Stopped
-from manyhands.nodes.seat import SeatLife, answered_yes, felt, force_sentence, is_calm, with_force
+from manyhands.nodes.guest import seat
+from manyhands.nodes.guest.seat import SeatLife, answered_yes, felt, force_sentence, is_calm, with_force
+from manyhands.nodes.kernel.bundle import CouplingBundle, DeviceBundle
+from manyhands.nodes.kernel.lifetime import Sight, Stopped
 from manyhands.protocol.clock import Duration
 
 MS = 1_000_000

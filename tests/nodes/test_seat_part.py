@@ -15,14 +15,14 @@ from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.plan.seats import invitations, seat_parts
 from manyhands.launch.plan.topology import roster
 from manyhands.launch.session.shipped import load_named
-from manyhands.nodes import seat_part
-from manyhands.nodes.bundle import BundleError, foreign_code
-from manyhands.nodes.factory import FactoryError, require_allowed
-from manyhands.nodes.invitation import Invitation
-from manyhands.nodes.lifetime import Life, Stopped
-from manyhands.nodes.seat import fetch
-from manyhands.nodes.seat_part import decoded_part
-from manyhands.nodes.supervisor_line import Refused
+from manyhands.nodes.guest import seat_part
+from manyhands.nodes.guest.invitation import Invitation
+from manyhands.nodes.guest.seat import fetch
+from manyhands.nodes.guest.seat_part import decoded_part
+from manyhands.nodes.kernel.bundle import BundleError, foreign_code
+from manyhands.nodes.kernel.factory import FactoryError, require_allowed
+from manyhands.nodes.kernel.lifetime import Life, Stopped
+from manyhands.nodes.link.supervisor_line import Refused
 from manyhands.protocol.clock import Duration
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.keys import new_pair

@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterator, Mapping
 
 import pytest
 
-from manyhands.nodes import supervisor_line as control_module
-from manyhands.nodes.bundle import Common, Peer
-from manyhands.nodes.lifetime import Life as RealLife
-from manyhands.nodes.lifetime import Sight, Stopped
-from manyhands.nodes.process import EXIT_FAILED, HostedNode, run_members
-from manyhands.nodes.supervisor_line import ControlLine, Refused, TelemetryLost
+from manyhands.nodes.kernel.bundle import Common, Peer
+from manyhands.nodes.kernel.lifetime import Life as RealLife
+from manyhands.nodes.kernel.lifetime import Sight, Stopped
+from manyhands.nodes.link import supervisor_line as control_module
+from manyhands.nodes.link.process import EXIT_FAILED, HostedNode, run_members
+from manyhands.nodes.link.supervisor_line import ControlLine, Refused, TelemetryLost
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_TEXT

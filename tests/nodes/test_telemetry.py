@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.nodes.telemetry import Distribution
+from manyhands.nodes.rows.distribution import Distribution
 
 
 @given(st.lists(st.floats(0.2, 1e7), min_size=1, max_size=300), st.sampled_from([0.5, 0.99, 0.999]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from manyhands.nodes.tick_events import MOST_EVENTS, Kind, TickEvent, TickEvents, events_in
+from manyhands.nodes.rows.tick_events import MOST_EVENTS, Kind, TickEvent, TickEvents, events_in
 
 
 def test_a_process_reports_the_ticks_of_its_start_and_jumps() -> None:

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from manyhands.nodes.bundle import REALTIME, SIMULATED, Common, Peer, WaveEnd, own_start
-from manyhands.nodes.peer_link import PeerLink, Received, handshake_of
+from manyhands.nodes.kernel.bundle import REALTIME, SIMULATED, Common, Peer, WaveEnd, own_start
+from manyhands.nodes.link.peer_link import PeerLink, Received, handshake_of
 from manyhands.nodes.wave_link.ends import AT_ONCE, CALM, JOINING, UserEnd, WorldEnd, datagram_socket
 from manyhands.nodes.wave_link.faces import wave_feedthrough
 from manyhands.nodes.wave_link.play_out import DEAF

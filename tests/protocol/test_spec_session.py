@@ -19,20 +19,21 @@ from manyhands.launch.run.recovery import LINK_TRANSITIONS
 from manyhands.launch.run.states import NodeState
 from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import load_session
-from manyhands.nodes import process, telemetry
-from manyhands.nodes.arithmetic import feedthrough_digest
-from manyhands.nodes.bundle import Common, CouplingBundle, DeviceBundle, EnvironmentBundle, ObserverBundle
 from manyhands.nodes.coupling.block import Block
 from manyhands.nodes.device.colocated import CarriedBlock
 from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.environment.membership import TRANSITIONS as MEMBERSHIPS
 from manyhands.nodes.environment.node import EnvironmentNode
-from manyhands.nodes.lifetime import Life
-from manyhands.nodes.log import Log
-from manyhands.nodes.peer_link import PeerLink, bind_links, hello_to
-from manyhands.nodes.process import HostedNode, Node
-from manyhands.nodes.supervisor_line import ControlLine
+from manyhands.nodes.kernel.arithmetic import feedthrough_digest
+from manyhands.nodes.kernel.bundle import Common, CouplingBundle, DeviceBundle, EnvironmentBundle, ObserverBundle
+from manyhands.nodes.kernel.lifetime import Life
+from manyhands.nodes.kernel.log import Log
+from manyhands.nodes.link import process
+from manyhands.nodes.link.peer_link import PeerLink, bind_links, hello_to
+from manyhands.nodes.link.process import HostedNode, Node
+from manyhands.nodes.link.supervisor_line import ControlLine
+from manyhands.nodes.rows import telemetry
 from manyhands.protocol.clock import RealtimeClock, from_seconds
 from manyhands.protocol.gate import DROP_REASONS
 from manyhands.protocol.messages import (

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from manyhands.design.levels.contract import DeviceShare
 from manyhands.design.levels.device import device_share, least_gain
-from manyhands.nodes.arithmetic import Floats
-from manyhands.nodes.device.allowance import LatenessAllowance
-from manyhands.nodes.device.inertia import Inertia
 from manyhands.nodes.device.interface import DeviceInterface
+from manyhands.nodes.kernel.allowance import LatenessAllowance
+from manyhands.nodes.kernel.arithmetic import Floats
+from manyhands.nodes.kernel.inertia import Inertia
 from manyhands.protocol.clock import Duration, Instant
 
 T = 1e-3

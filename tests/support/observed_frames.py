@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from manyhands.nodes.observer.scene import About, CertificateAbout, LinkAbout, NodeAbout
+from manyhands.nodes.monitor.session_state import About, CertificateAbout, LinkAbout, NodeAbout
 from manyhands.protocol.clock import Duration, Instant, SimulatedClock
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Condition, Observation, Role

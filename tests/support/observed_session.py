@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from manyhands.nodes.observer.health_model import HealthModel
-from manyhands.nodes.observer.scene import About, CertificateAbout, LinkAbout, NodeAbout, SpringAbout
-from manyhands.nodes.observer.tracks import Floats
+from manyhands.nodes.monitor.health_model import HealthModel
+from manyhands.nodes.monitor.session_state import About, CertificateAbout, LinkAbout, NodeAbout, SpringAbout
+from manyhands.nodes.monitor.tracks import Floats
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Condition, Observation, Role

@@ -18,7 +18,7 @@ from manyhands.launch.run.directory import kept_files
 from manyhands.launch.session import Session, load_session
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import Recorded
-from manyhands.nodes.tick_events import TickEvents
+from manyhands.nodes.rows.tick_events import TickEvents
 from manyhands.protocol.channels import LEDGER, TAU
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Observation, Role

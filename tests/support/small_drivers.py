@@ -12,9 +12,7 @@ import numpy as np
 from manyhands.design.models.device import held_device
 from manyhands.design.models.statespace import StateSpace
 from manyhands.design.passivity.operators import RationalMatrix
-from manyhands.nodes.bundle import Limits, RecordedMotion, SimulatedHand
 from manyhands.nodes.device.drivers import Driver, TraceDriver, WallTimeTrace
-from manyhands.nodes.device.intent import intent_from
 from manyhands.nodes.device.pointer import PointerHand
 from manyhands.nodes.device.simulated import (
     Hand,
@@ -25,6 +23,8 @@ from manyhands.nodes.device.simulated import (
     bare_device_of,
     device_of,
 )
+from manyhands.nodes.kernel.bundle import Limits, RecordedMotion, SimulatedHand
+from manyhands.nodes.kernel.intent import intent_from
 from manyhands.protocol.messages import Grasp, Release
 
 T = 1e-3

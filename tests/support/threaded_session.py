@@ -19,16 +19,16 @@ from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.topology import topology
 from manyhands.launch.session.session import ENVIRONMENT
-from manyhands.nodes.bundle import SIMULATED, Bundle, CouplingBundle, DeviceBundle, EnvironmentBundle, Peer
 from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.colocated import CarriedBlock, ColocatedNode
 from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.environment.membership import Membership
 from manyhands.nodes.environment.node import EnvironmentNode
-from manyhands.nodes.log import Log
-from manyhands.nodes.process import Node
-from manyhands.nodes.supervisor_line import NOT_AT_ALL, Word
+from manyhands.nodes.kernel.bundle import SIMULATED, Bundle, CouplingBundle, DeviceBundle, EnvironmentBundle, Peer
+from manyhands.nodes.kernel.log import Log
+from manyhands.nodes.link.process import Node
+from manyhands.nodes.link.supervisor_line import NOT_AT_ALL, Word
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock, seconds
 from manyhands.protocol.messages import Absent, Report, Return, Start, Telemetry
 from manyhands.protocol.transport import Link

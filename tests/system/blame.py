@@ -20,7 +20,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from manyhands.launch.run.outcome import rows_of
-from manyhands.nodes.observer.health import missed, verdict
+from manyhands.nodes.monitor.health import missed, verdict
 from manyhands.protocol.messages import PromiseStatus
 
 from ..deterministic.blame import GUILTY, HONEST, BlameOutcome, hostility, judge, named

@@ -23,7 +23,7 @@ import yaml
 from manyhands.extras import EXTRAS
 from manyhands.launch.app.cli import app
 from manyhands.launch.session.shipped import load_named
-from manyhands.nodes.realtime import FIFO_PRIORITY, NETWORK_NICE
+from manyhands.nodes.kernel.realtime import FIFO_PRIORITY, NETWORK_NICE
 
 from ..support.installed import PURE, run
 

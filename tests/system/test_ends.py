@@ -25,7 +25,7 @@ from manyhands.launch.run.outcome import Outcome, Progress
 from manyhands.launch.run.states import SessionPhase
 from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import load_session
-from manyhands.nodes.bundle import Bundle
+from manyhands.nodes.kernel.bundle import Bundle
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 MANYHANDS = [sys.executable, "-P", "-m", "manyhands"]

@@ -14,7 +14,7 @@ from packaging.requirements import Requirement
 
 from manyhands.extras import EXTRAS
 from manyhands.launch.app.cli import GROUPS
-from manyhands.nodes.realtime import FIFO_PRIORITY, NETWORK_NICE
+from manyhands.nodes.kernel.realtime import FIFO_PRIORITY, NETWORK_NICE
 
 from ..support.commands import MANYHANDS, manyhands_command
 from ..support.installed import NEEDED

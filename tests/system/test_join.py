@@ -34,7 +34,7 @@ from manyhands.launch.run.outcome import Outcome, Progress
 from manyhands.launch.run.states import NodeState, SessionPhase
 from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import SUPERVISOR, load_session
-from manyhands.nodes.process import EXIT_FAILED, EXIT_OK, EXIT_REFUSED
+from manyhands.nodes.link.process import EXIT_FAILED, EXIT_OK, EXIT_REFUSED
 from manyhands.protocol.keys import save_private
 from manyhands.protocol.transport.zeromq import ZmqTransport
 

@@ -16,7 +16,7 @@ import pytest
 from manyhands.launch.audit.simulation import Simulation
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import load_session
-from manyhands.nodes.process import EXIT_FAILED, EXIT_OK
+from manyhands.nodes.link.process import EXIT_FAILED, EXIT_OK
 
 from ..support.commands import MANYHANDS, read_until, run
 from ..support.wan import Side, Wan, Wire, wan

@@ -23,7 +23,7 @@ from manyhands.launch.plan.bundles import invite
 from manyhands.launch.plan.keys import load_folder
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import load_session
-from manyhands.nodes.bundle import SIMULATED
+from manyhands.nodes.kernel.bundle import SIMULATED
 
 from ..support import distinctive_session, party_secrets
 from ..support.capture import free_ports

@@ -16,9 +16,9 @@ from manyhands.launch.look.page.feed import Feed
 from manyhands.launch.plan.prepare import unproved
 from manyhands.launch.run.broadcast import describe
 from manyhands.launch.session.shipped import load_named
-from manyhands.nodes.observer.health import Promise
-from manyhands.nodes.observer.health_model import HealthModel
-from manyhands.nodes.observer.scene import About, LinkAbout, NodeAbout, SpringAbout
+from manyhands.nodes.monitor.health import Promise
+from manyhands.nodes.monitor.health_model import HealthModel
+from manyhands.nodes.monitor.session_state import About, LinkAbout, NodeAbout, SpringAbout
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Condition, Observation, Role

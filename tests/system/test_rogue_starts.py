@@ -13,7 +13,7 @@ import pytest
 
 from manyhands.design.certificate import content, identity, to_json
 from manyhands.design.models.statespace import StateSpace
-from manyhands.nodes.bundle import Bundle, CouplingBundle
+from manyhands.nodes.kernel.bundle import Bundle, CouplingBundle
 
 from ..support.commands import MANYHANDS
 from .rogues.stage import SESSION, Forge, play, prepared

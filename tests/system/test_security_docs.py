@@ -23,8 +23,8 @@ from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.plan.reach import Listen, reach
 from manyhands.launch.plan.topology import topology
 from manyhands.launch.session import load_session
-from manyhands.nodes import telemetry
-from manyhands.nodes.bundle import DeviceBundle
+from manyhands.nodes.kernel.bundle import DeviceBundle
+from manyhands.nodes.rows import telemetry
 from manyhands.protocol.gate import DROP_REASONS
 from manyhands.protocol.transport import Trouble
 from manyhands.protocol.transport.door import NotAdmitted

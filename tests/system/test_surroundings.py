@@ -22,7 +22,7 @@ from manyhands.launch.plan.topology import topology
 from manyhands.launch.run.outcome import Progress
 from manyhands.launch.run.states import NodeState, SessionPhase
 from manyhands.launch.session import load_session
-from manyhands.nodes import telemetry as names
+from manyhands.nodes.rows import telemetry as names
 from manyhands.protocol.messages import Telemetry
 
 from ..support.commands import read_until

@@ -11,7 +11,7 @@ import typer
 from manyhands.launch.app.cli.common import Json, end, err, errors, out, refuse
 from manyhands.launch.files import EXIT_FAILED, EXIT_OK
 from manyhands.launch.look.display import say
-from manyhands.nodes.factory import DRIVERS, ENGINES, MODELS, FactoryError, FactoryName, published
+from manyhands.nodes.kernel.factory import DRIVERS, ENGINES, MODELS, FactoryError, FactoryName, published
 
 if TYPE_CHECKING:
     from manyhands.nodes.device.specification import DeviceSpecification

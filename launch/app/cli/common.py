@@ -35,10 +35,10 @@ from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.session import ENVIRONMENT, SUPERVISOR, Session, SessionError
 from manyhands.launch.session.session import whole_ticks
 from manyhands.launch.session.shipped import load_named, shipped_sessions
-from manyhands.nodes.bundle import CLOCKS
 from manyhands.nodes.device.plugin import DriverFailure
 from manyhands.nodes.environment.model import ModelFailure
-from manyhands.nodes.factory import FactoryError, is_shipped, place_of
+from manyhands.nodes.kernel.bundle import CLOCKS
+from manyhands.nodes.kernel.factory import FactoryError, is_shipped, place_of
 from manyhands.protocol.keys import KeyFileError
 from manyhands.protocol.transport import TransportError
 

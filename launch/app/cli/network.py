@@ -45,8 +45,8 @@ from manyhands.launch.recordings.recording import STREAMED, require_suffix
 from manyhands.launch.session import Session
 from manyhands.launch.session.design import AUTO
 from manyhands.launch.session.shipped import load_named
-from manyhands.nodes.bundle import CLOCKS, REALTIME
-from manyhands.nodes.invitation import is_guest_address
+from manyhands.nodes.guest.invitation import is_guest_address
+from manyhands.nodes.kernel.bundle import CLOCKS, REALTIME
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
 
 commands = typer.Typer()
@@ -244,7 +244,7 @@ def node(
     allowed: AllowedCode = None,
 ) -> None:
     """Join a session of another machine as one of its nodes, or as an observer, which prints each message as JSON."""
-    from manyhands.nodes.remote import join
+    from manyhands.nodes.guest.remote import join
 
     with pipe_may_close():
         end(join(name, bundle, key, connect, host, allowed))
@@ -410,7 +410,7 @@ def join(
     asked. A session that is
     lost for a while is joined again.
     """
-    from manyhands.nodes.seat import take_seat
+    from manyhands.nodes.guest.seat import take_seat
 
     if most_force is not None and not 0.0 < most_force < math.inf:
         refuse(f"--max-force: found {most_force}; expected a force greater than 0, N")

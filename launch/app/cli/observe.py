@@ -118,7 +118,7 @@ def top(
         from manyhands.launch.look.sessions import find_session, visiting
         from manyhands.launch.look.tables import look_at, picture, quit_key, show_live, show_repeatedly, top_object
         from manyhands.launch.output import print_json
-        from manyhands.nodes.observer.scene import Scene
+        from manyhands.nodes.monitor.session_state import Scene
         from manyhands.protocol.clock import RealtimeClock
 
         running = find_session(session)

@@ -52,7 +52,7 @@ from manyhands.launch.run.directory import SessionDirectory, is_bare, require_ne
 from manyhands.launch.session import ENVIRONMENT
 from manyhands.launch.session.design import AUTO
 from manyhands.launch.session.shipped import load_named
-from manyhands.nodes.bundle import CLOCKS, REALTIME
+from manyhands.nodes.kernel.bundle import CLOCKS, REALTIME
 from manyhands.protocol.transport.zeromq import SCHEMES
 
 commands = typer.Typer()
@@ -80,7 +80,9 @@ def simulate(
         from manyhands.launch.audit.simulation import Simulation, require_one_period
         from manyhands.launch.look.display import world_lines
         from manyhands.launch.run.outcome import enforcement_sentence
-        from manyhands.nodes.telemetry import contact_figures, energy_figures, enforcement_figures
+        from manyhands.nodes.environment.chatter import contact_figures
+        from manyhands.nodes.environment.energy import energy_figures
+        from manyhands.nodes.rows.telemetry import enforcement_figures
 
         loaded = load_named(session, overrides)
         try:

@@ -14,8 +14,8 @@ from manyhands.launch.look.tables import rounded
 from manyhands.launch.plan.access import DATA, joins
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.topology import Topology
-from manyhands.nodes.observer.health import Health
-from manyhands.nodes.observer.scene import Scene
+from manyhands.nodes.monitor.health import Health
+from manyhands.nodes.monitor.session_state import Scene
 from manyhands.protocol.messages import Role
 
 LAYERS: Final = {Role.DEVICE: 0, Role.COUPLING: 1, Role.ENVIRONMENT: 2}

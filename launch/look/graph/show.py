@@ -24,7 +24,7 @@ from manyhands.launch.look.graph.parts import (
 from manyhands.launch.look.graph.svg import svg
 from manyhands.launch.look.graph.text import mermaid, print_access, print_graph, print_scene
 from manyhands.launch.plan.plan import Plan
-from manyhands.nodes.observer.scene import Scene
+from manyhands.nodes.monitor.session_state import Scene
 
 TEXT, JSON = "text", "json"
 

@@ -15,8 +15,8 @@ from manyhands.launch.look.display import say
 from manyhands.launch.look.graph.parts import Drawing, signals
 from manyhands.launch.plan.access import Capability
 from manyhands.launch.plan.plan import Plan
-from manyhands.nodes.observer.health import Health
-from manyhands.nodes.observer.scene import Scene
+from manyhands.nodes.monitor.health import Health
+from manyhands.nodes.monitor.session_state import Scene
 from manyhands.protocol.channels import CHANNELS
 from manyhands.protocol.messages import Role
 

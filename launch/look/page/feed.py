@@ -21,12 +21,12 @@ from typing import Any, Final, Protocol
 from manyhands.launch.look.display import world_lines
 from manyhands.launch.look.page.pointer import Holding
 from manyhands.launch.look.sessions import Running
-from manyhands.nodes.json_number import json_number
-from manyhands.nodes.observer.alarms import Alarms
-from manyhands.nodes.observer.given import GivenForce, shares_cell
-from manyhands.nodes.observer.health import PROMISES, Promise, cells, condensed, is_present, summary
-from manyhands.nodes.observer.scene import About, Scene
-from manyhands.nodes.observer.tracks import BUCKETS, WINDOW, Decimated, Tracks
+from manyhands.nodes.kernel.json_number import json_number
+from manyhands.nodes.monitor.alarms import Alarms
+from manyhands.nodes.monitor.given import GivenForce, shares_cell
+from manyhands.nodes.monitor.health import PROMISES, Promise, cells, condensed, is_present, summary
+from manyhands.nodes.monitor.session_state import About, Scene
+from manyhands.nodes.monitor.tracks import BUCKETS, WINDOW, Decimated, Tracks
 from manyhands.nodes.recorder.format import MAX_TIME_NS, Recorded
 from manyhands.protocol.clock import Clock, Duration, Instant
 from manyhands.protocol.messages import Observation, PromiseStatus, Role

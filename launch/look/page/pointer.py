@@ -16,7 +16,7 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from manyhands.nodes.observer.scene import About
+from manyhands.nodes.monitor.session_state import About
 from manyhands.protocol.clock import Instant, from_seconds
 from manyhands.protocol.messages import Grasp, Release
 from manyhands.protocol.transport.pointer import PointerOutlet

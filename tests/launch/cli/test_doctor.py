@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from click.testing import Result
 
-from manyhands.nodes.realtime import may_raise
+from manyhands.nodes.kernel.realtime import may_raise
 
 from ...support.commands import manyhands_command
 

@@ -15,8 +15,8 @@ from typer.testing import Result
 
 from manyhands.launch.plan.keys import make_keys
 from manyhands.launch.session import load_session
-from manyhands.nodes import bundle as bundle_files
-from manyhands.nodes.bundle import CouplingBundle, DeviceBundle, ObserverBundle
+from manyhands.nodes.kernel import bundle as bundle_files
+from manyhands.nodes.kernel.bundle import CouplingBundle, DeviceBundle, ObserverBundle
 from manyhands.protocol.messages import Role
 
 from ...support.commands import manyhands_command

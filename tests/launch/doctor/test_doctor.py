@@ -60,7 +60,7 @@ from manyhands.launch.run.outcome import Outcome
 from manyhands.launch.run.processes import Interrupt
 from manyhands.launch.session import Session
 from manyhands.launch.session.shipped import load_named
-from manyhands.nodes.realtime import Grant
+from manyhands.nodes.kernel.realtime import Grant
 from manyhands.protocol.clock import Duration
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Condition, Observation

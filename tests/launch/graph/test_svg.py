@@ -21,7 +21,7 @@ from manyhands.launch.look.graph.svg import Box, layout, svg
 from manyhands.launch.look.graph.text import mermaid
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.session import Session, load_session
-from manyhands.nodes.observer.scene import Health, NodeAbout, Scene
+from manyhands.nodes.monitor.session_state import Health, NodeAbout, Scene
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Role
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from manyhands.launch.look.sessions import LOOK, Running, presence, watch
-from manyhands.nodes.observer.scene import Scene
+from manyhands.nodes.monitor.session_state import Scene
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Condition, Observation
 

@@ -25,8 +25,8 @@ from manyhands.launch.look.tables import (
     show_repeatedly,
     top_object,
 )
-from manyhands.nodes.observer import given
-from manyhands.nodes.observer.scene import Scene
+from manyhands.nodes.monitor import given
+from manyhands.nodes.monitor.session_state import Scene
 from manyhands.protocol.clock import Duration, Instant
 
 from ...support.observed_frames import ABOUT, MS, Frames, condition, telemetry

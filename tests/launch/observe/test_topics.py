@@ -13,7 +13,7 @@ import pytest
 from mcap.reader import make_reader
 
 from manyhands.launch.look.topics import EchoLines, NoTopic, Pacing, find_topic, named_topics, sentence, session_of
-from manyhands.nodes.observer.scene import Scene
+from manyhands.nodes.monitor.session_state import Scene
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import Recorded
 from manyhands.protocol.channels import TOPICS

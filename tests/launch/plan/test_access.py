@@ -20,8 +20,8 @@ from manyhands.launch.plan.loop import haptic_loop
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import Session, load_session
-from manyhands.nodes.bundle import SIMULATED, Bundle, CouplingBundle
-from manyhands.nodes.peer_link import bind_links
+from manyhands.nodes.kernel.bundle import SIMULATED, Bundle, CouplingBundle
+from manyhands.nodes.link.peer_link import bind_links
 from manyhands.protocol.channels import CHANNELS, Rate
 from manyhands.protocol.messages import Role
 

@@ -16,10 +16,10 @@ from manyhands.launch.plan import bundles
 from manyhands.launch.plan.bundles import RunPlan, cut, limits_at, tool_bounds
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import Session, load_session
-from manyhands.nodes.arithmetic import feedthrough_digest
-from manyhands.nodes.bundle import CouplingBundle, DeviceBundle, EnvironmentBundle, Limits, load, save
 from manyhands.nodes.coupling.core import CouplingCore
-from manyhands.nodes.peer_link import bounds_by_peer
+from manyhands.nodes.kernel.arithmetic import feedthrough_digest
+from manyhands.nodes.kernel.bundle import CouplingBundle, DeviceBundle, EnvironmentBundle, Limits, load, save
+from manyhands.nodes.link.peer_link import bounds_by_peer
 from manyhands.protocol.codec import encode
 from manyhands.protocol.gate import Gate
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_COUNT, MAX_NAME

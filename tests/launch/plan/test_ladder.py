@@ -15,8 +15,8 @@ from manyhands.design.proof import prove
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import Session, SessionError, load_session
-from manyhands.nodes import bundle as bundle_files
-from manyhands.nodes.bundle import (
+from manyhands.nodes.kernel import bundle as bundle_files
+from manyhands.nodes.kernel.bundle import (
     BundleError,
     CouplingBundle,
     CouplingRung,

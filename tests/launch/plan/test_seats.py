@@ -28,9 +28,9 @@ from manyhands.launch.plan.seats import (
 from manyhands.launch.plan.topology import roster
 from manyhands.launch.session import Session
 from manyhands.launch.session.shipped import load_named
-from manyhands.nodes.bundle import REALTIME
+from manyhands.nodes.guest.seat_part import decoded_part
+from manyhands.nodes.kernel.bundle import REALTIME
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
-from manyhands.nodes.seat_part import decoded_part
 
 SESSION = Path(__file__).parents[3] / "launch" / "sessions" / "ball.yaml"
 THIRD_DEVICE = "  third: {dof: 1, osp: 1.37, driver: simulated, mass: 0.2}\n"

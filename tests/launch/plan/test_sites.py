@@ -262,7 +262,7 @@ def test_a_prepared_session_runs_each_party_under_its_own_certificate(tmp_path: 
     from manyhands.launch.plan.bundles import RunPlan, cut
     from manyhands.launch.plan.prepare import prepare
     from manyhands.launch.plan.sites import IN_TICK
-    from manyhands.nodes.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle
+    from manyhands.nodes.kernel.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle
 
     prepared = prepare(session(tmp_path))
     assert prepared.certificate is None

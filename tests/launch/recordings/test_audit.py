@@ -29,10 +29,10 @@ from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.recordings.integrity import findings
 from manyhands.launch.recordings.run import Figures, first_sign, read_run, there
 from manyhands.launch.session import load_session
-from manyhands.nodes.bundle import SIMULATED, CouplingBundle, DeviceBundle
 from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.device.core import DeviceCore
 from manyhands.nodes.device.drivers import driver_of
+from manyhands.nodes.kernel.bundle import SIMULATED, CouplingBundle, DeviceBundle
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
 from manyhands.protocol.channels import LEDGER, TAU
 from tests.support.instants import instant

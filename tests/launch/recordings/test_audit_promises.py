@@ -18,7 +18,7 @@ from manyhands.launch.audit.promises import promises_of
 from manyhands.launch.audit.simulation import Silence
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.run import RecordedRun, read_run
-from manyhands.nodes.observer.health import holds, missed
+from manyhands.nodes.monitor.health import holds, missed
 from manyhands.protocol.channels import TAU
 from manyhands.protocol.messages import Condition, PromiseStatus
 

@@ -29,8 +29,8 @@ from manyhands.launch.run.breaches import (
     ShiftCoupling,
 )
 from manyhands.launch.session.shipped import load_named
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.bundle import REALTIME
+from manyhands.nodes.kernel.bundle import REALTIME
+from manyhands.nodes.rows import telemetry as names
 from manyhands.protocol.messages import Telemetry
 
 TICKS = 100  # between two telemetry messages

@@ -19,8 +19,8 @@ from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.run.outcome import lateness_entry, lateness_sentence, node_entry, run_report, save_json
 from manyhands.launch.run.states import Incidents
 from manyhands.launch.session import load_session
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.observer.given import FIGURES
+from manyhands.nodes.monitor.given import FIGURES
+from manyhands.nodes.rows import telemetry as names
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_COUNT
 from manyhands.protocol.messages import Report, Role

@@ -24,11 +24,11 @@ from manyhands.launch.recordings.tables import export
 from manyhands.launch.run.broadcast import condition_frame, describe, observation_frame
 from manyhands.launch.run.outcome import rows_of
 from manyhands.launch.session import load_session
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.bundle import REALTIME
-from manyhands.nodes.observer.health import missed, verdict
-from manyhands.nodes.observer.scene import Scene
+from manyhands.nodes.kernel.bundle import REALTIME
+from manyhands.nodes.monitor.health import missed, verdict
+from manyhands.nodes.monitor.session_state import Scene
 from manyhands.nodes.recorder.core import RecorderCore
+from manyhands.nodes.rows import telemetry as names
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.limits import MAX_COUNT
 from manyhands.protocol.messages import Report, Telemetry

@@ -23,7 +23,7 @@ from manyhands.launch.run.processes import Processes
 from manyhands.launch.run.states import MOST_INCIDENTS, Incidents, NodeState, SessionPhase
 from manyhands.launch.run.supervisor import TELEMETRY_SILENCE, LastMessages, Supervisor
 from manyhands.launch.session import load_session
-from manyhands.nodes import telemetry as names
+from manyhands.nodes.rows import telemetry as names
 from manyhands.protocol.clock import Duration, Instant
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES

@@ -27,9 +27,9 @@ from manyhands.launch.run.outcome import Progress
 from manyhands.launch.run.states import SessionPhase
 from manyhands.launch.run.supervisor import Supervisor, most_ticks
 from manyhands.launch.session import load_session
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.bundle import REALTIME, SIMULATED
-from manyhands.nodes.observer.health import missed
+from manyhands.nodes.kernel.bundle import REALTIME, SIMULATED
+from manyhands.nodes.monitor.health import missed
+from manyhands.nodes.rows import telemetry as names
 from manyhands.protocol.clock import Duration, Instant, from_seconds
 from manyhands.protocol.codec import encode
 from manyhands.protocol.limits import MAX_COUNT

@@ -12,7 +12,7 @@ from manyhands.launch.files import EXIT_BAD_INPUT
 from manyhands.launch.plan.engine import require_engine
 from manyhands.launch.session import SessionError, load_session
 from manyhands.launch.session.limits import MAX_ASSET_BYTES, MAX_ASSETS
-from manyhands.nodes.factory import FactoryError
+from manyhands.nodes.kernel.factory import FactoryError
 
 from ...support.commands import manyhands_command
 

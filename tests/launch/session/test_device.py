@@ -17,7 +17,7 @@ from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.run.broadcast import describe
 from manyhands.launch.session import BROWSER_HAND, Session, SessionError, limits, load_session
 from manyhands.launch.session.shipped import load_named, shipped_sessions
-from manyhands.nodes.bundle import BrowserHand, DeviceBundle, RecordedMotion, load, save
+from manyhands.nodes.kernel.bundle import BrowserHand, DeviceBundle, RecordedMotion, load, save
 from tests.support.exponential import errors
 
 SESSION = """

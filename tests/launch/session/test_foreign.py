@@ -17,7 +17,7 @@ from manyhands.launch.plan.loop import NotCertified, coupling_request, haptic_lo
 from manyhands.launch.plan.prepare import certify
 from manyhands.launch.plan.sites import site_loop
 from manyhands.launch.session import Session, SessionError, load_session
-from manyhands.nodes.device.specification import DeviceTiming
+from manyhands.nodes.kernel.driver_statement import DeviceTiming
 
 T = 1e-3
 

@@ -14,7 +14,7 @@ from manyhands.launch.plan.bundles import scene_geometry
 from manyhands.launch.plan.loop import session_environment
 from manyhands.launch.session import MeshEnvironment, Session, SessionError, load_session
 from manyhands.nodes.environment.mesh import MeshProxies
-from manyhands.nodes.factory import FactoryError, FactoryName, made_by, require_allowed
+from manyhands.nodes.kernel.factory import FactoryError, FactoryName, made_by, require_allowed
 
 from ...support.meshes import grid, shape
 

@@ -10,7 +10,7 @@ from manyhands.launch.audit.simulation import Simulation
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import DEFAULT_HAND, Session, SessionError, load_session
 from manyhands.launch.session.session import observable
-from manyhands.nodes.device.intent import intent_from
+from manyhands.nodes.kernel.intent import intent_from
 from manyhands.protocol.messages import Role
 
 SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from manyhands.launch.session import SessionError, load_session
-from manyhands.nodes.device.allowance import LatenessAllowance
+from manyhands.nodes.kernel.allowance import LatenessAllowance
 
 from ...support.simulated_recordings import SESSIONS
 

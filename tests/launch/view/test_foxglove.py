@@ -27,7 +27,7 @@ from manyhands.launch.bridges.foxglove import (
     application_address,
 )
 from manyhands.launch.look.sessions import Running
-from manyhands.nodes.observer.scene import About
+from manyhands.nodes.monitor.session_state import About
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import recorded_of
 from manyhands.protocol.clock import Instant

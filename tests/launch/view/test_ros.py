@@ -38,7 +38,7 @@ from manyhands.launch.look.page.pointer import Hold
 from manyhands.launch.look.page.security import ViewError
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.run import read_run
-from manyhands.nodes.observer.scene import About, NodeAbout
+from manyhands.nodes.monitor.session_state import About, NodeAbout
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import recorded_of
 from manyhands.protocol.clock import Instant

@@ -14,12 +14,12 @@ from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.topology import topology
 from manyhands.launch.session import load_session
-from manyhands.nodes import bundle as bundle_files
-from manyhands.nodes.bundle import BundleError, CouplingBundle, DeviceBundle
 from manyhands.nodes.coupling.block import Block
 from manyhands.nodes.device.colocated import CarriedBlock, ColocatedNode, Within, colocated
 from manyhands.nodes.device.drivers import driver_of
-from manyhands.nodes.peer_link import PeerLink, hello_to
+from manyhands.nodes.kernel import bundle as bundle_files
+from manyhands.nodes.kernel.bundle import BundleError, CouplingBundle, DeviceBundle
+from manyhands.nodes.link.peer_link import PeerLink, hello_to
 from manyhands.protocol.clock import Duration, RealtimeClock
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES

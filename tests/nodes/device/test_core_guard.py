@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.nodes.arithmetic import Saturation
-from manyhands.nodes.bundle import Limits
 from manyhands.nodes.device.core import RETURN, Guard
+from manyhands.nodes.kernel.arithmetic import Saturation
+from manyhands.nodes.kernel.bundle import Limits
 
 T = 1e-3
 AXES = ("arm.0", "arm.1")

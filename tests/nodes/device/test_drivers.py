@@ -24,8 +24,8 @@ from manyhands.launch.conformance.driver import (
 from manyhands.launch.conformance.judgement import Conformance
 from manyhands.launch.conformance.timing import CallTimer
 from manyhands.nodes.device.drivers import Driver
-from manyhands.nodes.device.intent import intent_from
 from manyhands.nodes.device.specification import DeviceSpecification
+from manyhands.nodes.kernel.intent import intent_from
 from manyhands.protocol.clock import SimulatedClock
 from tests.support.instants import instant
 from tests.support.small_drivers import Make, T, both, browser, carried, dragged, simulated, trace, waving

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manyhands.design.levels.device import device_share, least_gain
-from manyhands.nodes.bundle import RecordedMotion
 from manyhands.nodes.device.core import DeviceCore
 from manyhands.nodes.device.drivers import TraceDriver
+from manyhands.nodes.kernel.bundle import RecordedMotion
 from tests.support.instants import instant
 
 T = 1e-3

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from manyhands.nodes.device.given import ForceGiven, Loss
-from manyhands.nodes.environment.clutch import RAMP
-from manyhands.nodes.timeouts import PATIENCE_TICKS
+from manyhands.nodes.kernel.timeouts import PATIENCE_TICKS, RAMP
 from manyhands.protocol.clock import Duration, Instant
 
 T = Duration(1_000_000)

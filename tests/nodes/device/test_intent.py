@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.nodes.device.intent import (
+from manyhands.nodes.kernel.intent import (
     MAX_FORMULA_DEPTH,
     MAX_FORMULA_LENGTH,
     Constant,

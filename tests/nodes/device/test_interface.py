@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.nodes.arithmetic import Floats
-from manyhands.nodes.device.inertia import Inertia
+from manyhands.nodes.kernel.arithmetic import Floats
+from manyhands.nodes.kernel.inertia import Inertia
 from manyhands.protocol.clock import Instant
 
 from ...support.moved_device import E_0, OSP, SPEED, TICK, Array, Device, T, promise

@@ -14,12 +14,12 @@ import pytest
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
-from manyhands.nodes.bundle import REALTIME, DeviceBundle, PluginDevice
 from manyhands.nodes.device.node import DeviceNode
-from manyhands.nodes.device.specification import DeviceTiming
-from manyhands.nodes.factory import FactoryName
-from manyhands.nodes.peer_link import PeerLink, hello_to
-from manyhands.nodes.timeouts import STALE_TICKS
+from manyhands.nodes.kernel.bundle import REALTIME, DeviceBundle, PluginDevice
+from manyhands.nodes.kernel.driver_statement import DeviceTiming
+from manyhands.nodes.kernel.factory import FactoryName
+from manyhands.nodes.kernel.timeouts import STALE_TICKS
+from manyhands.nodes.link.peer_link import PeerLink, hello_to
 from manyhands.protocol.clock import Duration, Instant
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES

@@ -13,14 +13,15 @@ import pytest
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.bundle import REALTIME, SIMULATED, DeviceBundle, Limits, PluginDevice, load, save
 from manyhands.nodes.device.drivers import driver_of
-from manyhands.nodes.device.inertia import Inertia
 from manyhands.nodes.device.plugin import DriverFailure, GivenForces, PluginDriver, made_driver
-from manyhands.nodes.device.specification import AxisMap, DeviceSpecification, DeviceTiming
+from manyhands.nodes.device.specification import AxisMap, DeviceSpecification
 from manyhands.nodes.device.tick import WallTimeTick
-from manyhands.nodes.factory import FactoryError, FactoryName
+from manyhands.nodes.kernel.bundle import REALTIME, SIMULATED, DeviceBundle, Limits, PluginDevice, load, save
+from manyhands.nodes.kernel.driver_statement import DeviceTiming
+from manyhands.nodes.kernel.factory import FactoryError, FactoryName
+from manyhands.nodes.kernel.inertia import Inertia
+from manyhands.nodes.rows import telemetry as names
 from manyhands.protocol.clock import Duration, Instant
 
 from ...support.instants import instant

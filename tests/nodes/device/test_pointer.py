@@ -15,12 +15,12 @@ from manyhands.launch.audit.simulation import Simulation
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.bundle import Common, DeviceBundle, Limits, SimulatedHand, load, save
 from manyhands.nodes.device.core import DeviceCore
 from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.pointer import PATIENCE, REACH, SPEED, Pointer, PointerHand, pointer_hand
 from manyhands.nodes.device.simulated import OwnTimeDriver
+from manyhands.nodes.kernel.bundle import Common, DeviceBundle, Limits, SimulatedHand, load, save
+from manyhands.nodes.rows import telemetry as names
 from manyhands.protocol.messages import Grasp, Release
 from manyhands.protocol.transport.pointer import PointerOutlet, pointer_path
 from tests.support.instants import instant

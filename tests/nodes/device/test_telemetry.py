@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from manyhands.design.levels.contract import DeviceShare
 from manyhands.design.levels.device import device_share
-from manyhands.nodes.bundle import Common, DeviceRung, Limits
 from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.telemetry import DeviceTelemetry
+from manyhands.nodes.kernel.bundle import Common, DeviceRung, Limits
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Role
 

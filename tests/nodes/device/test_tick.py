@@ -10,9 +10,9 @@ import pytest
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import load_session
-from manyhands.nodes.bundle import REALTIME, SIMULATED, DeviceBundle
 from manyhands.nodes.device.core import Guard
 from manyhands.nodes.device.tick import NO_INSTANTS, OwnTimeTick, WallTimeTick, tick_of
+from manyhands.nodes.kernel.bundle import REALTIME, SIMULATED, DeviceBundle
 from manyhands.protocol.clock import Instant
 from tests.support.instants import instant
 

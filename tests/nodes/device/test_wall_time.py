@@ -13,12 +13,12 @@ from scipy.linalg import expm
 from manyhands.design.models.device import HeldDevice, held_device
 from manyhands.design.models.statespace import StateSpace
 from manyhands.design.passivity.operators import RationalMatrix
-from manyhands.nodes.bundle import RecordedMotion
 from manyhands.nodes.device.core import DeviceCore
 from manyhands.nodes.device.drivers import Driver, TraceDriver, WallTimeTrace
-from manyhands.nodes.device.intent import Constant, intent_from
 from manyhands.nodes.device.simulated import HeldDeviceDriver, IntentHand, Plant
 from manyhands.nodes.device.wall_time import LONGEST_GAP
+from manyhands.nodes.kernel.bundle import RecordedMotion
+from manyhands.nodes.kernel.intent import Constant, intent_from
 from manyhands.protocol.clock import Instant
 from tests.support.instants import instant
 from tests.support.small_drivers import Make, browser, carried, dragged, in_wall_time, simulated, trace, waving

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from manyhands.launch.look.display import chatter_line, held_line, world_lines
-from manyhands.nodes.environment.chatter import LEAST, MOST, Chatter
+from manyhands.nodes.environment.chatter import LEAST, MOST, Chatter, contact_figures
 from manyhands.nodes.environment.enforced import BlackBox, EnforcedCore
 from manyhands.nodes.environment.model import AskedModel
-from manyhands.nodes.telemetry import contact_figures
 
 T = 1e-3
 

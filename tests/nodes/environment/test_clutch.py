@@ -16,9 +16,10 @@ from manyhands.design.models.coupling import SpringDamper
 from manyhands.design.models.network import Network, NetworkLink
 from manyhands.design.models.statespace import StateSpace
 from manyhands.nodes.environment import core as core_module
-from manyhands.nodes.environment.clutch import LET_GO, NEXT, RAMP, SLOWEST, WORK_OFF, Clutch, ClutchEvent, ClutchPhase
+from manyhands.nodes.environment.clutch import LET_GO, NEXT, SLOWEST, WORK_OFF, Clutch, ClutchEvent, ClutchPhase
 from manyhands.nodes.environment.core import EnvironmentCore
-from manyhands.nodes.environment.energy import EnergyBudget
+from manyhands.nodes.kernel.energy_budget import EnergyBudget
+from manyhands.nodes.kernel.timeouts import RAMP
 
 from ...support.cases import cases
 from ...support.reaction import react

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from manyhands.nodes.environment.deadline import Deadline, Decision, Step
-from manyhands.nodes.timeouts import Timeouts
+from manyhands.nodes.kernel.timeouts import Timeouts
 from manyhands.protocol.clock import Duration, Instant
 
 MS = 10**6

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manyhands.nodes.environment.energy import POSTING, Energy, EnergyBudget
+from manyhands.nodes.environment.energy import POSTING, Energy
+from manyhands.nodes.kernel.energy_budget import EnergyBudget
 
 from ...support.cases import cases
 

@@ -16,7 +16,7 @@ from manyhands.design.models.network import Network, NetworkLink
 from manyhands.nodes.environment.core import EnvironmentCore
 from manyhands.nodes.environment.enforced import BlackBox, EnforcedCore, LinearLaw
 from manyhands.nodes.environment.model import MOST_FORCE, AskedModel, make_model
-from manyhands.nodes.factory import FactoryError, FactoryName
+from manyhands.nodes.kernel.factory import FactoryError, FactoryName
 
 from ...support.cases import cases
 from ...support.reaction import react

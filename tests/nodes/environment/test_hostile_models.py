@@ -14,7 +14,7 @@ import pytest
 from manyhands.nodes.environment import mujoco_compiler
 from manyhands.nodes.environment.mjcf import MOST_STEPS, ModelRefused, require_bounded, steps_of
 from manyhands.nodes.environment.mujoco import MujocoEngine
-from manyhands.nodes.factory import FactoryError
+from manyhands.nodes.kernel.factory import FactoryError
 
 T = 1e-3
 TOOL = '<body><joint name="x" type="slide"/><geom size="0.01" mass="0.05"/></body>'

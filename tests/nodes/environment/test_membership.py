@@ -15,16 +15,15 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from manyhands.design.models.statespace import StateSpace
-from manyhands.nodes.arithmetic import feedthrough_digest
-from manyhands.nodes.bundle import Peer
-from manyhands.nodes.environment.clutch import RAMP
 from manyhands.nodes.environment.core import EnvironmentCore
 from manyhands.nodes.environment.late_arrivals import LateArrivals
 from manyhands.nodes.environment.membership import FIRST_PAUSE, LEAD, MOST_AHEAD, STREAK, Member, Members, Membership
 from manyhands.nodes.environment.node import EnvironmentNode
-from manyhands.nodes.peer_link import PeerLink, Received
-from manyhands.nodes.tick_events import Kind, TickEvent, events_in
-from manyhands.nodes.timeouts import PATIENCE_TICKS, Timeouts
+from manyhands.nodes.kernel.arithmetic import feedthrough_digest
+from manyhands.nodes.kernel.bundle import Peer
+from manyhands.nodes.kernel.timeouts import PATIENCE_TICKS, RAMP, Timeouts
+from manyhands.nodes.link.peer_link import PeerLink, Received
+from manyhands.nodes.rows.tick_events import Kind, TickEvent, events_in
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock
 from manyhands.protocol.codec import encode
 from manyhands.protocol.gate import Bounds, Gate

@@ -18,7 +18,7 @@ from manyhands.nodes.environment.enforced import EnforcedCore
 from manyhands.nodes.environment.model import AskedModel
 from manyhands.nodes.environment.mujoco import MujocoEngine
 from manyhands.nodes.environment.proxy import ProxyLaw
-from manyhands.nodes.factory import ENGINES, FactoryError, published
+from manyhands.nodes.kernel.factory import ENGINES, FactoryError, published
 
 SHIPPED = Path(__file__).parents[3] / "launch" / "sessions" / "mujoco.yaml"
 MODEL = """<mujoco><option timestep="0.0005"/><worldbody>

@@ -12,7 +12,7 @@ from manyhands.extras import MissingExtra
 from manyhands.nodes.environment import mujoco_library
 from manyhands.nodes.environment.mujoco import MujocoEngine
 from manyhands.nodes.environment.mujoco_library import WrongMujoco, import_mujoco, require_one, require_tested
-from manyhands.nodes.factory import FactoryError
+from manyhands.nodes.kernel.factory import FactoryError
 
 
 @pytest.mark.parametrize(

@@ -12,12 +12,12 @@ import pytest
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import load_session
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.bundle import EnvironmentBundle
 from manyhands.nodes.environment.core import environment_core
 from manyhands.nodes.environment.node import EnvironmentTelemetry, TelemetryLater
-from manyhands.nodes.peer_link import WaveRow
-from manyhands.nodes.tick_events import TickEvents
+from manyhands.nodes.kernel.bundle import EnvironmentBundle
+from manyhands.nodes.link.peer_link import WaveRow
+from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows.tick_events import TickEvents
 from manyhands.protocol.messages import Telemetry
 
 SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"

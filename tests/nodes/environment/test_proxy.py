@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from manyhands.nodes.environment.enforced import BlackBox, EnforcedCore
 from manyhands.nodes.environment.model import MOST_POSITION, AskedModel
 from manyhands.nodes.environment.proxy import ProxyLaw
-from manyhands.nodes.passivity import greatest_part
+from manyhands.nodes.kernel.passivity import greatest_part
 
 from ...support.cases import EXAMPLES, WIDE_EXAMPLES, cases
 from ...support.reaction import react

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.nodes.observer.alarms import HOLD, MOST_ALARMS, UNHEARD, Alarm, AlarmLevel, Alarms
-from manyhands.nodes.observer.given import FIGURES
-from manyhands.nodes.observer.health import Health
-from manyhands.nodes.observer.scene import About, Scene
+from manyhands.nodes.monitor.alarms import HOLD, MOST_ALARMS, UNHEARD, Alarm, AlarmLevel, Alarms
+from manyhands.nodes.monitor.given import FIGURES
+from manyhands.nodes.monitor.health import Health
+from manyhands.nodes.monitor.session_state import About, Scene
 from manyhands.protocol.clock import Instant, from_seconds
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.nodes.observer.causes import BEFORE, KEPT, Causes
-from manyhands.nodes.observer.health import cut_forces, missed, sentence, verdict
-from manyhands.nodes.observer.health_model import HealthModel, Terms
+from manyhands.nodes.monitor.causes import BEFORE, KEPT, Causes
+from manyhands.nodes.monitor.health import cut_forces, missed, sentence, verdict
+from manyhands.nodes.monitor.health_model import HealthModel, Terms
 from manyhands.protocol.messages import PromiseStatus, Role
 
 ROLES = {"dx": Role.DEVICE, "dy": Role.DEVICE, "cx": Role.COUPLING, "cy": Role.COUPLING, "world": Role.ENVIRONMENT}

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import pytest
 
-from manyhands.nodes.observer.health import (
+from manyhands.nodes.monitor.health import (
     PROMISES,
     Health,
     cells,

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.nodes.observer.health import (
+from manyhands.nodes.monitor.health import (
     Health,
     Promise,
     PromiseState,
@@ -22,7 +22,7 @@ from manyhands.nodes.observer.health import (
     session_health,
     summary,
 )
-from manyhands.nodes.observer.health_model import HOLD, HealthModel, Terms
+from manyhands.nodes.monitor.health_model import HOLD, HealthModel, Terms
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Condition, PromiseStatus, Role

@@ -19,8 +19,8 @@ from hypothesis.extra import numpy as hnp
 from manyhands.launch.plan.bundles import RunPlan, bundle_of
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import load_session
-from manyhands.nodes.bundle import ObserverBundle, save
-from manyhands.nodes.observer.node import ObserverCore
+from manyhands.nodes.guest.observer import ObserverCore
+from manyhands.nodes.kernel.bundle import ObserverBundle, save
 from manyhands.protocol.clock import Duration
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES

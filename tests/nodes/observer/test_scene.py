@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.observer.health import Health
-from manyhands.nodes.observer.health_model import HealthModel
-from manyhands.nodes.observer.scene import LATE_SHARE, RATE_OVER, About, LinkAbout, NodeAbout, Scene
+from manyhands.nodes.monitor.health import Health
+from manyhands.nodes.monitor.health_model import HealthModel
+from manyhands.nodes.monitor.session_state import LATE_SHARE, RATE_OVER, About, LinkAbout, NodeAbout, Scene
+from manyhands.nodes.rows import telemetry as names
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Condition, Observation, Role, Stop

@@ -11,8 +11,16 @@ from typing import Any
 import pytest
 
 from manyhands.design.models.scene import Body, ContactScene, Obstacle, ToolSphere
-from manyhands.nodes.observer import scene as about_file
-from manyhands.nodes.observer.scene import ABOUT, About, AboutError, CertificateAbout, LinkAbout, NodeAbout, SpringAbout
+from manyhands.nodes.monitor import session_state as about_file
+from manyhands.nodes.monitor.session_state import (
+    ABOUT,
+    About,
+    AboutError,
+    CertificateAbout,
+    LinkAbout,
+    NodeAbout,
+    SpringAbout,
+)
 from manyhands.protocol.messages import Role
 
 WHOLE = About(

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from manyhands.nodes.observer.tracks import Decimated, Floats, Track, TrackKey, Tracks
+from manyhands.nodes.monitor.tracks import Decimated, Floats, Track, TrackKey, Tracks
 from manyhands.protocol.messages import Observation
 
 from ...support.observed_session import ABOUT, UNCERTIFIED

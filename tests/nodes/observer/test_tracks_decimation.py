@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.nodes.observer.tracks import Decimator, extremes
+from manyhands.nodes.monitor.tracks import Decimator, extremes
 
 VALUES = st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=200)
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from manyhands.nodes.observer.health import Health
-from manyhands.nodes.observer.scene import About, AboutError, Scene
+from manyhands.nodes.monitor.health import Health
+from manyhands.nodes.monitor.session_state import About, AboutError, Scene
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Condition, PromiseStatus

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from manyhands.nodes.arithmetic import Floats
+from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.wave_link.tank import Tank
 
 _BITS: Final = 1074

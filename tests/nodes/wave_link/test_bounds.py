@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.nodes.bundle import WaveEnd
+from manyhands.nodes.kernel.bundle import WaveEnd
+from manyhands.nodes.kernel.site_bounds import SiteBounds, site_bounds
 from manyhands.nodes.wave_link import UserFace, WorldFace
-from manyhands.nodes.wave_link.bounds import SiteBounds, site_bounds
 from manyhands.nodes.wave_link.ends import wave_bounds
 from manyhands.protocol.codec import encode
 from manyhands.protocol.gate import WaveGate

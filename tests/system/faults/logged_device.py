@@ -12,10 +12,10 @@ import sys
 from collections.abc import Mapping, Sequence
 from typing import BinaryIO
 
-from manyhands.nodes.bundle import DeviceBundle
 from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.device.node import DeviceNode
-from manyhands.nodes.process import main
+from manyhands.nodes.kernel.bundle import DeviceBundle
+from manyhands.nodes.link.process import main
 from manyhands.protocol.clock import Instant
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from manyhands.launch.audit.simulation import Silence, Simulation
-from manyhands.nodes.bundle import REALTIME, SIMULATED
+from manyhands.nodes.kernel.bundle import REALTIME, SIMULATED
 
 from .stage import (
     AWAY,

@@ -16,15 +16,15 @@ from typing import Final
 
 import numpy as np
 
-from manyhands.nodes import telemetry as names
-from manyhands.nodes.bundle import CouplingBundle, DeviceBundle, EnvironmentBundle, ObserverBundle, load
 from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.environment.node import EnvironmentNode
-from manyhands.nodes.lifetime import Life
-from manyhands.nodes.process import key_ring, main
-from manyhands.nodes.supervisor_line import ControlLine
+from manyhands.nodes.kernel.bundle import CouplingBundle, DeviceBundle, EnvironmentBundle, ObserverBundle, load
+from manyhands.nodes.kernel.lifetime import Life
+from manyhands.nodes.link.process import key_ring, main
+from manyhands.nodes.link.supervisor_line import ControlLine
+from manyhands.nodes.rows import telemetry as names
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES

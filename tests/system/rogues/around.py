@@ -11,7 +11,7 @@ import numpy as np
 import zmq
 
 from manyhands.launch.run.outcome import Progress
-from manyhands.nodes import telemetry as names
+from manyhands.nodes.rows import telemetry as names
 from manyhands.protocol.codec import encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import (

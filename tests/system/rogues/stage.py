@@ -35,7 +35,7 @@ from manyhands.launch.run.outcome import Outcome, Progress
 from manyhands.launch.run.states import Instruction, SessionPhase
 from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import load_session
-from manyhands.nodes.bundle import Bundle
+from manyhands.nodes.kernel.bundle import Bundle
 from manyhands.protocol.codec import Received
 from manyhands.protocol.messages import NodeHello
 

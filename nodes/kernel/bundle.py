@@ -1,0 +1,887 @@
+"""The bundle that one node is started with: its own part of the session, and nothing of the others'.
+
+A bundle is one JSON file. The launcher writes it from the session and its certificate, and only its node may read it.
+A device's bundle holds no block of V, and a coupling's only its own block. The environment's bundle holds none: D_V of
+rung 0 comes with the handshakes, and the bundle has only the D_V of the ladder's further rungs.
+
+A bundle names the node, its peers and its limits (:class:`Common`, :class:`Peer`, :class:`Limits`), and the rungs of
+the ladder. A device's bundle also has the source of its motion (:data:`Source`): a simulated hand, a recorded motion,
+a person at a browser, or the driver of another package. Arrays are written with their shape (:func:`plain`,
+:func:`array`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final, NamedTuple, TypeAlias, TypeVar
+
+import numpy as np
+
+from manyhands.design.files import open_new, read_regular
+from manyhands.design.levels.contract import DeviceShare
+from manyhands.design.models.coupling import loop_gain
+from manyhands.design.models.scene import ContactScene, scene_of
+from manyhands.design.models.statespace import Matrix, StateSpace, matrix
+from manyhands.nodes.kernel.allowance import LatenessAllowance
+from manyhands.nodes.kernel.driver_statement import NO_DELAY, DeviceTiming
+from manyhands.nodes.kernel.energy_budget import EnergyBudget
+from manyhands.nodes.kernel.factory import FactoryName
+from manyhands.nodes.kernel.inertia import Inertia
+from manyhands.nodes.kernel.site_bounds import SiteBounds
+from manyhands.protocol.clock import from_seconds
+from manyhands.protocol.messages import Role, Start
+
+MOST_RUNGS = 8
+"""The most rungs of a ladder besides rung 0, as many as a session file may state."""
+
+
+@dataclass(frozen=True)
+class Peer:
+    """A node at the other end of one of this node's links.
+
+    Attributes:
+        name: the peer's name.
+        role: the peer's role.
+        ports: the ports that the link carries, in order.
+        binds: whether *this* node binds the link's endpoint.
+        address: the address that this node binds (tcp), host:port; empty for any port of the loopback.
+        certificate: the id that the two ends of the link share; empty where it is the node's own.
+    """
+
+    name: str
+    role: Role
+    ports: tuple[str, ...]
+    binds: bool
+    address: str = ""
+    certificate: str = ""
+
+
+@dataclass(frozen=True)
+class Common:
+    """The part of a bundle that every node needs, to find its peers and to be recognised by them.
+
+    Attributes:
+        session: the session's name.
+        name: the node's name.
+        role: the node's role.
+        certificate: id of the certificate (or of the uncertified session) that all nodes must share; at the site of a
+            wave link, the id of its part (:func:`manyhands.launch.plan.bundles.part_id`).
+        period: T, s.
+        clock: :data:`REALTIME` or :data:`SIMULATED`.
+        transport: "ipc" or "tcp".
+        public: the public keys of this node, its peers and the supervisor; empty for a session without keys.
+        private: the file of this node's private key; empty for a session without keys, or where the user names it.
+        directory: the session's directory, mode 0700; empty for a node on another machine.
+        control: endpoint of the supervisor's hub.
+        ports: the node's ports, in order.
+        peers: the node at the other end of each link.
+        telemetry_ticks: ticks between two telemetry messages.
+        telemetry_first: ticks before the first one, at most as many; they differ, so that the nodes of a session do not
+            all send telemetry in the same tick.
+        rate: ticks of the node in one of the session's; not 1 at a wave link's site with a period of its own.
+        phase: when its tick 0 is, after the session's, s. Sites and their world need no common instant, so they take
+            turns at the processors.
+
+    Raises:
+        ValueError: the first telemetry has more ticks than the others, whose number a node has room for.
+    """
+
+    session: str
+    name: str
+    role: Role
+    certificate: str
+    period: float
+    clock: str
+    transport: str
+    public: Mapping[str, str]
+    private: str
+    directory: str
+    control: str
+    ports: tuple[str, ...]
+    peers: tuple[Peer, ...]
+    telemetry_ticks: int
+    telemetry_first: int
+    rate: float = 1.0
+    phase: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.telemetry_first > self.telemetry_ticks:
+            raise ValueError(
+                f"found {self.telemetry_first} ticks to the first telemetry; expected at most {self.telemetry_ticks}, "
+                "as to every other"
+            )
+
+    @property
+    def folder(self) -> Path | None:
+        """The session's directory; None for a node on another machine."""
+        return Path(self.directory) if self.directory else None
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The limits of the devices at a node's ports, in either direction; one entry for each port of the node.
+
+    Attributes:
+        force: N.
+        displacement: m.
+        speed: m/s.
+
+    Raises:
+        ValueError: a limit is not a finite number greater than 0.
+    """
+
+    force: tuple[float, ...]
+    displacement: tuple[float, ...]
+    speed: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        for limit in (*self.force, *self.displacement, *self.speed):
+            if not 0.0 < limit < math.inf:
+                raise ValueError(f"found the limit {limit}; expected a finite number greater than 0")
+
+
+@dataclass(frozen=True)
+class DeviceRung:
+    """What every device promises at one rung of the ladder, and under which assumptions on its timing.
+
+    Attributes:
+        tau: the longest delay from a sample to its force, s.
+        period_tolerance: rho; the time between two samples is at most (1 + rho) T; dimensionless, 0 ... 1.
+        share: kappa, share and c; G_hat is (share Delta_D)-OSP with K = kappa T Delta_D^{-1}, and its storage has the
+            weight c of the last force step. An uncertified session has the paper's values without delay.
+
+    Raises:
+        ValueError: a number is out of its range.
+    """
+
+    tau: float
+    period_tolerance: float
+    share: DeviceShare
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.period_tolerance <= 1.0:
+            raise ValueError(f"found the period tolerance {self.period_tolerance}; expected 0 ... 1")
+        if not (0.0 < self.share.kappa < math.inf and 0.0 < self.share.share <= 1.0 and 0.0 <= self.share.c < math.inf):
+            raise ValueError(f"found {self.share}; expected finite numbers with kappa > 0, 0 < share <= 1 and c >= 0")
+
+
+class DevicePromise(NamedTuple):
+    """The numbers of a device's promise: G_hat is ``level``-OSP, with this K.
+
+    Attributes:
+        level: share Delta_D, m_i x m_i, N*s/m.
+        K: kappa T Delta_D^{-1}, m_i x m_i, m/N.
+    """
+
+    level: Matrix
+    K: Matrix
+
+
+@dataclass(frozen=True, eq=False)
+class CouplingRung:
+    """One block of V at one rung of the ladder.
+
+    Attributes:
+        block: V_i.
+        K: K_i, m_i x m_i, m/N.
+        level: Delta_V,i, m_i x m_i, N*s/m; None for an uncertified session.
+    """
+
+    block: StateSpace
+    K: Matrix
+    level: Matrix | None
+
+
+def _require_few_rungs(rungs: Sequence[object]) -> None:
+    if len(rungs) > 1 + MOST_RUNGS:
+        raise ValueError(f"found {len(rungs)} rungs; expected at most {1 + MOST_RUNGS}")
+
+
+def plain(value: Any) -> Any:
+    """A value in the form that JSON writes: data classes by their fields, arrays with their shape."""
+    if dataclasses.is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, np.ndarray):
+        return {"shape": value.shape, "entries": value.ravel().tolist()}
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [plain(item) for item in value]
+    return value
+
+
+def array(data: Any) -> Matrix:
+    """The matrix of ``data``; other data raise one of the errors that :func:`load` turns into a BundleError."""
+    return matrix(np.array(data["entries"], dtype=np.float64).reshape(data["shape"]))
+
+
+def system(data: Any) -> StateSpace:
+    """The system of ``data``, by its matrices A, B, C, D; other data raise as in :func:`array`."""
+    return StateSpace(*(array(data[name]) for name in "ABCD"))
+
+
+def floats(data: Any) -> tuple[float, ...]:
+    """The numbers of ``data``; other data raise as in :func:`array`."""
+    return tuple(float(value) for value in data)
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedHand:
+    """The physics of a simulated device and its hand, one entry for each axis.
+
+    Attributes:
+        mass: of device and hand together, kg.
+        damping: of the device, N*s/m.
+        operator: H in continuous time, the operator's dynamics.
+        hand_damping: N*s/m.
+        hand_stiffness: N/m.
+        force: intended force (N): a number, a formula in t, or {"times", "values"}.
+        motion: intended motion (m), in the same forms.
+
+    Raises:
+        ValueError: the entries are not of one number of axes.
+    """
+
+    mass: tuple[float, ...]
+    damping: tuple[float, ...]
+    operator: StateSpace
+    hand_damping: tuple[float, ...]
+    hand_stiffness: tuple[float, ...]
+    force: tuple[Any, ...]
+    motion: tuple[Any, ...]
+
+    def __post_init__(self) -> None:
+        vectors = (self.mass, self.damping, self.hand_damping, self.hand_stiffness, self.force, self.motion)
+        _require_one_number({len(vector) for vector in vectors} | {self.operator.inputs})
+
+    @property
+    def axes(self) -> int:
+        """Number of axes."""
+        return len(self.mass)
+
+
+@dataclass(frozen=True, eq=False)
+class BrowserHand:
+    """The physics of a device that a person holds by a browser's pointer; by itself the hand has no intention.
+
+    Attributes:
+        physics: the device, and the hand that joins it to the pointer.
+    """
+
+    physics: SimulatedHand
+
+    @property
+    def axes(self) -> int:
+        """Number of axes."""
+        return self.physics.axes
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedMotion:
+    """A recorded motion, which moves the device whatever force acts on it.
+
+    Attributes:
+        damping: Delta_D of the device, m x m, N*s/m.
+        times: the times of the samples, s, increasing from 0.
+        values: by axis, one value for each time, m.
+
+    Raises:
+        ValueError: an axis has not one value for each time, or the damping is not m x m.
+    """
+
+    damping: Matrix
+    times: tuple[float, ...]
+    values: tuple[tuple[float, ...], ...]
+
+    def __post_init__(self) -> None:
+        if any(len(axis) != len(self.times) for axis in self.values):
+            raise ValueError(f"found an axis without {len(self.times)} samples; expected one at each time")
+        _require_one_number({len(self.values), *self.damping.shape})
+
+    @property
+    def axes(self) -> int:
+        """Number of axes."""
+        return len(self.values)
+
+
+@dataclass(frozen=True)
+class PluginDevice:
+    """A device that a driver of another package moves (:mod:`manyhands.nodes.device.plugin`).
+
+    Attributes:
+        driver: the driver's factory.
+        axes: number of axes.
+        axis_map: by port, the name of the driver's axis, after a minus where it points the other way; empty for the
+            driver's axes in their order.
+        scale: by which displacements grow from the driver to the ports, and forces shrink; dimensionless.
+        timing: the age of its samples and the delay of its forces, as the session promises them.
+    """
+
+    driver: FactoryName
+    axes: int
+    axis_map: tuple[str, ...] = ()
+    scale: float = 1.0
+    timing: DeviceTiming = NO_DELAY
+
+
+Source: TypeAlias = SimulatedHand | BrowserHand | RecordedMotion | PluginDevice
+"""The source of a device's motion."""
+
+
+def _require_one_number(numbers: set[int]) -> None:
+    if len(numbers) != 1:
+        raise ValueError(f"found entries of {sorted(numbers)} axes in a device's source; expected one number of axes")
+
+
+def plain_source(source: Source) -> dict[str, Any]:
+    """The source in the form of a bundle's file."""
+    kind = next(kind for kind, (of, _) in _KINDS.items() if isinstance(source, of))
+    return {"kind": kind, **{field.name: plain(getattr(source, field.name)) for field in dataclasses.fields(source)}}
+
+
+def source_from(data: Any) -> Source:
+    """The source in a bundle's file; the inverse of :func:`plain_source`.
+
+    Raises:
+        ValueError: the kind is unknown, or the numbers do not fit each other.
+        KeyError: an entry is missing.
+        TypeError: an entry has the wrong type.
+    """
+    kind = data["kind"]
+    if not isinstance(kind, str) or kind not in _KINDS:
+        raise ValueError(f"found a device moved by {kind!r:.40}; expected one of {', '.join(_KINDS)}")
+    return _KINDS[kind][1](data)
+
+
+def _hand(data: Any) -> SimulatedHand:
+    vectors = {name: floats(data[name]) for name in ("mass", "damping", "hand_damping", "hand_stiffness")}
+    intentions = {name: tuple(data[name]) for name in ("force", "motion")}
+    return SimulatedHand(operator=system(data["operator"]), **vectors, **intentions)
+
+
+def _motion(data: Any) -> RecordedMotion:
+    times, values = floats(data["times"]), tuple(floats(axis) for axis in data["values"])
+    if not all(map(math.isfinite, (*times, *(value for axis in values for value in axis)))):
+        raise ValueError("found a motion with a number that is not finite; expected finite numbers")
+    return RecordedMotion(array(data["damping"]), times, values)
+
+
+def _plugin(data: Any) -> PluginDevice:
+    timing = data["timing"]
+    jitter = None if timing["age_jitter"] is None else float(timing["age_jitter"])
+    return PluginDevice(
+        _factory(data["driver"]),
+        int(data["axes"]),
+        tuple(str(name) for name in data["axis_map"]),
+        float(data["scale"]),
+        DeviceTiming(float(timing["sample_age"]), jitter, float(timing["actuation_delay"])),
+    )
+
+
+def _factory(data: Any) -> FactoryName:
+    return FactoryName(data["factory"], dict(data["parameters"]), str(data.get("folder", "")))
+
+
+_KINDS: Final[Mapping[str, tuple[type[Any], Callable[[Any], Source]]]] = {
+    "simulated": (SimulatedHand, _hand),
+    "browser": (BrowserHand, lambda data: BrowserHand(_hand(data["physics"]))),
+    "trace": (RecordedMotion, _motion),
+    "plugin": (PluginDevice, _plugin),
+}
+
+
+MAX_FILE_BYTES = 256 * 2**20
+
+NOTHING = LatenessAllowance(0.0)
+
+SIMULATED = "simulated"
+REALTIME = "realtime"
+CLOCKS = (REALTIME, SIMULATED)
+
+WALL = "wall"
+"""The time of a device that goes on by the wall clock, as a real device does."""
+
+OWN = "own"
+"""The time of a device that goes on by one period from sample to sample, however long that took."""
+
+TIMES = (WALL, OWN)
+
+MAX_TELEMETRY_TICKS = 1000
+"""The most ticks between two telemetry messages: a node keeps the traces of all of them."""
+
+
+class BundleError(Exception):
+    """A bundle cannot be read; the message names the file and the reason."""
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceBundle:
+    """A device's part of the session.
+
+    Attributes:
+        common: the part that every node needs.
+        osp: Delta_D of the device itself, without its share, m_i x m_i, N*s/m.
+        rungs: kappa, share, c and the timing at each rung; rung 0 is the session's certificate, and each further rung
+            is for a longer delay.
+        source: what moves the device.
+        limits: the limits of the device.
+        time: :data:`WALL` or :data:`OWN`, the time in which the source moves the device.
+        allowance: what lateness may put into the loop; None where it is counted alone.
+        inertia: what is stated of the device's mass and its hand; None where nothing is.
+
+    Raises:
+        ValueError: Delta_D is not symmetric positive definite with a row for each port, the axes of the source are not
+            the ports, the rungs' delays do not grow, the time is unknown, or it is wall time under the simulated clock.
+    """
+
+    common: Common
+    osp: Matrix
+    rungs: tuple[DeviceRung, ...]
+    source: Source
+    limits: Limits
+    time: str = OWN
+    allowance: LatenessAllowance | None = None
+    inertia: Inertia | None = None
+
+    def __post_init__(self) -> None:
+        m = len(self.common.ports)
+        if self.time not in TIMES or (self.time == WALL and self.common.clock == SIMULATED):
+            raise ValueError(
+                f"found a device in the time {self.time!r:.40} under the {self.common.clock} clock; expected {WALL} "
+                f"or {OWN} under the {REALTIME} clock, {OWN} under the {SIMULATED} one"
+            )
+        if self.source.axes != m:
+            raise ValueError(f"found a source of {self.source.axes} axes; expected {m}, one a port")
+        if self.osp.shape != (m, m) or np.any(self.osp != self.osp.T) or not np.linalg.eigvalsh(self.osp)[0] > 0.0:
+            raise ValueError(f"found an osp of shape {self.osp.shape}; expected {m} x {m}, symmetric positive definite")
+        if self.inertia is not None and len(self.inertia.mass) != m:
+            raise ValueError(f"found an inertia of {len(self.inertia.mass)} axes; expected {m}, one a port")
+        _require_few_rungs(self.rungs)
+        if not self.rungs:
+            raise ValueError("found no rung; expected that of the certificate")
+        taus = [rung.tau for rung in self.rungs]
+        if any(not a < b for a, b in pairwise(taus)):
+            raise ValueError(f"found rungs for delays of {taus} s; expected them to grow")
+
+    @property
+    def timing(self) -> DeviceTiming:
+        """How late the device measures and acts, beside its loop; not at all unless a driver's hardware does."""
+        return self.source.timing if isinstance(self.source, PluginDevice) else NO_DELAY
+
+    @property
+    def allowed(self) -> LatenessAllowance:
+        """How far the device's ledger may fall below 0: in wall time by what lateness may put in."""
+        return self.allowance if self.allowance is not None and self.time == WALL else NOTHING
+
+    @cached_property
+    def promises(self) -> tuple[DevicePromise, ...]:
+        """The promise at each rung, computed once."""
+        T = self.common.period
+        return tuple(
+            DevicePromise(rung.share.share * self.osp, loop_gain(self.osp, T, rung.share.kappa)) for rung in self.rungs
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class WaveEnd:
+    """One end of the wave link between a coupling and the environment (docs/decisions/0033-wave-links.md).
+
+    Attributes:
+        b: the wave impedance, m_i x m_i, N*s/m; the same at both ends.
+        theta: the level that the certificate leaves to this end, m_i x m_i, N*s/m; None for 0.
+        tank: E_0, J.
+        peer_period: T of the other end, s.
+        depth: how far the play-out stays behind the newest wave, ticks of the other end; None where it is measured.
+        every: this end sends a wave in one of so many of its ticks.
+        peer_every: the other end sends a wave in one of so many of its ticks.
+        turn: the link's number: links with different numbers send in different ticks where that is possible.
+        bounds: what its site can do at most; None for no bounds.
+
+    Raises:
+        ValueError: a number is out of its range, b is not symmetric positive definite, or the bounds do not fit it.
+    """
+
+    b: Matrix
+    theta: Matrix | None
+    tank: float
+    peer_period: float
+    depth: float | None = None
+    every: int = 1
+    peer_every: int = 1
+    turn: int = 0
+    bounds: SiteBounds | None = None
+
+    def __post_init__(self) -> None:
+        if min(self.every, self.peer_every) < 1 or self.turn < 0:
+            raise ValueError(
+                f"found a wave in {self.every} and {self.peer_every} ticks and the turn {self.turn}; expected 1 or "
+                "more, and a turn of at least 0"
+            )
+        if self.b.ndim != 2 or np.any(self.b != self.b.T) or not np.linalg.eigvalsh(self.b)[0] > 0.0:
+            raise ValueError(f"found b of shape {self.b.shape}; expected it symmetric positive definite")
+        if not 0.0 <= self.tank < math.inf or not 0.0 < self.peer_period < math.inf:
+            raise ValueError(
+                f"found a tank of {self.tank} J and a period of {self.peer_period} s; expected both finite"
+            )
+        if self.depth is not None and not 0.0 <= self.depth < math.inf:
+            raise ValueError(f"found a depth of {self.depth} ticks; expected a finite number, at least 0")
+        if self.bounds is not None and len(self.bounds.wave) != len(self.b):
+            raise ValueError(f"found bounds of {len(self.bounds.wave)} ports; expected {len(self.b)}, as b has")
+
+
+def own_start(common: Common, start: Start) -> Start:
+    """``start`` in the node's own ticks, from its own instant of tick 0."""
+    epoch = start.epoch + from_seconds(common.phase)
+    return Start(epoch, round(start.ticks * common.rate), round(start.tick * common.rate))
+
+
+@dataclass(frozen=True, eq=False)
+class CouplingBundle:
+    """A coupling block's part of the session.
+
+    Attributes:
+        common: the part that every node needs.
+        block: V_i.
+        K: K_i, m_i x m_i, m/N.
+        level: Delta_V,i, m_i x m_i, N*s/m; None for an uncertified session.
+        limits: the limits of its devices.
+        softer: the block at rungs 1, 2, ... of the ladder.
+        wave: its end of its wave link; None where its loop closes inside the tick.
+
+    Raises:
+        ValueError: there are too many rungs, a matrix has not the shape that it has at rung 0, or a further rung has no
+            level.
+    """
+
+    common: Common
+    block: StateSpace
+    K: Matrix
+    level: Matrix | None
+    limits: Limits
+    softer: tuple[CouplingRung, ...] = ()
+    wave: WaveEnd | None = None
+
+    def __post_init__(self) -> None:
+        _require_few_rungs(self.rungs)
+        wanted = self.K.shape
+        for number, rung in enumerate(self.softer, 1):
+            if rung.level is None:
+                raise ValueError(f"rung {number}: found no level; expected that of the block")
+            shapes = (rung.K.shape, rung.level.shape, rung.block.D.shape)
+            if wrong := [shape for shape in shapes if shape != wanted]:
+                raise ValueError(
+                    f"rung {number}: found a matrix of shape {wrong[0]}; expected {wanted}, that of rung 0"
+                )
+
+    @property
+    def rungs(self) -> tuple[CouplingRung, ...]:
+        """The block at each rung; rung 0 is the session's certificate."""
+        return (CouplingRung(self.block, self.K, self.level), *self.softer)
+
+
+@dataclass(frozen=True, eq=False)
+class EnvironmentBundle:
+    """The environment's part of the session.
+
+    Attributes:
+        common: the part that every node needs.
+        E: the environment, tool displacement (m) to force (N); None for a model and for a scene.
+        Phi_E: its passivity level, m x m, N*s/m; None where none is promised.
+        tool_magnitude: by port, the greatest |p| that honest devices and couplings can send, m; None for no bound.
+        tool_step: by port, the greatest |p(k) - p(k-1)|, m; None for no bound.
+        feedthrough: by coupling, the digest of the D_V that its hello must have
+            (:func:`manyhands.nodes.kernel.arithmetic.feedthrough_digest`).
+        feedthrough_rungs: by coupling, its D_V (m/N) at rungs 1, 2, ... of the ladder; the same number for each.
+        independent: whether each coupling may change its rung by itself; otherwise all change in one tick.
+        enforce: whether a controller keeps Phi_E.
+        model: the model in place of E; None for E.
+        scene: the scene in place of E; None for E.
+        stiffness: K of the springs to the model's proxies, m x m, N/m; None for a model that is asked for forces.
+        tank: what a model with proxies may give out beyond what it has received, J; 0 for other kinds.
+        masses: the masses whose positions are entries of E's state, from the m-th on, or the bodies of a scene or an
+            engine, one for each coordinate; none for other kinds.
+        longest_tau: the longest delay that the session can cover, s: that of the ladder's last rung where a breach
+            softens couplings, else the certificate's; 0 where no delay is covered.
+        budgets: the energy that each coupling may put into the others, in the order of the peers.
+        storage: P with the energy 1/2 eta^T P eta, J, that E stores in the state eta; None where it is not known.
+        waves: its ends of wave links, by coupling.
+
+    Raises:
+        ValueError: there is not exactly one of E, a model and a scene, or budgets, storage or rungs do not fit. A model
+            with a level needs its controller or proxies, and a scene its controller, for the certificate rests on them.
+    """
+
+    common: Common
+    E: StateSpace | None
+    Phi_E: Matrix | None
+    tool_magnitude: tuple[float | None, ...]
+    tool_step: tuple[float | None, ...]
+    feedthrough: Mapping[str, str]
+    feedthrough_rungs: Mapping[str, tuple[Matrix, ...]] = field(default_factory=dict)
+    independent: bool = True
+    enforce: bool = False
+    model: FactoryName | None = None
+    scene: ContactScene | None = None
+    stiffness: Matrix | None = None
+    masses: tuple[str, ...] = ()
+    longest_tau: float = 0.0
+    budgets: tuple[EnergyBudget, ...] = ()
+    storage: Matrix | None = None
+    waves: Mapping[str, WaveEnd] = field(default_factory=dict)
+    tank: float = 0.0
+
+    @property
+    def energy_at_start(self) -> float:
+        """What the environment may give out from its start on, J, with which its ledger begins."""
+        return self.tank if self.scene is None else self.scene.energy_at_start
+
+    def __post_init__(self) -> None:
+        kinds = sum(kind is not None for kind in (self.E, self.model, self.scene))
+        if kinds != 1:
+            raise ValueError(f"found {kinds} of an environment's matrices, model and scene; expected one of them")
+        if self.stiffness is not None and (self.model is None or self.stiffness.shape != (len(self.common.ports),) * 2):
+            raise ValueError(f"found a stiffness of shape {self.stiffness.shape}; expected m x m, and a model")
+        if not (0.0 <= self.tank < math.inf) or (self.tank and self.stiffness is None):
+            raise ValueError(f"found a tank of {self.tank} J; expected at least 0, and above 0 only with proxies")
+        needs = self.E is None and self.stiffness is None
+        if self.enforce != (self.Phi_E is not None) and (self.enforce or needs):
+            raise ValueError(
+                f"found enforce {self.enforce} {'with' if self.Phi_E is not None else 'without'} a level; expected a "
+                "model's level to be enforced or kept by proxies, and a level wherever one is"
+            )
+        if len(self.budgets) != len(self.feedthrough):
+            raise ValueError(f"found {len(self.budgets)} budgets; expected {len(self.feedthrough)}, one a coupling")
+        if self.storage is not None and (self.E is None or self.storage.shape != self.E.A.shape):
+            raise ValueError(f"found a storage of shape {self.storage.shape}; expected that of E's matrix A")
+        numbers = {len(matrices) for matrices in self.feedthrough_rungs.values()}
+        if not self.feedthrough_rungs:
+            return
+        if len(numbers) != 1 or self.feedthrough_rungs.keys() != self.feedthrough.keys():
+            raise ValueError("found a ladder for some couplings; expected the same rungs for each of them")
+        if max(numbers) > MOST_RUNGS:
+            raise ValueError(f"found {1 + max(numbers)} rungs; expected at most {1 + MOST_RUNGS}")
+
+
+@dataclass(frozen=True, eq=False)
+class ObserverBundle:
+    """An observer's part: its name, its keys and its peers, and nothing of the session's mathematics."""
+
+    common: Common
+
+
+Bundle = DeviceBundle | CouplingBundle | EnvironmentBundle | ObserverBundle
+_B = TypeVar("_B", DeviceBundle, CouplingBundle, EnvironmentBundle, ObserverBundle)
+
+
+def foreign_code(bundle: Bundle) -> FactoryName | None:
+    """The factory of another package's code that the node of this bundle runs; None for none."""
+    if isinstance(bundle, EnvironmentBundle):
+        return bundle.model
+    if isinstance(bundle, DeviceBundle) and isinstance(bundle.source, PluginDevice):
+        return bundle.source.driver
+    return None
+
+
+def elsewhere(bundle: Bundle) -> Any:
+    """The same bundle for, or from, another machine: without a folder of this one in which code is looked for."""
+    code = foreign_code(bundle)
+    if code is None:
+        return bundle
+    code = dataclasses.replace(code, folder="")
+    if isinstance(bundle, EnvironmentBundle):
+        return dataclasses.replace(bundle, model=code)
+    if isinstance(bundle, DeviceBundle) and isinstance(bundle.source, PluginDevice):
+        return dataclasses.replace(bundle, source=dataclasses.replace(bundle.source, driver=code))
+    raise AssertionError("no other bundle names code")
+
+
+def save(bundle: Bundle, path: Path) -> None:
+    """Write a bundle as a new file that only its owner can read (mode 0600).
+
+    Raises:
+        OSError: the path exists, or it cannot be written.
+    """
+    with open_new(path, mode=0o600) as file:
+        file.write(encoded(bundle))
+
+
+def encoded(bundle: Bundle) -> bytes:
+    """The content of a bundle's file."""
+    fields = {field.name: getattr(bundle, field.name) for field in dataclasses.fields(bundle)}
+    written = {name: _WRITTEN.get(name, plain)(value) for name, value in fields.items()}
+    return json.dumps(written, allow_nan=False).encode()
+
+
+def role_of(path: Path) -> Role:
+    """The role of a bundle's node.
+
+    Raises:
+        BundleError: as :func:`load`.
+    """
+    return load(path, ObserverBundle).common.role
+
+
+def load(path: Path, kind: type[_B]) -> _B:
+    """Read a bundle of the wanted kind.
+
+    Raises:
+        BundleError: the file cannot be read, or is no bundle of that kind.
+    """
+    try:
+        data = json.loads(read_regular(path, MAX_FILE_BYTES))
+    except OSError as error:
+        raise BundleError(f"{path}: cannot be read: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:
+        raise _no_bundle(path, kind, error) from error
+    return decoded(data, kind, path)
+
+
+def decoded(data: Any, kind: type[_B], path: Path) -> _B:
+    """A bundle of the wanted kind from the JSON object in the file ``path``.
+
+    Raises:
+        BundleError: the object is no bundle of that kind.
+    """
+    try:
+        given = {**_BEFORE[kind](data), **data} if kind in _BEFORE else data
+        return kind(**{field.name: _READ[field.name](given[field.name]) for field in dataclasses.fields(kind)})
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        raise _no_bundle(path, kind, error) from error
+
+
+def _no_bundle(path: Path, kind: type[Any], error: Exception) -> BundleError:
+    # the error's text and not its repr, which may quote the whole file
+    return BundleError(f"{path}: not a bundle for a {kind.__name__}: {type(error).__name__}: {error}")
+
+
+def _optional_array(data: Any) -> Matrix | None:
+    return None if data is None else array(data)
+
+
+def _common(data: Any) -> Common:
+    peers = tuple(
+        Peer(p["name"], Role(p["role"]), tuple(p["ports"]), p["binds"], p["address"], p["certificate"])
+        for p in data["peers"]
+    )
+    common = Common(**{**data, "role": Role(data["role"]), "ports": tuple(data["ports"]), "peers": peers})
+    for name, fits in _FITS.items():
+        if not fits(getattr(common, name)):
+            raise ValueError(f"found {getattr(common, name)!r:.40} as {name}; expected it as manyhands writes it")
+    return common
+
+
+def _limits(data: Any) -> Limits:
+    return Limits(**{name: floats(data[name]) for name in data})
+
+
+def _bounds(data: Any) -> tuple[float | None, ...]:
+    return tuple(None if bound is None else float(bound) for bound in data)
+
+
+def _flag(data: Any) -> bool:
+    if type(data) is not bool:
+        raise ValueError(f"found {data!r:.40} as enforce; expected true or false")
+    return data
+
+
+def _tau(data: Any) -> float:
+    if not _is_time(data):
+        raise ValueError(f"found {data!r:.40} as a tau; expected a number of seconds")
+    return float(data)
+
+
+def _device_rung(data: Any) -> DeviceRung:
+    share = DeviceShare(*floats(data["share"][name] for name in ("kappa", "share", "c")))
+    return DeviceRung(_tau(data["tau"]), float(data["period_tolerance"]), share)
+
+
+def _wave_end(data: Any) -> WaveEnd:
+    depth = None if data["depth"] is None else float(data["depth"])
+    theta = _optional_array(data["theta"])
+    thinning = (int(data["every"]), int(data["peer_every"]), int(data["turn"]))
+    found = data["bounds"]
+    bounds = None if found is None else SiteBounds(floats(found["wave"]), floats(found["place"]))
+    return WaveEnd(array(data["b"]), theta, float(data["tank"]), float(data["peer_period"]), depth, *thinning, bounds)
+
+
+def _is_time(value: Any) -> bool:
+    return type(value) in (float, int) and 0.0 <= value < 1e9
+
+
+def _is_peer(peer: Peer) -> bool:
+    return _are_texts((peer.name, peer.address, peer.certificate, *peer.ports)) and type(peer.binds) is bool
+
+
+def _are_texts(values: Any) -> bool:
+    return all(type(value) is str for value in values)
+
+
+_FITS: dict[str, Callable[[Any], bool]] = {
+    **dict.fromkeys(
+        ("session", "name", "certificate", "private", "directory", "control"), lambda text: _are_texts([text])
+    ),
+    "period": lambda period: _is_time(period) and period > 0.0,
+    "clock": lambda clock: clock in CLOCKS,
+    "public": lambda keys: type(keys) is dict and _are_texts(keys.values()),
+    "ports": _are_texts,
+    "peers": lambda peers: all(map(_is_peer, peers)),
+    "telemetry_ticks": lambda ticks: type(ticks) is int and 0 < ticks <= MAX_TELEMETRY_TICKS,
+    "telemetry_first": lambda ticks: type(ticks) is int and 0 < ticks <= MAX_TELEMETRY_TICKS,
+    "rate": lambda rate: _is_time(rate) and rate > 0.0,
+    "phase": lambda phase: _is_time(phase),
+}
+"""The checks of :class:`Common`'s entries, which a node then uses without further checks."""
+
+_WRITTEN: dict[str, Callable[[Any], Any]] = {
+    "source": plain_source,
+    "scene": lambda scene: None if scene is None else {"ports": list(scene.ports), "terms": scene.terms()},
+}
+
+_READ: dict[str, Any] = {
+    "common": _common,
+    "level": _optional_array,
+    "source": source_from,
+    "block": system,
+    "K": array,
+    "E": lambda data: None if data is None else system(data),
+    "Phi_E": _optional_array,
+    "enforce": _flag,
+    "independent": _flag,
+    "model": lambda data: None if data is None else _factory(data),
+    "scene": lambda data: None if data is None else scene_of(data["terms"], tuple(data["ports"])),
+    "stiffness": _optional_array,
+    "masses": lambda data: tuple(str(name) for name in data),
+    "longest_tau": _tau,
+    "budgets": lambda all_: tuple(EnergyBudget(float(b["power"]), float(b["energy"]), float(b["store"])) for b in all_),
+    "storage": _optional_array,
+    "limits": _limits,
+    "tool_magnitude": _bounds,
+    "tool_step": _bounds,
+    "feedthrough": dict,
+    "osp": array,
+    "tank": float,
+    "allowance": lambda data: None if data is None else LatenessAllowance(float(data["energy"]), float(data["power"])),
+    "inertia": lambda data: None if data is None else Inertia(*(floats(data[key]) for key in ("mass", "hand", "step"))),
+    "rungs": lambda rungs: tuple(map(_device_rung, rungs)),
+    "time": lambda time: time,
+    "softer": lambda rungs: tuple(CouplingRung(system(r["block"]), array(r["K"]), array(r["level"])) for r in rungs),
+    "wave": lambda data: None if data is None else _wave_end(data),
+    "waves": lambda all_: {str(name): _wave_end(data) for name, data in all_.items()},
+    "feedthrough_rungs": lambda all_: {name: tuple(array(D) for D in rungs) for name, rungs in all_.items()},
+}
+
+_BEFORE: dict[type, Callable[[Any], dict[str, Any]]] = {
+    EnvironmentBundle: lambda _: {"tank": 0.0},
+    DeviceBundle: lambda data: {
+        "inertia": None,
+        "allowance": None if data.get("tank") is None else {"energy": data["tank"], "power": 0.0},
+    },
+}
+"""What bundles of recordings have that were written before an entry was there."""

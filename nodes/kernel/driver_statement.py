@@ -1,0 +1,76 @@
+"""What a driver states of its timing, and what is believed of it: :class:`DeviceTiming`, :class:`DriverWord`.
+
+A driver states the greatest age of its samples, by how much the age varies, and the delay of its actuator. With age a
+and delay d the force that answers a sample acts a + d later than the loop sees. So the *latency* a + d is a part of
+tau, and the variation of a is a part of the period tolerance.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class DeviceTiming:
+    """How late a device measures and acts, beside the loop.
+
+    Attributes:
+        sample_age: the greatest time from the instant of a displacement to the return of ``sample``, s.
+        age_jitter: by how much that age varies, s; None for all of it.
+        actuation_delay: the greatest time from the call of ``apply`` until the force acts, s.
+
+    Raises:
+        ValueError: a number is negative or not finite, or the jitter is greater than the age.
+    """
+
+    sample_age: float = 0.0
+    age_jitter: float | None = None
+    actuation_delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        for what, value in (("sample_age", self.sample_age), ("actuation_delay", self.actuation_delay)):
+            if not 0.0 <= value < math.inf:
+                raise ValueError(f"{what}: found {value!r:.40}; expected a time in s, at least 0")
+        if not 0.0 <= self.jitter <= self.sample_age:
+            raise ValueError(f"age_jitter: found {self.jitter!r:.40}; expected from 0 s to the sample_age")
+
+    @property
+    def latency(self) -> float:
+        """The part of tau that the loop does not see: age and delay together, s."""
+        return round(self.sample_age + self.actuation_delay, 12)
+
+    @property
+    def jitter(self) -> float:
+        """By how much the time between two samples may differ from the time between their calls, s."""
+        return self.sample_age if self.age_jitter is None else self.age_jitter
+
+
+@dataclass(frozen=True)
+class DriverWord:
+    """The driver of another package that a device has: what is believed of it, because nothing here can check it.
+
+    A person's hand holds such a device, and its work is not known. So the device's ledger judges nobody.
+
+    Attributes:
+        factory: of the driver.
+        sample_age: the greatest age of its samples, as the session has it, s.
+        actuation_delay: the greatest delay of its forces, likewise, s.
+    """
+
+    factory: str
+    sample_age: float = 0.0
+    actuation_delay: float = 0.0
+
+    def sentence(self, device: str, measured: bool) -> str:
+        """What rests on the driver's word; ``measured`` is whether it measures the force that it exerts."""
+        force = "its own measurement of the force" if measured else "that it exerts the force that it was given"
+        return (
+            f"{device} rests on the word of its driver {self.factory}: its displacements, the age of its samples (at "
+            f"most {1e3 * self.sample_age:g} ms), the delay of its forces (at most {1e3 * self.actuation_delay:g} ms) "
+            f"and their end, its damping (osp), and {force}"
+        )
+
+
+NO_DELAY = DeviceTiming()
+"""Of a device that measures and acts at the instants of its calls."""

@@ -1,0 +1,61 @@
+"""The links that a node in its loop closes and opens anew, when the supervisor reports that a peer is lost or back.
+
+The link to a lost peer is closed. Of the two ends of a link one binds: it binds a new link at once and reports the
+endpoint, which the supervisor hands to the peer's new process. The other end connects when the peer is back. Either
+end then begins a handshake, which goes on between the ticks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from manyhands.nodes.link.peer_link import PeerLink, handshake_of, peer_link_of
+from manyhands.nodes.link.supervisor_line import ControlLine, Word
+from manyhands.protocol.messages import Absent, Return
+from manyhands.protocol.transport import TransportError
+
+
+def follow(word: Word, peer_links: Sequence[PeerLink], control: ControlLine) -> PeerLink | None:
+    """Follow the supervisor's report of a peer that is lost or back; any other message is ignored here.
+
+    Returns:
+        The peer link to the lost peer; None where the message reports no lost peer of this node.
+    """
+    match word:
+        case Absent():
+            return unlink(word, peer_links, control)
+        case Return():
+            relink(word, peer_links, control)
+    return None
+
+
+def unlink(absent: Absent, peer_links: Sequence[PeerLink], control: ControlLine) -> PeerLink | None:
+    """Close the link to a lost peer; where this node binds it, bind a new one and report its endpoint.
+
+    Returns:
+        The peer link to that peer; None where this node has no such peer.
+    """
+    peer_link = peer_link_of(peer_links, absent.peer)
+    if peer_link is None:
+        return None
+    peer_link.lose()
+    if peer_link.peer.binds:
+        try:
+            link, endpoint = control.bind_anew(peer_link.peer)
+        except TransportError:  # without a socket the peer cannot come back, and the session goes on without it
+            return peer_link
+        peer_link.greet(link, handshake_of(peer_link))
+        control.offer(peer_link.peer.name, endpoint)
+    return peer_link
+
+
+def relink(back: Return, peer_links: Sequence[PeerLink], control: ControlLine) -> None:
+    """Connect to a peer that is back, where the peer binds the link."""
+    peer_link = peer_link_of(peer_links, back.peer)
+    if peer_link is None or peer_link.peer.binds:
+        return
+    try:
+        link = control.connect(back.endpoint, peer_link.peer)
+    except TransportError:  # the endpoint is none of this transport: the session goes on without the peer
+        return
+    peer_link.greet(link, handshake_of(peer_link))
