@@ -100,7 +100,7 @@ far-user: $(VENV)/.installed
 # the axes, edges, corners and faces of every pair of shapes, 100,000 searched steps: three minutes. Then 500 scenes with
 # devices in wall time, within the certified delay and far beyond, and hostile hands: ten minutes
 scenes: $(VENV)/.installed
-	MANYHANDS_SCENES=500 $(BIN)/pytest -n $(WORKERS) tests/launch/test_simulation_scene.py
+	MANYHANDS_SCENES=500 $(BIN)/pytest -n $(WORKERS) tests/launch/audit/test_simulation_scene.py
 	$(BIN)/python -m tests.deterministic.edges --steps 100000 --seed $(SEED)
 	$(BIN)/python -m tests.deterministic.lateness --scenes --sessions 500 --ticks 500 --seed $(SEED)
 

@@ -1,8 +1,8 @@
 """A user's own model as the environment: how it is made, and how it is asked for proxies or for forces.
 
-A session names the model's factory (:mod:`manyhands.nodes.kernel.factory`). The environment's process calls it once, and
-asks the model that it returns once a tick: for proxies (:class:`ProxyModel`) where the session states their stiffness, else
-for forces (:class:`ForceModel`).
+A session names the model's factory (:mod:`manyhands.nodes.kernel.factory`). The environment's process calls it once,
+and asks the model that it returns once a tick: for proxies (:class:`ProxyModel`) where the session states their
+stiffness, else for forces (:class:`ForceModel`).
 
 **The model is trusted code.** It runs in the environment's process with that process's rights, and nothing here
 confines it: to start a session that names a model is to run the model's code. It receives no key and no socket, and of

@@ -1,4 +1,4 @@
-"""Random sessions for everything that follows from a session's structure."""
+"""Random sessions for everything that follows from a session's structure; a recording of Example 1's first ticks."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from typing import Any
 import pytest
 from hypothesis import strategies as st
 
+from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.session import Session
+
+from ..support.simulated_recordings import TICKS, attachments_of, prepared_as, recorded_of, simulated, written
 
 
 @st.composite
@@ -48,3 +51,14 @@ def drawn_plain_sessions() -> st.SearchStrategy[dict[str, Any]]:
 def drawn_sessions() -> st.SearchStrategy[Session]:
     """Random sessions."""
     return plain_sessions().map(lambda plain: Session.model_validate(plain, context={"folder": Path()}))
+
+
+@pytest.fixture(scope="module")
+def prepared() -> Prepared:
+    return prepared_as("example1")
+
+
+@pytest.fixture(scope="module")
+def recording(prepared: Prepared, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recording") / "run.mcap"
+    return written(path, recorded_of(prepared), attachments_of(prepared), simulated(prepared, TICKS))
