@@ -17,6 +17,9 @@ from dataclasses import dataclass
 from manyhands.nodes.kernel.driver_statement import NO_DELAY, DeviceTiming
 from manyhands.nodes.kernel.inertia import Inertia
 
+__all__ = ["NO_DELAY", "ROUNDING", "AxisMap", "DeviceSpecification", "DeviceTiming", "promises_too_much"]
+"""With what a driver of another package takes from here beside its specification."""
+
 ROUNDING = 1e-9
 """Relative; a limit that is stated in another frame than it is compared in is rounded."""
 

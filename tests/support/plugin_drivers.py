@@ -9,8 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 from manyhands.nodes.device.plugin import DeviceDriver
-from manyhands.nodes.device.specification import DeviceSpecification
-from manyhands.nodes.kernel.driver_statement import NO_DELAY, DeviceTiming
+from manyhands.nodes.device.specification import NO_DELAY, DeviceSpecification, DeviceTiming
 from manyhands.protocol.clock import Instant
 
 STEP = 50_000  # ns of the integration

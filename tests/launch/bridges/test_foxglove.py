@@ -239,7 +239,7 @@ from manyhands.launch.look.sessions import Running
 from manyhands.launch.bridges.foxglove import FoxgloveServer
 from manyhands.protocol.clock import Instant
 from tests.support.foxglove_client import Message, connected
-from tests.launch.view.test_foxglove import BEGIN
+from tests.launch.bridges.test_foxglove import BEGIN
 from tests.support.observed_session import ABOUT, conditioned, moving
 
 server = FoxgloveServer(Running(Path("."), ABOUT), 1)
