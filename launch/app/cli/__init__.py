@@ -19,7 +19,6 @@ from typer.core import TyperGroup
 from typer.main import get_group
 
 import manyhands
-from manyhands.launch.app.cli.old_names import renewed
 
 __all__ = ["GROUPS", "app"]
 
@@ -106,13 +105,10 @@ class CommandGroup(TyperGroup):
                 formatter.write_dl([(name.ljust(width), entry.summary) for name, entry in group.items()])
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """The command that the first argument names, by its old name or its new one.
+        """The command that the first argument names.
 
         Where it names none, this ends with a usage error, which has the nearest name.
         """
-        args, notes = renewed(args)
-        for note in notes:
-            typer.echo(f"note: {note}", err=True)
         if args and not args[0].startswith("-") and args[0] not in _ENTRIES:
             near = get_close_matches(args[0], _ENTRIES, n=1)
             meant = f"did you mean {near[0]!r}?" if near else "see manyhands --help"
