@@ -4,6 +4,5 @@ Read ``models/`` first, then ``passivity/`` and ``levels/`` (the promise of each
 ``theorem4`` find a coupling and its levels, ``synthesis`` leads from a request to a ``certificate``, and ``proof/``
 proves it without any code of the others.
 
-The public library is :mod:`manyhands.design.passivity`, under the shorter name ``manyhands.passivity``. Called as a
-function, this package is :func:`manyhands.launch.app.api.design`: ``import manyhands as mh; mh.design(session)``.
+The public library is :mod:`manyhands.design.passivity`, under the shorter name ``manyhands.passivity``.
 """

@@ -493,7 +493,7 @@ class Certificate:
 
         Example:
             >>> import manyhands as mh
-            >>> found = mh.design(mh.load("example1")).frequency_responses([1.0])
+            >>> found = mh.certify(mh.load("example1")).frequency_responses([1.0])
             >>> abs(found.V[0, 0, 0] * 1110.2).round(3)    # at 1 rad/s a spring of 1110.2 N/m
             np.float64(1.0)
         """
@@ -510,7 +510,7 @@ class Certificate:
 
         Example:
             >>> import manyhands as mh
-            >>> mh.design("example1").save("example1.cert.json")
+            >>> mh.certify("example1").save("example1.cert.json")
             >>> mh.Certificate.load("example1.cert.json").loop.period
             0.001
         """

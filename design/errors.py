@@ -10,7 +10,7 @@ class DesignError(Exception):
         >>> import manyhands as mh
         >>> session = mh.load("example1", {"environment.delay": 1})
         >>> try:
-        ...     mh.design(session)
+        ...     mh.certify(session)
         ... except mh.DesignError as error:
         ...     print(type(error).__name__)
         Infeasible
@@ -28,7 +28,7 @@ class Infeasible(DesignError):
         >>> import manyhands as mh
         >>> given = {"coupling": "given", "stiffness": 3000.0}
         >>> try:
-        ...     mh.design(mh.load("example1", {"design": given}))
+        ...     mh.certify(mh.load("example1", {"design": given}))
         ... except mh.Infeasible as error:
         ...     print(error.relax[0])
         a stiffness below 2740 N/m

@@ -32,7 +32,7 @@ def main(target: Path) -> None:
 def drawn(series: bool, axes: Axes, title: str) -> RecordedRun:
     """Design, simulate and draw Example 2, with or without the contacts in series."""
     session = mh.load("example2", {"design.series": series})
-    certificate = mh.design(session)
+    certificate = mh.certify(session)
     run = mh.simulate(session, 10.0, certificate=certificate)
     claim = certificate.transparency
     mh.plot(run, "velocity", ax=axes).set_title(title if claim is None else f"{title}: {claim.gamma:.3g}", loc="left")

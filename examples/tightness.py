@@ -34,7 +34,7 @@ SPRINGS = (0.0, *DAMPING / T * 10.0 ** np.arange(-4.0, 2.1, 0.5))  # N/m
 
 def certified(session: mh.Session, tau: float) -> mh.Certificate:
     """The stiffest coupling that is certified for delays up to ``tau`` (s)."""
-    return mh.design(session.replace({"design.objective": "stiffest", "design.tau": tau}))
+    return mh.certify(session.replace({"design.objective": "stiffest", "design.tau": tau}))
 
 
 def device(mass: float, spring: float, tau: float) -> tuple[Matrix, Matrix, Matrix]:

@@ -84,19 +84,6 @@ def test_a_node_loads_no_solver_by_the_package() -> None:
     assert in_fresh_python(code) == "[]\n"
 
 
-@pytest.mark.parametrize("first", ["manyhands.design.certificate", "manyhands.launch.app.api", "manyhands"])
-def test_a_room_that_is_a_function_is_both_whatever_is_imported_first(first: str) -> None:
-    code = f"""
-import {first}
-import inspect
-import manyhands as mh, manyhands.design.certificate, manyhands.launch.session
-from manyhands import design, launch
-print(callable(mh.design), callable(launch), mh.design is design, "session" in str(inspect.signature(design)))
-print(manyhands.design.certificate.__name__, manyhands.launch.session.__name__)
-"""
-    assert in_fresh_python(code) == "True True True True\nmanyhands.design.certificate manyhands.launch.session\n"
-
-
 @pytest.mark.parametrize("package", [mh, mh.passivity], ids=["manyhands", "passivity"])
 def test_the_stub_declares_what_the_package_gives(package: ModuleType) -> None:
     assert package.__file__ is not None
@@ -107,12 +94,6 @@ def test_the_stub_declares_what_the_package_gives(package: ModuleType) -> None:
     for name, one in public(package).items():
         home = getattr(one, "__module__", name)
         assert isinstance(one, ModuleType) or home.startswith("manyhands."), f"{name} of {home}"
-
-
-def test_a_room_that_is_a_function_is_documented_as_both() -> None:
-    assert mh.design.__doc__ is not None
-    assert mh.design.__doc__.startswith("Find the virtual coupling")
-    assert "As a package: Pure mathematics" in mh.design.__doc__
 
 
 def test_a_wrong_name_is_an_attribute_error() -> None:

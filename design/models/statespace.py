@@ -270,7 +270,7 @@ class LinearSystem(NamedTuple):
     Example:
         >>> import manyhands as mh
         >>> import scipy.signal
-        >>> V = mh.design(mh.load("example1")).V
+        >>> V = mh.certify(mh.load("example1")).V
         >>> V
         LinearSystem(3 states, 3 inputs, 3 outputs, dt=0.001)
         >>> scipy.signal.dstep(V, n=3)[1][0][:, 0].round(6)     # m, after a step of 1 N at the first port

@@ -93,7 +93,7 @@ print(mh.budget(session))
 # The budget says that nothing stiffer than 3240 N/m can be certified for this device at 1 kHz. The design goes there.
 
 # %%
-certificate = mh.design(session)
+certificate = mh.certify(session)
 print(f"K = {certificate.stiffness[0, 0]:.0f} N/m, B = {certificate.damping[0, 0]:.3f} N·s/m")
 print(mh.verify(certificate, session))
 assert mh.verify(certificate, session)
@@ -112,7 +112,7 @@ plt.savefig("own_plant_impedance.png")
 # %% [markdown]
 # ## A first touch
 #
-# The hand moves 20 mm into the gel. `simulate` runs the cores of the real processes; `mh.launch` with the same session
+# The hand moves 20 mm into the gel. `simulate` runs the cores of the real processes; `mh.run` with the same session
 # runs the processes themselves.
 
 # %%

@@ -13,11 +13,11 @@ import manyhands as mh
 # %% [markdown]
 # ## A run to look at
 #
-# `launch` starts the real processes for as long as the block lasts. Under the simulated clock they run as fast as they
+# `run` starts the real processes for as long as the block lasts. Under the simulated clock they run as fast as they
 # can, with the same numbers on every machine; leave the clock out for a run in real time.
 
 # %%
-with mh.launch("example1", 1.0, clock="simulated", record="run.mcap") as session_run:
+with mh.run("example1", 1.0, clock="simulated", record="run.mcap") as session_run:
     print(sorted(session_run.progress.states))
     session_run.wait()
 print(session_run)

@@ -19,7 +19,7 @@ from manyhands.extras import explained, require
 from manyhands.launch.doctor.colocation import Where, settle_colocation
 from manyhands.launch.doctor.delay import settle_delay
 from manyhands.launch.plan.plan import Plan
-from manyhands.launch.plan.prepare import Prepared, certify, prepare
+from manyhands.launch.plan.prepare import Prepared, design_session, prepare
 from manyhands.launch.session import ENVIRONMENT, AskedEnvironment, Session
 from manyhands.launch.session.session import whole_ticks
 from manyhands.launch.session.shipped import load_named
@@ -74,14 +74,14 @@ def load(source: Source, changes: Mapping[str, Any] | None = None) -> Session:
 
 
 @overload
-def design(session: Source, part: None = None, *, progress: Progress | None = None) -> Certificate: ...
+def certify(session: Source, part: None = None, *, progress: Progress | None = None) -> Certificate: ...
 @overload
-def design(  # type: ignore[overload-overlap]  # of all names of parts, this one alone gives a world
+def certify(  # type: ignore[overload-overlap]  # of all names of parts, this one alone gives a world
     session: Source, part: Literal["environment"], *, progress: Progress | None = None
 ) -> World: ...
 @overload
-def design(session: Source, part: str, *, progress: Progress | None = None) -> Certificate: ...
-def design(session: Source, part: str | None = None, *, progress: Progress | None = None) -> Certificate | World:
+def certify(session: Source, part: str, *, progress: Progress | None = None) -> Certificate: ...
+def certify(session: Source, part: str | None = None, *, progress: Progress | None = None) -> Certificate | World:
     """Find the virtual coupling that a session asks for, and prove it.
 
     Args:
@@ -97,7 +97,7 @@ def design(session: Source, part: str | None = None, *, progress: Progress | Non
 
     Example:
         >>> import manyhands as mh
-        >>> certificate = mh.design("example1")
+        >>> certificate = mh.certify("example1")
         >>> certificate.stiffness.diagonal().round(1)      # N/m
         array([1110.2, 1110.2, 1110.2])
         >>> certificate.damping.diagonal().round(4)        # N·s/m
@@ -109,7 +109,7 @@ def design(session: Source, part: str | None = None, *, progress: Progress | Non
     if not loaded.wave_links:
         if part is not None:
             raise ValueError(f"part: found {part!r}; expected none, since {loaded.name} has no wave links")
-        return certify(loaded, progress).certificate
+        return design_session(loaded, progress).certificate
     from manyhands.launch.plan.sites import in_tick, part_names, site, world
 
     names = part_names(loaded)
@@ -146,7 +146,7 @@ def verify(
 
     Example:
         >>> import manyhands as mh
-        >>> certificate = mh.design("example1")
+        >>> certificate = mh.certify("example1")
         >>> proof = mh.verify(certificate, "example1")
         >>> proof
         Proof(example-1: proved, 18 findings)
@@ -215,7 +215,7 @@ def simulate(
     silences: Sequence[Silence] = (),
     progress: Callable[[int], None] | None = None,
 ) -> RecordedRun:
-    """Simulate a session in this process, as fast as it goes: the numbers are those of :func:`launch`, bit for bit.
+    """Simulate a session in this process, as fast as it goes: the numbers are those of :func:`run`, bit for bit.
 
     A simulation shakes no hand, so that a session that cannot be certified is simulated too, with a warning.
 
@@ -253,7 +253,7 @@ def simulate(
     return simulate(prepared, ticks, silences, progress)
 
 
-def launch(
+def run(
     session: Source,
     duration: float | None = None,
     *,
@@ -289,7 +289,7 @@ def launch(
 
     Example:
         >>> import manyhands as mh
-        >>> with mh.launch("example1", 0.2, clock="simulated", record="run.mcap") as run:
+        >>> with mh.run("example1", 0.2, clock="simulated", record="run.mcap") as run:
         ...     run.wait()
         True
         >>> run.report["duration"], sorted(run.report["nodes"])[:3]

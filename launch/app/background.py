@@ -41,7 +41,7 @@ class RunFailed(Exception):
 
 
 class BackgroundRun:
-    """A session that runs while the ``with`` block does; :func:`manyhands.launch.app.api.launch` makes it.
+    """A session that runs while the ``with`` block does; :func:`manyhands.launch.app.api.run` makes it.
 
     Entering it starts the processes and waits until all of them are ready. Leaving it ends the session, waits until
     every process is gone, and writes what was asked for. It is entered once.

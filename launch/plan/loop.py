@@ -48,7 +48,7 @@ class NotCertified(Exception):
     Example:
         >>> import manyhands as mh
         >>> try:
-        ...     mh.launch("example1-uncoupled", 1.0, clock="simulated")
+        ...     mh.run("example1-uncoupled", 1.0, clock="simulated")
         ... except mh.NotCertified as error:
         ...     print(str(error)[:42])
         example-1-uncoupled is not certified: ther

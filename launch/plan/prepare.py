@@ -89,7 +89,7 @@ class Prepared(Plan):
         return tuple(self.parts.values()) if self.certificate is None else (self.certificate,)
 
 
-def certify(session: Session, progress: Progress | None = None) -> Designed:
+def design_session(session: Session, progress: Progress | None = None) -> Designed:
     """Design the session's coupling, or take the given one, and prove it.
 
     Raises:
@@ -152,7 +152,7 @@ def prepare(
     else:
         session = _settled(session)
         try:
-            proof = certify(session, progress).certificate
+            proof = design_session(session, progress).certificate
         except DesignError as error:
             return _uncertified(session, error, uncertified)
     ladder, notes = _ladder(session, proof, progress)

@@ -3,8 +3,8 @@
 | name | does |
 |---|---|
 | ``mh.load``, ``mh.Session`` | a session, from a file, the name of a shipped one, or Python data |
-| ``mh.design``, ``mh.verify``, ``mh.budget`` | a coupling with its certificate; its proof; what could be certified |
-| ``mh.simulate``, ``mh.launch`` | a run in this process; a run of real processes, for as long as a ``with`` block |
+| ``mh.certify``, ``mh.verify``, ``mh.budget`` | a coupling with its certificate; its proof; what could be certified |
+| ``mh.simulate``, ``mh.run`` | a run in this process; a run of real processes, for as long as a ``with`` block |
 | ``mh.sweep`` | a task for many sessions, on any executor |
 | ``mh.read``, ``mh.plot`` | a recording; pictures of runs, designs and budgets |
 | ``mh.passivity`` | the lemmas and theorems behind it, for any linear system |
@@ -20,13 +20,10 @@ Four rooms hold the code, imported one way (``design | protocol`` <- ``nodes`` <
 * :mod:`manyhands.nodes`: the device, coupling and environment processes;
 * :mod:`manyhands.launch`: session files, the supervisor, the command line.
 
-``design`` and ``launch`` are each a room and a function: ``mh.design(session)`` calls
-:func:`manyhands.launch.app.api.design`, and ``manyhands.design.certificate`` is a module, as in any package.
-
 Example:
     >>> import manyhands as mh
     >>> session = mh.load("example1")
-    >>> certificate = mh.design(session)
+    >>> certificate = mh.certify(session)
     >>> bool(mh.verify(certificate, session))
     True
     >>> run = mh.simulate(session, 1.0, certificate=certificate)
@@ -34,10 +31,8 @@ Example:
     1110 N/m; fastest hand 0.14 m/s
 """
 
-from manyhands.lazy_names import callable_package, lazy_names
+from manyhands.lazy_names import lazy_names
 
 __version__ = "0.6.0"
 
 __getattr__, __dir__ = lazy_names(__name__, __file__)
-for _room in ("design", "launch"):  # their names are also functions of the API
-    callable_package(f"{__name__}.{_room}", f"{__name__}.launch.app.api")

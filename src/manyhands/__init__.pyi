@@ -4,11 +4,11 @@ from manyhands.design.errors import DesignError as DesignError
 from manyhands.design.errors import Infeasible as Infeasible
 from manyhands.design.models.statespace import LinearSystem as LinearSystem
 from manyhands.launch.app.api import budget as budget
-from manyhands.launch.app.api import design as design
-from manyhands.launch.app.api import launch as launch
+from manyhands.launch.app.api import certify as certify
 from manyhands.launch.app.api import load as load
 from manyhands.launch.app.api import plot as plot
 from manyhands.launch.app.api import read as read
+from manyhands.launch.app.api import run as run
 from manyhands.launch.app.api import simulate as simulate
 from manyhands.launch.app.api import verify as verify
 from manyhands.launch.app.background import RunFailed as RunFailed

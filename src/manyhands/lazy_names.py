@@ -1,4 +1,4 @@
-"""Names of a package that are imported at their first use and declared in its stub file; and packages that are called.
+"""Names of a package that are imported at their first use and declared in its stub file.
 
 A package that exports names of heavy modules has a stub ``__init__.pyi`` beside its ``__init__.py``. Each line
 ``from MODULE import NAME as NAME`` of the stub is read by type checkers and editors, and at run time by
@@ -12,7 +12,6 @@ import sys
 
 TYPE_CHECKING = False  # without importing typing: every node and every command pays for what is imported here
 if TYPE_CHECKING:
-    import inspect
     from collections.abc import Callable
     from typing import Any
 
@@ -59,44 +58,6 @@ def lazy_names(package: str, file: str) -> tuple[Callable[[str], Any], Callable[
         return sorted({*sys.modules[package].__dict__, *homes()})
 
     return find, names
-
-
-def callable_package(package: str, module: str) -> None:
-    """Import a package, and let it be called: the call goes to the function of its own name in ``module``.
-
-    A package whose name is also that of a function would otherwise hide the function, or be hidden by it, depending on
-    what was imported first.
-
-    Args:
-        package: its dotted name.
-        module: the module of the function, which is imported at the first call.
-    """
-    _, _, name = package.rpartition(".")
-    room = importlib.import_module(package)
-    about = room.__doc__
-
-    def function() -> Any:
-        return getattr(importlib.import_module(module), name)
-
-    class CallablePackage(type(sys)):  # type: ignore[misc]  # it is types.ModuleType, without that import
-        """A package that is also a function."""
-
-        def __call__(self, *arguments: Any, **options: Any) -> Any:
-            return function()(*arguments, **options)
-
-        @property
-        def __signature__(self) -> inspect.Signature:
-            """The function's, for ``help`` and editors."""
-            import inspect
-
-            return inspect.signature(function())
-
-        @property
-        def __doc__(self) -> str:  # type: ignore[override]  # of a module it is a variable
-            """The function's, and then the package's."""
-            return f"{function().__doc__}\n\nAs a package: {about}"
-
-    room.__class__ = CallablePackage
 
 
 def _imports(stub: str) -> dict[str, tuple[str, str]]:

@@ -157,7 +157,7 @@ import manyhands as mh
 from manyhands.launch.recordings.recording import RUN_SUFFIXES, require_suffix
 for act in (
     lambda: mh.load("example1"),
-    lambda: mh.design({}),
+    lambda: mh.certify({}),
     lambda: mh.passivity.greatest_output_level,
     lambda: mh.read("a.mcap"),
     lambda: require_suffix(Path("a.mcap"), RUN_SUFFIXES),

@@ -29,7 +29,7 @@ SHORT = {"design.ladder": []}  # a ladder takes most of the time of a run that d
 
 @pytest.fixture(scope="module")
 def certificate() -> mh.Certificate:
-    return mh.design("example1")
+    return mh.certify("example1")
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +84,7 @@ def test_stiffness_and_damping_are_those_of_the_springs(certificate: mh.Certific
 
 
 def test_stiffness_and_damping_of_a_linear_coupling_are_its_slow_motion() -> None:
-    linear = mh.design(mh.load("example2-linear", {"design.order": 1}))
+    linear = mh.certify(mh.load("example2-linear", {"design.order": 1}))
     assert linear.spring_damper is None
     omega = 1e-3  # rad/s, where the next term of the expansion is 1e-9 of the first
     V = linear.frequency_responses([omega]).V[0]
@@ -126,7 +126,7 @@ def test_a_declared_environment_has_no_matrices() -> None:
         "environment": {"type": "python", "model": "nowhere:Puck", "level": 0.1},
         "design": {"coupling": "spring-damper"},
     }
-    found = mh.design(puck)
+    found = mh.certify(puck)
     with pytest.raises(ValueError, match="declared by its level"):
         found.frequency_responses()
 
@@ -151,8 +151,8 @@ def test_verify_compares_with_the_session(certificate: mh.Certificate) -> None:
 
 def test_the_parts_of_a_session_with_wave_links_are_designed_and_meet(linked: mh.Session) -> None:
     with pytest.raises(ValueError, match="part: found None; expected one of cx, in-tick, environment"):
-        mh.design(linked)
-    site, in_tick, world = (mh.design(linked, part) for part in ("cx", "in-tick", "environment"))
+        mh.certify(linked)
+    site, in_tick, world = (mh.certify(linked, part) for part in ("cx", "in-tick", "environment"))
     assert mh.verify(site, linked)
     proof = mh.verify(world, linked, [site, in_tick])
     assert proof
@@ -160,7 +160,7 @@ def test_the_parts_of_a_session_with_wave_links_are_designed_and_meet(linked: mh
     with pytest.raises(ValueError, match="which is no world; expected none"):
         mh.verify(site, parts=[in_tick])
     with pytest.raises(ValueError, match="expected none, since example-1 has no wave links"):
-        mh.design("example1", "cx")
+        mh.certify("example1", "cx")
 
 
 def test_a_measured_delay_is_designed_for(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -170,7 +170,7 @@ def test_a_measured_delay_is_designed_for(monkeypatch: pytest.MonkeyPatch, tmp_p
         return Profile(way.profile_key(plan), Lateness(100.0, 190.0, 300.0, 400.0), 1000.0, 0.0, 2.0, time.time())
 
     monkeypatch.setattr(probe, "measure_profile", measured)
-    certificate = mh.design(mh.load("example1", {"design.tau": "auto"}))
+    certificate = mh.certify(mh.load("example1", {"design.tau": "auto"}))
     assert certificate.tau == pytest.approx(0.00025)  # 190 us, on the grid of T/20, and a step of reserve
 
 
@@ -245,9 +245,9 @@ def test_an_uncertified_simulation_warns() -> None:
             lambda: mh.simulate("example1", 1e7),
             "duration: found 1e+07 s, 10000000000 ticks of 3 ports; expected at most",
         ),
-        (lambda: mh.launch("example1", 0.0), "duration: found 0 s; expected from one period"),
-        (lambda: mh.launch("example1", clock="sundial"), "clock: found 'sundial'; expected realtime or simulated"),
-        (lambda: mh.launch("example1", transport="udp"), "transport: found 'udp'; expected ipc or tcp"),
+        (lambda: mh.run("example1", 0.0), "duration: found 0 s; expected from one period"),
+        (lambda: mh.run("example1", clock="sundial"), "clock: found 'sundial'; expected realtime or simulated"),
+        (lambda: mh.run("example1", transport="udp"), "transport: found 'udp'; expected ipc or tcp"),
         (
             lambda: mh.simulate(mh.load("example1", SHORT), 0.1, silences=[mh.Silence("cq", 1)]),
             "found a silence of 'cq'; expected one of cx, cy, cz",

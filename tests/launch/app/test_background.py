@@ -33,7 +33,7 @@ WALL = {
 
 @pytest.fixture(scope="module")
 def certificate() -> mh.Certificate:
-    return mh.design(WALL)
+    return mh.certify(WALL)
 
 
 def ticked(now: Progress) -> bool:
@@ -42,7 +42,7 @@ def ticked(now: Progress) -> bool:
 
 def test_a_run_ends_by_itself_and_is_that_of_the_simulation(certificate: mh.Certificate, tmp_path: Path) -> None:
     file = tmp_path / "run.mcap"
-    with mh.launch(WALL, 0.3, clock="simulated", certificate=certificate, record=file) as run:
+    with mh.run(WALL, 0.3, clock="simulated", certificate=certificate, record=file) as run:
         assert run.wait(WITHIN)
         assert run.outcome is not None
     assert run.outcome.faults == ()
@@ -56,7 +56,7 @@ def test_a_run_ends_by_itself_and_is_that_of_the_simulation(certificate: mh.Cert
 
 
 def test_leaving_the_block_ends_an_endless_run(certificate: mh.Certificate, tmp_path: Path) -> None:
-    with mh.launch(WALL, clock="simulated", certificate=certificate, directory=tmp_path / "kept") as run:
+    with mh.run(WALL, clock="simulated", certificate=certificate, directory=tmp_path / "kept") as run:
         assert run.wait_for(ticked, WITHIN)
         assert run.outcome is None
         assert set(run.progress.states.values()) == {"running"}
@@ -69,7 +69,7 @@ def test_leaving_the_block_ends_an_endless_run(certificate: mh.Certificate, tmp_
 
 def test_stop_ends_it_before_the_block_is_left(certificate: mh.Certificate, tmp_path: Path) -> None:
     file = tmp_path / "run.npz"
-    with mh.launch(WALL, clock="simulated", certificate=certificate, record=file) as run:
+    with mh.run(WALL, clock="simulated", certificate=certificate, record=file) as run:
         assert run.wait_for(ticked, WITHIN)
         assert not run.wait(0.0)
         run.stop()
@@ -81,14 +81,14 @@ def test_stop_ends_it_before_the_block_is_left(certificate: mh.Certificate, tmp_
 def test_an_exception_of_the_block_ends_the_run_and_goes_on(certificate: mh.Certificate) -> None:
     with (
         pytest.raises(ZeroDivisionError),
-        mh.launch(WALL, clock="simulated", certificate=certificate) as run,
+        mh.run(WALL, clock="simulated", certificate=certificate) as run,
     ):
         _ = 1 / 0
     assert run.outcome is not None
 
 
 def test_a_process_that_fails_is_an_error_of_the_block(certificate: mh.Certificate) -> None:
-    run = mh.launch(WALL, clock="simulated", certificate=certificate)
+    run = mh.run(WALL, clock="simulated", certificate=certificate)
 
     def kill_the_device() -> None:
         with run:
@@ -103,7 +103,7 @@ def test_a_process_that_fails_is_an_error_of_the_block(certificate: mh.Certifica
 
 def test_a_run_is_entered_once_and_from_any_thread(certificate: mh.Certificate) -> None:
     """Only the main thread may handle signals; a run beside a program needs none."""
-    run = mh.launch(WALL, 0.1, clock="simulated", certificate=certificate)
+    run = mh.run(WALL, 0.1, clock="simulated", certificate=certificate)
     assert repr(run) == "BackgroundRun(wall, simulated clock, not started)"
     with pytest.raises(RuntimeError, match="found a run that was not entered"):
         run.progress  # noqa: B018
@@ -127,16 +127,16 @@ def test_files_that_cannot_be_written_are_refused_before_anything_starts(
 ) -> None:
     nowhere = tmp_path / "none" / "run.mcap"
     with pytest.raises(TargetError, match="found no folder"):
-        mh.launch(WALL, 0.1, clock="simulated", certificate=certificate, record=nowhere)
+        mh.run(WALL, 0.1, clock="simulated", certificate=certificate, record=nowhere)
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "file").touch()
     with pytest.raises(TargetError, match="found a folder that is not empty"):
-        mh.launch(WALL, 0.1, clock="simulated", certificate=certificate, directory=tmp_path / "full")
+        mh.run(WALL, 0.1, clock="simulated", certificate=certificate, directory=tmp_path / "full")
 
 
 def test_an_uncertified_session_is_refused() -> None:
     with pytest.raises(mh.NotCertified, match="example-1-uncoupled is not certified"):
-        mh.launch("example1-uncoupled", 0.1, clock="simulated")
+        mh.run("example1-uncoupled", 0.1, clock="simulated")
 
 
 def test_a_request_before_the_wait_is_seen_and_one_after_it_harms_nobody() -> None:

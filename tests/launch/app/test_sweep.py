@@ -66,7 +66,7 @@ def test_a_sweep_designs_every_combination_as_a_single_design_does(threads: Exec
     ]
     for case, row in zip(found.cases, found.rows, strict=True):
         assert row is not None
-        alone = mh.design(mh.load("example1", case))
+        alone = mh.certify(mh.load("example1", case))
         assert row["certificate"] == alone.id
         assert row["stiffness_N/m"] == np.linalg.eigvalsh(alone.stiffness)[0]
     assert found.columns()["certified"].tolist() == [True, True]

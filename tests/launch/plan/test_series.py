@@ -66,7 +66,7 @@ def test_nothing_is_counted_unless_it_is_asked_for() -> None:
     assert load_named("example1").design.counted is None
     assert load_named("example1", ["design.series=false"]).design.counted is None
     assert load_named("example1", ["design.series=0.5"]).design.counted == 0.5
-    assert mh.design("example1").version == 3
+    assert mh.certify("example1").version == 3
 
 
 def test_processes_run_the_loop_as_it_is_cut(counted: Prepared) -> None:

@@ -194,7 +194,7 @@ def test_ctrl_c_is_130_even_when_an_import_catches_it(
     command: list[str], becomes: Exception | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Extension modules may turn what is raised while they load into an error of theirs, or swallow it."""
-    honest = prepare.certify
+    honest = prepare.design_session
 
     def importing(*arguments: Any) -> Any:
         try:
@@ -205,7 +205,7 @@ def test_ctrl_c_is_130_even_when_an_import_catches_it(
         return honest(*arguments)
 
     for module in (design_report, prepare):
-        monkeypatch.setattr(module, "certify", importing)
+        monkeypatch.setattr(module, "design_session", importing)
     monkeypatch.setattr(cli.common, "ctrl_c", [])
     result = manyhands_command(*command, "example1.yaml", "--set", "design.tau=0")
     assert result.exit_code == 130
