@@ -38,8 +38,7 @@ from numpy.typing import NDArray
 
 from manyhands.extras import require
 from manyhands.launch.recordings.recording import Array, RecordingError
-from manyhands.launch.recordings.run import RecordedRun
-from manyhands.launch.recordings.tables import Progress, Traces, chosen
+from manyhands.launch.recordings.run import Progress, RecordedRun, Traces, chosen
 from manyhands.protocol.channels import DISPLACEMENT, FORCE
 from manyhands.protocol.messages import Role
 
@@ -283,7 +282,7 @@ def save_bag(run: RecordedRun, path: Path, patterns: Sequence[str] = (), progres
     Args:
         run: the recording.
         path: the folder, which must not exist.
-        patterns: the topics of the recording to write; see :func:`~manyhands.launch.recordings.tables.chosen`.
+        patterns: the topics of the recording to write; see :func:`~manyhands.launch.recordings.run.chosen`.
         progress: called with the part that is done, 0 to 1.
 
     Returns:

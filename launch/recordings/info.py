@@ -14,8 +14,8 @@ import numpy as np
 from mcap.records import Attachment, Channel, Metadata
 
 from manyhands.launch.recordings.mcap import End, Message, Messages, parts
+from manyhands.launch.recordings.reading import cut_at, fitting, objects
 from manyhands.launch.recordings.recording import RecordingError
-from manyhands.launch.recordings.run import cut_at, fitting, objects
 from manyhands.nodes.recorder.coverage import Coverage, missing_by_party, spans_by_party
 from manyhands.nodes.recorder.coverage import Gap as MissingTicks
 from manyhands.nodes.recorder.format import METADATA, SUPERVISOR, Recorded, decode_figures

@@ -1,13 +1,8 @@
-"""Recordings as tables: reads x and f_v from files of any format, and writes any topic as a table.
+"""Recordings as tables: reads x and f_v from files of any format.
 
 :func:`read_saved` reads what :meth:`manyhands.launch.recordings.recording.Recording.save` wrote, ``.npz`` and ``.csv``.
 :func:`read_recording` reads an ``.mcap`` file, whole or as far as it goes. The files may come from anywhere: nothing in
 them is executed (no pickles), and their size is checked before they are read.
-
-:func:`export` writes one row a tick and one column for each of a topic's columns, for a spreadsheet, numpy or a data
-frame. A column is named ``NODE.TOPIC[COLUMN]_UNIT``, such as ``dx.sample[x]_m``. Every number is exact, and NaN where
-the recording has none. The rows are at the session's ticks: where a node has a period of its own, each has the newest
-of that node's rows.
 """
 
 from __future__ import annotations
@@ -17,33 +12,28 @@ import math
 import os
 import re
 from array import array
-from collections.abc import Callable, Mapping, Sequence
-from fnmatch import fnmatchcase
+from collections.abc import Callable
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Any, BinaryIO, Final, TextIO
+from typing import Final, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.design.files import open_regular, replacing
-from manyhands.extras import require
+from manyhands.design.files import open_regular
 from manyhands.launch.recordings.arrays import read_arrays
-from manyhands.launch.recordings.recording import Array, Recording, RecordingError, one_period, require_format
-from manyhands.launch.recordings.run import (
+from manyhands.launch.recordings.reading import (
     MOST_MISSING,
     Gatherer,
-    RecordedRun,
-    RecordedTrace,
     cut_at,
     read_topics,
     require_beginning,
     span_of,
 )
+from manyhands.launch.recordings.recording import Array, Recording, RecordingError, one_period, require_format
 from manyhands.nodes.recorder.coverage import Coverage, missing_by_party
-from manyhands.nodes.recorder.format import Recorded
 from manyhands.nodes.rows.own_ticks import own_span
-from manyhands.protocol.channels import DISPLACEMENT, FORCE, topic_name, topics_of
+from manyhands.protocol.channels import DISPLACEMENT, FORCE, topics_of
 from manyhands.protocol.messages import Role
 
 MOST_BYTES: Final = 4 * 2**30
@@ -174,155 +164,3 @@ def _signal_columns(sample: Gatherer, force: Gatherer, span: range) -> tuple[Arr
     both = x_there & f_there
     x[~both] = f_v[~both] = np.nan
     return x, f_v, both
-
-
-Progress = Callable[[float], None]
-Traces = Mapping[tuple[str, str], RecordedTrace]
-
-TICK: Final = "tick"
-TIME: Final = "time_s"
-_ROWS: Final = 2048  # rows that are converted to text at a time
-
-
-def chosen(run: RecordedRun, patterns: Sequence[str]) -> dict[tuple[str, str], RecordedTrace]:
-    """The traces that the patterns name; all without patterns.
-
-    Args:
-        run: the recording.
-        patterns: with ``*`` and ``?``, each for a full name ``/SESSION/NODE/TOPIC``, ``NODE/TOPIC``, a node or a topic.
-
-    Raises:
-        RecordingError: a pattern names no trace.
-    """
-    names = {
-        key: (topic_name(run.recorded.session, *key), "/".join(key), *key)  # a pattern may match any of these
-        for key in run.traces
-    }
-    meant = set()
-    for pattern in patterns:
-        fitting = {key for key, texts in names.items() if any(fnmatchcase(text, pattern) for text in texts)}
-        if not fitting:
-            there = ", ".join("/".join(key) for key in names)
-            raise RecordingError(f"--topics: found {pattern!r}, which matches no topic here; expected one of {there}")
-        meant |= fitting
-    return {key: trace for key, trace in run.traces.items() if not patterns or key in meant}
-
-
-def missing_sentence(run: RecordedRun, traces: Traces) -> str | None:
-    """Which ticks of each node have no row in these traces: how many, and where first; None where none is missing.
-
-    A node's ticks are its own, and the recording's go to the latest tick of any node.
-    """
-    parts = []
-    for node in dict.fromkeys(node for node, _ in traces):
-        rows = [trace.values for (of, _), trace in traces.items() if of == node]
-        holes = np.flatnonzero(~np.any([np.isfinite(values).any(axis=1) for values in rows], axis=0))
-        if len(holes):
-            first = run.first_of(node) + int(holes[0])
-            at = first * run.recorded.period_of(node)
-            parts.append(f"{len(holes)} of {len(rows[0])} of {node}, the first at tick {first} ({at:.4g} s)")
-    return f"ticks are missing in the recording: {'; '.join(parts)}" if parts else None
-
-
-def column_names(node: str, trace: RecordedTrace) -> list[str]:
-    """The names of a trace's columns in a table."""
-    return [f"{node}.{trace.topic.name}[{column}]_{trace.topic.unit}" for column in trace.columns]
-
-
-def about(recorded: Recorded) -> dict[str, str]:
-    """The session's properties that a table states besides its numbers, as texts."""
-    return {
-        "session": recorded.session,
-        "certificate": recorded.certificate,
-        "period": repr(recorded.period),
-        "clock": recorded.clock,
-        "version": recorded.version,
-    }
-
-
-def export(
-    run: RecordedRun, path: Path, to: str, patterns: Sequence[str] = (), progress: Progress | None = None
-) -> None:
-    """Write a recording as a table, whole or not at all.
-
-    Args:
-        run: the recording.
-        path: the table's file.
-        to: the format, one of :data:`FORMATS`.
-        patterns: the topics to write; see :func:`chosen`.
-        progress: called with the part that is done, 0 to 1.
-
-    Raises:
-        RecordingError: a pattern names no topic, the format cannot be written here, or the file cannot be written.
-    """
-    traces = chosen(run, patterns)
-    write = FORMATS[to]
-    try:
-        with replacing(path) as file:
-            write(run, traces, file, progress or (lambda _part: None))
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
-
-
-def _save_csv(run: RecordedRun, traces: Traces, file: BinaryIO, progress: Progress) -> None:
-    time, ticks = run.time, run.ticks
-    rows = [_at_session_ticks(run, node, trace) for (node, _), trace in traces.items()]
-    text = TextIOWrapper(file, encoding="utf-8", newline="")
-    writer = csv.writer(text)
-    writer.writerow([TICK, TIME, *(name for key, trace in traces.items() for name in column_names(key[0], trace))])
-    for begin in range(0, ticks, _ROWS):
-        end = min(begin + _ROWS, ticks)
-        block = np.hstack([time[begin:end, None], *(values[begin:end] for values in rows)])
-        writer.writerows([tick, *map(repr, row)] for tick, row in enumerate(block.tolist(), run.first + begin))
-        progress(end / ticks)
-    text.detach()  # flushes it, and leaves the file open
-
-
-def table_columns(run: RecordedRun, traces: Traces) -> dict[str, NDArray[Any]]:
-    """The columns of a table of these traces by name: the session's ticks, their time in s, and every column."""
-    out: dict[str, NDArray[Any]] = {TICK: np.arange(run.first, run.first + run.ticks, dtype=np.int64), TIME: run.time}
-    for key, trace in traces.items():
-        out |= dict(zip(column_names(key[0], trace), _at_session_ticks(run, key[0], trace).T, strict=True))
-    return out
-
-
-def _at_session_ticks(run: RecordedRun, node: str, trace: RecordedTrace) -> Array:
-    """The rows of a trace at the session's ticks, each the node's newest one."""
-    return trace.values if node not in run.recorded.periods else trace.values[run.at_session_ticks(node)]
-
-
-def _save_npz(run: RecordedRun, traces: Traces, file: BinaryIO, progress: Progress) -> None:
-    recorded = run.recorded
-    ports = [port for own in recorded.devices.values() for port in own]
-    arrays: dict[str, Any] = {**about(recorded), "period": recorded.period, "ports": np.array(ports)}
-    for name in (DISPLACEMENT, FORCE):  # under the names of a simulation's file, so that one reader suits both
-        every = [
-            _at_session_ticks(run, node, trace)
-            for (node, _), trace in traces.items()
-            if node in recorded.devices and trace.topic.trace == name
-        ]
-        if len(every) == len(recorded.devices):
-            arrays[name] = np.hstack(every)
-    np.savez(file, **arrays | table_columns(run, traces))
-    progress(1.0)
-
-
-def _save_parquet(run: RecordedRun, traces: Traces, file: BinaryIO, progress: Progress) -> None:
-    require("parquet")
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    metadata = {f"manyhands.{key}": text for key, text in about(run.recorded).items()}
-    table = pa.table(
-        {name: pa.array(np.ascontiguousarray(values)) for name, values in table_columns(run, traces).items()}
-    )
-    parquet.write_table(table.replace_schema_metadata(metadata), file)
-    progress(1.0)
-
-
-FORMATS: Final[Mapping[str, Callable[[RecordedRun, Traces, BinaryIO, Progress], None]]] = {
-    "csv": _save_csv,
-    "npz": _save_npz,
-    "parquet": _save_parquet,
-}
-"""The formats of a table, with the functions that write them."""

@@ -213,9 +213,8 @@ def export(
     with errors("record"):
         from manyhands.launch.bridges.layouts import save_layout
         from manyhands.launch.bridges.rosbag import ROSBAG, save_bag
-        from manyhands.launch.recordings.run import read_run
-        from manyhands.launch.recordings.tables import FORMATS, chosen, missing_sentence
-        from manyhands.launch.recordings.tables import export as write
+        from manyhands.launch.recordings.run import FORMATS, chosen, missing_sentence, read_run
+        from manyhands.launch.recordings.run import export as write
 
         if layout is not None:
             with _bar("reading") as progress:

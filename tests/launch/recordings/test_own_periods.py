@@ -12,8 +12,8 @@ from manyhands.launch.audit.replay import require_simulated
 from manyhands.launch.look.plots import figure_of, picture_of_run
 from manyhands.launch.recordings.info import read_info
 from manyhands.launch.recordings.recording import RecordingError
-from manyhands.launch.recordings.run import RecordedRun, RecordedTrace, read_run
-from manyhands.launch.recordings.tables import export, read_recording
+from manyhands.launch.recordings.run import RecordedRun, RecordedTrace, export, read_run
+from manyhands.launch.recordings.tables import read_recording
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import Recorded
 from manyhands.protocol.codec import encode

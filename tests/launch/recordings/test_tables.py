@@ -15,8 +15,7 @@ from typer.testing import CliRunner
 from manyhands.extras import MissingExtra
 from manyhands.launch.app.cli import app
 from manyhands.launch.recordings.recording import RecordingError
-from manyhands.launch.recordings.run import RecordedRun, read_run
-from manyhands.launch.recordings.tables import FORMATS, chosen, column_names, export
+from manyhands.launch.recordings.run import FORMATS, RecordedRun, chosen, column_names, export, read_run
 from manyhands.nodes.recorder.core import RecorderCore
 
 from ...support.small_recordings import RECORDED, STARTED, cut_recording, observation

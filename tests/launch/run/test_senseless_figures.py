@@ -19,8 +19,7 @@ from manyhands.launch.look.tables import picture, session_object, top_object
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.recorded import recorded_of
 from manyhands.launch.recordings.info import read_info
-from manyhands.launch.recordings.run import read_run
-from manyhands.launch.recordings.tables import export
+from manyhands.launch.recordings.run import export, read_run
 from manyhands.launch.run.broadcast import condition_frame, describe, observation_frame
 from manyhands.launch.run.outcome import rows_of
 from manyhands.launch.session import load_session
