@@ -3,7 +3,7 @@
 :class:`Showing` serves everyone with access to the run's directory, and shows all of it. :class:`ObserverBroadcast`
 serves the observers with keys, and each receives only the part of a node's telemetry that it may read. The supervisor
 waits for no observer, and nothing that an observer does reaches a node. The receiving end is
-:mod:`manyhands.launch.observe`.
+:mod:`manyhands.launch.look`.
 """
 
 from __future__ import annotations

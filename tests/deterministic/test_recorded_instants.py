@@ -129,7 +129,7 @@ def test_gaps_that_are_not_integrated_are_followed(
     among_free_periods: bool, prepared: Prepared, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An hour here is 60 ms, and what is integrated of it 8 ms; free periods without a stop are longer than that."""
-    for module in ("nodes.device.wall_time", "launch.recordings.audit_device"):
+    for module in ("nodes.device.wall_time", "launch.audit.device"):
         monkeypatch.setattr(f"manyhands.{module}.LONGEST_GAP", 8 * MS)
 
     def stops(session: SimulatedSession) -> None:

@@ -148,7 +148,7 @@ def test_a_second_launch_with_one_recording_is_refused_naming_the_owner(tmp_path
             assert result.exit_code == 2
             assert "found another run that writes to it (process " in result.stderr.replace("\n", " ")
             assert str(other.pid) in result.stderr
-        assert CliRunner().invoke(app, ["simulate", "example1.yaml", "-o", str(path)]).exit_code == 2
+        assert CliRunner().invoke(app, ["simulate", "example1.yaml", "--record", str(path)]).exit_code == 2
         other.kill()  # the lock goes with its process, however that ends
     with claimed(path):
         pass

@@ -189,7 +189,7 @@ def test_from_keys_to_a_run_with_a_guest(tmp_path: Path, machine: Path, listen: 
         tmp_path / "c.json",
         "--duration",
         str(TICKS / 1000),
-        "-o",
+        "--record",
         tmp_path / "s.npz",
     )
     with np.load(tmp_path / "run.npz") as found, np.load(tmp_path / "s.npz") as expected:
@@ -443,7 +443,8 @@ def test_where_nobody_listens_a_guest_gives_up_in_the_end(home: Home, machine: P
     impatient = (
         "import sys\n"
         "from pathlib import Path\n"
-        "from manyhands.nodes import supervisor_line as control, remote as guest\n"
+        "from manyhands.nodes.guest import remote as guest\n"
+        "from manyhands.nodes.link import supervisor_line as control\n"
         "control._JOINING_WAITS //= 100\n"
         "sys.exit(guest.join('dx', Path('dx.bundle'), None, sys.argv[1], None))\n"
     )

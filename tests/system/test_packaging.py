@@ -116,7 +116,8 @@ def test_the_base_has_no_library_of_an_extra(base: Path, tmp_path: Path) -> None
 
 
 def test_a_guest_and_every_kind_of_node_need_the_base_alone(base: Path, tmp_path: Path) -> None:
-    nodes = ("device.__main__", "coupling.__main__", "environment.__main__", "observer.node", "remote", "seat")
+    guests = ("guest.observer", "guest.remote", "guest.seat")
+    nodes = ("device.__main__", "coupling.__main__", "environment.__main__", *guests)
     code = "import " + ", ".join(f"manyhands.nodes.{module}" for module in nodes)
     run(base / "python", "-c", code, cwd=tmp_path)
     assert "Share:" in run(base / "manyhands", "--help", cwd=tmp_path)
