@@ -7,6 +7,9 @@ force that rises to 5 N in 5 s and then stays. Stiffness at the hand is the forc
 its tool in the world, on average over the second half of the hold. Delivered is what the run gave; certified is the
 static stiffness of the coupling, with the wave link's spring 2b/R in series.
 
+A virtual machine may stand still as a whole, without any node's fault. A process of a higher priority than any node
+counts that beside each run.
+
 Every form is designed for this machine: the delays of the session at rest are measured first. The wave impedance b is
 the greatest whose felt mass b R/2 is at most 50 g, with R measured in a run before.
 """
@@ -15,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import random
 import subprocess
 import sys
@@ -93,6 +97,7 @@ class Press:
         late: the part of all ticks that were late.
         beyond: the part of the ticks of dx whose force came later than designed for.
         notices: of the run.
+        stops: how often the machine itself stood still for more than 5 ms (:class:`Stops`); None where nobody watched.
     """
 
     form: str
@@ -110,6 +115,49 @@ class Press:
     late: float
     beyond: float
     notices: tuple[str, ...]
+    stops: int | None = None
+
+
+WATCH = """
+import ctypes, os, signal, sys, time
+os.sched_setaffinity(0, {int(sys.argv[1])})
+try:
+    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(96))
+except PermissionError:
+    print("none", flush=True)
+    sys.exit()
+ctypes.CDLL(None).prctl(29, 1, 0, 0, 0)  # PR_SET_TIMERSLACK
+ends = []
+signal.signal(signal.SIGTERM, lambda *_: ends.append(1))
+stops, last = 0, time.perf_counter()
+while not ends:
+    time.sleep(0.002)
+    now = time.perf_counter()
+    stops += now - last > 0.007
+    last = now
+print(stops, flush=True)
+"""
+"""A process above every node: where it wakes late, no node could have woken either."""
+
+
+class Stops:
+    """Watches whether the machine itself stands still, for instance for another guest of its host."""
+
+    def __init__(self) -> None:
+        """Watch each processor from now on."""
+        self._watching = [
+            subprocess.Popen(  # noqa: S603 -- this interpreter, and the text above
+                [sys.executable, "-c", WATCH, str(processor)], stdout=subprocess.PIPE, text=True
+            )
+            for processor in sorted(os.sched_getaffinity(0))
+        ]
+
+    def end(self) -> int | None:
+        """Stop watching; how often it stood still, None where no such priority is permitted."""
+        for one in self._watching:
+            one.terminate()
+        said = [one.communicate()[0].strip() for one in self._watching]
+        return sum(map(int, said)) if all(word.isdecimal() for word in said) else None
 
 
 class Traces(Recorder):
@@ -181,7 +229,11 @@ def press(form: str, hold: float) -> Press:
         pilot = designed(session_of(form, R, RISE))
         R = round_trip(run(pilot, PILOT)[1])
     prepared = designed(session_of(form, R, RISE))
-    outcome, traces = run(prepared, START + RISE + hold)
+    watching = Stops()
+    try:
+        outcome, traces = run(prepared, START + RISE + hold)
+    finally:
+        stops = watching.end()
     certificate = prepared.certificate_of("cx")
     if certificate is None or certificate.spring_damper is None:
         raise SystemExit(f"{form}: found no certified spring; expected one")
@@ -214,6 +266,7 @@ def press(form: str, hold: float) -> Press:
         sum(node["late"] for node in devices) / sum(node["ticks"] for node in devices),
         float(np.mean(tau > certificate.tau * 1e6)),
         outcome.notices,
+        stops,
     )
 
 
@@ -233,8 +286,8 @@ def table(rounds: Sequence[Press]) -> str:
     """The figures by form, as Markdown."""
     lines = [
         "| form | τ designed for, us | ρ | coupling, N/m | R, ms | felt mass, g | certified, N/m | delivered, N/m "
-        "| force noise, mN | creep, um | least account, mJ | late | later than τ |",
-        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
+        "| force noise, mN | creep, um | least account, mJ | late | later than τ | stops of the machine |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
     ]
     for form, (words, *_) in FORMS.items():
         own = [one for one in rounds if one.form == form]
@@ -250,6 +303,7 @@ def table(rounds: Sequence[Press]) -> str:
             f"{mid('mass'):.0f}", f"{mid('certified'):.0f}", f"**{mid('delivered'):.0f}** ({spread})",
             f"{mid('noise'):.1f}", f"{mid('creep'):.1f}",
             f"{min(one.account for one in own):.3g} of {own[0].bound:g}", f"{mid('late'):.2%}", f"{mid('beyond'):.2%}",
+            ", ".join("?" if one.stops is None else str(one.stops) for one in own),
         ]  # fmt: skip
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
