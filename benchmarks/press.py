@@ -119,23 +119,19 @@ class Press:
 
 
 WATCH = """
-import ctypes, os, signal, sys, time
-os.sched_setaffinity(0, {int(sys.argv[1])})
-try:
-    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(96))
-except PermissionError:
-    print("none", flush=True)
-    sys.exit()
-ctypes.CDLL(None).prctl(29, 1, 0, 0, 0)  # PR_SET_TIMERSLACK
-ends = []
+import os, signal, sys
+from array import array
+from manyhands.launch.doctor.wakeup import wake_block
+from manyhands.nodes.kernel.realtime import RealtimeWishes, prepare
+from manyhands.protocol.clock import RealtimeClock
+ends, late = [], array("q")
 signal.signal(signal.SIGTERM, lambda *_: ends.append(1))
-stops, last = 0, time.perf_counter()
+os.sched_setaffinity(0, {int(sys.argv[1])})
+above = prepare(RealtimeWishes(memory=False, priority=96)).fifo.granted
+clock = RealtimeClock()
 while not ends:
-    time.sleep(0.002)
-    now = time.perf_counter()
-    stops += now - last > 0.007
-    last = now
-print(stops, flush=True)
+    wake_block(2_000_000, clock, late)
+print(sum(one > 5_000_000 for one in late) if above else "none")
 """
 """A process above every node: where it wakes late, no node could have woken either."""
 

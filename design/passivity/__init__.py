@@ -17,7 +17,7 @@ if from rest, over any time,
 | loop transformation (7)-(9) | ``loop_gain``, ``transformed_device``, ``transformed_coupling``,
 ``transformed_environment`` |
 | Theorem 3, (10) | ``loop_inequality``, ``least_coupling_level``; ``manyhands.verify`` proves it for a whole loop |
-| Theorem 4 | ``manyhands.design`` |
+| Theorem 4 | ``manyhands.certify`` |
 
 Force is in N, displacement in m, velocity in m/s and time in s. A level is in N*s/m where the system leads from force
 to velocity. Section 10 of docs/design.md shows the names at work. Each is imported at its first use, because a node

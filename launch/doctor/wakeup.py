@@ -101,11 +101,11 @@ def wake(period: int, ticks: int, priority: int, life: Life) -> Waking:
             for way, found in late.items():
                 if way == "fifo":
                     fifo = prepare(RealtimeWishes(memory=False, priority=priority))
-                    _wake_block(period, clock, found)
+                    wake_block(period, clock, found)
                     restore(fifo)
                 else:
                     set_timer_slack(DEFAULT_SLACK if way == "default_slack" else LEAST_SLACK)
-                    _wake_block(period, clock, found)
+                    wake_block(period, clock, found)
             life.check()
             if life.stopping:
                 raise Stopped
@@ -114,7 +114,8 @@ def wake(period: int, ticks: int, priority: int, life: Life) -> Waking:
     return Waking({way: Spread.of(found) for way, found in late.items()}, granted.grants())
 
 
-def _wake_block(period: int, clock: RealtimeClock, late: array[int]) -> None:
+def wake_block(period: int, clock: RealtimeClock, late: array[int]) -> None:
+    """Wake :data:`BLOCK` times, every ``period`` ns, and append by how much each time was late, ns."""
     due = clock.now()
     for _ in range(BLOCK):
         due = Instant(due + period)

@@ -30,7 +30,6 @@ from manyhands.launch.plan import sites
 from manyhands.launch.plan.certificates import proved, read_certificate, with_delay_of
 from manyhands.launch.plan.loop import NotCertified, Progress, coupling_request, haptic_loop
 from manyhands.launch.plan.plan import Plan
-from manyhands.launch.plan.sites import IN_TICK
 from manyhands.launch.session import Session
 from manyhands.launch.session.design import AUTO
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
@@ -58,7 +57,7 @@ class Prepared(Plan):
         world: the certificate of the world of a session with wave links; None for every other run. Then
             ``certificate`` is None, and every party has one of its own.
         parts: the certificates of the parties of such a world, by part: a coupling with a wave link, or the users in
-            the tick (:data:`IN_TICK`).
+            the tick (:data:`.sites.IN_TICK`).
     """
 
     loop: HapticLoop
@@ -81,7 +80,7 @@ class Prepared(Plan):
         """The certificate that a device or a coupling runs under; None for an uncertified run."""
         if self.world is None:
             return self.certificate
-        return self.parts[self.session.sites.get(node, IN_TICK)]
+        return self.parts[self.session.sites.get(node, sites.IN_TICK)]
 
     @property
     def certificates(self) -> tuple[Certificate, ...]:

@@ -35,7 +35,8 @@ seen at the next sample at the earliest. Then the account is below its bound by 
 exerted until the motion has paid for it.
 
 Of all motions that keep B >= R it takes the nearest to the real one. All that is missing stays as an offset x - x',
-which is made up slowly, as far as the account pays for it. A force that lasts longer than B pays for ends by itself.
+which is made up slowly, as far as the account pays for it. What is left is first for late forces: until there is a
+reserve for the delays that were seen, nothing is made up. A force that lasts longer than B pays for ends by itself.
 
 **A device's own latency** shifts its samples against its forces: the time of the account is that of the forces, and a
 sample is of so much earlier. A force may then act after the next sample was taken. It is booked from when it acts, and

@@ -1,4 +1,4 @@
-"""How far a device can move in a short time, by its inertia (:class:`Inertia`, :class:`SpeedBound`).
+"""How far a device can move in a short time, by what is stated of its inertia (:class:`SpeedBound`).
 
 A mechanism with a least mass m on an axis, in a hand that pushes with at most F_h, cannot jump. Under a force r its
 speed grows by at most

@@ -1,10 +1,6 @@
-"""The names and figures of telemetry and reports, the same for all nodes, and percentiles of durations.
+"""The names and figures of telemetry and reports, the same for all nodes.
 
 Lengths of time are in microseconds, energies in joules, speeds in m/s; traces are in m and N.
-
-:class:`Distribution` finds the percentiles of a stream of durations in bounded memory and in constant time for each
-value. A run has no stated end, so it cannot keep the values. It counts them in buckets whose widths grow by one percent
-each: a percentile is right to one percent, and the maximum is exact.
 """
 
 from __future__ import annotations
