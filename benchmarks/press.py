@@ -34,7 +34,7 @@ import numpy as np
 from page import fill
 
 from manyhands.launch.doctor.probe import Way, measure_profile
-from manyhands.launch.doctor.profile import allowance
+from manyhands.launch.doctor.profile import allowance, allowances_of_sites
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.reach import reach
@@ -193,8 +193,9 @@ def session_of(form: str, round_trip: float, rise: float) -> Session:
 def designed(session: Session) -> Prepared:
     """The session, designed for what its ticks take on this machine now."""
     plan = Plan(session)
-    chosen = allowance(measure_profile(plan, Way.of_run(plan), PROBE), session.device_period)
-    return prepare(session.with_delay(chosen.tau, chosen.period_tolerance))
+    profile = measure_profile(plan, Way.of_run(plan), PROBE)
+    chosen, sites = allowance(profile, session.device_period), allowances_of_sites(profile, session)
+    return prepare(session.with_delay(chosen.tau, chosen.period_tolerance, sites))
 
 
 def run(prepared: Prepared, seconds: float) -> tuple[Outcome, Traces]:

@@ -147,7 +147,7 @@ def run_demo(
         record=recorded,
         report=folder / "report.json",
     )
-    if profile is not None and outlived(profile, decentralised.session.period, outcome.report):
+    if profile is not None and outlived(profile, decentralised.session, outcome.report["nodes"]):
         drop_profile(profile)  # the next run measures anew
     print_report(out, outcome.report, outcome.faults)
     if outcome.code:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 
 from manyhands.launch.doctor.colocation import Where, settle_colocation
-from manyhands.launch.doctor.profile import Profile, allowance, keep_profile, kept_profile
+from manyhands.launch.doctor.profile import Profile, allowance, allowances_of_sites, keep_profile, kept_profile
 from manyhands.launch.plan.loop import NotCertified
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import must_measure
@@ -67,12 +67,31 @@ def settle_delay(
         except OSError as error:
             warn(f"the measurement is not kept: {error.filename}: {error.strerror}")
     chosen, latency = allowance(profile, session.device_period), session.latency
-    tau = round(chosen.tau + latency, 12)
-    if latency and tau > session.device_period:
-        raise NotCertified(
-            f"{session.name}: found a delay of {1e3 * chosen.tau:.3g} ms measured here, and {1e3 * latency:.3g} ms of "
-            f"sample_age and actuation_delay that a device states; expected at most the period of "
-            f"{1e3 * session.device_period:.3g} ms together: choose a longer period"
+    tau = _with_latency(session, chosen.tau, latency, session.device_period)
+    sites = {
+        name: _with_latency(
+            session,
+            measured,
+            max(session.latencies[device] for device in session.devices_of(name)),
+            session.period_of(name),
         )
+        for name, measured in allowances_of_sites(profile, session).items()
+    }
     tolerance = min(1.0, chosen.period_tolerance + session.period_tolerance)
-    return session.with_delay(tau, tolerance if latency else chosen.period_tolerance), profile
+    return session.with_delay(tau, tolerance if latency else chosen.period_tolerance, sites), profile
+
+
+def _with_latency(session: Session, measured: float, latency: float, period: float) -> float:
+    """The delay to certify where so much was measured and devices state so much, s.
+
+    Raises:
+        NotCertified: it is longer than the period.
+    """
+    tau = round(measured + latency, 12)
+    if latency and tau > period:
+        raise NotCertified(
+            f"{session.name}: found a delay of {1e3 * measured:.3g} ms measured here, and {1e3 * latency:.3g} ms of "
+            f"sample_age and actuation_delay that a device states; expected at most the period of "
+            f"{1e3 * period:.3g} ms together: choose a longer period"
+        )
+    return tau

@@ -85,8 +85,10 @@ class Ticking:
         tau: the delay from sample to force, over all devices, us.
         ticks: number of ticks of all devices together.
         late: number of ticks that ended after the next tick was due.
-        slowest: the delay of the device with the longest p99.5, us.
-        period: the p99 of the time between two samples, of the device where it is longest, us.
+        slowest: the delay of the device with the longest p99.5, us, of those of :attr:`Session.device_period`.
+        period: the p99 of the time between two samples, us, of the device where it is the longest part of the period;
+            as it would be with :attr:`Session.device_period`.
+        others: as ``slowest``, of the devices of each other period, by that period, s.
     """
 
     way: Way
@@ -95,13 +97,14 @@ class Ticking:
     late: int
     slowest: Lateness
     period: float
+    others: Mapping[float, Lateness] = field(default_factory=dict)
 
     def profile(self, plan: Plan, seconds: float, now: float) -> Profile:
         """What to keep of ``plan``, whose ticks these are; ``seconds`` were measured until ``now``, in s since the
         epoch.
         """
         late = self.late / self.ticks
-        return Profile(self.way.profile_key(plan), self.slowest, self.period, late, seconds, now)
+        return Profile(self.way.profile_key(plan), self.slowest, self.period, late, seconds, now, self.others)
 
 
 @dataclass(frozen=True)
@@ -163,11 +166,6 @@ class DelayRecorder(Recorder):
     def tau(self) -> list[int]:
         """The delays of all devices, ns."""
         return [tau for delays in self.by_device.values() for tau in delays]
-
-    @property
-    def slowest(self) -> Lateness:
-        """The delay of the device with the longest p99.5; of at least one device."""
-        return max((Lateness.of(delays) for delays in self.by_device.values()), key=lambda found: found.p995)
 
     def take(self, frame: bytes | None) -> None:
         """Keep the delays of a device's telemetry; see :class:`Recorder`."""
@@ -379,16 +377,20 @@ def measure_ticks(rested: Prepared, way: Way, ticks: int) -> Ticking:
         raise ProbeInterrupted(signal.Signals(outcome.code - 128))
     if outcome.faults:
         raise ProbeFailed("; ".join(outcome.faults))
-    if not delays.tau:
+    session = rested.session
+    by_period: dict[float, list[list[int]]] = {}
+    for name, of_device in delays.by_device.items():
+        by_period.setdefault(session.period_of(name), []).append(of_device)
+    slowest = {period: Lateness.slowest(of_devices) for period, of_devices in by_period.items()}
+    if session.device_period not in slowest:
         raise ProbeFailed(f"{way.text}: found no tick that got a force; check what else runs on this machine")
     nodes = outcome.report["nodes"]  # a node that sent no last report is absent
     devices = [name for name, role in rested.graph.nodes.items() if role is Role.DEVICE]
     late = sum(nodes[name][names.LATE] for name in devices if name in nodes)
-    session = rested.session
-    own = session.device_period * 1e6
-    periods = [
-        nodes[name][names.PERIOD]["p99"]
+    longer = [
+        nodes[name][names.PERIOD]["p99"] / session.period_of(name)
         for name in devices
-        if names.PERIOD in nodes.get(name, {}) and session.period_of(name) == session.device_period
+        if names.PERIOD in nodes.get(name, {})
     ]
-    return Ticking(way, Spread.of(delays.tau), len(delays.tau), late, delays.slowest, max(periods, default=own))
+    longest, of_design = session.device_period * max(longer, default=1e6), slowest.pop(session.device_period)
+    return Ticking(way, Spread.of(delays.tau), len(delays.tau), late, of_design, longest, slowest)

@@ -9,6 +9,8 @@ and for the period tolerance rho, up to which a period may be too long, likewise
 
     rho = 1/20 min(20, ceil(20 (p/T - 1)) + 1),    p = the p99 of the slowest device's periods.
 
+Devices of another period, behind wave links, have a tau of their own from their own delays (:attr:`Profile.others`).
+
 The quantile, the grid and the reserve are choices; docs/decisions/0031-designed-for-the-machine.md has the figures.
 
 A profile is kept in the user's cache for a day, so that not every launch has to measure. Its key holds what a delay
@@ -27,10 +29,9 @@ import os
 import platform
 import signal
 import stat
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Final, Self
 
 import numpy as np
@@ -40,6 +41,7 @@ from manyhands import __version__
 from manyhands.design.files import open_regular, replacing
 from manyhands.launch.doctor.machine import has_compiled_tick
 from manyhands.launch.plan.plan import Plan
+from manyhands.launch.session import Session
 from manyhands.nodes.kernel.realtime import may_raise
 
 QUANTILE: Final = 0.995
@@ -61,7 +63,7 @@ LEAST_KEPT: Final = 1.0
 LEAST_TICKS: Final = 1000
 """Ticks without which a run says nothing of a profile that was too careful."""
 
-_FORMAT: Final = 1
+_FORMAT: Final = 2
 _MOST_BYTES: Final = 2**20  # a session of a thousand nodes has a key of some 100 kB
 
 
@@ -103,6 +105,11 @@ class Lateness:
         durations = np.array(nanoseconds, dtype=np.float64) / 1e3
         return cls(*map(float, np.quantile(durations, (0.5, QUANTILE, 0.999, 1.0), method="higher")))
 
+    @classmethod
+    def slowest(cls, delays: Iterable[Sequence[int]]) -> Self:
+        """Of the delays of at least one device, ns, those of the device with the longest quantile."""
+        return max(map(cls.of, delays), key=lambda found: found.p995)
+
 
 @dataclass(frozen=True)
 class Profile:
@@ -110,11 +117,13 @@ class Profile:
 
     Attributes:
         key: what it was measured for, :func:`profile_key`.
-        tau: from sample to force, of the slowest device.
-        period: the p99 of the time between two samples of a device, us, of the device where it is longest.
+        tau: from sample to force, of the slowest device whose period is :attr:`Session.device_period`.
+        period: the p99 of the time between two samples, us, of the device where it is the longest part of its period;
+            as it would be with :attr:`Session.device_period`.
         late: the part of all ticks that ended after the next one was due.
         seconds: how long was measured, s.
         measured: when, in s since the epoch.
+        others: as tau, of the devices of each other period, by that period, s.
     """
 
     key: Mapping[str, Any]
@@ -123,6 +132,7 @@ class Profile:
     late: float
     seconds: float
     measured: float
+    others: Mapping[float, Lateness] = field(default_factory=dict)
 
     def age(self, now: float) -> float:
         """Seconds since the measurement at ``now``, in s since the epoch."""
@@ -158,9 +168,21 @@ def allowance(profile: Profile, period: float) -> Allowance:
         profile: what was measured.
         period: T, s.
     """
-    found = profile.tau.p995 * 1e-6
-    tau, longer = _part(found / period), _part(max(profile.period * 1e-6 / period - 1.0, 0.0))
-    return Allowance(round(period * tau, 12), longer, found, period)
+    longer = _part(max(profile.period * 1e-6 / period - 1.0, 0.0))
+    return Allowance(_allowed(profile.tau, period), longer, profile.tau.p995 * 1e-6, period)
+
+
+def allowances_of_sites(profile: Profile, session: Session) -> dict[str, float]:
+    """Tau of each site of another period than :attr:`Session.device_period`, s, by its coupling."""
+    periods = {name: link.period_in(session.period) for name, link in session.wave_links.items()}
+    return {
+        name: _allowed(profile.others[period], period) for name, period in periods.items() if period in profile.others
+    }
+
+
+def _allowed(delays: Lateness, period: float) -> float:
+    """Tau for such delays in such a period, s."""
+    return round(period * _part(delays.p995 * 1e-6 / period), 12)
 
 
 def _part(measured: float) -> float:
@@ -168,9 +190,7 @@ def _part(measured: float) -> float:
     return min(math.ceil(measured * STEPS - 1e-9) + RESERVE, STEPS) / STEPS
 
 
-def outlived(
-    profile: Profile, period: float, report: Mapping[str, Any], latencies: Mapping[str, float] = MappingProxyType({})
-) -> bool:
+def outlived(profile: Profile, session: Session, nodes: Mapping[str, Mapping[str, Any]]) -> bool:
     """Whether a run contradicts the profile, so that the next launch should measure anew.
 
     It does where the p99 of a device's delays is longer than what was designed for, or where all of them were much
@@ -178,17 +198,18 @@ def outlived(
 
     Args:
         profile: what was measured before the run.
-        period: T, s.
-        report: the report of the run (docs/files.md).
-        latencies: by device, the part of its delays that its driver states, s; no profile has it.
+        session: the session that ran. A profile has no part of the delays that its devices' drivers state.
+        nodes: of the report of the run, by name (docs/files.md).
     """
-    nodes = [(node, 1e6 * latencies.get(name, 0.0)) for name, node in report["nodes"].items() if "tau_us" in node]
-    covered = max(allowance(profile, period).tau * 1e6, profile.tau.p995)
-    slower = any(node["tau_us"]["p99"] - own > covered for node, own in nodes)
-    quicker = all(
-        node["ticks"] >= LEAST_TICKS and node["tau_us"]["p999"] - own < profile.tau.p995 for node, own in nodes
-    )
-    return slower or (quicker and bool(nodes))
+    slower, quicker = False, []
+    for name in nodes.keys() & session.devices.keys():
+        node, own, period = nodes[name], 1e6 * session.latencies[name], session.period_of(name)
+        if "tau_us" not in node:
+            continue
+        measured = profile.others.get(period, profile.tau)
+        slower |= node["tau_us"]["p99"] - own > max(1e6 * _allowed(measured, period), measured.p995)
+        quicker.append(node["ticks"] >= LEAST_TICKS and node["tau_us"]["p999"] - own < measured.p995)
+    return slower or (bool(quicker) and all(quicker))
 
 
 def profile_key(plan: Plan, transport: str, encrypted: bool, places: Mapping[str, int]) -> dict[str, Any]:
@@ -268,7 +289,7 @@ def keep_profile(profile: Profile, folder: Path | None = None) -> bool:
     path = _path(profile.key, folder)
     path.parent.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     path.parent.mkdir(mode=0o700, exist_ok=True)
-    content = {"format": _FORMAT, **asdict(profile)}
+    content = {"format": _FORMAT, **asdict(profile), "others": [[T, asdict(own)] for T, own in profile.others.items()]}
     with replacing(path, mode=0o600) as file:
         file.write(json.dumps(content, indent=1, allow_nan=False).encode() + b"\n")
     return True
@@ -293,17 +314,31 @@ def _from_plain(plain: object, key: Mapping[str, Any]) -> Profile | None:
     """The profile in the content of a file, or None: a file may be damaged, or of a different version."""
     if not isinstance(plain, dict) or plain.get("format") != _FORMAT or plain.get("key") != dict(key):
         return None
-    tau = plain.get("tau")
-    if not isinstance(tau, dict):
+    others = plain.get("others")
+    if not isinstance(others, list) or not all(isinstance(one, list) and len(one) == 2 for one in others):
         return None
-    values = (*(tau.get(name) for name in _PERCENTILES), *(plain.get(name) for name in _NUMBERS))
+    tau, numbers = _lateness(plain.get("tau")), _numbers(plain, _NUMBERS)
+    of_others = {period: _lateness(delays) for period, delays in others if isinstance(period, float)}
+    known = {period: delays for period, delays in of_others.items() if delays is not None}
+    if tau is None or numbers is None or len(known) < len(others):
+        return None
+    period, late, seconds, measured = numbers
+    return Profile(key, tau, period, late, seconds, measured, known)
+
+
+def _lateness(plain: object) -> Lateness | None:
+    percentiles = _numbers(plain, _PERCENTILES) if isinstance(plain, dict) else None
+    if percentiles is None or not 0.0 < percentiles[0] <= percentiles[1] <= percentiles[2] <= percentiles[3]:
+        return None
+    return Lateness(*percentiles)
+
+
+def _numbers(plain: Mapping[str, Any], names: Sequence[str]) -> list[float] | None:
+    """The numbers of these names; None unless each is finite and not negative."""
+    values = [plain.get(name) for name in names]
     numbers = [float(value) for value in values if isinstance(value, int | float) and not isinstance(value, bool)]
-    if len(numbers) != len(values) or not all(0.0 <= number < math.inf for number in numbers):
-        return None
-    lateness = Lateness(*numbers[: len(_PERCENTILES)])
-    if not 0.0 < lateness.p50 <= lateness.p995 <= lateness.p999 <= lateness.max:
-        return None
-    return Profile(key, lateness, *numbers[len(_PERCENTILES) :])
+    whole = len(numbers) == len(values) and all(0.0 <= number < math.inf for number in numbers)
+    return numbers if whole else None
 
 
 _PERCENTILES: Final = ("p50", "p995", "p999", "max")

@@ -6,8 +6,9 @@ ends may see.
 
 Passing a tick from one process to the next is cheaper within one processor than between two, the more so where
 processors are few (docs/decisions/0006-the-tick.md has figures). Linked devices and couplings, directly or through
-others, form one user's chain. A chain runs on one processor, and the chains are assigned to the processors in turn. A
-single chain is left to the kernel, which can spread it.
+others, form one user's chain. A chain runs on one processor. The chains are assigned in turn to the processor with the
+least to do: a chain's load is its rate, and the quickest chain is first. So a user at 4 kHz has a processor alone where
+three others at 1 kHz share one. A single chain is left to the kernel, which can spread it.
 
 All processes wait for the environment, so it stays free to run on any processor. Where processes have a real-time
 priority (SCHED_FIFO, which only pinned processes get), the environment is pinned, too: to the processor with the fewest
@@ -17,7 +18,6 @@ processes (docs/decisions/0017-timing.md).
 from __future__ import annotations
 
 import os
-from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -46,12 +46,14 @@ class Topology:
         ports: the ports of each node, in order.
         links: in the session's order, which every node follows in its handshakes.
         carriers: the device of each coupling that runs in its device's process.
+        rates: ticks in one of the session's, of the nodes whose period is not the session's.
     """
 
     nodes: Mapping[str, Role]
     ports: Mapping[str, tuple[str, ...]]
     links: tuple[LinkPlan, ...]
     carriers: Mapping[str, str] = field(default_factory=dict)
+    rates: Mapping[str, float] = field(default_factory=dict)
 
     def links_of(self, node: str) -> tuple[LinkPlan, ...]:
         """The links that end at ``node``, in the session's order."""
@@ -61,6 +63,10 @@ class Topology:
         """The couplings of a device, in its own process or in another."""
         linked = [link.binder for link in self.links_of(device)]
         return (*linked, *(name for name, carrier in self.carriers.items() if carrier == device))
+
+    def rate(self, node: str) -> float:
+        """The ticks of ``node`` in one of the session's."""
+        return self.rates.get(node, 1.0)
 
     def together(self, node: str) -> tuple[str, ...]:
         """The nodes of the process in which ``node`` runs: first the device that carries the others."""
@@ -118,7 +124,7 @@ def topology(session: Session) -> Topology:
         for port in ports[coupling]:
             shared.setdefault(device_of[port], []).append(port)
         links += [LinkPlan(coupling, device, tuple(shared[device])) for device in sorted(shared, key=place.__getitem__)]
-    return Topology(session.roles, ports, tuple(links), session.carriers)
+    return Topology(session.roles, ports, tuple(links), session.carriers, session.own_rates)
 
 
 def placement(
@@ -138,10 +144,15 @@ def placement(
     chains = [local for chain in chains_of(graph) if (local := [node for node in chain if node not in remote])]
     if len(processors) < 2 or (len(chains) < 2 and not (raised and remote)):
         return {}
-    places = {node: processors[i % len(processors)] for i, chain in enumerate(chains) for node in chain}
+    load = dict.fromkeys(processors, 0.0)
+    places: dict[str, int] = {}
+    for rate, chain in sorted(((graph.rate(chain[0]), chain) for chain in chains), key=lambda one: -one[0]):
+        freest = min(processors, key=load.__getitem__)
+        load[freest] += rate
+        places.update(dict.fromkeys(chain, freest))
     if raised:
-        held = Counter(places.values())
-        places[ENVIRONMENT] = min(reversed(processors), key=lambda processor: held[processor])
+        held = {processor: sum(graph.rate(node) for node in places if places[node] == processor) for processor in load}
+        places[ENVIRONMENT] = min(reversed(processors), key=held.__getitem__)
     return places
 
 

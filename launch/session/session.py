@@ -22,6 +22,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, Final, Literal, Self, TypeAlias
 
 import numpy as np
@@ -653,17 +654,28 @@ class Session(SessionModel):
             return None
         return full_matrix(self.design.damping or 0.0, len(self.ports))
 
-    def with_delay(self, tau: float, period_tolerance: float = 0.0) -> Self:
+    def with_delay(
+        self, tau: float, period_tolerance: float = 0.0, sites: Mapping[str, float] = MappingProxyType({})
+    ) -> Self:
         """This session with ``tau`` (s, at most the period) in place of a delay that it leaves open.
 
         It gets the period tolerance as well, where it does not state a greater one. Delays of its ladder that are not
-        above ``tau`` have no use any more, and are left out.
+        above ``tau`` have no use any more, and are left out. ``sites`` has by coupling the delays of wave links that
+        have one of their own and do not state it, s.
         """
         ladder = self.design.ladder
         longer = None if ladder is None else tuple(delay for delay in ladder if delay > tau)
         tolerance = max(period_tolerance, self.design.period_tolerance)
         settled = {"tau": tau, "period_tolerance": tolerance, "ladder": longer}
-        return self.model_copy(update={"design": self.design.model_copy(update=settled)})
+        couplings = dict(self.couplings)
+        for name, own in sites.items():
+            link = self.wave_links[name]
+            if link.tau is None:
+                couplings[name] = couplings[name].model_copy(update={"wave_link": link.model_copy(update={"tau": own})})
+        design = self.design.model_copy(update=settled)
+        copied = self.model_copy(update={"design": design, "couplings": couplings})
+        copied.__dict__.pop("wave_links", None)  # a copy has what is kept
+        return copied
 
     def as_plain(self) -> dict[str, Any]:
         """The session as plain data in the form of a session file; reading the data gives an equal session."""

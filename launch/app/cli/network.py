@@ -378,7 +378,7 @@ def host(
         warn_of_code(err, loaded, seats)
         outcome = run_session(prepared, err, clock=REALTIME, reach=ways, ticks=ticks, record=record, report=report)
         local_nodes = {name: node for name, node in outcome.report["nodes"].items() if name not in seats}
-        if profile is not None and outlived(profile, loaded.device_period, {"nodes": local_nodes}, loaded.latencies):
+        if profile is not None and outlived(profile, loaded, local_nodes):
             drop_profile(profile)
             say(err, f"{loaded.name}: the delays were not those measured before; the next host measures them anew")
         print_report(out, outcome.report, outcome.faults)

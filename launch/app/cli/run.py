@@ -281,7 +281,7 @@ def launch(
             directory=kept,
             together=together,
         )
-        if profile is not None and outlived(profile, loaded.device_period, outcome.report, loaded.latencies):
+        if profile is not None and outlived(profile, loaded, outcome.report["nodes"]):
             drop_profile(profile)
             say(err, f"{loaded.name}: the delays were not those measured before; the next launch measures them anew")
         print_report(out, outcome.report, outcome.faults)

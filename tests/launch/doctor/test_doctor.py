@@ -9,10 +9,11 @@ import select
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -346,18 +347,32 @@ def test_ctrl_c_ends_every_wait(tmp_path: Path) -> None:
     assert caught.value.signal is signal.SIGINT
 
 
-def ended(monkeypatch: pytest.MonkeyPatch, code: int, *faults: str) -> Callable[[], Ticking]:
-    """A probe whose session ends like this, and without a tick."""
+def ended(
+    monkeypatch: pytest.MonkeyPatch,
+    code: int,
+    *faults: str,
+    told: Mapping[str, list[float]] = MappingProxyType({}),
+    periods: Mapping[str, float] = MappingProxyType({}),
+    rested: Prepared | None = None,
+) -> Callable[[], Ticking]:
+    """A probe whose session ends like this, after devices have ``told`` these delays, us; by default without a tick.
+
+    ``periods`` has the p99 of the time between two samples of devices, us.
+    """
 
     class Ended:
-        def __init__(self, *_: object, **__: object) -> None: ...
+        def __init__(self, *_: object, recorder: DelayRecorder, **__: object) -> None:
+            self.recorder = recorder
 
         def run(self) -> Outcome:
-            return Outcome(code, faults, (), {"nodes": {}}, None, {}, {})
+            for node, delays in told.items():
+                self.recorder.take(encode(Observation(node, len(delays), {}, {"tau_us": np.array([delays]).T})))
+            nodes = {node: {"late": 0, "period_us": {"p99": p99}} for node, p99 in periods.items()}
+            return Outcome(code, faults, (), {"nodes": nodes}, None, {}, {})
 
     monkeypatch.setattr(probe, "Supervisor", Ended)
-    rested = unproved(at_rest(load_named("example1")))
-    return lambda: measure_ticks(rested, IPC, 50)
+    session = rested or unproved(at_rest(load_named("example1")))
+    return lambda: measure_ticks(session, IPC, 50)
 
 
 def test_a_session_that_fails_is_reported_with_its_faults(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -374,6 +389,17 @@ def test_an_interrupted_session_interrupts_the_probe(monkeypatch: pytest.MonkeyP
 def test_a_session_without_an_answered_tick_has_no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ProbeFailed, match="ipc: found no tick that got a force"):
         ended(monkeypatch, 0)()
+
+
+def test_devices_of_each_period_have_their_own_delays(monkeypatch: pytest.MonkeyPatch) -> None:
+    links = [f"couplings.{name}.wave_link={{b: 10, period: {T}}}" for name, T in (("cx", 25e-5), ("cy", 1e-3))]
+    delays = {"dx": [80.0, 90.0], "dy": [300.0, 310.0], "dz": [200.0]}
+    rested = unproved(at_rest(load_named("example1", [*links, "couplings.cz.wave_link={b: 10, period: 0.001}"])))
+    ticking = ended(monkeypatch, 0, told=delays, periods={"dx": 260.0, "dy": 1200.0, "dz": 900.0}, rested=rested)()
+    assert ticking.period == pytest.approx(300.0)  # dy's is the longest part of its period
+    assert (ticking.slowest.p995, {T: own.p995 for T, own in ticking.others.items()}) == (90.0, {1e-3: 310.0})
+    with pytest.raises(ProbeFailed, match="ipc: found no tick that got a force"):  # of a device that sets the rate
+        ended(monkeypatch, 0, told={"dy": [300.0]}, rested=rested)()
 
 
 def test_a_process_ends_with_the_one_that_started_it(tmp_path: Path) -> None:

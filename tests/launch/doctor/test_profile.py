@@ -24,6 +24,7 @@ from manyhands.launch.doctor.profile import (
     Lateness,
     Profile,
     allowance,
+    allowances_of_sites,
     cache_folder,
     drop_profile,
     keep_profile,
@@ -31,6 +32,8 @@ from manyhands.launch.doctor.profile import (
     outlived,
 )
 from manyhands.launch.plan.plan import Plan
+from manyhands.launch.plan.sites import site_loop
+from manyhands.launch.session import Session
 from manyhands.launch.session.shipped import load_named
 
 NOW = 1_800_000_000.0
@@ -98,18 +101,59 @@ def test_the_quantile_is_a_delay_and_leaves_out_no_more_than_it_may(delays: list
 )
 def test_a_run_may_show_that_a_profile_does_not_hold(p99: float, p999: float, ticks: int, found: bool) -> None:
     device = {"ticks": ticks, "tau_us": {"p50": 200.0, "p99": p99, "p999": p999, "max": 3000.0}}
-    assert outlived(a_profile(), 1e-3, {"nodes": {"dx": device, "cx": {"ticks": ticks}}}) is found
+    assert outlived(a_profile(), load_named("example1"), {"dx": device, "cx": {"ticks": ticks}}) is found
 
 
 def test_what_a_driver_states_of_its_device_is_no_part_of_a_profile() -> None:
-    device = {"ticks": 5000, "tau_us": {"p50": 1200.0, "p99": 1600.0, "p999": 1900.0, "max": 4000.0}}
-    report = {"nodes": {"dx": device}}
-    assert outlived(a_profile(), 1e-3, report)
-    assert not outlived(a_profile(), 1e-3, report, {"dx": 1e-3})
+    device = {"ticks": 5000, "tau_us": {"p50": 800.0, "p99": 900.0, "p999": 1000.0, "max": 4000.0}}
+    assert outlived(a_profile(), load_named("example1"), {"dx": device})
+    plugged = "devices.dx={dof: 1, osp: 1.37, driver: some.package:factory, actuation_delay: 0.0002}"
+    assert not outlived(a_profile(), load_named("example1", [plugged]), {"dx": device})
 
 
 def test_a_run_without_figures_shows_nothing() -> None:
-    assert not outlived(a_profile(), 1e-3, {"nodes": {"cx": {"ticks": 5000}}})
+    assert not outlived(a_profile(), load_named("example1"), {"cx": {"ticks": 5000}})
+
+
+# --- sites with a period of their own
+
+
+@pytest.fixture(scope="module")
+def sites() -> Session:
+    """dx ticks at 4 kHz; dy and dz, as their world, at 1 kHz."""
+    link = "{mass: 0.05, round_trip: 0.004}"
+    of_dx = "couplings.cx.wave_link={mass: 0.05, round_trip: 0.004, period: 0.00025}"
+    return load_named("example1", [of_dx, *(f"couplings.{name}.wave_link={link}" for name in ("cy", "cz"))])
+
+
+def of_sites(quick: float = 90.0, slow: float = 310.0) -> Profile:
+    """The delays of dx, and of the slower one of dy and dz, us."""
+    return a_profile(quick, period=250.0, others={1e-3: Lateness(slow / 2, slow, 2 * slow, 3 * slow)})
+
+
+def test_each_period_has_the_delay_of_its_own_devices(sites: Session) -> None:
+    chosen = allowance(of_sites(), sites.device_period)
+    assert (chosen.tau, allowances_of_sites(of_sites(), sites)) == (0.1125e-3, {"cy": 0.4e-3, "cz": 0.4e-3})
+    settled = sites.with_delay(chosen.tau, chosen.period_tolerance, allowances_of_sites(of_sites(), sites))
+    delays = {name: site_loop(settled, name).tau for name in sites.wave_links}
+    assert delays == {"cx": 0.1125e-3, "cy": 0.4e-3, "cz": 0.4e-3}
+    assert all(link.tau is None for link in sites.wave_links.values())  # the session itself is as it was
+
+
+def test_a_delay_that_a_wave_link_states_is_its_own(sites: Session) -> None:
+    stated = sites.with_delay(1e-4, 0.0, {"cy": 0.7e-3}).with_delay(1e-4, 0.0, {"cy": 0.4e-3, "cz": 0.4e-3})
+    assert {name: link.tau for name, link in stated.wave_links.items()} == {"cx": None, "cy": 0.7e-3, "cz": 0.4e-3}
+
+
+@pytest.mark.parametrize(
+    ("dx", "dy", "found"), [(100.0, 390.0, False), (120.0, 390.0, True), (100.0, 420.0, True), (50.0, 100.0, True)]
+)
+def test_a_run_is_held_against_the_delays_of_each_period(sites: Session, dx: float, dy: float, found: bool) -> None:
+    nodes = {
+        name: {"ticks": 5000, "tau_us": {"p50": 1.0, "p99": p99, "p999": 1.5 * p99, "max": 5000.0}}
+        for name, p99 in (("dx", dx), ("dy", dy))
+    }
+    assert outlived(of_sites(), sites, nodes) is found
 
 
 # --- the key
@@ -169,6 +213,8 @@ def test_what_is_kept_is_read_as_it_was_by_this_user_alone(tmp_path: Path) -> No
     assert stat.S_IMODE(folder.stat().st_mode) == stat.S_IMODE(folder.parent.stat().st_mode) == 0o700
     assert keep_profile(a_profile(500.0), folder)
     assert kept_profile(KEY, NOW, folder) == a_profile(500.0)
+    assert keep_profile(of_sites(), folder)
+    assert kept_profile(KEY, NOW, folder) == of_sites()
     assert kept_profile(KEY | {"period": 2e-3}, NOW, folder) is None
     drop_profile(a_profile(), folder)
     drop_profile(a_profile(), folder)
@@ -205,7 +251,7 @@ def test_a_file_of_another_user_is_not_used(tmp_path: Path, monkeypatch: pytest.
 
 BROKEN: dict[str, Callable[[dict[str, Any]], object]] = {
     "no object": lambda _: [1],
-    "another format": lambda plain: plain | {"format": 2},
+    "another format": lambda plain: plain | {"format": 1},
     "another key": lambda plain: plain | {"key": {"period": 1.0}},
     "no delays": lambda plain: plain | {"tau": None},
     "a delay that is missing": lambda plain: plain | {"tau": {"p50": 1.0}},
@@ -214,6 +260,10 @@ BROKEN: dict[str, Callable[[dict[str, Any]], object]] = {
     "a text": lambda plain: plain | {"period": "1076"},
     "a truth": lambda plain: plain | {"period": True},
     "a negative number": lambda plain: plain | {"late": -0.1},
+    "no other periods": lambda plain: plain | {"others": None},
+    "another period without delays": lambda plain: plain | {"others": [[1e-3]]},
+    "another period that is no number": lambda plain: plain | {"others": [["T", plain["tau"]]]},
+    "other delays that do not grow": lambda plain: plain | {"others": [[1e-3, plain["tau"] | {"p50": 9e9}]]},
 }
 
 
@@ -225,7 +275,7 @@ def test_a_damaged_file_is_no_profile(change: Callable[[dict[str, Any]], object]
     assert kept_profile(KEY, NOW, tmp_path) is None
 
 
-@pytest.mark.parametrize("content", [b"", b"{", b"\xff", b"[" * 100_000, b'{"format": 1, "late": NaN}'])
+@pytest.mark.parametrize("content", [b"", b"{", b"\xff", b"[" * 100_000, b'{"format": 2, "late": NaN}'])
 def test_what_is_no_json_is_no_profile(content: bytes, tmp_path: Path) -> None:
     keep_profile(a_profile(), tmp_path)
     (file,) = tmp_path.iterdir()

@@ -36,6 +36,14 @@ def test_an_environment_that_comes_before_others_gets_the_least_used_processor(
     assert places == {**placement(graph, processors), ENVIRONMENT: expected}
 
 
+def test_a_user_at_four_times_the_rate_has_a_processor_alone() -> None:
+    links = [f"couplings.{name}.wave_link={{b: 10, period: {T}}}" for name, T in (("cy", 25e-5), ("cz", 1e-3))]
+    graph = topology(load_session(SESSIONS / "example1.yaml", [*links, "couplings.cx.wave_link={b: 10}"]))
+    shared = {"dx": 1, "cx": 1, "dz": 1, "cz": 1}
+    assert placement(graph, [0, 1]) == {"dy": 0, "cy": 0, **shared}
+    assert placement(graph, [0, 1], raised=True) == {"dy": 0, "cy": 0, **shared, ENVIRONMENT: 1}
+
+
 def test_where_nothing_is_pinned_nothing_else_is_either() -> None:
     graph = topology(load_session(SESSIONS / "example1-centralised.yaml"))
     assert placement(graph, [0, 1], raised=True) == {}

@@ -12,7 +12,9 @@ import pytest
 from manyhands.launch.app.cli.common import settle_delay
 from manyhands.launch.doctor.profile import Lateness, Profile, allowance
 from manyhands.launch.plan.loop import NotCertified, haptic_loop
+from manyhands.launch.plan.sites import site_loop
 from manyhands.launch.session import Session, load_session
+from manyhands.launch.session.shipped import load_named
 
 T = 1e-3
 
@@ -54,6 +56,22 @@ def test_more_than_a_period_together_is_refused(tmp_path: Path) -> None:
     with pytest.raises(NotCertified, match=r"0\.4 ms measured here, and 0\.7 ms of sample_age and actuation_delay"):
         settle_delay(session_of(tmp_path, actuation_delay=7e-4), realtime=True)
     settle_delay(session_of(tmp_path, actuation_delay=6e-4), realtime=True)
+
+
+def test_a_site_with_another_period_has_its_own_delay(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = {1e-3: Lateness(150.0, 310.0, 400.0, 500.0)}
+    measured = Profile({}, Lateness(40.0, 90.0, 120.0, 200.0), 255.0, 0.0, 5.0, time.time(), own)
+    monkeypatch.setattr("manyhands.launch.doctor.delay.kept_profile", lambda *_: measured)
+    plugged = "devices.dy={{dof: 1, osp: 1.37, driver: some.package:factory, actuation_delay: {}}}".format
+    links = [f"couplings.{name}.wave_link={{b: 10, period: {T}}}" for name, T in (("cx", 25e-5), ("cy", 1e-3))]
+    session = load_named("example1", [plugged(0.0001), *links, "couplings.cz.wave_link={b: 10}"])
+    settled, _ = settle_delay(session, realtime=True)
+    delays = {name: site_loop(settled, name).tau for name in settled.wave_links}
+    # a device's own delay counts for its own site, and for the design's, which any device may have
+    assert delays == pytest.approx({"cx": 2.125e-4, "cy": 5e-4, "cz": 4e-4}, abs=1e-12)
+    late = load_named("example1", [plugged(0.0002), *links, "couplings.cz.wave_link={b: 10}"])
+    with pytest.raises(NotCertified, match=r"expected at most the period of"):
+        settle_delay(late, realtime=True)
 
 
 def test_without_a_measurement_the_latency_alone_is_certified(tmp_path: Path) -> None:
