@@ -12,8 +12,7 @@ session describes it (docs/decisions/0045-series-compliance.md).
 
 A file whose claim covers periods longer than T has the key ``period_tolerance`` and is of version 4: a reader that does
 not know the key must not take the claim for one about periods of T. Every other file is of version 3
-(docs/decisions/0010-delay-inside-the-tick.md). A file of version 2 does not record the request, and its id does not
-cover the order of keys. It is read, proved and written again as version 2
+(docs/decisions/0010-delay-inside-the-tick.md). Older versions are refused
 (docs/decisions/0027-certificate-format-3.md).
 
 Requests, environments, couplings and aims come in several kinds; each ``describe_`` function turns one into JSON
@@ -35,7 +34,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manyhands.design.errors import CertificateError
+from manyhands.design.errors import CertificateError, OldCertificate
 from manyhands.design.files import read_regular, replacing
 from manyhands.design.levels.contract import ENERGY, ENFORCED, DeviceShare, Levels, Storage
 from manyhands.design.models.brief import brief, brief_names, brief_repr
@@ -358,17 +357,16 @@ WITH_TOLERANCE = 4
 """The version with a period tolerance greater than 0; otherwise it is like version 3."""
 WITH_SERIES = 5
 """The version that counts compliance of the world in series, with or without a period tolerance."""
-WITHOUT_ASKED = 2
-"""The version that does not record the request; its id is computed over the content with sorted keys."""
+_LAST_READERS: Mapping[int, str] = {1: "0.1.0", 2: "0.6.0"}
+"""The last release that reads each version that is read no more."""
 MAX_FILE_BYTES = 256 * 2**20
 _KEYS = {"id", "format", "version", "session", "period", "tau", "ports", "devices", "structure", "environment"}
 _ASKED = {"coupling", "objective", "weights", "algorithm", "iterations", "order", "poles"}
-_KEYS |= {"coupling", "levels", "storage", "transparency", "margins", "method"}
+_KEYS |= {"asked", "coupling", "levels", "storage", "transparency", "margins", "method"}
 _EXTRA_KEYS: Mapping[int, set[str]] = {
-    WITHOUT_ASKED: set(),
-    VERSION: {"asked"},
-    WITH_TOLERANCE: {"asked", "period_tolerance"},
-    WITH_SERIES: {"asked", "period_tolerance", "series"},
+    VERSION: set(),
+    WITH_TOLERANCE: {"period_tolerance"},
+    WITH_SERIES: {"period_tolerance", "series"},
 }
 
 
@@ -403,8 +401,7 @@ class Certificate:
         transparency: the claim on transparency; None if the session has no such aim.
         margins: for each condition, its distance to failure.
         method: how the coupling was found: algorithm, iterations, solver.
-        asked: the request for the coupling, as plain data; it is not a claim and is not proved. None for a file of
-            version 2, which does not record it.
+        asked: the request for the coupling, as plain data; it is not a claim and is not proved.
         id: SHA-256 (hex) over the content; empty until :func:`seal`.
     """
 
@@ -414,7 +411,7 @@ class Certificate:
     transparency: TransparencyClaim | None
     margins: Mapping[str, float]
     method: Mapping[str, str | int]
-    asked: Mapping[str, Any] | None
+    asked: Mapping[str, Any]
     id: str = ""
 
     @property
@@ -422,9 +419,7 @@ class Certificate:
         """The version of the file format that holds exactly this content."""
         if self.loop.series:
             return WITH_SERIES
-        if self.loop.period_tolerance:
-            return WITH_TOLERANCE
-        return WITHOUT_ASKED if self.asked is None else VERSION
+        return WITH_TOLERANCE if self.loop.period_tolerance else VERSION
 
     @property
     def tau(self) -> float:
@@ -566,7 +561,7 @@ def content(certificate: Certificate) -> dict[str, Any]:
         },
         "environment": describe_environment(loop.environment),
         **({"series": describe_series(loop)} if loop.series else {}),
-        **({} if certificate.asked is None else {"asked": dict(certificate.asked)}),
+        "asked": dict(certificate.asked),
         "coupling": describe_coupling(partition.names, certificate.coupling),
         "levels": {
             "kappa": levels.device.kappa,
@@ -595,14 +590,10 @@ def _by_block(partition: Partition, parts: tuple[Matrix, ...]) -> dict[str, list
 def identity(data: Mapping[str, Any]) -> str:
     """SHA-256 (hex) over the content's canonical JSON: keys in their order, no spaces, shortest exact floats.
 
-    The order of keys counts, because it is the order of devices, blocks and ports. In version 2 keys are sorted.
+    The order of keys counts, because it is the order of devices, blocks and ports.
     """
-    canonical = json.dumps(
-        {key: value for key, value in data.items() if key != "id"},
-        sort_keys=data.get("version") == WITHOUT_ASKED,
-        separators=(",", ":"),
-        allow_nan=False,
-    )
+    own = {key: value for key, value in data.items() if key != "id"}
+    canonical = json.dumps(own, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(canonical.encode()).hexdigest()
 
 
@@ -632,6 +623,7 @@ def load(path: Path) -> tuple[Certificate, Mapping[str, Any]]:
     Raises:
         CertificateError: the file is not readable, not a certificate, or not of a known version; the message names
             file and key.
+        OldCertificate: its version is read no more.
     """
     data = read_plain(path)
     return certificate_of(data, path), data
@@ -642,7 +634,11 @@ def certificate_of(data: Mapping[str, Any], path: Path) -> Certificate:
 
     Raises:
         CertificateError: the data are no certificate of a known version; the message names file and key.
+        OldCertificate: its version is read no more.
     """
+    version = data.get("version")
+    if data.get("format") == FORMAT and type(version) is int and version in _LAST_READERS:
+        raise OldCertificate(str(path), version, _LAST_READERS[version])
     try:
         return from_content(data)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
@@ -681,19 +677,19 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
     """
     form, version = data["format"], data["version"]
     if form != FORMAT or type(version) is not int or version not in _EXTRA_KEYS:
-        expected = f"{FORMAT} version {WITHOUT_ASKED}, {VERSION}, {WITH_TOLERANCE} or {WITH_SERIES}"
+        expected = f"{FORMAT} version {VERSION}, {WITH_TOLERANCE} or {WITH_SERIES}"
         raise ValueError(f"expected {expected}, found {form!r} {version!r}")
     keys = _KEYS | _EXTRA_KEYS[version]
     if unknown := set(data) - keys:
         raise ValueError(f"found the keys {sorted(unknown)}, expected {sorted(keys)}")
-    asked = None if version == WITHOUT_ASKED else data["asked"]
-    if version != WITHOUT_ASKED and not isinstance(asked, Mapping):
+    asked = data["asked"]
+    if not isinstance(asked, Mapping):
         raise ValueError("expected asked to be an object")
     tolerant = version == WITH_TOLERANCE or "period_tolerance" in data
     period_tolerance = float(data["period_tolerance"]) if tolerant else 0.0
     if tolerant and not period_tolerance > 0.0:
         raise ValueError(f"period_tolerance: found {period_tolerance}, expected more than 0 in version {version}")
-    if unknown := set(asked or ()) - _ASKED:
+    if unknown := set(asked) - _ASKED:
         raise ValueError(f"asked: found the keys {sorted(unknown)}, expected some of {sorted(_ASKED)}")
     if not isinstance(data["session"], str) or not all(isinstance(v, str | int) for v in data["method"].values()):
         raise ValueError("expected session to be a text, and every value of method a text or a whole number")
@@ -789,26 +785,13 @@ def pretty(value: Any, indent: int = 0) -> str:
 _MOST_SHOWN = 200  # characters of a value; its file may come from an untrusted person
 
 
-def unrecorded(certificate: Certificate) -> str:
-    """A sentence about what a certificate's file does not record; empty if it records everything."""
-    if certificate.asked is not None:
-        return ""
-    return (
-        f"format version {certificate.version} does not record what was asked of the coupling (design.objective and "
-        "the other keys of design), and its id does not cover the order of devices and couplings"
-    )
-
-
 def asked_text(asked: Mapping[str, Any]) -> str:
     """The request of a certificate, on one line."""
     return ", ".join(f"{key} {_shown(value)}" for key, value in asked.items())[: 2 * _MOST_SHOWN]
 
 
 def differences(certificate: Certificate, loop: HapticLoop, wanted: CouplingRequest) -> list[str]:
-    """A sentence for each difference between the certificate and this loop and request; empty if the certificate fits.
-
-    The request is compared only if the certificate records it; see :func:`unrecorded`.
-    """
+    """A sentence for each difference between the certificate and this loop and request; empty if it fits."""
     own = certificate.loop
     out = [
         f"the {what} differs: the certificate has {mine}, the session {theirs}"
@@ -831,8 +814,7 @@ def differences(certificate: Certificate, loop: HapticLoop, wanted: CouplingRequ
         )
         if mine != theirs
     ]
-    if certificate.asked is not None:
-        out += _other_wishes(certificate.asked, describe_request(wanted, loop.partition.names))
+    out += _other_wishes(certificate.asked, describe_request(wanted, loop.partition.names))
     springs = all(isinstance(part, SpringDamper) for part in certificate.coupling)
     match wanted:
         case SpringDamperGiven(given, aim):

@@ -54,3 +54,19 @@ class TooLarge(DesignError):
 
 class CertificateError(DesignError):
     """A certificate file cannot be read, or contradicts itself."""
+
+
+class OldCertificate(CertificateError):
+    """A certificate file is of a format version that is read no more.
+
+    Attributes:
+        version: of the file's format.
+        reader: the last release of manyhands that reads it.
+    """
+
+    def __init__(self, name: str, version: int, reader: str) -> None:
+        self.version, self.reader = version, reader
+        super().__init__(
+            f"{name}: found a certificate of format version {version}, which manyhands {reader} is the last to read; "
+            "design the session anew"
+        )

@@ -1,8 +1,8 @@
 """The claim of a certificate, read from its plain data: every name is resolved, every number is exact, none is trusted.
 
-The format is version 3 of the certificate file, or version 2, which lacks ``asked``. Version 4 has a period tolerance,
-and version 5 the parts of the world's links that are counted in series. Matrices keep the paper's letters.
-Indices count ports from 0 in the certificate's order, and masses after them.
+The format is version 3 of the certificate file. Version 4 has a period tolerance, and version 5 the parts of the
+world's links that are counted in series. Matrices keep the paper's letters. Indices count ports from 0 in the
+certificate's order, and masses after them.
 
 An environment's physical data are a network, a state space, or rational functions of s. A declared environment has
 none: only the level that a controller enforces at run time is stated. A scene has its level by its kind, 0, and the
@@ -461,7 +461,7 @@ FORMAT = "manyhands-certificate"
 WITH_SERIES = 5
 WITH_TOLERANCE = 4
 VERSION = 3
-WITHOUT_ASKED = 2
+_ASKED = "asked"
 _KEYS: tuple[str, ...] = (
     "id",
     "format",
@@ -474,8 +474,7 @@ _KEYS: tuple[str, ...] = (
     "structure",
     "environment",
 )
-_KEYS += ("coupling", "levels", "storage", "transparency", "margins", "method")
-_ASKED = "asked"
+_KEYS += (_ASKED, "coupling", "levels", "storage", "transparency", "margins", "method")
 _TOLERANCE = "period_tolerance"
 _SERIES = "series"
 _MOST_ASKED = 50_000  # values in ``asked``: an order for each of MAX_PORTS blocks, and room for the rest
@@ -551,7 +550,6 @@ class Claim:
 
     Attributes:
         data: the plain data, for the id.
-        version: of the format, which determines how the id is computed.
         id: the stated SHA-256.
         period: T, s.
         tau: greatest delay inside the tick, s.
@@ -574,7 +572,6 @@ class Claim:
     """
 
     data: Mapping[str, Any]
-    version: int
     id: str
     period: fmpq
     tau: fmpq
@@ -603,14 +600,10 @@ def read(data: Mapping[str, Any]) -> Claim:
     Raises:
         ProofInputError: a key is missing or unknown, or its value has the wrong type, shape or size.
     """
-    fields = Item(data, "").fields(_KEYS, (_ASKED, _TOLERANCE, _SERIES))
+    fields = Item(data, "").fields(_KEYS, (_TOLERANCE, _SERIES))
     fields["format"].text(FORMAT)
-    version = fields["version"].whole(WITHOUT_ASKED, WITH_SERIES)
-    if (_ASKED in fields) != (version != WITHOUT_ASKED):
-        where = f"in version {VERSION} and later, and not in version {WITHOUT_ASKED}"
-        raise ProofInputError(f"{_ASKED}: expected it {where}")
-    if _ASKED in fields:
-        _require_plain(fields[_ASKED])
+    version = fields["version"].whole(VERSION, WITH_SERIES)
+    _require_plain(fields[_ASKED])
     if (_TOLERANCE in fields) != (version == WITH_TOLERANCE) and version != WITH_SERIES:
         where = f"in version {WITH_TOLERANCE}, and in no other except {WITH_SERIES}"
         raise ProofInputError(f"{_TOLERANCE}: expected it {where}")
@@ -639,7 +632,6 @@ def read(data: Mapping[str, Any]) -> Claim:
     environment = read_environment(fields["environment"], ports)
     return Claim(
         data=data,
-        version=version,
         id=fields["id"].text(),
         period=exact_decimal(fields["period"].number()),
         tau=exact_decimal(fields["tau"].number()),

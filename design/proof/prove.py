@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from manyhands.design.proof import contract, environment, series, transparency, wave_link, work
-from manyhands.design.proof.claim import WITHOUT_ASKED, Claim, ProxyData, StatedSpringDamper, read
+from manyhands.design.proof.claim import Claim, ProxyData, StatedSpringDamper, read
 from manyhands.design.proof.coupling import linear, spring_damper
 from manyhands.design.proof.device import device_form
 from manyhands.design.proof.finding import Finding
@@ -73,16 +73,11 @@ def _silent(text: str) -> None:
 
 
 def _identity(claim: Claim) -> Finding:
-    """The id is the SHA-256 over the content's canonical JSON: keys in their order, no spaces, shortest exact floats.
-
-    In version 2 the keys are sorted.
-    """
+    """The id is the SHA-256 over the content's canonical JSON: keys in order, no spaces, shortest exact floats."""
     content = {key: value for key, value in claim.data.items() if key != "id"}
-    in_any_order = claim.version == WITHOUT_ASKED
-    canonical = json.dumps(content, sort_keys=in_any_order, separators=(",", ":"), allow_nan=False)
+    canonical = json.dumps(content, separators=(",", ":"), allow_nan=False)
     holds = hashlib.sha256(canonical.encode()).hexdigest() == claim.id
-    argument = "computed again; by version 2 in any order of keys" if in_any_order else "computed again"
-    return Finding("the id is the SHA-256 of the content", holds, float(holds) - 1.0, 0.0, argument=argument)
+    return Finding("the id is the SHA-256 of the content", holds, float(holds) - 1.0, 0.0, argument="computed again")
 
 
 def _block(claim: Claim, i: int) -> Finding:

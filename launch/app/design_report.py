@@ -17,7 +17,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from manyhands.design.certificate import Certificate, asked_text, load, save, unrecorded
+from manyhands.design.certificate import Certificate, asked_text, load, save
 from manyhands.design.errors import CertificateError, DesignError, Infeasible
 from manyhands.design.models.coupling import SpringDamper
 from manyhands.design.models.environment import DeclaredEnvironment, DeclaredScene, NetworkBox, ProxyEnvironment
@@ -113,8 +113,7 @@ def print_certificate(console: Console, certificate: Certificate) -> None:
     table = Table(title=f"{loop.session}: certified", title_justify="left", show_header=False)
     table.add_column(style="bold")
     table.add_column()
-    if certificate.asked is not None:
-        table.add_row("asked for", _escaped(asked_text(certificate.asked)))
+    table.add_row("asked for", _escaped(asked_text(certificate.asked)))
     table.add_row("found by", ", ".join(f"{key} {value}" for key, value in certificate.method.items()))
     table.add_row("blocks of V", "; ".join(f"{name}: {', '.join(ports)}" for name, ports in _blocks(loop)))
     tolerance = f", periods up to {1.0 + loop.period_tolerance:g} T" if loop.period_tolerance else ""
@@ -450,7 +449,7 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
         print_json(object_ | {"failing": [finding.condition for finding in failing]})
     else:
         print_findings(out, proof.findings)
-        print_request(out, file, certificate, session)
+        print_request(out, file, certificate)
     for finding in failing:
         because = f" ({finding.argument})" if finding.argument else ""
         say(err, f"{file}: not proved: {finding.condition}: found {finding.value:.6g}{because}")
@@ -471,15 +470,9 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
     return EXIT_OK
 
 
-def print_request(out: Console, file: Path, certificate: Certificate, session: Session | None) -> None:
-    """Print what the certificate records of the request; this is not proved, and may be absent."""
-    if certificate.asked is not None:
-        say(out, f"{file}: recorded as asked for, which is no claim and not proved: {asked_text(certificate.asked)}")
-        return
-    say(out, f"{file}: {unrecorded(certificate)}")
-    if session is not None:
-        objective = session.design.objective
-        say(out, f"{file}: not compared with the session's design.objective={objective}: its own is not recorded")
+def print_request(out: Console, file: Path, certificate: Certificate) -> None:
+    """Print what the certificate records of the request; this is not proved."""
+    say(out, f"{file}: recorded as asked for, which is no claim and not proved: {asked_text(certificate.asked)}")
 
 
 def run_budget(session: Session, out: Console, err: Console, picture: Path | None, as_json: bool) -> int:

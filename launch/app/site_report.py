@@ -189,7 +189,7 @@ def run_verify_world(
     else:
         print_findings(out, proof.findings)
         for name, other in others.items():
-            print_request(out, Path(name), certificate_of(other, Path(name)), session)
+            print_request(out, Path(name), certificate_of(other, Path(name)))
     for path, finding in failing:
         because = f" ({finding.argument})" if finding.argument else ""
         say(err, f"{path}: not proved: {finding.condition}: found {finding.value:.6g}{because}")

@@ -45,7 +45,7 @@ from manyhands.launch.audit.checks import (
 )
 from manyhands.launch.audit.coupling import recompute_coupling
 from manyhands.launch.audit.device import ROUNDING as FREE_ROUNDING
-from manyhands.launch.audit.device import WallRows, recompute_device, recompute_in_wall_time
+from manyhands.launch.audit.device import RecomputedInWallTime, WallRows, recompute_device, recompute_in_wall_time
 from manyhands.launch.audit.environment import ROUNDING, Blocks, increments, recompute_environment
 from manyhands.launch.audit.events import Course, course_of
 from manyhands.launch.audit.findings import EXACT, Check, CheckVerdict, Recomputed, UncheckedTicks, compare
@@ -426,35 +426,70 @@ class _AuditRun:
             course: what happened between its rows.
         """
         run, own = self._run, self._ports[name]
-        figures, ports = run.figures.get(name, ()), run.recorded.ports[name]
-        its_x, its_f = rows_of(run, name, names.DISPLACEMENT), rows_of(run, name, names.FORCE)
-        instants, account = rows_of(run, name, names.INSTANTS), rows_of(run, name, names.INTERFACE)
-        let_go = changed_after(figures, names.LET_GO)
-        applied = rows_of(run, name, names.APPLIED)
-        stopped = grown_in(figures, names.SUSPENDED, len(x))
-        unexerted = changed_after(figures, names.UNEXERTED)
-        rows = WallRows(its_x, its_f, asked[:, own], instants, applied, let_go, stopped, unexerted)
+        figures = run.figures.get(name, ())
+        rows = WallRows(
+            x=rows_of(run, name, names.DISPLACEMENT),
+            f=rows_of(run, name, names.FORCE),
+            asked=asked[:, own],
+            instants=rows_of(run, name, names.INSTANTS),
+            applied=rows_of(run, name, names.APPLIED),
+            let_go=changed_after(figures, names.LET_GO),
+            stopped=grown_in(figures, names.SUSPENDED, len(x)),
+            unexerted=changed_after(figures, names.UNEXERTED),
+        )
         again = recompute_in_wall_time(
             bundle, lambda: hand_of(bundle, self._session, run.recorded.clock), rows, course, self._report
         )
+        known = there(again.sent)
+        unknown = self._unknown(name, known, course)
+        same = known & (again.exerted == rows.f).all(axis=1)
+        x[np.ix_(known, own)], x[np.ix_(unknown, own)] = again.sent[known], np.nan
+        f[np.ix_(same, own)], f[np.ix_(unknown, own)] = asked[np.ix_(same, own)], np.nan
+        return [
+            *self._wall_signals(name, rows, again),
+            ordered(run, name, rows.instants, course, self._presence.owed[name], from_seconds(bundle.timing.latency)),
+            account_bounded(name, rows_of(run, name, names.INTERFACE), rows.instants[:, 1], bundle.allowance),
+            self._compare(
+                "ledger",
+                name,
+                "its ledger follows at the certificate's level",
+                ("E",),
+                rows_of(run, name, names.LEDGER),
+                again.ledger,
+                gaps=[*again.motion_gaps, *again.gaps],
+                tolerance=again.tolerance,
+                source=EXACT if not again.tolerance.any() else FREE_SUMS,
+            ),
+        ]
+
+    def _unknown(self, name: str, known: NDArray[np.bool_], course: Course) -> NDArray[np.bool_]:
+        """By tick, whether what its couplings received of a device in wall time may differ from its own rows.
+
+        Args:
+            name: the device.
+            known: by tick, whether it can be computed.
+            course: what happened between its rows.
+        """
+        figures, ticks = self._run.figures.get(name, ()), len(known)
         counts = (names.LET_GO, names.INTERFACE_TICKS, names.INTERFACE_OFFSET)
         changed = [tick for count in counts if (tick := changed_after(figures, count)) is not None]
         changed += [k for k, happened in course.before.items() if happened.leaves]
-        known = there(again.sent)
-        unknown = ~known & (np.arange(len(x)) >= min(changed, default=len(x)))
+        unknown: NDArray[np.bool_] = ~known & (np.arange(ticks) >= min(changed, default=ticks))
         astray = [k for k, happened in course.before.items() if happened.may_be_zero or happened.unknown]
         unknown[astray] |= ~known[astray]
-        same = known & (again.exerted == its_f).all(axis=1)
-        x[np.ix_(known, own)], x[np.ix_(unknown, own)] = again.sent[known], np.nan
-        f[np.ix_(same, own)], f[np.ix_(unknown, own)] = asked[np.ix_(same, own)], np.nan
-        gaps, of_motion = again.gaps, [*again.motion_gaps, *again.gaps]
+        return unknown
+
+    def _wall_signals(self, name: str, rows: WallRows, again: RecomputedInWallTime) -> list[Check]:
+        """What a device in wall time recorded, compared with what is computed from the forces and instants."""
+        run = self._run
+        ports, gaps, of_motion = run.recorded.ports[name], again.gaps, [*again.motion_gaps, *again.gaps]
         return [
             self._compare(
                 "signal",
                 name,
                 "x at s_k follows from f_v, a_k and s_k by the device and its hand",
                 ports,
-                its_x,
+                rows.x,
                 again.x,
                 gaps=of_motion,
             ),
@@ -463,18 +498,18 @@ class _AuditRun:
                 name,
                 "x at a_k follows likewise",
                 ports,
-                applied,
+                rows.applied,
                 again.applied,
                 gaps=of_motion,
                 owed=self._presence.owed[name]
-                & (there(applied) | there(again.applied)),  # not every device measures it
+                & (there(rows.applied) | there(again.applied)),  # not every device measures it
             ),
             self._compare(
                 "exerted",
                 name,
                 "it exerts what its couplings asked for, as far as its limits and its account allow",
                 ports,
-                its_f,
+                rows.f,
                 again.exerted,
                 gaps=gaps,
             ),
@@ -483,32 +518,19 @@ class _AuditRun:
                 name,
                 "its account e_k follows from motion, forces, s_k and a_k",
                 ("e",),
-                account,
+                rows_of(run, name, names.INTERFACE),
                 again.account,
                 gaps=gaps,
             ),
-            *self._given(name, figures, again.given, gaps),
+            *self._given(name, run.figures.get(name, ()), again.given, gaps),
             self._compare(
                 "ended",
                 name,
                 "the force before ended when the device states",
                 ("ended",),
-                instants[:, 2:],
+                rows.instants[:, 2:],
                 again.ended,
                 gaps=gaps,
-            ),
-            ordered(run, name, instants, course, self._presence.owed[name], from_seconds(bundle.timing.latency)),
-            account_bounded(name, account, instants[:, 1], bundle.allowance),
-            self._compare(
-                "ledger",
-                name,
-                "its ledger follows at the certificate's level",
-                ("E",),
-                rows_of(run, name, names.LEDGER),
-                again.ledger,
-                gaps=of_motion,
-                tolerance=again.tolerance,
-                source=EXACT if not again.tolerance.any() else FREE_SUMS,
             ),
         ]
 
@@ -563,49 +585,54 @@ class _AuditRun:
             what = "q follows from p of all couplings"
             out.insert(1, self._compare("masses", ENVIRONMENT, what, bundle.masses, masses, again.masses, gaps=gaps))
         if bundle.Phi_E is not None:
-            figures = run.figures.get(ENVIRONMENT, ())
-            silent, changed = (np.zeros(blocks.f.shape, dtype=np.bool_) for _ in range(2))
-            for name, its in blocks.ports.items():
-                if name not in blocks.faces:
-                    silent[:, its] = self._presence.frozen[name][:, None]
-                    changed[:, its] = fitted(courses[name].resampled, len(silent))[:, None]
-            events = (event for _, values in figures for event in events_in(values))
-            begun = [event.tick for event in events if event.kind is Kind.BEGAN and 0 < event.tick < len(tools)]
-            stored = bundle.energy_at_start
-            held = sum(
-                max((one.get(names.SCALED + name, 0.0) for _, one in figures), default=0.0) for name in couplings
-            )
-            own = increments(
-                bundle.Phi_E,
-                self._session.period,
-                blocks,
-                tools,
-                ledger,
-                sign[0],
-                silent,
-                changed,
-                begun,
-                stored,
-                int(held) if 0.0 < held < math.inf else 0,
-            )
-            what = "its ledger gains in each tick the work at the couplings' ends and the dissipation by Phi_E"
-            source = let_go_source(own.offsets)
-            out.append(
-                self._compare(
-                    "work",
-                    ENVIRONMENT,
-                    what,
-                    ("E",),
-                    own.recorded,
-                    own.recomputed,
-                    gaps=own.gaps,
-                    tolerance=own.tolerance,
-                    source=source,
-                )
-            )
+            out.append(self._work(bundle, bundle.Phi_E, blocks, sign[0]))
         for name, wave in bundle.waves.items():
             out += self._wave_link(name, couplings[name], bundle, wave, courses[name])
         return out
+
+    def _work(self, bundle: EnvironmentBundle, Phi: Array, blocks: Blocks, sign: int) -> Check:
+        """Compare the environment's ledger with the work at its ports, from which it follows without any state.
+
+        Args:
+            bundle: the environment's part of the session.
+            Phi: the level that it promised, N*s/m.
+            blocks: the recorded signals of all couplings, at the environment.
+            sign: the first tick at which a clutch may have moved.
+        """
+        run, figures = self._run, self._run.figures.get(ENVIRONMENT, ())
+        tools, ledger = rows_of(run, ENVIRONMENT, names.TOOL_POSITION), rows_of(run, ENVIRONMENT, names.LEDGER)
+        silent, changed = (np.zeros(blocks.f.shape, dtype=np.bool_) for _ in range(2))
+        for name, its in blocks.ports.items():
+            if name not in blocks.faces:
+                silent[:, its] = self._presence.frozen[name][:, None]
+                changed[:, its] = fitted(blocks.courses[name].resampled, len(silent))[:, None]
+        events = (event for _, values in figures for event in events_in(values))
+        begun = [event.tick for event in events if event.kind is Kind.BEGAN and 0 < event.tick < len(tools)]
+        held = sum(max((one.get(names.SCALED + name, 0.0) for _, one in figures), default=0.0) for name in blocks.ports)
+        own = increments(
+            Phi,
+            self._session.period,
+            blocks,
+            tools,
+            ledger,
+            sign,
+            silent,
+            changed,
+            begun,
+            bundle.energy_at_start,
+            int(held) if 0.0 < held < math.inf else 0,
+        )
+        return self._compare(
+            "work",
+            ENVIRONMENT,
+            "its ledger gains in each tick the work at the couplings' ends and the dissipation by Phi_E",
+            ("E",),
+            own.recorded,
+            own.recomputed,
+            gaps=own.gaps,
+            tolerance=own.tolerance,
+            source=let_go_source(own.offsets),
+        )
 
     def _wave_link(
         self, name: str, coupling: CouplingBundle, world: EnvironmentBundle, wave: WaveEnd, course: Course

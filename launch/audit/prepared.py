@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from manyhands.design.errors import CertificateError
+from manyhands.design.errors import CertificateError, OldCertificate
 from manyhands.launch.plan.bundles import mass_names
 from manyhands.launch.plan.loop import NotCertified
 from manyhands.launch.plan.plan import Plan
@@ -34,6 +34,7 @@ def prepared_of(path: Path, run: RecordedRun, progress: StepProgress | None = No
 
     Raises:
         RecordingError: session or certificate are missing or cannot be read, or differ from those that were recorded.
+            Where the certificate's version is read no more, the message names the release that audits the recording.
         NotCertified: the certificate does not hold, or belongs to another session.
     """
     with _unpacked(path, run) as folder:
@@ -45,6 +46,11 @@ def prepared_of(path: Path, run: RecordedRun, progress: StepProgress | None = No
             )
         try:
             prepared = prepare(session, folder / CERTIFICATE_FILE if certified else None, not certified, progress)
+        except OldCertificate as error:
+            raise RecordingError(
+                f"{path}: found a certificate of format version {error.version} in it; audit and replay it with "
+                f"manyhands {error.reader}, the last release that reads one"
+            ) from error
         except CertificateError as error:
             raise RecordingError(_within(path, folder, error)) from error
         except NotCertified as error:

@@ -10,7 +10,7 @@ no force, and the devices' hands go on without a force. A coupling that returns 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -63,6 +63,41 @@ class Silence:
     end: int | None = None
 
 
+@dataclass(eq=False)
+class _Run:
+    """The signals of one run, and which couplings take part in the tick that it is in.
+
+    Attributes:
+        x: of all devices, ticks x m, m.
+        f_v: ticks x m, N: within a tick those of the environment first, in the end those that the devices exert.
+        reported: the displacements that the devices report to their couplings, m.
+        p: of the couplings, m.
+        tool: p of the couplings as the environment receives them, m; over a wave link that of the world's face.
+        couplings: those that are not silent, each with its ports.
+        linked: both faces of the wave links of these, each with its ports.
+        at_world: the last row of each world's face, by coupling.
+        traces: filled with what each node would report; None for nothing.
+        at_user: the last row of each user's face, by coupling.
+        through_waves: the force that each user's face exerts, N, by coupling.
+        world_rows: the rows of the world's faces, as the environment reports them.
+        silent: the couplings that are.
+    """
+
+    x: NDArray[np.float64]
+    f_v: NDArray[np.float64]
+    reported: NDArray[np.float64]
+    p: NDArray[np.float64]
+    tool: NDArray[np.float64]
+    couplings: list[tuple[str, CouplingCore, NDArray[np.intp]]]
+    linked: list[tuple[str, UserFace, WorldFace, NDArray[np.intp]]]
+    at_world: dict[str, WaveRow]
+    traces: Traces | None
+    at_user: dict[str, WaveRow] = field(default_factory=dict)
+    through_waves: dict[str, Floats] = field(default_factory=dict)
+    world_rows: WorldRows = field(default_factory=WorldRows)
+    silent: set[str] = field(default_factory=set)
+
+
 class Simulation:
     """A session's cores, wired directly.
 
@@ -93,8 +128,8 @@ class Simulation:
         bundles = cut(prepared, RunPlan(SIMULATED, None, ""))
         index = {port: i for i, port in enumerate(session.ports)}
         T, m = session.period, len(session.ports)
-        self._drivers: list[Driver] = []
-        self._device_ports: list[NDArray[np.intp]] = []
+        self._drivers: dict[str, Driver] = {}
+        self._device_ports: dict[str, NDArray[np.intp]] = {}
         self._coupling_ports: dict[str, NDArray[np.intp]] = {}
         self._coupling_bundles: dict[str, CouplingBundle] = {}
         self.devices: dict[str, DeviceCore] = {}
@@ -110,8 +145,8 @@ class Simulation:
             match bundle:
                 case DeviceBundle():
                     device = DeviceCore(*bundle.promises[0], T)
-                    self._drivers.append(given[name] if name in given else self._driver(bundle))
-                    self._device_ports.append(ports)
+                    self._drivers[name] = given[name] if name in given else self._driver(bundle)
+                    self._device_ports[name] = ports
                     self.devices[name] = device
                     self.guards[name] = Guard(bundle.limits, T, bundle.common.ports)
                     self.ledgers[name] = device.ledger
@@ -140,7 +175,7 @@ class Simulation:
 
     def close(self) -> None:
         """Close the drivers; call this where a driver is of another package."""
-        for driver in self._drivers:
+        for driver in self._drivers.values():
             driver.close()
 
     def _start_coupling(self, name: str) -> None:
@@ -184,84 +219,116 @@ class Simulation:
             ValueError: a fault names no coupling, ends before it begins, or overlaps another of the same coupling.
         """
         begins, ends = _by_tick(faults, tuple(self.couplings))
-        blocks = {name: block for block, name in enumerate(self.couplings)}
         session = self._prepared.session
-        m = len(session.ports)
-        x, f_v = np.zeros((ticks, m)), np.zeros((ticks, m))
-        reported, p, tool = np.zeros(m), np.zeros(m), np.zeros(m)
-        through_waves: dict[str, Floats] = {}
-        at_user: dict[str, WaveRow] = {}
-        at_world = {
-            name: WaveRow(world.wave, world.tank.row(), *world.signals) for name, world in self.world_faces.items()
-        }
-        thinned, world_rows = self._turns, WorldRows()
-        devices = list(zip(self._drivers, self.devices.values(), self.guards.values(), self._device_ports, strict=True))
-        couplings, linked = self._active(()), self._linked(())
-        silent: set[str] = set()
-        model = self.environment if isinstance(self.environment, EnforcedCore) else None
-        period = from_seconds(session.period)
+        m, period = len(session.ports), from_seconds(session.period)
+        run = _Run(
+            x=np.zeros((ticks, m)),
+            f_v=np.zeros((ticks, m)),
+            reported=np.zeros(m),
+            p=np.zeros(m),
+            tool=np.zeros(m),
+            couplings=self._active(()),
+            linked=self._linked(()),
+            at_world={name: _world_row(world) for name, world in self.world_faces.items()},
+            traces=traces,
+        )
         for k in range(ticks):
             now, due = Instant(k * period), Instant((k + 1) * period)
             if k in begins or k in ends:
-                for name in ends.get(k, ()):
-                    silent.discard(name)
-                    self._start_coupling(name)
-                    self.environment.clutches.engage(blocks[name])
-                for name in begins.get(k, ()):
-                    silent.add(name)
-                    self.environment.clutches.freeze(blocks[name])
-                    if name in at_world:
-                        nothing = [0.0] * len(self._coupling_ports[name])
-                        row = at_world[name]
-                        at_world[name] = WaveRow(nothing, row.tank, self.world_faces[name].x, nothing)
-                couplings, linked = self._active(silent), self._linked(silent)
-            for driver, device, guard, ports in devices:
-                displacement = list(map(float, driver.sample(k, now)))
-                device.sample(displacement)
-                x[k, ports] = displacement
-                reported[ports] = guard.report(displacement)
-            for _, coupling, ports in couplings:
-                p[ports] = tool[ports] = coupling.free_position(reported[ports].tolist())
-            for name, user, world, ports in linked:
-                through_waves[name] = user.step(p[ports].tolist())
-                if thinned[name][1].sends(user.n):
-                    wave = user.message()
-                    world.hear(wave.n, wave.U, wave.G)
-                tool[ports] = world.tool()
-            f_v[k] = self.environment.react(tool.tolist())
-            if model is not None and model.failure is not None:
-                raise ModelFailure(model.failure)
-            self.environment.settle()
-            if traces is not None:
-                traces.keep(ENVIRONMENT, k, self.environment.tools, self.environment.masses)
-            for name, user, world, ports in linked:
-                world.step(f_v[k, ports].tolist())
-                at_user[name] = WaveRow(user.wave, user.tank.row())
-                at_world[name] = WaveRow(world.wave, world.tank.row(), *world.signals)
-                if thinned[name][0].sends(world.n):
-                    wave = world.message()
-                    user.hear(wave.n, wave.U, wave.G)
-                f_v[k, ports] = through_waves[name]
-            if traces is not None and at_world:
-                world_rows.add([*at_world.values()])
-                traces.keep_waves(ENVIRONMENT, k, world_rows.take())
-            for name, coupling, ports in couplings:
-                f_v[k, ports] = applied = coupling.limited(f_v[k, ports].tolist())
-                coupling.absorb(applied)
-                if traces is not None:
-                    traces.keep(name, k, p[ports].tolist(), applied)
-                    if name in at_user:
-                        traces.keep_waves(name, k, wave_traces([at_user[name]]))
-            for (driver, device, guard, ports), name in zip(devices, self.devices, strict=True):
-                f_v[k, ports] = force = guard.clip(f_v[k, ports].tolist())
-                driver.apply(force, now)
-                driver.idle(due)
-                device.apply(force, driver.intended_work())
-                if traces is not None:
-                    traces.keep(name, k, x[k, ports].tolist(), force)
+                self._silence(run, begins.get(k, ()), ends.get(k, ()))
+            self._sample(run, k, now)
+            self._to_the_world(run)
+            self._react(run, k)
+            self._from_the_world(run, k)
+            self._hand_on(run, k)
+            self._exert(run, k, now, due)
             if progress is not None and (k + 1) % _PROGRESS_TICKS == 0:
                 progress(k + 1)
-        return Recording(session.name, self._prepared.id, session.period, session.ports, x, f_v)
+        return Recording(session.name, self._prepared.id, session.period, session.ports, run.x, run.f_v)
+
+    def _silence(self, run: _Run, begins: Sequence[str], ends: Sequence[str]) -> None:
+        """Couplings come back at rest, and others fall silent."""
+        blocks = {name: block for block, name in enumerate(self.couplings)}
+        for name in ends:
+            run.silent.discard(name)
+            self._start_coupling(name)
+            self.environment.clutches.engage(blocks[name])
+        for name in begins:
+            run.silent.add(name)
+            self.environment.clutches.freeze(blocks[name])
+            if name in run.at_world:
+                nothing = [0.0] * len(self._coupling_ports[name])
+                row = run.at_world[name]
+                run.at_world[name] = WaveRow(nothing, row.tank, self.world_faces[name].x, nothing)
+        run.couplings, run.linked = self._active(run.silent), self._linked(run.silent)
+
+    def _sample(self, run: _Run, k: int, now: Instant) -> None:
+        """The devices are sampled, and the couplings answer by p."""
+        for name, driver in self._drivers.items():
+            ports, displacement = self._device_ports[name], list(map(float, driver.sample(k, now)))
+            self.devices[name].sample(displacement)
+            run.x[k, ports] = displacement
+            run.reported[ports] = self.guards[name].report(displacement)
+        for _, coupling, ports in run.couplings:
+            run.p[ports] = run.tool[ports] = coupling.free_position(run.reported[ports].tolist())
+
+    def _to_the_world(self, run: _Run) -> None:
+        """The users' faces of wave links answer their couplings, and send waves."""
+        for name, user, world, ports in run.linked:
+            run.through_waves[name] = user.step(run.p[ports].tolist())
+            if self._turns[name][1].sends(user.n):
+                wave = user.message()
+                world.hear(wave.n, wave.U, wave.G)
+            run.tool[ports] = world.tool()
+
+    def _react(self, run: _Run, k: int) -> None:
+        """The environment answers by its forces.
+
+        Raises:
+            ModelFailure: its model gave no usable forces.
+        """
+        environment = self.environment
+        run.f_v[k] = environment.react(run.tool.tolist())
+        if isinstance(environment, EnforcedCore) and environment.failure is not None:
+            raise ModelFailure(environment.failure)
+        environment.settle()
+        if run.traces is not None:
+            run.traces.keep(ENVIRONMENT, k, environment.tools, environment.masses)
+
+    def _from_the_world(self, run: _Run, k: int) -> None:
+        """The world's faces of wave links take in the forces, and send waves; the couplings feel their users' faces."""
+        for name, user, world, ports in run.linked:
+            world.step(run.f_v[k, ports].tolist())
+            run.at_user[name] = WaveRow(user.wave, user.tank.row())
+            run.at_world[name] = _world_row(world)
+            if self._turns[name][0].sends(world.n):
+                wave = world.message()
+                user.hear(wave.n, wave.U, wave.G)
+            run.f_v[k, ports] = run.through_waves[name]
+        if run.traces is not None and run.at_world:
+            run.world_rows.add([*run.at_world.values()])
+            run.traces.keep_waves(ENVIRONMENT, k, run.world_rows.take())
+
+    def _hand_on(self, run: _Run, k: int) -> None:
+        """The couplings limit the forces, absorb them and hand them on."""
+        for name, coupling, ports in run.couplings:
+            run.f_v[k, ports] = applied = coupling.limited(run.f_v[k, ports].tolist())
+            coupling.absorb(applied)
+            if run.traces is not None:
+                run.traces.keep(name, k, run.p[ports].tolist(), applied)
+                if name in run.at_user:
+                    run.traces.keep_waves(name, k, wave_traces([run.at_user[name]]))
+
+    def _exert(self, run: _Run, k: int, now: Instant, due: Instant) -> None:
+        """The devices exert the forces within their limits, until the next tick is due."""
+        for name, driver in self._drivers.items():
+            ports = self._device_ports[name]
+            run.f_v[k, ports] = force = self.guards[name].clip(run.f_v[k, ports].tolist())
+            driver.apply(force, now)
+            driver.idle(due)
+            self.devices[name].apply(force, driver.intended_work())
+            if run.traces is not None:
+                run.traces.keep(name, k, run.x[k, ports].tolist(), force)
 
     def _active(self, silent: Collection[str]) -> list[tuple[str, CouplingCore, NDArray[np.intp]]]:
         """The couplings that are not silent, with their ports."""
@@ -314,6 +381,10 @@ def require_one_period(session: Session) -> None:
                 f"couplings.{name}.wave_link.period: found {session.period_of(name):g} s; expected the session's "
                 f"{session.period:g} s for a simulation in one process; launch --clock simulated runs it as it is"
             )
+
+
+def _world_row(world: WorldFace) -> WaveRow:
+    return WaveRow(world.wave, world.tank.row(), *world.signals)
 
 
 def _by_tick(

@@ -23,6 +23,7 @@ is where the tools are under the forces.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from typing import Any, cast
 
 import numpy as np
@@ -122,69 +123,126 @@ def check_model(
     Raises:
         FactoryError: it cannot be made.
     """
-    timer = timer or CallTimer()
-    durations: list[int] = []
-    needed, worst, pressed = 0.0, "none", []
-    repeated = True
-    m, method = len(ports), REACT if stiffness is None else PROXY
+    method = REACT if stiffness is None else PROXY
     if stiffness is not None and callable(getattr(make(), STEP, None)):
         method = STEP
         if problem := _positions_problem(make()):
             yield Judgement(WRONG_ANSWER, Conformance.BROKEN, problem)
             return
-    held = touched = 0
-    D = (0.0 if stiffness is None else COMPLIANCE) * np.eye(m)
+    trial, found = _Trial(name, make, ports, T, reach, method, stiffness, timer or CallTimer()), _Evidence()
     for probe, given in probes(len(ports), T, reach).items():
-        forces = []
-        for turn in range(2):
-            asked, tools = _Noted(make(), method), _Tools(m, T, reach)
-            model = AskedModel(name, cast(EnvironmentModel, asked), ports)
-            law: ForceLaw = BlackBox(model)
-            if stiffness is not None:
-                law = ProxyLaw(model, stiffness * np.eye(m), None, T, [(port,) for port in range(m)])
-            f, motion = np.zeros_like(given), given.copy()
-            for k in range(len(given)):
-                if probe == YIELDING:
-                    motion[k] = tools.moved(f[k - 1], k)
-                timer.begin()
-                f[k] = law.propose(motion[k].copy(), D, motion[k].copy())
-                took = timer.end()
-                if turn == 0:
-                    durations.append(took)
-                if model.failure is not None:
-                    check = EXCEPTION if asked.raised else WRONG_ANSWER
-                    yield Judgement(check, Conformance.BROKEN, f"in the probe {probe!r}: {model.failure}")
-                    return
-                motion[k] += D @ f[k]
-                law.advance(motion[k], f[k])
-            forces.append(f)
-        held, touched = held + sum(law.held), touched + int(np.count_nonzero(f))
-        repeated = repeated and forces[0].tobytes() == forces[1].tobytes()
-        w = np.diff(motion, axis=0, prepend=motion[:1]) / T
-        work, burnt = np.cumsum((w * forces[0]).sum(axis=1)), np.cumsum((w**2).sum(axis=1))
+        both = []
+        for _ in range(2):
+            both.append(trial.run(probe, given))
+            if (failed := both[-1].problem) is not None:
+                yield failed
+                return
+        first, second = both
+        found.add(probe, first, second, T)
+    yield Judgement(EXCEPTION, Conformance.KEPT, f"no answer failed in {len(found.durations)} ticks")
+    yield _duration(found.durations, T)
+    yield _sign(found.pressed)
+    yield _level(found.needed, found.worst, level) if stiffness is None else _held(found.held, found.touched)
+    yield _repeated(found.repeated)
+
+
+@dataclass(frozen=True)
+class _Answers:
+    """What a model has answered to one probe.
+
+    Attributes:
+        motion: of the tools under its forces, ticks x ports, m.
+        forces: ticks x ports, N.
+        durations: of its answers, ns.
+        held: how many steps of proxies the proxy test shortened.
+        problem: why the probe ended before its time; None where it did not.
+    """
+
+    motion: Array
+    forces: Array
+    durations: list[int]
+    held: int
+    problem: Judgement | None = None
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """How a model is asked; the attributes are those of :func:`check_model`, and the method by which it is asked."""
+
+    name: str
+    make: Callable[[], EnvironmentModel]
+    ports: tuple[str, ...]
+    T: float
+    reach: float
+    method: str
+    stiffness: float | None
+    timer: CallTimer
+
+    def run(self, probe: str, given: Array) -> _Answers:
+        """Ask a new model along the motion ``given``, or along that of tools which yield to its forces.
+
+        Raises:
+            FactoryError: it cannot be made.
+        """
+        m = len(self.ports)
+        asked, tools = _Noted(self.make(), self.method), _Tools(m, self.T, self.reach)
+        model = AskedModel(self.name, cast(EnvironmentModel, asked), self.ports)
+        law: ForceLaw = BlackBox(model)
+        D = np.zeros((m, m))
+        if self.stiffness is not None:
+            law = ProxyLaw(model, self.stiffness * np.eye(m), None, self.T, [(port,) for port in range(m)])
+            D = COMPLIANCE * np.eye(m)
+        f, motion, durations = np.zeros_like(given), given.copy(), []
+        for k in range(len(given)):
+            if probe == YIELDING:
+                motion[k] = tools.moved(f[k - 1], k)
+            self.timer.begin()
+            f[k] = law.propose(motion[k].copy(), D, motion[k].copy())
+            durations.append(self.timer.end())
+            if model.failure is not None:
+                check = EXCEPTION if asked.raised else WRONG_ANSWER
+                problem = Judgement(check, Conformance.BROKEN, f"in the probe {probe!r}: {model.failure}")
+                return _Answers(motion, f, durations, sum(law.held), problem)
+            motion[k] += D @ f[k]
+            law.advance(motion[k], f[k])
+        return _Answers(motion, f, durations, sum(law.held))
+
+
+@dataclass
+class _Evidence:
+    """What the probes have shown so far.
+
+    Attributes:
+        durations: of the answers of each first model, ns.
+        needed: the least level of a passive environment, N·s/m.
+        worst: the probe that needs it.
+        pressed: the work that the world did on each slow press, J.
+        held: how many steps of proxies the proxy test shortened.
+        touched: in how many steps there was a force.
+        repeated: whether each second model answered as the first.
+    """
+
+    durations: list[int] = field(default_factory=list)
+    needed: float = 0.0
+    worst: str = "none"
+    pressed: list[float] = field(default_factory=list)
+    held: int = 0
+    touched: int = 0
+    repeated: bool = True
+
+    def add(self, probe: str, first: _Answers, second: _Answers, T: float) -> None:
+        """Take in the answers of two models of the same factory to one probe."""
+        self.durations += first.durations
+        self.held, self.touched = self.held + second.held, self.touched + int(np.count_nonzero(second.forces))
+        self.repeated = self.repeated and first.forces.tobytes() == second.forces.tobytes()
+        w = np.diff(second.motion, axis=0, prepend=second.motion[:1]) / T
+        work, burnt = np.cumsum((w * first.forces).sum(axis=1)), np.cumsum((w**2).sum(axis=1))
         moved = burnt > 0.0
         most = float((work[moved] / burnt[moved]).max(initial=0.0))
-        if most > needed:
-            needed, worst = most, probe
+        if most > self.needed:
+            self.needed, self.worst = most, probe
         if probe.startswith("press"):
-            pressed.append(float(work[len(work) // 2]) * T)
-    yield Judgement(EXCEPTION, Conformance.KEPT, f"no answer failed in {len(durations)} ticks")
-    yield _duration(durations, T)
-    if min(pressed) >= 0.0 < max(pressed):
-        text = f"found that a slow press is helped by up to {max(pressed):.3g} J, and hindered on no side"
-        yield Judgement(SIGN, Conformance.BROKEN, f"{text}; expected forces on the hand, such as -c * x_e of a spring")
-    else:
-        yield Judgement(SIGN, Conformance.KEPT, f"a slow press costs up to {max(0.0, -min(pressed)):.3g} J")
-    if stiffness is None:
-        yield _level(needed, worst, level)
-    else:
-        text = f"the proxy test shortened {held} of {touched} steps of proxies with a force"
-        yield Judgement(HELD, Conformance.OPEN if held > MOST_HELD * touched else Conformance.KEPT, text)
-    if repeated:
-        yield Judgement(REPEATED, Conformance.KEPT, "a second model gives the same forces")
-    else:
-        text = "found other forces of a second model for the same motion; expected the same"
-        yield Judgement(REPEATED, Conformance.BROKEN, f"{text}: its runs can be neither replayed nor audited")
+            self.pressed.append(float(work[len(work) // 2]) * T)
 
 
 def _positions_problem(engine: Any) -> str:
@@ -222,6 +280,25 @@ def _duration(durations: list[int], T: float) -> Judgement:
         expected = f"a median of at most {0.5e6 * T:g} µs and a p95 of at most {1e6 * T:g} µs, the period"
         return Judgement(BLOCKING, Conformance.BROKEN, f"found {found}; expected {expected}")
     return Judgement(BLOCKING, Conformance.KEPT, found)
+
+
+def _sign(pressed: list[float]) -> Judgement:
+    if min(pressed) >= 0.0 < max(pressed):
+        text = f"found that a slow press is helped by up to {max(pressed):.3g} J, and hindered on no side"
+        return Judgement(SIGN, Conformance.BROKEN, f"{text}; expected forces on the hand, such as -c * x_e of a spring")
+    return Judgement(SIGN, Conformance.KEPT, f"a slow press costs up to {max(0.0, -min(pressed)):.3g} J")
+
+
+def _held(held: int, touched: int) -> Judgement:
+    text = f"the proxy test shortened {held} of {touched} steps of proxies with a force"
+    return Judgement(HELD, Conformance.OPEN if held > MOST_HELD * touched else Conformance.KEPT, text)
+
+
+def _repeated(repeated: bool) -> Judgement:
+    if repeated:
+        return Judgement(REPEATED, Conformance.KEPT, "a second model gives the same forces")
+    text = "found other forces of a second model for the same motion; expected the same"
+    return Judgement(REPEATED, Conformance.BROKEN, f"{text}: its runs can be neither replayed nor audited")
 
 
 def _level(needed: float, worst: str, level: float | None) -> Judgement:

@@ -53,10 +53,11 @@ def prove_parts(
     Raises:
         ProofInputError, CertificateError: some data are no certificate.
     """
+    certificates = {name: certificate_of(other, Path(name)) for name, other in others.items()}
     found = prove_world(data, progress) + prove_together(data, [*others.values()])
     parts = {}
     for name, other in others.items():
-        own = prove(other, progress) + _of_session(certificate_of(other, Path(name)), session)
+        own = prove(other, progress) + _of_session(certificates[name], session)
         parts[name] = Proof(name, own)
     if session is not None:
         found += _foreign(world_differences(data, terms_of_world(session)))

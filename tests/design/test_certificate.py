@@ -1,7 +1,6 @@
 """The certificate file: exact, tamper-evident; a file that is not a certificate is refused by name."""
 
 import copy
-import hashlib
 import json
 import math
 from collections.abc import Iterator
@@ -14,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from manyhands.design.certificate import MAX_FILE_BYTES, Certificate, content, identity, load, save, seal, to_json
-from manyhands.design.errors import CertificateError
+from manyhands.design.errors import CertificateError, OldCertificate
 from manyhands.design.models.weights import Filter, Transparency
 from manyhands.design.problem import SpringDamperGiven
 from manyhands.design.proof import ProofInputError, prove
@@ -101,25 +100,16 @@ def test_the_order_of_every_key_is_in_the_id(certificate, data: dict[str, Any], 
         assert found == ["the id is the SHA-256 of the content"], at
 
 
-def without_asked(data: dict[str, Any]) -> dict[str, Any]:
-    """The same claims as a file of version 2, with the id by its rule."""
-    old = {key: value for key, value in data.items() if key != "asked"} | {"version": 2}
-    return old | {"id": identity(old)}
-
-
-def test_version_2_has_its_own_rule_and_stays_what_it_is(data: dict[str, Any], path: Path) -> None:
-    """Its keys are sorted for the id; written again, it is the same file, and nothing of version 3 is added."""
-    old = without_asked(data)
-    turned = old | {"devices": dict(reversed(old["devices"].items()))}
-    canonical = json.dumps({k: v for k, v in old.items() if k != "id"}, sort_keys=True, separators=(",", ":"))
-    assert identity(turned) == old["id"] == hashlib.sha256(canonical.encode()).hexdigest()
-    assert all_hold(turned)
-    path.write_text(json.dumps(old))
-    read, _ = load(path)
-    assert (read.version, read.asked) == (2, None)
-    assert json.loads(to_json(read)) == old
-    assert list(json.loads(to_json(read))) == list(old)
-    assert seal(read).id == old["id"]
+@pytest.mark.parametrize(("version", "release"), [(1, "0.1.0"), (2, "0.6.0")])
+def test_a_version_that_is_read_no_more_names_its_last_reader(path: Path, version: int, release: str) -> None:
+    path.write_text(json.dumps({"format": "manyhands-certificate", "version": version}))
+    with pytest.raises(OldCertificate) as error:
+        load(path)
+    assert str(error.value) == (
+        f"{path}: found a certificate of format version {version}, which manyhands {release} is the last to read; "
+        "design the session anew"
+    )
+    assert (error.value.version, error.value.reader) == (version, release)
 
 
 def test_what_was_asked_is_recorded_and_no_claim(certificate, data: dict[str, Any], path: Path) -> None:
@@ -170,7 +160,7 @@ BROKEN_TEXTS = {
     "17": "not a certificate",
     '"certificate"': "not a certificate",
     "{}": "key 'format' is missing",
-    '{"format": "manyhands-certificate", "version": 1}': "expected manyhands-certificate version 2, 3, 4 or 5, found",
+    '{"format": "manyhands-certificate", "version": 0}': "expected manyhands-certificate version 3, 4 or 5, found",
     '{"format": "other", "version": 3}': "found 'other' 3",
     '{"format": "manyhands-certificate", "version": 2.0}': "found 'manyhands-certificate' 2.0",
     '{"a": 1, "a": 2}': "every key once",
@@ -209,8 +199,7 @@ def test_a_file_too_large_is_refused(path: Path) -> None:
 @pytest.mark.parametrize(
     ("at", "value", "words"),
     [
-        (("version",), 1, "version 2, 3, 4 or 5, found 'manyhands-certificate' 1"),
-        (("version",), 2, "found the keys ['asked']"),
+        (("version",), 6, "version 3, 4 or 5, found 'manyhands-certificate' 6"),
         (("asked",), None, "expected asked to be an object"),
         (("asked",), ["stiffest"], "expected asked to be an object"),
         (("asked", "colour"), "red", "asked: found the keys ['colour'], expected some of"),

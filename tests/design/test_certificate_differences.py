@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from manyhands.design.certificate import Certificate, asked_text, describe_request, differences, unrecorded
+from manyhands.design.certificate import Certificate, asked_text, describe_request, differences
 from manyhands.design.models.environment import DelayedNetwork, NetworkBox, StateSpaceEnvironment, TransferEnvironment
 from manyhands.design.models.network import Network, NetworkLink
 from manyhands.design.models.statespace import StateSpace
@@ -57,11 +57,6 @@ def linear(problems) -> Certificate:
     return design(loop, LinearGiven(problems.blocks(loop, problems.C26))).certificate
 
 
-def of_version_2(certificate: Certificate) -> Certificate:
-    """As its file of version 2 is read: nothing is known of what was asked."""
-    return dataclasses.replace(certificate, asked=None)
-
-
 def asking(certificate: Certificate, wanted: CouplingRequest) -> Certificate:
     """The same claims, as if the coupling had been found for this wish."""
     return dataclasses.replace(certificate, asked=describe_request(wanted, certificate.loop.partition.names))
@@ -75,7 +70,6 @@ def test_what_fits(problems, proved: Certificate, shaped: Certificate, linear: C
     for wanted in (SpringDamperWanted(), SpringDamperWanted(Wish("stiffest"))):
         found = design(loop, wanted).certificate
         assert differences(found, loop, wanted) == []
-        assert unrecorded(found) == ""
 
 
 def test_a_feasible_certificate_is_not_the_stiffest(problems) -> None:
@@ -151,23 +145,6 @@ def test_messages_quote_foreign_files_shortly_and_plainly(problems, proved: Cert
     assert len(text) < 2000
 
 
-def test_version_2_is_compared_as_far_as_it_records(
-    problems, proved: Certificate, shaped: Certificate, linear: Certificate
-) -> None:
-    """Version 2 does not record how its coupling was found: the comparison skips this and reports so."""
-    loop = problems.example_1()
-    old = of_version_2(proved)
-    assert differences(old, loop, SpringDamperGiven(problems.C26)) == []
-    assert differences(old, loop, SpringDamperWanted()) == []
-    assert differences(old, loop, SpringDamperWanted(Wish("stiffest"))) == []
-    assert differences(of_version_2(shaped), loop, SpringDamperGiven(problems.C26, aim())) == []
-    assert differences(of_version_2(shaped), loop, SpringDamperWanted(Wish("loop-shaping", aim()))) == []
-    assert differences(of_version_2(linear), loop, LinearWanted((1, 1, 1))) == []
-    assert "format version 2 does not record what was asked" in unrecorded(old)
-    assert "design.objective" in unrecorded(old)
-    assert "order of devices and couplings" in unrecorded(old)
-
-
 def test_another_loop_is_named(problems, proved: Certificate) -> None:
     loop, network = problems.example_1(), problems.network
     stiffer = softer(network, 1.1)
@@ -229,7 +206,6 @@ def test_another_coupling_is_named(problems, proved: Certificate, linear: Certif
         ),
         (linear, SpringDamperWanted(), "spring-damper", "is not of the spring-damper class that the session wants"),
     ):
-        assert differences(of_version_2(certificate), loop, wanted) == [f"the coupling {words}"]
         # what was asked is no claim: the coupling itself is compared, whatever origin the file states
         assert differences(asking(certificate, wanted), loop, wanted) == [f"the coupling {words}"]
         found = differences(certificate, loop, wanted)
@@ -239,7 +215,8 @@ def test_another_coupling_is_named(problems, proved: Certificate, linear: Certif
 
 def test_another_aim_is_named(problems, proved: Certificate, shaped: Certificate) -> None:
     loop, C26 = problems.example_1(), problems.C26
-    assert differences(of_version_2(proved), loop, SpringDamperGiven(C26, aim())) == [OTHER_AIM]
+    given = SpringDamperGiven(C26, aim())
+    assert differences(asking(proved, given), loop, given) == [OTHER_AIM]
     for other, keys in (
         (None, ["objective", "weights"]),
         (aim("closed-loop"), ["objective"]),
@@ -247,7 +224,6 @@ def test_another_aim_is_named(problems, proved: Certificate, shaped: Certificate
         (dataclasses.replace(aim(), W2=aim().W1), ["weights"]),
     ):
         wanted = SpringDamperGiven(C26, other)
-        assert differences(of_version_2(shaped), loop, wanted) == [OTHER_AIM]
         assert differences(asking(shaped, wanted), loop, wanted) == [OTHER_AIM]  # what is claimed is compared, too
         *asked, last = differences(shaped, loop, wanted)
         assert [text.split()[0] for text in asked] == [f"design.{key}" for key in keys]
@@ -255,5 +231,6 @@ def test_another_aim_is_named(problems, proved: Certificate, shaped: Certificate
 
 
 def test_every_difference_is_reported(problems, proved: Certificate) -> None:
-    found = differences(of_version_2(proved), problems.example_1(T=2e-3, osp=1.4), LinearWanted((1, 1, 1)))
+    wanted = LinearWanted((1, 1, 1))
+    found = differences(asking(proved, wanted), problems.example_1(T=2e-3, osp=1.4), wanted)
     assert len(found) == 3

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 from rich.console import Console
 
-from manyhands.design.certificate import unrecorded
 from manyhands.design.errors import CertificateError, DesignError
 from manyhands.extras import MissingExtra, explained, require
 from manyhands.launch.doctor import delay
@@ -226,14 +225,11 @@ def unwind(signum: int, _frame: FrameType | None) -> None:
 
 
 def prepare_session(session: Session, certificate: Path | None, uncertified: bool) -> Prepared:
-    """Settle the coupling of a run; print the design's progress, and what a certificate's file does not record."""
+    """Settle the coupling of a run, and show the design's progress."""
     from manyhands.launch.app.design_report import progress_on
 
     with progress_on(err, "designing the coupling") as progress:
-        prepared = prepare(session, certificate, uncertified, progress)
-    if prepared.certificate is not None and (lack := unrecorded(prepared.certificate)):
-        say(err, f"{certificate}: {lack}")
-    return prepared
+        return prepare(session, certificate, uncertified, progress)
 
 
 def settle_delay(

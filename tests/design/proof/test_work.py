@@ -18,7 +18,7 @@ from manyhands.design.proof.work import MOST, parts_of
 from ...attack.heavy import STYLES, Style, certificate, judged, random_file, rationals, state_space
 from ...support.cases import cases
 
-OLD = sorted((Path(__file__).parents[1] / "data" / "certificates-0.5.0").iterdir())
+SHIPPED = sorted((Path(__file__).parents[1] / "data" / "certificates-0.6.0").iterdir())
 SECONDS = 10.0
 
 
@@ -39,7 +39,7 @@ def style(name: str, seed: int = 1) -> Style:
     return Style(np.random.default_rng(seed), STYLES[name])
 
 
-@pytest.mark.parametrize("path", OLD, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_shipped_sessions_are_far_within_it(path: Path) -> None:
     assert bound(dict(read_plain(path))) < MOST / 10.0
 

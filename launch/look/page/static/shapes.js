@@ -1,7 +1,7 @@
 /** The solids of the drawing in space: things, obstacles, arrows, springs, contacts and the grid, for three.js. */
 
 import { solidOf } from "./contacts.js";
-import * as THREE from "./three/three.module.js";
+import * as THREE from "./three/three.module.min.js";
 
 const UP = new THREE.Vector3(0, 1, 0);
 const FINE = 22; // segments around a sphere

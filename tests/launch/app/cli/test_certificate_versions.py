@@ -1,20 +1,23 @@
-"""Certificates of each format version on the command line: those of 0.5.0, and requirements on new ones.
+"""Certificates of each format version on the command line: those of older releases, and requirements on new ones.
 
-The files of 0.5.0 (``tests/design/data/certificates-0.5.0``) are as ``manyhands design SESSION -o FILE`` of that
-release wrote them, one for each shipped session that can be certified, and for the example with a model.
+The files of 0.6.0 (``tests/design/data/certificates-0.6.0``) are as ``manyhands design SESSION -o FILE`` of that
+release wrote them, one for each shipped session that can be certified, and for the example with a model. That of 0.5.0
+beside them is of format version 2.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
 import pytest
 import yaml
 
-from manyhands.design.certificate import identity, load, to_json
+from manyhands.design.certificate import content, identity, load, to_json
 from manyhands.design.proof import prove
 from manyhands.launch.plan.prepare import prepare
+from manyhands.launch.recordings.run import read_run
 from manyhands.launch.run.directory import kept_files
 from manyhands.launch.session.shipped import load_named
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
@@ -23,14 +26,13 @@ from ....support.commands import manyhands_command
 from ....support.simulated_recordings import recorded_of, simulated, written
 
 ROOT = Path(__file__).parents[4]
-OLD = ROOT / "tests" / "design" / "data" / "certificates-0.5.0"
+DATA = ROOT / "tests" / "design" / "data"
+OLD = DATA / "certificates-0.6.0"
+VERSION_2 = DATA / "certificate-0.5.0.json"
+NO_MORE = "found a certificate of format version 2, which manyhands 0.6.0 is the last to read; design the session anew"
 SESSIONS = ROOT / "launch" / "sessions"
-NOT_RECORDED = (
-    "format version 2 does not record what was asked of the coupling (design.objective and the other keys of design), "
-    "and its id does not cover the order of devices and couplings"
-)
 UNCOUPLED = "example1-uncoupled"  # cannot be certified
-NEWER = {"ball", "carry", "mujoco", "peg", "rub", "stroke", "tray"}  # 0.5.0 did not have them
+NEWER = {"ball", "carry", "mujoco", "peg", "rub", "stroke", "tray"}  # 0.6.0 did not have them
 NAMES = [*sorted({path.stem for path in SESSIONS.glob("*.yaml")} - {UNCOUPLED} - NEWER), "puck"]
 
 pytestmark = pytest.mark.usefixtures("own_interrupt")
@@ -66,32 +68,18 @@ def test_there_is_one_for_every_session_that_can_be_certified() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_0_5_0_certificate_is_proved_as_its_own_version(name: str) -> None:
+def test_a_0_6_0_certificate_keeps_its_id_and_is_the_sessions(name: str) -> None:
     read, data = load(old(name))
     assert all(finding.holds for finding in prove(data))
     assert to_json(read) == old(name).read_text()  # nothing is added when it is written again
-    assert data["version"] == read.version == 2
+    assert data["version"] == read.version == 3
+    assert identity(content(read)) == data["id"]
     done = manyhands_command("verify", old(name), "--session", session_of(name))
     assert done.exit_code == 0, done.stderr
-    lines = done.stdout.splitlines()
-    assert f"{old(name)}: {NOT_RECORDED}" in lines
-    objective = load_named(session_of(name)).design.objective
-    assert (
-        f"{old(name)}: not compared with the session's design.objective={objective}: its own is not recorded" in lines
-    )
-    assert lines[-1].endswith(f"; certificate {data['id']}")
+    assert done.stdout.splitlines()[-1].endswith(f"; certificate {data['id']}")
 
 
-def test_without_a_session_no_comparison_is_reported() -> None:
-    done = manyhands_command("verify", old("example1"))
-    assert done.exit_code == 0
-    assert f"{old('example1')}: {NOT_RECORDED}" in done.stdout.splitlines()
-    assert "not compared" not in done.stdout
-    said = json.loads(manyhands_command("verify", old("example1"), "--json").stdout)
-    assert (said["version"], said["asked"], said["status"]) == (2, None, "certified")
-
-
-def test_a_changed_certificate_of_0_5_0_is_found(tmp_path: Path) -> None:
+def test_a_changed_certificate_of_0_6_0_is_found(tmp_path: Path) -> None:
     """By its id, and with a new one by the proof, as ever; what is added to it is refused."""
     data = json.loads(old("example1").read_text())
     data["coupling"]["blocks"]["cx"]["stiffness"] = [[3000.0]]
@@ -99,8 +87,9 @@ def test_a_changed_certificate_of_0_5_0_is_found(tmp_path: Path) -> None:
     for change, code, words in (
         ({}, 3, "not proved: the id is the SHA-256 of the content"),
         ({"id": identity(data)}, 3, "not proved: V_hat of cx is Delta_V-OSP"),
-        ({"asked": {"objective": "stiffest"}}, 2, "found the keys ['asked']"),
-        ({"version": 3}, 2, "key 'asked' is missing"),
+        ({"series": {"dx": 0.5}}, 2, "found the keys ['series']"),
+        ({"version": 4}, 2, "key 'period_tolerance' is missing"),
+        ({"version": 2}, 2, NO_MORE),
     ):
         path.write_text(json.dumps(data | change))
         done = manyhands_command("verify", path)
@@ -136,23 +125,57 @@ def test_a_feasible_certificate_is_not_one_for_the_stiffest(feasible: Path, stif
     assert not bundle.exists()
 
 
-def test_a_0_5_0_certificate_gives_the_same_invitation_line(stiffest: Path, tmp_path: Path) -> None:
-    """The request behind it is unknown: the program reports this, and goes on as 0.5.0 did."""
+def test_a_certificate_of_version_2_is_refused_in_one_sentence(tmp_path: Path) -> None:
     bundle = tmp_path / "dx.bundle"
-    done = manyhands_command("invite", stiffest, "dx", "--certificate", old("example1"), "--insecure", "-o", bundle)
-    assert done.exit_code == 0, done.stderr
-    assert f"{old('example1')}: {NOT_RECORDED}" in done.stderr.splitlines()
-    assert bundle.exists()
+    run = ("--certificate", VERSION_2)
+    for arguments in (
+        ("verify", VERSION_2),
+        ("verify", VERSION_2, "--session", "example1.yaml"),
+        ("launch", "example1.yaml", *run, "--clock", "simulated", "--duration", "0.01"),
+        ("simulate", "example1.yaml", *run, "--duration", "0.01"),
+        ("invite", "example1.yaml", "dx", *run, "--insecure", "-o", bundle),
+    ):
+        done = manyhands_command(*arguments)
+        assert done.exit_code == 2, arguments
+        assert f"{VERSION_2}: {NO_MORE}" in done.stderr
+        assert "Traceback" not in done.stderr
+    assert not bundle.exists()
 
 
-def test_a_run_keeps_and_audits_its_0_5_0_certificate(tmp_path: Path) -> None:
-    """The copy in the recording is the file itself, of version 2 and with its own id; its rungs are made now."""
+def test_a_recording_with_a_certificate_of_version_2_is_read_and_names_who_audits_it(tmp_path: Path) -> None:
+    prepared = prepare(load_named("example1.yaml"))
+    data = json.loads(VERSION_2.read_text())
+    kept = {**kept_files(prepared), CERTIFICATE_FILE: VERSION_2.read_bytes()}
+    recorded = dataclasses.replace(recorded_of(prepared), certificate=data["id"], version="0.6.0")
+    path = written(tmp_path / "run.mcap", recorded, kept, simulated(prepared, 50))
+
+    run = read_run(path)
+    assert (run.ticks, run.cut, run.attachments[CERTIFICATE_FILE]) == (50, None, VERSION_2.read_bytes())
+    for arguments in (
+        ("info", path, "--check"),
+        ("plot", path, "-o", tmp_path / "run.svg"),
+        ("export", path, "--format", "csv", "-o", tmp_path / "run.csv"),
+    ):
+        done = manyhands_command(*arguments)
+        assert done.exit_code == 0, done.stderr
+    assert len((tmp_path / "run.csv").read_text().splitlines()) == 51
+    assert (tmp_path / "run.svg").stat().st_size > 0
+    for command in ("audit", "replay"):
+        done = manyhands_command(command, path)
+        assert done.exit_code == 2
+        words = "found a certificate of format version 2 in it; audit and replay it with manyhands 0.6.0"
+        assert f"{path}: {words}, the last release that reads one" in done.stderr
+        assert "Traceback" not in done.stderr
+
+
+def test_a_run_keeps_and_audits_its_0_6_0_certificate(tmp_path: Path) -> None:
+    """The copy in the recording is the file itself with its own id; its rungs are made now."""
     prepared = prepare(load_named("example1.yaml"), old("example1"))
     kept = kept_files(prepared)
     assert kept[CERTIFICATE_FILE] == old("example1").read_bytes()
     assert prepared.ladder is not None
     first, *softer = prepared.ladder.rungs
-    assert (first.version, [rung.version for rung in softer]) == (2, [3, 3, 3])
+    assert len(softer) == 3
     assert all(rung.method["rung of"] == first.id for rung in softer)
     path = written(tmp_path / "run.mcap", recorded_of(prepared), kept, simulated(prepared, 50))
     assert manyhands_command("replay", path).exit_code == 0
