@@ -230,8 +230,8 @@ class EnforcedCore:
 
     def react(self, p: Floats) -> Floats:
         """f_c(k) = S f_e(k), N, for the couplings, from the free tool positions p(k), m."""
-        begins, self._begins = self._begins, False
-        if begins and not self._unsettled:  # else a former process ran the ticks before, and all rejoin by the ramp
+        if self._begins:
+            self._begins = False
             self._begin(np.array(p))
         if self._unsettled:
             return self._through_clutches(p)
@@ -307,6 +307,8 @@ class EnforcedCore:
 
         The first p has no step that could be bounded, and a device may be switched on anywhere within its reach.
         """
+        for clutch in self._unsettled:  # it joins by the ramp anyway, and its tool rests
+            r[clutch.ports] = 0.0
         if not np.any(r):  # a tool at rest puts in -f^T D_V f at most
             return
         f = self._law.propose(r, self._D_V, r)
