@@ -182,9 +182,9 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         bundles[name] = DeviceBundle(
             commons[name], osp, of_device, _source(session, name), limits, time, allowance, inertia
         )
-    tools = _widest(
-        [tool_bounds(session, [rung.block for rung in of_one]) for of_one in zip(*rungs.values(), strict=True)]
-    )
+    longest = max(map(len, rungs.values()))
+    at_rungs = ([of_one[min(rung, len(of_one) - 1)].block for of_one in rungs.values()] for rung in range(longest))
+    tools = _widest([tool_bounds(session, blocks) for blocks in at_rungs])
     bounds = _site_bounds(session, tools[0], {name: own.block.D for name, (own, *_) in rungs.items()})
     for name in session.couplings:
         own, *softer = (CouplingRung(rung.block, rung.K, rung.level) for rung in rungs[name])
@@ -359,7 +359,7 @@ def _rungs(prepared: Prepared) -> dict[str, list[_Rung]]:
         of_each = zip(couplings, gains, prepared.blocks, strict=True)
         return {name: [_Rung(0.0, 0.0, share, K, block, None)] for name, K, block in of_each}
     found: dict[str, list[_Rung]] = {name: [] for name in couplings}
-    for proof in prepared.certificates if prepared.ladder is None else prepared.ladder.rungs:
+    for proof in prepared.rungs:
         share = proof.levels.device
         gains = proof.loop.loop_gain(share.kappa)
         proved = zip(proof.loop.partition.names, gains, proof.blocks, proof.levels.Delta_V, strict=True)

@@ -20,6 +20,7 @@ from manyhands.design.errors import CertificateError, DesignError, Infeasible
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.statespace import StateSpace
 from manyhands.design.problem import (
+    CouplingRequest,
     HapticLoop,
     LinearGiven,
     NoCoupling,
@@ -52,7 +53,7 @@ class Prepared(Plan):
         blocks: the realisation of each block of V, in the session's order.
         certificate: the certificate of the loop's stability; None for an uncertified run.
         id: the certificate's id, or one of the uncertified session; all processes of the run must agree on it.
-        ladder: the certificate and those for longer delays; None where there are none.
+        ladder: the certificate of the users in the tick, and those for longer delays; None where there are none.
         notes: one sentence for each delay of the ladder without a certificate: why it has none.
         world: the certificate of the world of a session with wave links; None for every other run. Then
             ``certificate`` is None, and every party has one of its own.
@@ -86,6 +87,11 @@ class Prepared(Plan):
     def certificates(self) -> tuple[Certificate, ...]:
         """All certificates of the run's parties: one, or with wave links one for each part; none if uncertified."""
         return tuple(self.parts.values()) if self.certificate is None else (self.certificate,)
+
+    @property
+    def rungs(self) -> tuple[Certificate, ...]:
+        """The certificates, and then those of the ladder for longer delays, growing."""
+        return (*self.certificates, *(() if self.ladder is None else self.ladder.rungs[1:]))
 
 
 def design_session(session: Session, progress: Progress | None = None) -> Designed:
@@ -154,7 +160,7 @@ def prepare(
             proof = design_session(session, progress).certificate
         except DesignError as error:
             return _uncertified(session, error, uncertified)
-    ladder, notes = _ladder(session, proof, progress)
+    ladder, notes = _ladder(session, proof, coupling_request(session), progress)
     return Prepared(session, haptic_loop(session).cut, proof.blocks, proof, proof.id, ladder, notes)
 
 
@@ -180,7 +186,7 @@ def _prepare_parts(
             world = sites.world(session, progress)
         except DesignError as error:
             return _uncertified(session, error, uncertified)
-    return _of_parts(session, world, parts)
+    return _of_parts(session, world, parts, progress)
 
 
 def prepare_again(
@@ -207,11 +213,11 @@ def prepare_again(
         world, parts, renewed = sites.kept_parts(certificate, session, progress)
     except DesignError as error:
         raise NotCertified(f"{session.name} is not certified: {error}") from error
-    return _of_parts(session, world, parts), renewed
+    return _of_parts(session, world, parts, progress), renewed
 
 
-def _of_parts(session: Session, world: World, parts: Mapping[str, Certificate]) -> Prepared:
-    """The session under the certificates of its world and its parts."""
+def _of_parts(session: Session, world: World, parts: Mapping[str, Certificate], progress: Progress | None) -> Prepared:
+    """The session under the certificates of its world and its parts; the users in the tick have a ladder."""
     of_parts = {
         name: block
         for part in parts.values()
@@ -220,7 +226,10 @@ def _of_parts(session: Session, world: World, parts: Mapping[str, Certificate]) 
     blocks = tuple(of_parts[name] for name in session.couplings)
     every = json.dumps([world.id, *(part.id for part in parts.values())])
     id = hashlib.sha256(every.encode()).hexdigest()
-    return Prepared(session, haptic_loop(session), blocks, None, id, world=world, parts=parts)
+    found: tuple[Ladder | None, tuple[str, ...]] = None, ()
+    if sites.IN_TICK in parts:
+        found = _ladder(session, parts[sites.IN_TICK], sites.in_tick(session).request, progress)
+    return Prepared(session, haptic_loop(session), blocks, None, id, *found, world, parts)
 
 
 def _uncertified(session: Session, why: DesignError, allowed: bool) -> Prepared:
@@ -234,15 +243,20 @@ def _settled(session: Session) -> Session:
     return session.with_delay(session.latency) if session.design.tau is None else session
 
 
-def _ladder(session: Session, first: Certificate, progress: Progress | None) -> tuple[Ladder | None, tuple[str, ...]]:
-    """The ladder that the session asks for, with ``first`` as its rung 0, and notes on the delays that it lacks."""
+def _ladder(
+    session: Session, first: Certificate, request: CouplingRequest, progress: Progress | None
+) -> tuple[Ladder | None, tuple[str, ...]]:
+    """The ladder that the session asks for, with ``first`` as its rung 0, and notes on the delays that it lacks.
+
+    ``request`` is what was asked of the couplings of ``first``.
+    """
     stated = session.design.ladder
     if stated == () or (stated is None and first.tau == first.loop.period):
         return None, ()
     from manyhands.design.ladder import automatic_delays, design_ladder  # the solver takes a second to import
 
     delays = automatic_delays(first.loop) if stated is None else stated
-    return design_ladder(first, coupling_request(session), delays, progress)
+    return design_ladder(first, request, delays, progress)
 
 
 def unproved(session: Session, why: DesignError | None = None) -> Prepared:

@@ -40,6 +40,7 @@ from manyhands.launch.recordings.recording import (
     data_frame,
     require_suffix,
 )
+from manyhands.nodes.kernel.bundle import REALTIME
 from manyhands.nodes.recorder.format import Recorded
 from manyhands.nodes.rows import telemetry as names
 from manyhands.nodes.rows.own_ticks import own_span, own_tick, own_ticks_before, session_tick
@@ -331,9 +332,11 @@ def first_sign(run: RecordedRun, environment: str) -> tuple[int, str]:
     A clutch moves when a coupling is frozen, comes back, changes its rung, or is held to its energy budget. It also
     moves when the devices have waited so long that they may have let go. The devices count how often they let go. The
     environment counts all the rest, and states when it took them to have let go. Behind a wave link nothing that
-    happens to a user moves a clutch.
+    happens to a user moves a clutch, but in real time all join by one.
     """
     counts, signs = run.figures.get(environment, ()), [(run.ticks, "")]
+    if run.recorded.linked and run.recorded.clock == REALTIME:
+        signs.append((0, f"{run.recorded.linked[0]} joins by the ramp"))
 
     def look(figures: Figures, name: str, why: str) -> None:
         begin = changed_after(figures, name)

@@ -356,7 +356,7 @@ class BreachPolicy:
             own: the delays of its last ticks, s, the longest first.
         """
         ladder = self._ladder
-        if ladder is None or not own:
+        if ladder is None or not own or not self._covered[device].in_tick:
             return []
         needed = own[min(int(SHARE * len(own)), len(own) - 1)]
         for rung, tau in enumerate(ladder.taus):
@@ -387,7 +387,9 @@ class BreachPolicy:
 
     @property
     def _all_couplings(self) -> tuple[str, ...]:
-        return tuple(dict.fromkeys(coupling for chain in self._chains.values() for coupling in chain))
+        """The couplings of the ladder, those in the tick."""
+        chains = (chain for device, chain in self._chains.items() if self._covered[device].in_tick)
+        return tuple(dict.fromkeys(coupling for chain in chains for coupling in chain))
 
     def _remedy(self, device: str, breach: Breach, measured: float) -> list[Decision]:
         """Apply the policy; ``measured`` is a delay, s, that each message in question reached, so one outlier decides
@@ -409,7 +411,7 @@ class BreachPolicy:
                 return [*self._name(breach, device)]
 
     def _soften(self, device: str, measured: float) -> list[ShiftCoupling]:
-        if self._ladder is None:
+        if self._ladder is None or not self._covered[device].in_tick:
             return []
         taus = self._ladder.taus
         rung = next((r for r, tau in enumerate(taus) if tau >= measured), len(taus) - 1)
@@ -470,7 +472,7 @@ class BreachPolicy:
         if self._policy is not Policy.SOFTEN:
             return ""
         if self._ladder is None:  # above a whole period there is nothing to design, nor are there rungs for wave links
-            linked = not all(covered.in_tick for covered in self._covered.values())
+            linked = not any(self._covered[name].in_tick for name in self._named[Breach.DELAY])
             return "" if whole or linked else "; no softer coupling was designed beforehand (design.ladder)"
         if not self._softened:
             return ""

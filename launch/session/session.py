@@ -461,9 +461,9 @@ class Session(SessionModel):
         if self.wave_links and self.design.coupling == "none":
             found = f"'coupling: none' with the wave link of {next(iter(self.wave_links))!r}"
             yield Problem(("design", "coupling"), found, "a coupling, or no wave link")
-        if self.wave_links and self.design.ladder:
-            found = f"delays with the wave link of {next(iter(self.wave_links))!r}"
-            yield Problem(("design", "ladder"), found, "no ladder: the parts of such a session have one coupling each")
+        if self.design.ladder and len(self.wave_links) == len(self.couplings):
+            expected = "no ladder, or a user in the tick: a site has one coupling and never softens"
+            yield Problem(("design", "ladder"), "delays with a wave link at every coupling", expected)
         if self.wave_links and self.design.objective in TRANSPARENCY:
             found = f"{self.design.objective} with the wave link of {next(iter(self.wave_links))!r}"
             expected = "feasible or stiffest: the site of a wave link does not know the environment"

@@ -21,7 +21,7 @@ from manyhands.nodes.link.process import Node
 from manyhands.nodes.link.relink import follow
 from manyhands.nodes.link.supervisor_line import ControlLine
 from manyhands.nodes.wave_link.ends import user_ends
-from manyhands.protocol.clock import Duration, RealtimeClock
+from manyhands.protocol.clock import Clock, Duration, RealtimeClock
 from manyhands.protocol.messages import Force, Reaction, Report, Role, Rung, SignalMessage, Start
 from manyhands.protocol.transport import Link
 
@@ -29,18 +29,21 @@ from manyhands.protocol.transport import Link
 class CarriedBlock:
     """A :class:`manyhands.nodes.link.process.Node` for a coupling that runs in the loop of its device."""
 
-    def __init__(self, bundle: CouplingBundle) -> None:
-        """Take the coupling's part of the session; :meth:`establish` makes the block."""
+    def __init__(self, bundle: CouplingBundle, clock: Clock | None = None) -> None:
+        """Take the coupling's part of the session; :meth:`establish` makes the block.
+
+        ``clock`` measures waiting times; by default it is the realtime clock.
+        """
         self.bundle = bundle
+        self.clock: Clock = clock or RealtimeClock()
         self.control: ControlLine | None = None
         self.block: Block | None = None
 
     def establish(self, links: Mapping[str, Link]) -> None:
         """Shake hands with the environment, which receives D_V."""
         admits: dict[str, type[SignalMessage]] = {peer.name: Reaction for peer in self.bundle.common.peers}
-        clock, D_V = RealtimeClock(), self.bundle.block.D
-        ends = user_ends(self.bundle, clock)
-        (environment,), _ = establish(self.bundle.common, links, admits, clock, D_V, ends=ends)
+        D_V, ends = self.bundle.block.D, user_ends(self.bundle, self.clock)
+        (environment,), _ = establish(self.bundle.common, links, admits, self.clock, D_V, ends=ends)
         self.block = Block(self.bundle, environment)
 
     def loop(self, start: Start, life: Life, control: ControlLine) -> None:
@@ -81,7 +84,7 @@ class Within(PeerLink):
         common = device.common
         peer = Peer(carried.bundle.common.name, Role.COUPLING, carried.bundle.common.ports, binds=False)
         where = positions(common.ports, peer.ports)
-        super().__init__(hello_to(common, peer, None), peer, None, Force, where, RealtimeClock())
+        super().__init__(hello_to(common, peer, None), peer, None, Force, where, carried.clock)
         self._carried, self._block = carried, block
 
     @property
@@ -129,9 +132,11 @@ class Within(PeerLink):
 class ColocatedNode(DeviceNode):
     """A device with couplings in the same process."""
 
-    def __init__(self, bundle: DeviceBundle, driver: Driver, carried: Sequence[CarriedBlock]) -> None:
-        """The couplings ``carried`` must shake hands before the device does."""
-        super().__init__(bundle, driver)
+    def __init__(
+        self, bundle: DeviceBundle, driver: Driver, carried: Sequence[CarriedBlock], clock: Clock | None = None
+    ) -> None:
+        """The couplings ``carried`` must shake hands before the device does; ``clock`` is as for a device."""
+        super().__init__(bundle, driver, clock)
         self._bundle, self._carried = bundle, tuple(carried)
 
     def establish(self, links: Mapping[str, Link]) -> None:

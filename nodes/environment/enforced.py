@@ -215,6 +215,7 @@ class EnforcedCore:
         self._x_e, self._f, self._w = np.zeros(m), np.zeros(m), np.zeros(m)  # those of the tick before, until react
         self._next = np.zeros(m)  # x_e of this tick
         self._S = np.ones(m)
+        self._begins = budgets is not None
         self.chatter = Chatter(parts, T)
         self.ledger = None if Phi_E is None else Ledger(stored=stored)
         self.controller = PassivityController(T) if enforce else None
@@ -229,6 +230,9 @@ class EnforcedCore:
 
     def react(self, p: Floats) -> Floats:
         """f_c(k) = S f_e(k), N, for the couplings, from the free tool positions p(k), m."""
+        if self._begins:
+            self._begins = False
+            self._begin(np.array(p))
         if self._unsettled:
             return self._through_clutches(p)
         r = np.array(p)
@@ -297,6 +301,22 @@ class EnforcedCore:
         self._stiffness = self._stiffness_of(whole)
         self._D_V = whole
         self._compliance = self._S[:, None] * whole * self._S
+
+    def _begin(self, r: Vector) -> None:
+        """Before the first tick, let a block join by the ramp if its first step would overdraw its energy budget.
+
+        The first p has no step that could be bounded, and a device may be switched on anywhere within its reach.
+        """
+        for clutch in self._unsettled:  # it joins by the ramp anyway, and its tool rests
+            r[clutch.ports] = 0.0
+        if not np.any(r):  # a tool at rest puts in -f^T D_V f at most
+            return
+        f = self._law.propose(r, self._D_V, r)
+        work = -f * (r + self._D_V @ f)
+        for party, clutch in enumerate(self.clutches.all):
+            if work[clutch.ports].sum() > 0.5 * self.energy.room(party):
+                self.clutches.freeze(party)
+                self.clutches.engage(party)
 
     def _stiffness_of(self, D_V: Vector) -> Vector:
         """D_V^{-1}, N/m: the couplings' stiffness within one tick; D_V itself without a controller, which needs it."""

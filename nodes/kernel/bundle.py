@@ -598,7 +598,8 @@ class EnvironmentBundle:
         tool_step: by port, the greatest |p(k) - p(k-1)|, m; None for no bound.
         feedthrough: by coupling, the digest of the D_V that its hello must have
             (:func:`manyhands.nodes.kernel.arithmetic.feedthrough_digest`).
-        feedthrough_rungs: by coupling, its D_V (m/N) at rungs 1, 2, ... of the ladder; the same number for each.
+        feedthrough_rungs: by coupling, its D_V (m/N) at rungs 1, 2, ... of the ladder; the same number for
+            each in the tick, none behind a wave link.
         independent: whether each coupling may change its rung by itself; otherwise all change in one tick.
         enforce: whether a controller keeps Phi_E.
         model: the model in place of E; None for E.
@@ -660,12 +661,13 @@ class EnvironmentBundle:
             raise ValueError(f"found {len(self.budgets)} budgets; expected {len(self.feedthrough)}, one a coupling")
         if self.storage is not None and (self.E is None or self.storage.shape != self.E.A.shape):
             raise ValueError(f"found a storage of shape {self.storage.shape}; expected that of E's matrix A")
-        numbers = {len(matrices) for matrices in self.feedthrough_rungs.values()}
+        # a site has one coupling for good
+        numbers = {len(rungs) for name, rungs in self.feedthrough_rungs.items() if rungs or name not in self.waves}
         if not self.feedthrough_rungs:
             return
-        if len(numbers) != 1 or self.feedthrough_rungs.keys() != self.feedthrough.keys():
+        if len(numbers) > 1 or self.feedthrough_rungs.keys() != self.feedthrough.keys():
             raise ValueError("found a ladder for some couplings; expected the same rungs for each of them")
-        if max(numbers) > MOST_RUNGS:
+        if max(numbers, default=0) > MOST_RUNGS:
             raise ValueError(f"found {1 + max(numbers)} rungs; expected at most {1 + MOST_RUNGS}")
 
 

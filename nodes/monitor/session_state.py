@@ -565,13 +565,12 @@ class Scene:
         certificate = self.about.certificate
         if certificate is None:
             return 0.0
-        if device in certificate.taus:
-            return certificate.taus[device]
-        taus = (certificate.tau, *certificate.ladder)
+        taus = (certificate.taus.get(device, certificate.tau), *certificate.ladder)
         ends = {end for link in self.about.links if device in link.ends for end in link.ends}
+        ends |= {name for name, node in self.about.nodes.items() if node.process == device}  # they have no link
         couplings = [self.nodes[end] for end in ends if end in self.nodes and self.nodes[end].role is Role.COUPLING]
         rungs = (coupling.figures.get(names.RUNG, 0.0) for coupling in couplings)
-        return min((taus[round(rung)] for rung in rungs if 0.0 <= rung <= len(taus) - 1), default=certificate.tau)
+        return min((taus[round(rung)] for rung in rungs if 0.0 <= rung <= len(taus) - 1), default=taus[0])
 
     @property
     def felt_links(self) -> dict[str, FeltLink]:

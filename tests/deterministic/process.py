@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Protocol
 
 from manyhands.nodes.coupling.node import CouplingNode
+from manyhands.nodes.device.colocated import CarriedBlock, ColocatedNode
 from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.device.plugin import PluginDriver
@@ -16,7 +17,7 @@ from manyhands.nodes.kernel.bundle import SIMULATED, Bundle, Common, CouplingBun
 from manyhands.nodes.kernel.lifetime import Sight, Stopped
 from manyhands.nodes.kernel.log import Log, LogEvent, Value
 from manyhands.nodes.link.peer_link import PeerLink, WaveRow
-from manyhands.nodes.link.process import HostedNode, run_members
+from manyhands.nodes.link.process import HostedNode, Node, run_members
 from manyhands.nodes.link.supervisor_line import ControlLine
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Telemetry
@@ -147,6 +148,7 @@ class SimulatedProcess:
         life: what it is asked to do.
         turn: its thread.
         held: until when it is stopped.
+        dead: whether it was killed.
     """
 
     def __init__(
@@ -160,6 +162,7 @@ class SimulatedProcess:
         guest: Guest | None = None,
         witness: Witness | None = None,
         led: Callable[[Link, Scheduler], Link] | None = None,
+        carried: Sequence[CouplingBundle] = (),
     ) -> None:
         """A process of this bundle; nothing of it runs yet.
 
@@ -173,6 +176,7 @@ class SimulatedProcess:
             guest: the guest that leads it; None for an honest process.
             witness: looks at every tick of the environment.
             led: what a hostile node makes of each of its links to a peer; None for an honest one.
+            carried: the couplings that run in this process, which is a device's.
         """
         self._lead = led
         self._witness = witness
@@ -182,22 +186,32 @@ class SimulatedProcess:
         self._bundle, self._note, self._violate = bundle, note, violate
         self._scheduler: Scheduler = wires.scheduler
         self._wires = wires
-        self._transport = ProcessTransport(wires, f"{self.name}.{pid}", self._led)
-        self.held = Instant(0)
+        self._transports = [
+            ProcessTransport(wires, f"{common.name}.{pid}", self._led)
+            for common in (bundle.common, *(one.common for one in carried))
+        ]
+        self._carried = carried
+        self.held, self.dead = Instant(0), False
         self.turn: Turn | None = None
 
     def run(self) -> None:
         """The whole life, in the process's thread."""
         clock = VirtualClock(self._scheduler)
-        self.node = node = self._made(clock)
-        common = self._bundle.common
-        line = SimulatedLine(self._transport, common, NotedLog(self.name, clock, self._note))
+        blocks = [CarriedBlock(bundle, clock) for bundle in self._carried]
+        self.node = node = self._made(clock, blocks)
+        nodes: list[tuple[Common, Node]] = [(self._bundle.common, node)]
+        nodes += [(block.bundle.common, block) for block in blocks]
+        members = [self._member(*one, transport, clock) for one, transport in zip(nodes, self._transports, strict=True)]
+        self.code = run_members(members, self.life, remote=False)  # type: ignore[arg-type]
+        for transport in self._transports:
+            transport.close()
+
+    def _member(self, common: Common, node: Node, transport: ProcessTransport, clock: VirtualClock) -> HostedNode:
+        line = SimulatedLine(transport, common, NotedLog(common.name, clock, self._note))
         line.pid = self.pid
         line.silent = self._guest is not None and not self._guest.strategy.telemetry
         # nothing is asked of this machine's kernel
-        member = HostedNode(replace(common, clock=SIMULATED), node, self._transport, line)
-        self.code = run_members([member], self.life, remote=False)  # type: ignore[arg-type]
-        self._transport.close()
+        return HostedNode(replace(common, clock=SIMULATED), node, transport, line)
 
     def terminate(self) -> None:
         """SIGTERM."""
@@ -207,7 +221,9 @@ class SimulatedProcess:
 
     def die(self, chance: float) -> None:
         """Its sockets are closed by the kernel; of what it sent last every frame is lost by this ``chance``."""
-        self._transport.die(chance)
+        self.dead = True
+        for transport in self._transports:
+            transport.die(chance)
 
     @property
     def peer_links(self) -> Sequence[PeerLink]:
@@ -222,8 +238,8 @@ class SimulatedProcess:
             return link
         return GuestLink(link, self._guest, self._scheduler, self._bundle.common.period)
 
-    def _made(self, clock: VirtualClock) -> DeviceNode | CouplingNode | EnvironmentNode:
-        """The node, which reads the virtual time in place of the real one."""
+    def _made(self, clock: VirtualClock, blocks: Sequence[CarriedBlock]) -> DeviceNode | CouplingNode | EnvironmentNode:
+        """The node, which reads the virtual time in place of the real one; ``blocks`` run in its loop."""
         node: DeviceNode | CouplingNode | EnvironmentNode
         match self._bundle:
             case DeviceBundle() as bundle:
@@ -232,7 +248,7 @@ class SimulatedProcess:
                 # a driver of another package is held to its word by the node, which has to know it for one
                 plugin = isinstance(own, PluginDriver)
                 driver: Driver = own if plugin else LimitedDriver(own, self.name, limits, self._violate)
-                node = DeviceNode(bundle, driver, clock)
+                node = ColocatedNode(bundle, driver, blocks, clock) if blocks else DeviceNode(bundle, driver, clock)
                 if self._guest is not None:
                     self._guest.lead(node, bundle, self._scheduler)
             case CouplingBundle() as bundle:

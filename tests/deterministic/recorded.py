@@ -17,6 +17,7 @@ from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Observation, Telemetry
 from tests.support.simulated_recordings import START, attachments_of, recorded_of
 
+from .process import SimulatedProcess
 from .world import SimulatedSession
 
 Told = Mapping[str, Sequence[Telemetry]]
@@ -24,7 +25,12 @@ Told = Mapping[str, Sequence[Telemetry]]
 
 
 class WatchedSession(SimulatedSession):
-    """A session in real time; :attr:`told` is the telemetry of each node."""
+    """A session in real time that ran to its end.
+
+    Attributes:
+        told: the telemetry of each node.
+        ran: the latest process of each node that leads one.
+    """
 
     def __init__(
         self, prepared: Prepared, faults: Callable[[SimulatedSession], None], ticks: int = 650, seed: int = 7
@@ -38,11 +44,16 @@ class WatchedSession(SimulatedSession):
             seed: of all that happens.
         """
         self.told: dict[str, list[Telemetry]] = defaultdict(list)
+        self.ran: dict[str, SimulatedProcess] = {}
         super().__init__(prepared, "realtime", seed, ticks=ticks)
         faults(self)
         self.scheduler.watch = lambda: self.conductor.phase is SessionPhase.OVER and not self.processes
         self.scheduler.run()
         self.scheduler.join()
+
+    def _start(self, name: str) -> None:
+        super()._start(name)
+        self.ran[name] = self.processes[name]
 
     def _hear(self, sender: str, frame: bytes) -> None:
         message = decode(frame, MAX_CONTROL_BYTES)

@@ -80,6 +80,18 @@ def test_a_device_beyond_its_limits_is_followed(tmp_path: Path) -> None:
         assert (check.verdict, check.numbers, check.gaps) == (CheckVerdict.HOLDS, TICKS, ()), check
 
 
+@pytest.mark.parametrize("depth", ["depth: 2", "depth: 0"])
+def test_a_wave_link_that_joins_in_the_first_tick_breaks_nobodys_promise(depth: str, tmp_path: Path) -> None:
+    """Its depth is stated, so that it has a row from tick 0 on, while its clutch is still open."""
+    linked = f"couplings.cx.wave_link={{b: 20, {depth}, tau: 0.0003}}"
+    pushed = "devices.dx.hand.force=2*pulse(t, 0, 0.1)"
+    prepared = prepare(load_session(SESSIONS / "example1.yaml", [linked, pushed, "design.tau=0.0003"]))
+    told = WatchedSession(prepared, lambda session: None, 250).told
+    done = audited(tmp_path / "r.mcap", prepared, told)
+    assert broken(done) == {}
+    assert check_of(done, "environment", "work").numbers > 200
+
+
 def check_of(done: Audit, party: str, name: str) -> Check:
     return next(check for check in done.checks if (check.party, check.name) == (party, name))
 

@@ -35,6 +35,7 @@ from manyhands.nodes.device.drivers import Driver
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.environment.membership import Members
 from manyhands.nodes.environment.node import EnvironmentNode
+from manyhands.nodes.kernel.bundle import CouplingBundle
 from manyhands.nodes.kernel.lifetime import Stopped
 from manyhands.nodes.monitor.health_model import HealthModel
 from manyhands.nodes.rows import telemetry as names
@@ -123,8 +124,10 @@ class SimulatedSession:
         if frames:
             self._wires.seen = self._see
         self._pids = itertools.count(1)
+        self._to_start: set[str] = set()
         for name in self.graph.nodes:
-            self._start(name)
+            if name not in self.graph.carriers:
+                self._start(name)
         self._look()
 
     def note(self, text: str) -> None:
@@ -138,18 +141,18 @@ class SimulatedSession:
             self.violations.append(text)
 
     def kill(self, name: str) -> None:
-        """SIGKILL; frames that it sent last may not have left it."""
-        process = self.processes.get(name)
+        """SIGKILL; frames that it sent last may not have left it. A coupling may be in its device's process."""
+        process = self.processes.get(self.graph.carriers.get(name, name))
         if process is None or process.turn is None:
             return
-        self.note(f"{name} is killed")
-        del self.processes[name]
+        self.note(f"{process.name} is killed")
+        del self.processes[process.name]
         process.die(self.random.choice((0.0, 0.5, 1.0)))
         self.scheduler.raise_in(process.turn, Killed())
 
     def stop(self, name: str, duration: int) -> None:
         """SIGSTOP, and SIGCONT after ``duration``, ns."""
-        process = self.processes.get(name)
+        process = self.processes.get(self.graph.carriers.get(name, name))
         if process is not None and process.turn is not None:
             process.held = process.turn.ready = Instant(max(process.turn.ready, self.scheduler.now + duration))
 
@@ -180,7 +183,7 @@ class SimulatedSession:
         members, states = self.members, self.conductor.states
         if self.conductor.phase is not SessionPhase.RUNNING or any(s is not NodeState.RUNNING for s in states.values()):
             return False
-        if members is None or not members.all_active or len(self.processes) < len(states):
+        if members is None or not members.all_active or len(self.processes) + len(self.graph.carriers) < len(states):
             return False
         for process in self.processes.values():
             if process.held > self.scheduler.now or not all(peer_link.here for peer_link in process.peer_links):
@@ -190,7 +193,7 @@ class SimulatedSession:
         return True
 
     def _start(self, name: str) -> None:
-        pid = next(self._pids)
+        pid, (_, *carried) = next(self._pids), self.graph.together(name)
         guest = self._guest if self._guest is not None and name == self._guest.name else None
         process = SimulatedProcess(
             self._bundles[name],
@@ -202,19 +205,32 @@ class SimulatedSession:
             guest,
             self._witness,
             self._led.get(name),
+            [bundle for one in carried if isinstance(bundle := self._bundles[one], CouplingBundle)],
         )
         self.processes[name] = process
-        self.assumptions.forget(name)
-        self._energy.forget(name)
-        self.health.forget(name)
-        if self.conductor.phase is SessionPhase.RUNNING and guest is None:
-            self.conductor.started(name, pid)
-            self.restarts += 1
+        for one in (name, *carried):
+            self.assumptions.forget(one)
+            self._energy.forget(one)
+            self.health.forget(one)
+            if self.conductor.phase is SessionPhase.RUNNING and guest is None:
+                self.conductor.started(one, pid)
+                self.restarts += 1
         delay = int(math.exp(self.random.uniform(*map(math.log, STARTS))))
         process.turn = self.scheduler.begin(name, process.run, delay, lambda error: self._ended(process, error))
 
+    def _start_together(self, node: str) -> None:
+        """Start a node; nodes that share a process are started together, when the last of them is to be started."""
+        together = self.graph.together(node)
+        self._to_start.add(node)
+        if self._to_start.issuperset(together):
+            self._to_start.difference_update(together)
+            self.note(f"{node} is started")
+            self._start(together[0])
+
     def _ended(self, process: SimulatedProcess, error: BaseException | None) -> None:
         """Report the end of a process; runs in its own thread."""
+        if process.dead and error is not None:
+            error = Killed()  # what it does while its thread unwinds, a killed process would not do
         code = process.code if error is None else -9 if isinstance(error, Killed | Stopped) else 1
         if error is not None and not isinstance(error, Killed | Stopped):
             told = "".join(traceback.format_exception(error))
@@ -232,7 +248,8 @@ class SimulatedSession:
                 self.scheduler.after(self.random.randint(*AWAY), lambda: self._come_back(name))
             return
         self.note(f"the supervisor sees the end of {name} ({code})")
-        self._obey(self.conductor.exited(name, code, self.scheduler.now))
+        for one in self.graph.together(name):
+            self._obey(self.conductor.exited(one, code, self.scheduler.now))
 
     def _come_back(self, name: str) -> None:
         """A guest joins again."""
@@ -293,8 +310,7 @@ class SimulatedSession:
                 case ReleaseName(name):
                     self._wires.release(name)
                 case StartProcess(node):
-                    self.note(f"{node} is started")
-                    self._start(node)
+                    self._start_together(node)
                 case KillProcess(node):
                     self.kill(node)
                 case Terminate():

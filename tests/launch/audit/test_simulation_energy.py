@@ -72,6 +72,55 @@ def designed() -> Prepared:
     return prepare(load_session(EXAMPLE))
 
 
+AT_THE_BALL = {"dx": {"at": [-0.03, 0, 0], "radius": 0.01}, "dy": {"at": [0.03, 0, 0], "radius": 0.01}}
+WORLDS: dict[str, dict[str, object]] = {
+    "network": {},
+    "controller": {"environment.enforce": True},
+    "scene": {
+        "environment": {
+            "type": "scene",
+            "tools": {**AT_THE_BALL, "dz": {"at": [0, 1, 0]}},
+            "bodies": {"ball": {"mass": 0.1, "at": [0, 0, 0], "radius": 0.02}},
+        }
+    },
+    "proxies": {"environment": {"type": "python", "model": f"{__name__}:Nearby", "stiffness": 3000}},
+    "model": {"environment": {"type": "python", "model": f"{__name__}:Nearby", "level": 0}},
+}
+
+
+class Nearby:
+    """Tools are free for a millimetre; beyond, a wall."""
+
+    def __init__(self, ports: tuple[str, ...], period: float, parameters: object) -> None: ...
+
+    def proxy(self, x: np.ndarray, k: int) -> np.ndarray:
+        return np.clip(x, -1e-3, 1e-3)
+
+    def react(self, x_e: np.ndarray, k: int) -> np.ndarray:
+        return 300.0 * (np.clip(x_e, -1e-3, 1e-3) - x_e)
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_a_device_that_is_switched_on_away_from_rest_joins_within_its_budget(world: str) -> None:
+    """Its first sample is no step that a limit bounds: it is at 2.5 cm at once."""
+    on = {"dof": 1, "osp": 1.37, "driver": "trace", "trace": {"times": [0, 1], "values": [-0.025, -0.025]}}
+    limits = {"limits": {"power": 0.01, "energy": 0.05}}
+    quiet = {f"devices.{name}.hand.force": 0 for name in ("dx", "dz")}
+    session = load_session(EXAMPLE).replace({"devices.dy": on | limits, **quiet, **WORLDS[world]})
+    simulation = Simulation(prepare(session))
+    energy, settle, rooms = simulation.environment.energy, simulation.environment.settle, list[float]()
+
+    def watched() -> None:
+        settle()
+        rooms.append(energy.room(1))
+
+    simulation.environment.settle = watched  # type: ignore[method-assign]
+    f = simulation.run(150).f_v
+    assert min(rooms) > 0.049
+    assert not np.any(f[0])
+    assert simulation.environment.clutches.all[1].ratio == 1.0
+
+
 @pytest.mark.parametrize(("frequency", "enforce"), [(1.0, "false"), (6.0, "false"), (6.0, "true")])
 def test_the_others_receive_no_more_of_a_guest_than_its_budget(
     designed: Prepared, frequency: float, enforce: str

@@ -452,10 +452,10 @@ def test_changes_grow_with_the_logarithm_of_time(stretches: list[tuple[int, floa
 class Test_devices_with_certificates_of_their_own:
     """dx is behind a wave link, at 4 kHz; dz is in the tick."""
 
-    def measured(self, policy: Policy = Policy.WARN) -> Measured:
+    def measured(self, policy: Policy = Policy.WARN, ladder: Rungs | None = None) -> Measured:
         m = Measured(policy)
         covered = dict.fromkeys(CHAINS, Covered(100e-6, 1e-3)) | {"dx": Covered(50e-6, 250e-6, in_tick=False)}
-        m.policy = BreachPolicy(policy, CHAINS, covered, None, m.rungs)
+        m.policy = BreachPolicy(policy, {**CHAINS, "dy": ("cy",)}, covered, ladder, m.rungs)
         return m
 
     def test_a_notice_names_what_each_covers(self) -> None:
@@ -478,6 +478,22 @@ class Test_devices_with_certificates_of_their_own:
             "; the delay is that of the user's own machine, and not of the network: close other programs there, or "
             "state a longer wave_link.tau or wave_link.period of its coupling"
         )
+
+    def test_a_ladder_is_that_of_the_users_in_the_tick(self) -> None:
+        m = self.measured(Policy.SOFTEN, Rungs())
+        for device in ("dx", "dz"):
+            m.tell(device, 1)
+            m.tell(device, 90, 300.0)
+            m.tell(device, 90, 300.0)
+        assert "cx" not in m.rungs
+        assert m.rungs["cz"] > 0
+
+    def test_a_ladder_whose_couplings_change_together_has_none_of_a_wave_link(self) -> None:
+        m = self.measured(Policy.SOFTEN, Rungs(independent=False))
+        m.tell("dz", 1)
+        m.tell("dz", 90, 300.0)
+        m.tell("dz", 90, 300.0)
+        assert m.rungs.keys() == {"cy", "cz"}
 
     def test_so_does_one_of_periods(self) -> None:
         m = self.measured()

@@ -214,7 +214,7 @@ TABLE = {
     "wave-link-depth": (7, "couplings.cx.wave_link.depth", "1.5", "a whole number of ticks"),
     "wave-link-harvest": (7, "couplings.cx.wave_link.harvest", "-0.1", "a harvest in N·s/m of at least 0"),
     "wave-link-harvest-count": (8, "couplings.cy.wave_link.harvest", "3 numbers", "for the ports dy.0, dy.1"),
-    "wave-link-ladder": (17, "design.ladder", "delays with the wave link of 'cx'", "no ladder"),
+    "wave-link-ladder": (17, "design.ladder", "delays with a wave link at every coupling", "no ladder"),
     "wave-link-tau": (7, "couplings.cx.wave_link.tau", "0.0005 with a period of 0.00025 s", "at most the period"),
     "wave-link-tau-of-design": (7, "couplings.cx.wave_link.period", "0.001 with a period of 0.00025 s", "a tau"),
     "wave-link-key": (7, "couplings.cx.wave_link.roundtrip", "unknown key 'roundtrip'", "did you mean 'round_trip'?"),

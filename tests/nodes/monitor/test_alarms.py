@@ -130,6 +130,14 @@ def test_a_softer_coupling_covers_a_longer_delay() -> None:
     assert (scene.covered_tau("left"), scene.covered_tau("right")) == (0.0005, 0.0003)
 
 
+def test_it_does_so_in_its_devices_process_too() -> None:
+    """No link joins the two."""
+    nodes = {**ABOUT.nodes, "vl": replace(ABOUT.nodes["vl"], process="left")}
+    links = tuple(link for link in ABOUT.links if "left" not in link.ends)
+    scene, _ = looked(observed("vl", 100, NO_TRACE, rung=1.0), about=replace(ABOUT, nodes=nodes, links=links))
+    assert (scene.covered_tau("left"), scene.covered_tau("right")) == (0.0005, 0.0003)
+
+
 @pytest.mark.parametrize("rung", [-1.0, 2.0, np.inf, np.nan])
 def test_a_rung_that_makes_no_sense_covers_what_the_certificate_does(rung: float) -> None:
     scene, _ = looked(observed("vl", 100, NO_TRACE, rung=rung))
