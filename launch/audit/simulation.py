@@ -28,7 +28,6 @@ from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.environment.core import environment_core
-from manyhands.nodes.environment.enforced import EnforcedCore
 from manyhands.nodes.environment.model import ModelFailure
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle
@@ -198,7 +197,6 @@ class Simulation:
         devices = list(zip(self._drivers, self.devices.values(), self.guards.values(), self._device_ports, strict=True))
         couplings, linked = self._active(()), self._linked(())
         silent: set[str] = set()
-        model = self.environment if isinstance(self.environment, EnforcedCore) else None
         period = from_seconds(session.period)
         for k in range(ticks):
             now, due = Instant(k * period), Instant((k + 1) * period)
@@ -229,8 +227,8 @@ class Simulation:
                     world.hear(wave.n, wave.U, wave.G)
                 tool[ports] = world.tool()
             f_v[k] = self.environment.react(tool.tolist())
-            if model is not None and model.failure is not None:
-                raise ModelFailure(model.failure)
+            if self.environment.failure is not None:
+                raise ModelFailure(self.environment.failure)
             self.environment.settle()
             if traces is not None:
                 traces.keep(ENVIRONMENT, k, self.environment.tools, self.environment.masses)
