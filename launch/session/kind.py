@@ -24,7 +24,7 @@ class EnvironmentKind(SessionModel):
     """The environment of a session, whose key ``type`` names its kind.
 
     Attributes:
-        in_series: whether some of its compliance may be counted in series, as long as it has no ``delay``.
+        in_series: whether some of its compliance may be counted in series, as long as its key ``delay``, if any, is 0.
     """
 
     in_series: ClassVar[bool] = False
@@ -40,11 +40,6 @@ class EnvironmentKind(SessionModel):
         @abstractmethod
         def enforce(self) -> bool:
             """Whether a passivity controller keeps its level at run time."""
-
-        @property
-        def delay(self) -> int:
-            """Whole ticks by which its forces are late; a key where some of it is :attr:`in_series`."""
-            return 0
 
     @abstractmethod
     def problems(self, ports: tuple[str, ...]) -> Iterator[Problem]:
@@ -82,6 +77,6 @@ class EnvironmentKind(SessionModel):
     @property
     def without_series(self) -> str:
         """Why none of its compliance may be counted in series, as in *found ... with ...*; empty where it may be."""
-        if self.in_series and not self.delay:
+        if self.in_series and not getattr(self, "delay", 0):  # a key of some kinds
             return ""
         return f"an environment of type {self.type}{' with a delay' if self.in_series else ''}"
