@@ -256,7 +256,7 @@ def differences_from(certificate: Certificate, session: Session) -> list[str]:
     """A sentence for each difference between a certificate and the part of the session that it is of."""
     environment = certificate.loop.environment
     name = certificate.loop.partition.names[0]
-    own: SessionPart | None = None
+    own: SessionPart | None = None  # the two kinds are those that this module itself gives to a part
     if isinstance(environment, WaveLinkFace) and name in session.wave_links:
         own = site(session, name)
     elif isinstance(environment, WorldPromise) and 0 < len(session.wave_links) < len(session.couplings):
