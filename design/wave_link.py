@@ -121,14 +121,6 @@ class WaveLinkFace(DeclaredEnvironment):
             raise ValueError("environment.b: expected a symmetric positive definite wave impedance")
         super().__post_init__()
 
-    def __eq__(self, other: object) -> bool:
-        """Equal when every number is."""
-        if not isinstance(other, WaveLinkFace):
-            return NotImplemented
-        return self.ports == other.ports and self.terms() == other.terms()
-
-    __hash__ = None  # matrices have none
-
     def terms(self) -> dict[str, Any]:
         """The face as JSON values, by the keys of a certificate's ``environment``."""
         return {
@@ -179,14 +171,6 @@ class WorldPromise(DeclaredEnvironment):
     controlled = False  # the certificate of the world proves the level
     kept = "a level that the certificate of the world proves, and that is assumed here"
     __repr__ = brief_repr
-
-    def __eq__(self, other: object) -> bool:
-        """Equal when every number is."""
-        if not isinstance(other, WorldPromise):
-            return NotImplemented
-        return (self.ports, self.id) == (other.ports, other.id) and np.array_equal(self.level, other.level)
-
-    __hash__ = None  # matrices have none
 
     def terms(self) -> dict[str, Any]:
         """The promise as JSON values, by the keys of a certificate's ``environment``."""

@@ -12,7 +12,7 @@ Springs to proxies are declared environments too, whatever proposes the proxies.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, NoReturn
 
 import numpy as np
@@ -51,11 +51,10 @@ class DeclaredEnvironment(Environment):
             raise ValueError("environment.level: expected a symmetric matrix")
 
     def __eq__(self, other: object) -> bool:
-        """Equal when every number is."""
-        if not isinstance(other, DeclaredEnvironment):
-            return NotImplemented
-        same = (self.ports, self.enforced) == (other.ports, other.enforced)
-        return same and np.array_equal(self.level, other.level)
+        """Equal when every number is, of the same kind."""
+        return type(self) is type(other) and all(
+            np.array_equal(getattr(self, part.name), getattr(other, part.name)) for part in fields(self)
+        )
 
     __hash__ = None  # type: ignore[assignment]  # matrices have none
 
@@ -105,19 +104,11 @@ class DeclaredEnvironment(Environment):
         return self.level
 
     def environment(self, T: float) -> StateSpace:
-        """Refused: E is not known.
-
-        Raises:
-            Infeasible: always.
-        """
+        """Refused by Infeasible: E is not known."""
         self._refuse()
 
     def split(self, T: float) -> Split:
-        """Refused: E_hat is not known.
-
-        Raises:
-            Infeasible: always.
-        """
+        """Refused by Infeasible: E_hat is not known."""
         self._refuse()
 
     def _refuse(self) -> NoReturn:
@@ -151,12 +142,6 @@ class DeclaredScene(DeclaredEnvironment):
         object.__setattr__(self, "ports", self.scene.ports)
         object.__setattr__(self, "level", np.zeros((m, m)))
         super().__post_init__()
-
-    def __eq__(self, other: object) -> bool:
-        """Equal when the scenes are."""
-        return isinstance(other, DeclaredScene) and self.scene == other.scene
-
-    __hash__ = None  # matrices have none
 
     def terms(self) -> dict[str, Any]:
         """Those of the scene."""
@@ -200,15 +185,6 @@ class ProxyEnvironment(DeclaredEnvironment):
             raise ValueError("environment.level: expected no negative eigenvalue, for a held proxy costs no energy")
         if not 0.0 <= self.tank <= MOST_DRIVE:
             raise ValueError(f"environment.tank: found {self.tank} J; expected 0 to {MOST_DRIVE:g} J")
-
-    def __eq__(self, other: object) -> bool:
-        """Equal when every number is."""
-        if not isinstance(other, ProxyEnvironment):
-            return NotImplemented
-        same = super().__eq__(other) and (self.content, self.tank) == (other.content, other.tank)
-        return same and np.array_equal(self.stiffness, other.stiffness)
-
-    __hash__ = None  # matrices have none
 
     def terms(self) -> dict[str, Any]:
         """Level and springs; of what proposes the proxies its digest alone."""

@@ -1,6 +1,7 @@
 """Every kind of environment by the name that a certificate has for it: written, read, and asked what the others ask."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -27,6 +28,15 @@ def network(stiffness: float) -> Network:
 
 ENTRY = ((0.3, 500.0), (1.0,))
 NONE = ((0.0,), (1.0,))
+SCENE = ContactScene(
+    PORTS,
+    tools=(
+        ToolSphere("a", (0,), (0,), (0.0, 0.0, 0.0)),
+        ToolSphere("b", (1,), (0,), (0.1, 0.0, 0.0)),
+    ),
+    bodies=(Body("m", 0.5, (0.0, 0.1, 0.0), 0.0),),
+    links=(SceneLink(("m", GROUND), 300.0, 0.3),),
+)
 ALL: dict[str, Environment] = {
     "network": network(900.0),
     "box": NetworkBox(network(800.0), network(900.0)),
@@ -35,17 +45,7 @@ ALL: dict[str, Environment] = {
     "discrete, late": StateSpaceEnvironment(PORTS, StateSpace.static(500.0 * np.eye(2)), None, 1),
     "functions": TransferEnvironment(PORTS, ((ENTRY, NONE), (NONE, ENTRY))),
     "declared": DeclaredEnvironment(PORTS, 0.2 * np.eye(2)),
-    "scene": DeclaredScene(
-        ContactScene(
-            PORTS,
-            tools=(
-                ToolSphere("a", (0,), (0,), (0.0, 0.0, 0.0)),
-                ToolSphere("b", (1,), (0,), (0.1, 0.0, 0.0)),
-            ),
-            bodies=(Body("m", 0.5, (0.0, 0.1, 0.0), 0.0),),
-            links=(SceneLink(("m", GROUND), 300.0, 0.3),),
-        )
-    ),
+    "scene": DeclaredScene(SCENE),
     "proxies": ProxyEnvironment(PORTS, 0.1 * np.eye(2), 900.0 * np.eye(2), "digest", 0.5),
     "face": WaveLinkFace(PORTS, id="w", b=10.0 * np.eye(2), tank=1.0, harvest=(0.1, 0.2), round_trip=0.02),
     "world": WorldPromise(PORTS, -0.1 * np.eye(2), id="p"),
@@ -102,3 +102,28 @@ def test_what_is_late_or_in_discrete_time_says_so() -> None:
         stiffened.terms()
     with pytest.raises(TypeError, match="expected a world of which something may be counted"):
         ALL["declared"].stiffened({"a": 1e-4})
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("declared", {"enforced": False}),
+        ("declared", {"level": 0.3 * np.eye(2)}),
+        ("scene", {"scene": replace(SCENE, links=())}),
+        ("proxies", {"stiffness": 901.0 * np.eye(2)}),
+        ("proxies", {"content": None}),
+        ("proxies", {"tank": 0.0}),
+        ("face", {"b": 11.0 * np.eye(2)}),
+        ("face", {"harvest": (0.1, 0.3)}),
+        ("face", {"round_trip": None}),
+        ("face", {"mass": np.eye(2)}),
+        ("world", {"id": "q"}),
+        ("world", {"ports": ("a", "c")}),
+    ],
+)
+def test_two_of_a_kind_are_equal_as_all_their_numbers_are(name: str, change: dict[str, object]) -> None:
+    one = ALL[name]
+    assert isinstance(one, DeclaredEnvironment)
+    assert replace(one) == one
+    assert replace(one, **change) != one  # type: ignore[arg-type]
+    assert all(one != other for key, other in ALL.items() if key != name)
