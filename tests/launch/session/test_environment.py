@@ -99,7 +99,7 @@ def test_matrices_have_full_shapes_and_a_method() -> None:
     assert isinstance(environment, StateSpaceEnvironment)
     assert (environment.time, environment.method, environment.delay) == ("continuous", "backward-euler", 0)
     system = stated_system(environment, "the environment", continuous=True)
-    assert [matrix.shape for matrix in (system.A, system.B, system.C)] == [(1, 1), (1, 3), (3, 1)]
+    assert [matrix.shape for matrix in (system.A, system.B, system.C, system.D)] == [(1, 1), (1, 3), (3, 1), (3, 3)]
     np.testing.assert_array_equal(system.D, 9 * np.eye(3))
     static = example("example1", STATES, *(f"environment.{name}=[]" for name in "ABC")).environment
     assert isinstance(static, StateSpaceEnvironment)
