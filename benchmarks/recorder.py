@@ -28,7 +28,6 @@ from typing import Any
 import numpy as np
 import proc
 
-from manyhands.launch.plan.bundles import mass_names
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.reach import reach
 from manyhands.launch.plan.topology import topology
@@ -55,7 +54,7 @@ GOES_ON = 0.2  # s, of the session after that
 def recorded_of(prepared: Prepared) -> Recorded:
     """The description of the session that its recorder receives."""
     session, graph = prepared.session, topology(prepared.session)
-    masses = mass_names(session)
+    masses = session.environment.reported(session.ports)
     return Recorded(session.name, prepared.id, session.period, "realtime", graph.nodes, graph.ports, masses)
 
 

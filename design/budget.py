@@ -41,7 +41,7 @@ from scipy.linalg import eigh
 from manyhands.design.errors import Infeasible
 from manyhands.design.levels.device import gain_for_share, greatest_share
 from manyhands.design.levels.environment import lack_of_passivity
-from manyhands.design.models.environment import DeclaredEnvironment, Environment
+from manyhands.design.models.kind import Environment
 from manyhands.design.models.statespace import Matrix, matrix
 
 
@@ -205,8 +205,8 @@ def environment_share(environment: Environment, Delta_D: Matrix, T: float) -> fl
     """
     if environment.passive_network is not None:
         return 0.0
-    if isinstance(environment, DeclaredEnvironment):
-        return needed_share(Delta_D, environment.level)
+    if environment.declared_level is not None:
+        return needed_share(Delta_D, environment.declared_level)
     try:
         split = environment.split(T)
     except Infeasible:

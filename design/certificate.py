@@ -15,9 +15,9 @@ not know the key must not take the claim for one about periods of T. Every other
 (docs/decisions/0010-delay-inside-the-tick.md). Older versions are refused
 (docs/decisions/0027-certificate-format-3.md).
 
-Requests, environments, couplings and aims come in several kinds; each ``describe_`` function turns one into JSON
-values. All except requests are read back. A proof alone does not show that a certificate is about a given loop and
-request: :func:`differences` compares them.
+Requests, couplings and aims come in several kinds; each ``describe_`` function turns one into JSON values, as an
+environment does itself (:meth:`.Environment.terms`). All except requests are read back. A proof alone does not show
+that a certificate is about a given loop and request: :func:`differences` compares them.
 """
 
 from __future__ import annotations
@@ -34,24 +34,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manyhands.design.environments import environment_of
 from manyhands.design.errors import CertificateError, OldCertificate
 from manyhands.design.files import read_regular, replacing
 from manyhands.design.levels.contract import ENERGY, ENFORCED, DeviceShare, Levels, Storage
 from manyhands.design.models.brief import brief, brief_names, brief_repr
 from manyhands.design.models.coupling import CouplingBlock, Partition, SpringDamper, realisations, spring_damper_of
-from manyhands.design.models.environment import (
-    DeclaredEnvironment,
-    DeclaredScene,
-    DelayedNetwork,
-    Environment,
-    NetworkBox,
-    ProxyEnvironment,
-    StateSpaceEnvironment,
-    TransferEnvironment,
+from manyhands.design.models.kind import Environment
+from manyhands.design.models.statespace import (
+    LinearSystem,
+    Matrix,
+    StateSpace,
+    matrix,
+    rational_values,
+    read_rational,
+    read_system,
+    system_values,
 )
-from manyhands.design.models.network import METHODS, Network, NetworkLink
-from manyhands.design.models.scene import scene_of
-from manyhands.design.models.statespace import LinearSystem, Matrix, Rational, StateSpace, matrix
 from manyhands.design.models.transfer import InDifferences
 from manyhands.design.models.weights import Filter, Transparency
 from manyhands.design.problem import (
@@ -65,12 +64,9 @@ from manyhands.design.problem import (
     SpringDamperWanted,
     Wish,
 )
-from manyhands.design.wave_link import WaveLinkFace, WorldPromise, face_of
 
 if TYPE_CHECKING:
     from manyhands.design.frequency_responses import FrequencyResponses
-
-MOST_DELAY = 64  # ticks; the order of the delayed environment grows with it
 
 
 def describe_request(wanted: CouplingRequest, names: Sequence[str]) -> dict[str, Any]:
@@ -102,125 +98,6 @@ def _describe_wish(wish: Wish) -> dict[str, Any]:
 
 def _describe_objective(objective: str, aim: Transparency | None) -> dict[str, Any]:
     return {"objective": objective} if aim is None else {"objective": aim.objective, "weights": _weights(aim)}
-
-
-def describe_environment(environment: Environment) -> dict[str, Any]:
-    """The environment's physical data as JSON values; an interval is [low, high]."""
-    match environment:
-        case Network():
-            return _network(environment, environment, 0)
-        case NetworkBox(low, high):
-            return _network(low, high, 0)
-        case DelayedNetwork(network, delay):
-            return _network(network, network, delay)
-        case StateSpaceEnvironment(_, system, method, delay):
-            time = {"time": "discrete"} if method is None else {"time": "continuous", "method": method}
-            return {"type": "state-space", **system_values(system), **time, "delay": delay}
-        case TransferEnvironment(_, entries, method, delay):
-            rows = [[{"num": list(num), "den": list(den)} for num, den in row] for row in entries]
-            return {"type": "transfer-function", "entries": rows, "method": method, "delay": delay}
-        case WaveLinkFace() | WorldPromise():
-            return environment.terms()
-        case DeclaredScene():
-            return environment.scene.terms()
-        case ProxyEnvironment():
-            level, K = environment.level.tolist(), environment.stiffness.tolist()
-            content = {} if environment.content is None else {"content": environment.content}
-            tank = {"tank": environment.tank} if environment.tank else {}
-            return {"type": "proxy", "level": level, "stiffness": K, **content, **tank}
-        case DeclaredEnvironment():
-            return {"type": "declared", "level": environment.promised().tolist()}
-    raise TypeError(f"expected an environment of a known kind, found {type(environment).__name__}")
-
-
-def _network(low: Network, high: Network, delay: int) -> dict[str, Any]:
-    return {
-        "type": "network",
-        "masses": {name: _interval(a, b) for (name, a), (_, b) in zip(low.masses, high.masses, strict=True)},
-        "links": [
-            {
-                "between": list(a.ends),
-                "stiffness": _interval(a.stiffness, b.stiffness),
-                "damping": _interval(a.damping, b.damping),
-            }
-            for a, b in zip(low.links, high.links, strict=True)
-        ],
-        "delay": delay,
-    }
-
-
-def _interval(low: float, high: float) -> float | list[float]:
-    return low if low == high else [low, high]
-
-
-def environment_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> Environment:
-    """The environment that :func:`describe_environment` wrote.
-
-    Raises:
-        KeyError, TypeError, ValueError: a key is missing, or its value makes no environment.
-    """
-    kind = data["type"]
-    m = len(ports)
-    if kind == "declared":
-        return DeclaredEnvironment(ports, matrix(data["level"], m, m))
-    if kind == "scene":
-        return DeclaredScene(scene_of(data, ports))
-    if kind == "proxy":
-        content = str(data["content"]) if "content" in data else None
-        level, K = matrix(data["level"], m, m), matrix(data["stiffness"], m, m)
-        return ProxyEnvironment(ports, level, K, content, float(data.get("tank", 0.0)))
-    if kind == "wave-link":
-        return face_of(data, ports)
-    if kind == "world":
-        return WorldPromise(ports, matrix(data["level"], m, m), id=str(data["id"]))
-    delay = data["delay"]
-    if type(delay) is not int or not 0 <= delay <= MOST_DELAY:
-        raise ValueError(f"environment.delay: found {delay!r}, expected a whole number from 0 to {MOST_DELAY}")
-    if kind == "network":
-        low, high = (_network_of(data, ports, end) for end in (0, 1))
-        if low == high:
-            return low if delay == 0 else DelayedNetwork(low, delay)
-        if delay:
-            raise ValueError("environment: found intervals and a delay, expected one of the two")
-        return NetworkBox(low, high)
-    if kind == "state-space":
-        if data["time"] not in ("continuous", "discrete"):
-            raise ValueError(f"environment.time: found {data['time']!r}, expected 'continuous' or 'discrete'")
-        method = data["method"] if data["time"] == "continuous" else None
-        if method is not None and method not in METHODS:
-            raise ValueError(f"environment.method: found {method!r}, expected one of {', '.join(METHODS)}")
-        return StateSpaceEnvironment(ports, read_system(data, continuous=method is not None), method, delay)
-    if kind == "transfer-function":
-        if data["method"] not in ("backward-euler", "tustin"):
-            raise ValueError(f"environment.method: found {data['method']!r}, expected 'backward-euler' or 'tustin'")
-        rows = tuple(tuple(_rational(entry) for entry in row) for row in data["entries"])
-        return TransferEnvironment(ports, rows, data["method"], delay)
-    expected = "'network', 'scene', 'state-space', 'transfer-function', 'declared', 'wave-link' or 'world'"
-    raise ValueError(f"environment.type: found {kind!r}, expected {expected}")
-
-
-def _network_of(data: Mapping[str, Any], ports: tuple[str, ...], end: int) -> Network:
-    """The network with every interval at its low end (``end`` 0) or high end (1)."""
-
-    def at(value: Any) -> float:
-        if isinstance(value, list) and len(value) != 2:
-            raise ValueError(f"environment: found {len(value)} numbers, expected an interval [low, high]")
-        return float(value[end] if isinstance(value, list) else value)
-
-    return Network(
-        ports,
-        tuple((str(name), at(mass)) for name, mass in data["masses"].items()),
-        tuple(
-            NetworkLink((str(a), str(b)), at(link["stiffness"]), at(link["damping"]))
-            for link in data["links"]
-            for a, b in [link["between"]]
-        ),
-    )
-
-
-def _rational(data: Mapping[str, Any]) -> Rational:
-    num, den = (tuple(matrix([data[key]])[0].tolist()) for key in ("num", "den"))
-    return num, den
 
 
 def describe_coupling(names: Sequence[str], coupling: tuple[CouplingBlock, ...]) -> dict[str, Any]:
@@ -273,7 +150,7 @@ def storage_of(value: Any, environment: Environment) -> Storage:
     Raises:
         ValueError: the word is not the one for this environment, or the value is not a matrix.
     """
-    if isinstance(environment, DeclaredEnvironment):
+    if environment.declared_level is not None:
         if value != ENFORCED:
             raise ValueError(f"storage.E_hat: expected {ENFORCED!r} for a declared environment")
         return ENFORCED
@@ -309,7 +186,7 @@ def describe_aim(aim: Transparency) -> dict[str, Any]:
 
 
 def _weights(aim: Transparency) -> dict[str, Any]:
-    return {name: {"num": list(W.num), "den": list(W.den)} for name, W in (("W1", aim.W1), ("W2", aim.W2))}
+    return {name: rational_values((W.num, W.den)) for name, W in (("W1", aim.W1), ("W2", aim.W2))}
 
 
 def aim_of(data: Mapping[str, Any]) -> Transparency:
@@ -317,33 +194,8 @@ def aim_of(data: Mapping[str, Any]) -> Transparency:
     if data["objective"] not in ("loop-shaping", "closed-loop"):
         found = data["objective"]
         raise ValueError(f"transparency.objective: found {found!r}, expected 'loop-shaping' or 'closed-loop'")
-    W1, W2 = (Filter(*_rational(data[name])) for name in ("W1", "W2"))
+    W1, W2 = (Filter(*read_rational(data[name])) for name in ("W1", "W2"))
     return Transparency(data["objective"], W1, W2)
-
-
-def system_values(system: StateSpace) -> dict[str, Any]:
-    """A, B, C and D as rows; or the static gain instead of D, if the system states it."""
-    last = {"D": system.D.tolist()} if system.static_gain is None else {"static": system.static_gain.tolist()}
-    return {"A": system.A.tolist(), "B": system.B.tolist(), "C": system.C.tolist(), **last}
-
-
-def read_system(data: Mapping[str, Any], *, continuous: bool = False) -> StateSpace:
-    """The system that :func:`system_values` wrote; JSON has no shape for a matrix without rows or columns.
-
-    Raises:
-        KeyError, TypeError, ValueError: a matrix is missing, or its shape does not fit the others.
-    """
-    if not data["A"] and (data["B"] or any(data["C"])):
-        raise ValueError("expected B and C without entries where A has none")
-    if "static" in data:
-        if "D" in data:
-            raise ValueError("found both D and static, expected one of them")
-        A, B, C = (data[key] if data["A"] else [] for key in "ABC")
-        return StateSpace.with_static_gain(A, B, C, data["static"], continuous=continuous)
-    D = matrix(data["D"])
-    if not data["A"]:
-        return StateSpace.static(D)
-    return StateSpace(matrix(data["A"]), matrix(data["B"]), matrix(data["C"]), D)
 
 
 def square(rows: Any) -> Matrix:
@@ -453,7 +305,7 @@ class Certificate:
             ValueError: the environment is declared by its level, and has no matrices.
         """
         environment = self.loop.environment
-        if isinstance(environment, DeclaredEnvironment):
+        if environment.declared_level is not None:
             raise ValueError("found an environment that is declared by its level; expected one with matrices")
         E = environment.environment(self.loop.period)
         return LinearSystem(E.A, E.B, E.C, E.D, self.loop.period)
@@ -559,7 +411,7 @@ def content(certificate: Certificate) -> dict[str, Any]:
         "structure": {
             name: [ports[p] for p in block] for name, block in zip(partition.names, partition.blocks, strict=True)
         },
-        "environment": describe_environment(loop.environment),
+        "environment": loop.environment.terms(),
         **({"series": describe_series(loop)} if loop.series else {}),
         "asked": dict(certificate.asked),
         "coupling": describe_coupling(partition.names, certificate.coupling),
@@ -740,13 +592,13 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
 
 def describe_series(loop: HapticLoop) -> dict[str, Any]:
     """What is counted in series, by port: a part of a network's link, or {"compliance": m/N} of any other world."""
-    of_links = isinstance(loop.environment, Network | NetworkBox)
+    of_links = loop.environment.counts == "part"
     return {port: value if of_links else {"compliance": value} for port, value in loop.parts.items()}
 
 
 def _series(data: Mapping[str, Any], ports: tuple[str, ...], environment: Environment) -> tuple[float, ...]:
     """What :func:`describe_series` wrote; a port that is not named counts nothing."""
-    of_links = isinstance(environment, Network | NetworkBox)
+    of_links = environment.counts == "part"
     if not of_links and any(set(value) != {"compliance"} for value in data.values()):
         raise ValueError("series: expected the one key compliance for each port")
     found = {str(port): float(value if of_links else value["compliance"]) for port, value in data.items()}

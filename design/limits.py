@@ -13,7 +13,6 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 
 from manyhands.design.models.coupling import CouplingBlock, SpringDamper
-from manyhands.design.models.environment import StateSpaceEnvironment
 from manyhands.design.models.statespace import StateSpace
 from manyhands.design.problem import HapticLoop
 
@@ -92,8 +91,7 @@ def what_helps(loop: HapticLoop, coupling: Coupling, excesses: Sequence[Excess],
         alone = len({f"{excess.osp:.6g}" for excess in excesses}) == 1
         figure = f"{excesses[0].osp / part:.4g} N*s/m" if alone else f"{most / part:.4g} times their own"
         out.append(f"devices with an osp above {figure}")
-    discrete = isinstance(loop.environment, StateSpaceEnvironment) and loop.environment.method is None
-    if not damped and not discrete and all(isinstance(block, SpringDamper) for block in coupling):
+    if not damped and loop.environment.at_any_period and all(isinstance(block, SpringDamper) for block in coupling):
 
         def quicker(part: float) -> bool:
             period = loop.period * part / most

@@ -15,17 +15,8 @@ import numpy as np
 from manyhands.design.levels.contract import NO_DELAY_GAIN
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import Partition, SpringDamper, loop_gain
-from manyhands.design.models.environment import (
-    DeclaredEnvironment,
-    DeclaredScene,
-    Environment,
-    NetworkBox,
-    StateSpaceEnvironment,
-    StiffenedEnvironment,
-    TransferEnvironment,
-)
 from manyhands.design.models.integrators import Split
-from manyhands.design.models.network import Network
+from manyhands.design.models.kind import Environment
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix, symmetric_part
 from manyhands.design.models.weights import Transparency
 
@@ -149,6 +140,10 @@ class NoCoupling:
 CouplingRequest = SpringDamperWanted | LinearWanted | SpringDamperGiven | LinearGiven | NoCoupling
 
 
+_SERIES = {"part": ("a number from 0 to less than 1", 1.0), "compliance": ("a compliance of 0 or more", np.inf)}
+"""What may be counted in series at a port, in words, and what it is less than."""
+
+
 @dataclass(frozen=True, eq=False)
 class HapticLoop:
     """The loop of Fig. 1: devices with hands, a coupling of given structure, an environment.
@@ -197,26 +192,20 @@ class HapticLoop:
             self._check_series()
 
     def _check_series(self) -> None:
-        environment = self.environment
-        if isinstance(environment, StateSpaceEnvironment | TransferEnvironment) and not environment.delay:
-            if len(self.series) != len(self.ports) or not all(0.0 <= c < np.inf for c in self.series):
-                raise ValueError(f"series: expected a compliance of 0 or more for each port, found {self.series}")
-            if not any(self.series):
-                raise ValueError("series: expected a compliance greater than 0 for some port, or no series at all")
-            return
-        if len(self.series) != len(self.ports) or not all(0.0 <= part < 1.0 for part in self.series):
-            raise ValueError(f"series: expected a number from 0 to less than 1 for each port, found {self.series}")
-        if not any(self.series):
-            raise ValueError("series: expected a part greater than 0 for some port, or no series at all")
-        if not isinstance(environment, Network | NetworkBox):
+        counts = self.environment.counts
+        if counts is None:
             expected = "an environment without delay that is a network, a state space or rational functions"
             raise ValueError(f"series: expected {expected}")
-        contacts = environment.contacts()
-        missing = [port for port, part in zip(self.ports, self.series, strict=True) if part and port not in contacts]
+        number, most = _SERIES[counts]
+        if len(self.series) != len(self.ports) or not all(0.0 <= value < most for value in self.series):
+            raise ValueError(f"series: expected {number} for each port, found {self.series}")
+        if not any(self.series):
+            raise ValueError(f"series: expected a {counts} greater than 0 for some port, or no series at all")
+        contacts = self.environment.contacts()
+        missing = [port for port in self.parts if counts == "part" and port not in contacts]
         if missing:
-            raise ValueError(
-                f"series: expected a port that one spring joins to a mass or to ground, found {missing[0]}"
-            )
+            expected = "a port that one spring joins to a mass or to ground"
+            raise ValueError(f"series: expected {expected}, found {missing[0]}")
 
     @property
     def parts(self) -> dict[str, float]:
@@ -230,39 +219,12 @@ class HapticLoop:
         Its environment is the world without that compliance, and its coupling contains it. It is the loop itself if
         nothing is counted.
         """
-        environment = self.environment
-        if self.series and isinstance(environment, StateSpaceEnvironment | TransferEnvironment):
-            return replace(self, environment=StiffenedEnvironment(environment, self.series), series=())
-        if not self.series or not isinstance(environment, Network | NetworkBox):
-            return self
-        return replace(self, environment=environment.stiffened(self.parts), series=())
+        return replace(self, environment=self.environment.stiffened(self.parts), series=()) if self.series else self
 
     @cached_property
     def counted(self) -> StateSpace:
-        """C, what is counted of the world's compliance, from force (N) to displacement (m), m x m.
-
-        Of a network C = diag(part/(k + b s)), by backward Euler, with one state for each port where something is
-        counted; of a network known up to intervals, in their middle. Of a state space or rational functions it is
-        diag(series), without states.
-        """
-        environment, T, m = self.environment, self.period, len(self.ports)
-        network = environment.nominal if isinstance(environment, NetworkBox) else environment
-        if self.series and isinstance(environment, StateSpaceEnvironment | TransferEnvironment):
-            return StateSpace.static(np.diag(self.series))
-        if not self.series or not isinstance(network, Network):
-            return StateSpace.static(np.zeros((m, m)))
-        contacts = network.contacts()
-        ports = [i for i, part in enumerate(self.series) if part]
-        n = len(ports)
-        A, B, C, D = np.zeros((n, n)), np.zeros((n, m)), np.zeros((m, n)), np.zeros((m, m))
-        for at, i in enumerate(ports):
-            link = contacts[self.ports[i]]
-            impedance = T * link.stiffness + link.damping
-            A[at, at] = link.damping / impedance
-            B[at, i] = T * A[at, at]
-            C[i, at] = self.series[i] / impedance
-            D[i, i] = T * C[i, at]
-        return StateSpace(A, B, C, D)
+        """C, what is counted of the world's compliance, from force (N) to displacement (m), m x m."""
+        return self.environment.nominal.counted(self.parts, self.period)
 
     def without_counted(self, V: StateSpace) -> StateSpace:
         """V less :attr:`counted`: the coupling itself, of the coupling that is run; states of V, then those of C."""
@@ -299,11 +261,7 @@ class HapticLoop:
     @property
     def enforced(self) -> tuple[str, ...]:
         """The parties whose level is not proved; a passivity controller enforces it at run time."""
-        # the other kinds of declared environment are kept by a face's tank, or proved in the world's certificate
-        environment = self.environment
-        if not isinstance(environment, DeclaredEnvironment) or not environment.enforced:
-            return ()
-        return ("environment",) if type(environment) in (DeclaredEnvironment, DeclaredScene) else ()
+        return ("environment",) if self.environment.controlled else ()
 
     @cached_property
     def split(self) -> Split:

@@ -40,13 +40,7 @@ from numpy.typing import NDArray
 from manyhands.design.errors import Infeasible, SolverFailure
 from manyhands.design.levels.contract import NO_DELAY_GAIN
 from manyhands.design.levels.device import least_gain
-from manyhands.design.models.environment import (
-    NetworkBox,
-    StateSpaceEnvironment,
-    StiffenedEnvironment,
-    TransferEnvironment,
-)
-from manyhands.design.models.network import Network
+from manyhands.design.models.kind import Environment
 from manyhands.design.models.statespace import Matrix, frequency_response
 from manyhands.design.problem import HapticLoop
 
@@ -80,12 +74,12 @@ def counted_parts(loop: HapticLoop, most: float = MOST) -> tuple[float, ...]:
     for ports, gain in zip(loop.partition.blocks, loop.loop_gain(kappa), strict=True):
         limits[list(ports)] = _KEPT * float(np.linalg.eigvalsh(gain)[0])
     out = [0.0] * len(loop.ports)
-    if isinstance(environment, Network | NetworkBox):
+    if environment.counts == "part":
         contacts = environment.contacts()
         for i, port in enumerate(loop.ports):
             if port in contacts:
                 out[i] = math.floor(_DIGITS * min(most, contacts[port].stiffness * float(limits[i]))) / _DIGITS
-    elif isinstance(environment, StateSpaceEnvironment | TransferEnvironment) and not environment.delay:
+    elif environment.counts == "compliance":
         found = most * _greatest_compliance(environment, loop.period, limits, loop.Delta_D)
         out = [_rounded_down(float(c)) if c > _LEAST * limit else 0.0 for c, limit in zip(found, limits, strict=True)]
     return tuple(out) if any(out) else ()
@@ -97,9 +91,7 @@ def _rounded_down(value: float) -> float:
     return float(f"{math.floor(value * (1.0 + _ROUNDING) / 10.0**exponent)}e{exponent}")
 
 
-def _greatest_compliance(
-    environment: StateSpaceEnvironment | TransferEnvironment, T: float, limits: Matrix, Delta_D: Matrix
-) -> Matrix:
+def _greatest_compliance(environment: Environment, T: float, limits: Matrix, Delta_D: Matrix) -> Matrix:
     """The greatest diagonal of C, m/N, of which :data:`MOST` leaves E' passive; zeros if E itself is not passive.
 
     Args:
@@ -123,8 +115,8 @@ def _greatest_compliance(
     for _ in range(_MOST_CUTS):
         try:
             greatest = _greatest_at(np.array(H), np.array(E_z), T, limits)
-            left = StiffenedEnvironment(environment, tuple((MOST * greatest).tolist()))
-            poles = np.linalg.eigvals(left.discrete(T).A)
+            left = environment.stiffened(dict(zip(environment.ports, (MOST * greatest).tolist(), strict=True)))
+            poles = np.linalg.eigvals(left.environment(T).A)
         except (Infeasible, np.linalg.LinAlgError):  # E itself is not passive at one of the angles
             return nothing
         try:

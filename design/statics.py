@@ -14,7 +14,8 @@ from typing import Final
 from flint import fmpq, fmpq_mat
 
 from manyhands.design.errors import Infeasible
-from manyhands.design.models.environment import Environment, StateSpaceEnvironment, TransferEnvironment
+from manyhands.design.models.environment import StateSpaceEnvironment, TransferEnvironment
+from manyhands.design.models.kind import Environment
 from manyhands.design.models.statespace import Matrix, StateSpace
 
 _MOST_STATES = 512  # for an exact solution, which takes about a minute at this size
@@ -26,7 +27,7 @@ def check_environment(environment: Environment) -> None:
     Raises:
         Infeasible: a condition fails; the message names the entry, its value and the value that would be right.
     """
-    match environment:
+    match environment:  # in rationals, of which the kinds know nothing: two forms of numbers
         case StateSpaceEnvironment():
             gain = _of_system(environment.system, environment.method is not None, "the environment")
         case TransferEnvironment():

@@ -36,8 +36,7 @@ from manyhands.design.levels.floats import within_floats
 from manyhands.design.levels.spring_damper import centred, stiffest
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import CouplingBlock, SpringDamper, realisations
-from manyhands.design.models.environment import DeclaredEnvironment, NetworkBox
-from manyhands.design.models.statespace import StateSpace, symmetric_part
+from manyhands.design.models.statespace import Matrix, StateSpace, symmetric_part
 from manyhands.design.models.transfer import stated
 from manyhands.design.models.weights import Transparency, states_of_E, weighted
 from manyhands.design.passivity.hinfinity import bounded_real_storage, hinf_norm
@@ -60,7 +59,6 @@ from manyhands.design.theorem4 import Interrupted, LinearCoupling, StoppedShort,
 from manyhands.design.transparency import design as transparency
 from manyhands.design.transparency.families import UNWEIGHTED, NormalisedLoop
 from manyhands.design.transparency.pole_search import design_linear as design_linear_by_search
-from manyhands.design.wave_link import FELT_STIFFNESS, WaveLinkFace, felt_stiffness
 
 Progress = Callable[[str], None]
 
@@ -188,10 +186,11 @@ def environment_need(loop: HapticLoop, progress: Progress | None = None) -> floa
     """
     loop = loop.cut
     environment = loop.environment
-    if isinstance(environment, DeclaredEnvironment):
-        return float(eigh(environment.promised(), loop.Delta_D, eigvals_only=True)[-1])
+    promised = environment.promised()
+    if promised is not None:
+        return float(eigh(promised, loop.Delta_D, eigvals_only=True)[-1])
     network = environment.passive_network
-    if network is not None and (isinstance(environment, NetworkBox) or environment.order > MOST_SEARCHED):
+    if network is not None and (environment.only_energy or environment.order > MOST_SEARCHED):
         return 0.0  # proved by its energy: nothing sharper is known, or is cheap to compute
     try:
         split = loop.split
@@ -272,7 +271,7 @@ def _linear(loop: HapticLoop, wanted: LinearWanted, progress: Progress | None) -
             ("use devices with more damping (a greater osp)", "shorten the period", "soften the environment"),
         )
     wish, T = wanted.wish, loop.period
-    if wish.aim is None and isinstance(loop.environment, DeclaredEnvironment):
+    if wish.aim is None and loop.environment.declared_level is not None:
         E = StateSpace.static(np.zeros(loop.Delta_D.shape))  # without an aim, only the number of its ports matters
     else:
         E = loop.split.environment(loop.period)
@@ -417,7 +416,8 @@ def _proved(
     claim = None if found.aim is None else _transparency(loop, found.coupling, found.aim, above)
     asked = describe_request(wanted, loop.partition.names)
     draft = Certificate(loop, found.coupling, levels, claim, {}, found.method, asked)
-    draft = replace(draft, margins={"(10)": margin(loop.partition, levels), **_felt(loop, draft.blocks)})
+    of_environment = loop.environment.margins(lambda: _compliance(loop, draft.blocks))
+    draft = replace(draft, margins={"(10)": margin(loop.partition, levels), **of_environment})
     data = content(draft)
     data["id"] = identity(data)
     if progress is not None:
@@ -434,13 +434,9 @@ def _proved(
     return replace(draft, id=data["id"])
 
 
-def _felt(loop: HapticLoop, blocks: tuple[StateSpace, ...]) -> dict[str, float]:
-    """The least stiffness that is felt over a wave link whose round trip is known, N/m; else nothing."""
-    face = loop.environment
-    if not isinstance(face, WaveLinkFace) or face.round_trip is None:
-        return {}
-    compliance = loop.partition.embed([symmetric_part(block.response(1.0).real) for block in blocks])
-    return {FELT_STIFFNESS: float(np.linalg.eigvalsh(felt_stiffness(compliance, face.b, face.round_trip))[0])}
+def _compliance(loop: HapticLoop, blocks: tuple[StateSpace, ...]) -> Matrix:
+    """V(1), m x m, m/N."""
+    return loop.partition.embed([symmetric_part(block.response(1.0).real) for block in blocks])
 
 
 def _take(loop: HapticLoop, wanted: CouplingRequest) -> Found | None:
@@ -474,7 +470,7 @@ def _well_posed(loop: HapticLoop, blocks: tuple[StateSpace, ...]) -> None:
     D_E = D_E^T >= 0, as for every network. A declared model is evaluated ahead of the tick; the force that a
     passivity controller computes from its answer is unique wherever D_V + D_V^T > 0.
     """
-    if loop.environment.passive_network is not None or isinstance(loop.environment, DeclaredEnvironment):
+    if loop.environment.passive_network is not None or loop.environment.declared_level is not None:
         return
     D_E = loop.environment.environment(loop.period).D
     D_V = loop.partition.embed([block.D for block in blocks])

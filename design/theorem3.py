@@ -58,7 +58,6 @@ from manyhands.design.levels.environment import level_and_storage
 from manyhands.design.levels.network import physical_level
 from manyhands.design.levels.spring_damper import greatest_level
 from manyhands.design.models.coupling import CouplingBlock, SpringDamper, realisations, transformed_coupling
-from manyhands.design.models.environment import DeclaredEnvironment, NetworkBox
 from manyhands.design.models.integrators import Split
 from manyhands.design.models.statespace import Matrix, StateSpace, block_diagonal, symmetric_part
 from manyhands.design.problem import HapticLoop
@@ -662,7 +661,7 @@ def _promises(
     for name, part, K, Delta_D in zip(loop.partition.names, coupling, gains, loop.Delta_D_blocks, strict=True):
         if isinstance(part, SpringDamper):
             own.append(BlockLevel(_closed_form(name, part, Delta_D / (2.0 * device.kappa), loop.period), None))
-        elif part.inputs == 1 or not _small(loop) or isinstance(loop.environment, DeclaredEnvironment):
+        elif part.inputs == 1 or not _small(loop) or loop.environment.declared_level is not None:
             own.append(block_level(name, part, K, Delta_D, loop.period, most))
     if len(own) == len(blocks):
         return tuple(own)
@@ -692,11 +691,12 @@ def _environment(
 ) -> tuple[Matrix, Storage]:
     """Phi_E, m x m, and its storage matrix; or the word for what proves or enforces it instead."""
     environment, T, partition = loop.environment, loop.period, loop.partition
-    if isinstance(environment, DeclaredEnvironment):
-        return _declared(loop, environment, device, Delta_V), ENFORCED
+    promised = environment.promised()
+    if promised is not None:
+        return _declared(loop, promised, device, Delta_V), ENFORCED
     Delta_G = tuple(device.share * Delta for Delta in loop.Delta_D_blocks)
     network = environment.passive_network
-    if network is not None and (isinstance(environment, NetworkBox) or environment.order > MOST_SEARCHED):
+    if network is not None and (environment.only_energy or environment.order > MOST_SEARCHED):
         return physical_level(network, T, Delta_G, Delta_V, partition), ENERGY
     try:
         split = loop.split
@@ -713,15 +713,12 @@ def _environment(
         return physical_level(network, T, Delta_G, Delta_V, partition), ENERGY
 
 
-def _declared(
-    loop: HapticLoop, environment: DeclaredEnvironment, device: DeviceShare, Delta_V: tuple[Matrix, ...]
-) -> Matrix:
-    """The declared level, m x m, if (10) holds with it.
+def _declared(loop: HapticLoop, Phi_E: Matrix, device: DeviceShare, Delta_V: tuple[Matrix, ...]) -> Matrix:
+    """The declared level Phi_E, m x m, if (10) holds with it.
 
     Raises:
         Infeasible: (10) fails with it.
     """
-    Phi_E = environment.promised()
     left = margin(loop.partition, Levels(device, loop.Delta_D_blocks, Delta_V, Phi_E, ENFORCED, ()))
     if left <= 0.0:
         raise Infeasible(

@@ -48,7 +48,6 @@ import numpy as np
 from manyhands.design import convex as cp
 from manyhands.design.errors import DesignError, Infeasible, NotConverged, SolverFailure, TooLarge
 from manyhands.design.models.coupling import SpringDamper
-from manyhands.design.models.environment import DeclaredEnvironment
 from manyhands.design.models.statespace import StateSpace, symmetric_part
 from manyhands.design.problem import HapticLoop
 from manyhands.design.solver import (
@@ -440,8 +439,9 @@ def _environment(loop: HapticLoop) -> tuple[cp.Expression, list[cp.Constraint]]:
     For a declared environment Phi_E is its declared level, without any constraint.
     """
     m, S, T = len(loop.ports), loop.scaling, loop.period
-    if isinstance(loop.environment, DeclaredEnvironment):
-        return cp.Constant(S @ loop.environment.promised() @ S), []
+    promised = loop.environment.promised()
+    if promised is not None:
+        return cp.Constant(S @ promised @ S), []
     split = loop.split
     rest = scale_ports(split.rest, S, S)
     rest = change_states(rest, balancing(rest))

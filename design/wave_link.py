@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -27,7 +27,8 @@ import numpy as np
 from manyhands.design.errors import Infeasible
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import Partition
-from manyhands.design.models.environment import DeclaredEnvironment, Environment
+from manyhands.design.models.declared import DeclaredEnvironment
+from manyhands.design.models.kind import Environment
 from manyhands.design.models.statespace import Matrix, matrix, symmetric_part
 
 FELT_STIFFNESS: Final = "felt stiffness"
@@ -105,6 +106,7 @@ class WaveLinkFace(DeclaredEnvironment):
     round_trip: float | None = None
     mass: Matrix | None = None
 
+    controlled = False  # the tank keeps the level
     __repr__ = brief_repr
 
     def __post_init__(self) -> None:
@@ -119,14 +121,6 @@ class WaveLinkFace(DeclaredEnvironment):
             raise ValueError("environment.b: expected a symmetric positive definite wave impedance")
         super().__post_init__()
 
-    def __eq__(self, other: object) -> bool:
-        """Equal when every number is."""
-        if not isinstance(other, WaveLinkFace):
-            return NotImplemented
-        return self.ports == other.ports and self.terms() == other.terms()
-
-    __hash__ = None  # matrices have none
-
     def terms(self) -> dict[str, Any]:
         """The face as JSON values, by the keys of a certificate's ``environment``."""
         return {
@@ -138,6 +132,29 @@ class WaveLinkFace(DeclaredEnvironment):
             "round_trip": self.round_trip,
             "mass": None if self.mass is None else self.mass.tolist(),
         }
+
+    def margins(self, compliance: Callable[[], Matrix]) -> dict[str, float]:
+        """The least stiffness that is felt, N/m, where the round trip is known."""
+        if self.round_trip is None:
+            return {}
+        felt = felt_stiffness(compliance(), self.b, self.round_trip)
+        return {FELT_STIFFNESS: float(np.linalg.eigvalsh(felt)[0])}
+
+    def rows(self, margins: Mapping[str, float]) -> dict[str, str | Matrix]:
+        """The wave link, and what it is felt as."""
+        harvest = ", ".join(f"{theta:g}" for theta in dict.fromkeys(self.harvest))
+        tank = f"{self.tank:g} J; harvest {harvest} N·s/m"
+        rows: dict[str, str | Matrix] = {"wave link": self.id, "b [N·s/m]": self.b, "E₀": tank}
+        if self.round_trip is None:
+            return rows
+        mass = float(np.linalg.eigvalsh(felt_mass(self.b, self.round_trip))[-1])
+        over = f"over a round trip of {1e3 * self.round_trip:.4g} ms"
+        felt = f"at least {margins[FELT_STIFFNESS]:.1f} N/m and at most {1e3 * mass:.4g} g {over}"
+        return {**rows, "felt": felt}
+
+    def verdict(self, block: str) -> str:
+        """Proved, for a site by the name of its coupling."""
+        return f"{block}: proved, whatever is behind its wave link"
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,27 +168,21 @@ class WorldPromise(DeclaredEnvironment):
     enforced: bool = field(init=False, default=True)
     id: str = ""
 
+    controlled = False  # the certificate of the world proves the level
+    kept = "a level that the certificate of the world proves, and that is assumed here"
     __repr__ = brief_repr
-
-    def __eq__(self, other: object) -> bool:
-        """Equal when every number is."""
-        if not isinstance(other, WorldPromise):
-            return NotImplemented
-        return (self.ports, self.id) == (other.ports, other.id) and np.array_equal(self.level, other.level)
-
-    __hash__ = None  # matrices have none
 
     def terms(self) -> dict[str, Any]:
         """The promise as JSON values, by the keys of a certificate's ``environment``."""
         return {"type": "world", "id": self.id, "level": self.level.tolist()}
 
+    def verdict(self, block: str) -> str:
+        """Proved, under what the world promises."""
+        return "users in the tick: proved, where the certificate of the world proves the level assumed of it"
+
 
 def face_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> WaveLinkFace:
-    """The face that :meth:`WaveLinkFace.terms` wrote.
-
-    Raises:
-        KeyError, TypeError, ValueError: a key is missing, or its value makes no face.
-    """
+    """The face that :meth:`WaveLinkFace.terms` wrote (:func:`.environment_of`)."""
     m = len(ports)
     return WaveLinkFace(
         ports,
@@ -200,9 +211,9 @@ def promised_level(environment: Environment, partition: Partition, linked: froze
     own = sorted(
         p for name, ports in zip(partition.names, partition.blocks, strict=True) if name not in linked for p in ports
     )
-    if not isinstance(environment, DeclaredEnvironment):
-        return np.zeros((len(own), len(own)))
     level = environment.promised()
+    if level is None:
+        return np.zeros((len(own), len(own)))
     others = sorted(set(range(partition.size)) - set(own))
     if np.any(level[np.ix_(own, others)]):
         raise Infeasible(

@@ -28,7 +28,6 @@ from typing import Any
 import numpy as np
 
 from manyhands.design.certificate import (
-    describe_environment,
     describe_storage,
     identity,
     matrices_by_block,
@@ -39,7 +38,7 @@ from manyhands.design.files import replacing
 from manyhands.design.levels.contract import Storage
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import Partition
-from manyhands.design.models.environment import Environment
+from manyhands.design.models.kind import Environment
 from manyhands.design.models.statespace import Matrix, matrix
 from manyhands.design.wave_link import in_tick_id, promised_level, wave_link_id
 
@@ -219,7 +218,7 @@ def _terms_content(terms: WorldTerms) -> dict[str, Any]:
         "structure": {
             name: [ports[p] for p in block] for name, block in zip(partition.names, partition.blocks, strict=True)
         },
-        "environment": describe_environment(terms.environment),
+        "environment": terms.environment.terms(),
         "wave_links": {
             name: {"id": link.id, "b": link.b.tolist(), "tank": link.tank} for name, link in terms.wave_links.items()
         },

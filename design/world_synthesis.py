@@ -16,12 +16,7 @@ from manyhands.design.levels.contract import ENERGY, ENFORCED, Storage
 from manyhands.design.levels.environment import RESERVES, lack_of_passivity, storage
 from manyhands.design.levels.floats import within_floats
 from manyhands.design.levels.network import diagonal_level
-from manyhands.design.models.environment import (
-    DeclaredEnvironment,
-    Environment,
-    StateSpaceEnvironment,
-    TransferEnvironment,
-)
+from manyhands.design.models.kind import Environment
 from manyhands.design.models.statespace import Matrix
 from manyhands.design.proof import prove_world
 from manyhands.design.statics import check_environment
@@ -73,17 +68,17 @@ def _proved(terms: WorldTerms, Phi_E: Matrix, P_E: Storage, method: str, progres
 
 def _level(environment: Environment, T: float, progress: Progress | None) -> tuple[Matrix, Storage, str]:
     """Phi_E <= 0 with what proves it, and the method; or the declared level."""
-    if isinstance(environment, DeclaredEnvironment):
-        return environment.promised(), ENFORCED, "declared"
+    promised = environment.promised()
+    if promised is not None:
+        return promised, ENFORCED, "declared"
     if environment.passive_network is not None:
         return diagonal_level(environment.passive_network, T), ENERGY, "mechanical energy"
     split = environment.split(T)
     I = np.eye(split.rest.inputs)
     found = lack_of_passivity(split, T, I, progress)
     if found.multiple >= 0.0:
-        late = not isinstance(environment, StateSpaceEnvironment | TransferEnvironment) or environment.delay > 0
         remedy = f"a damping of more than {found.multiple:.4g} N*s/m at each such port, by backward Euler"
-        if late:
+        if environment.late:
             remedy = "an environment without delay: a wave link carries delay in its place"
         raise _lacking(found.multiple, f"it lacks passivity at {found.frequency:.4g} rad/s", remedy)
     for reserve in RESERVES:

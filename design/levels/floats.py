@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from manyhands.design.errors import SolverFailure
-from manyhands.design.models.environment import DelayedNetwork, Environment
+from manyhands.design.models.kind import Environment
 
 
 @contextmanager
@@ -31,7 +31,6 @@ def within_floats(environment: Environment) -> Iterator[None]:
 
 
 def _spans(environment: Environment) -> str:
-    """The least and the greatest stiffness of a network, in words; empty for other environments."""
-    network = environment.network if isinstance(environment, DelayedNetwork) else environment.passive_network
-    found = sorted(link.stiffness for link in network.links if link.stiffness) if network is not None else []
+    """The least and the greatest stiffness of an environment's springs, in words; empty without any."""
+    found = sorted(filter(None, environment.stiffnesses))
     return f": the stiffnesses of the environment run from {found[0]:.3g} to {found[-1]:.3g} N/m" if found else ""

@@ -1,72 +1,49 @@
 """Virtual environments E, from tool displacement x_e (m) to the force that the tools must exert (N).
 
-All kinds have one interface, :class:`Environment`. It gives E as a discrete system, which the environment's process
+All kinds have one interface, :class:`.Environment`. It gives E as a discrete system, which the environment's process
 runs, and E_hat without its integrators (:mod:`manyhands.design.models.integrators`), which the design needs. A network
 of masses, springs and dampers is proved passive by its physics: its energy is a storage function whatever its
-parameters are.
-
-A declared environment, such as a physics engine or a neural simulator, has no matrices to prove anything about. Only
-its level is known, and a passivity controller at its ports enforces that level at run time. Condition (10) of
-[Bianchini2010]_ needs no more: with E_hat (-Phi_E)-ISP, by proof or by a controller, Theorem 3 holds. Its passivity
-argument needs neither linearity nor time invariance. The certificate of such a loop is conditional, and states so.
-
-Springs to proxies are declared environments too, whatever proposes the proxies. A test in every tick keeps their level
-(docs/decisions/0042-proxies.md), and no controller is needed for it.
+parameters are. A function for each kind that a certificate has a name for reads what its ``terms`` wrote.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal, NoReturn, Protocol
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from manyhands.design.errors import Infeasible
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.integrators import Split, delayed_split, delayed_system, split_system
-from manyhands.design.models.network import Method, Network, NetworkLink, discretise
-from manyhands.design.models.scene import MOST_DRIVE, ContactScene
-from manyhands.design.models.statespace import Matrix, Rational, StateSpace, matrix
+from manyhands.design.models.kind import Counts, Environment
+from manyhands.design.models.network import METHODS, Method, Network, NetworkLink, discretise, network_terms
+from manyhands.design.models.statespace import (
+    Matrix,
+    Rational,
+    StateSpace,
+    rational_values,
+    read_rational,
+    read_system,
+    system_values,
+)
 from manyhands.design.models.transfer import realise
 
-
-class Environment(Protocol):
-    """An environment with m ports, as the design and the environment's process use it."""
-
-    @property
-    def ports(self) -> tuple[str, ...]:
-        """Names of the m ports, in order."""
-
-    @property
-    def passive_network(self) -> Network | None:
-        """The network whose energy proves this environment passive; None if physics proves nothing."""
-
-    @property
-    def order(self) -> int:
-        """The order of Rest, or slightly more: the size that a storage matrix would have."""
-
-    def environment(self, T: float) -> StateSpace:
-        """E, discrete with period T (s)."""
-
-    def split(self, T: float) -> Split:
-        """E_hat without its integrators; raises Infeasible if E_hat is passive at no level."""
+MOST_DELAY = 64
+"""The most ticks by which the forces of an environment in a certificate are late: its order grows with them."""
 
 
-class WithoutEnergy:
-    """An environment whose passivity no energy proves: its forces are late, or it is not given by its physics."""
-
-    @property
-    def passive_network(self) -> None:
-        """None: there is no network whose energy is a storage function."""
-        return None
-
-
-class _Discretised(WithoutEnergy, ABC):
+class _Discretised(Environment):
     """An environment that is discretised first and then delayed."""
 
     delay: int
+
+    @property
+    def late(self) -> bool:
+        """By its delay."""
+        return self.delay > 0
 
     @abstractmethod
     def discrete(self, T: float) -> StateSpace:
@@ -85,8 +62,25 @@ class _Discretised(WithoutEnergy, ABC):
         return delayed_split(replace(split_system(self.discrete(T), T), units=self.units(T)), self.delay, T)
 
 
+class _Given(_Discretised):
+    """An environment without links, of which plain springs may be counted in series as long as it has no delay."""
+
+    @property
+    def counts(self) -> Counts:
+        """Compliance at each port; nothing with a delay."""
+        return None if self.delay else "compliance"
+
+    def stiffened(self, parts: Mapping[str, float]) -> StiffenedEnvironment:
+        """E' = E (I - C E)^-1."""
+        return StiffenedEnvironment(self, tuple(parts.get(port, 0.0) for port in self.ports))
+
+    def counted(self, parts: Mapping[str, float], T: float) -> StateSpace:
+        """C = diag(c_i), without states."""
+        return StateSpace.static(np.diag([parts.get(port, 0.0) for port in self.ports]))
+
+
 @dataclass(frozen=True)
-class NetworkBox:
+class NetworkBox(Environment):
     """Every network whose parameters lie between those of two of the same structure.
 
     Attributes:
@@ -101,6 +95,8 @@ class NetworkBox:
     high: Network
 
     __repr__ = brief_repr
+    counts: ClassVar[Counts] = "part"
+    only_energy = True
 
     def __post_init__(self) -> None:
         low, high = self.low, self.high
@@ -145,6 +141,10 @@ class NetworkBox:
             ),
         )
 
+    def terms(self) -> dict[str, Any]:
+        """Masses and links, each parameter a number or an interval."""
+        return network_terms(self.low, self.high, 0)
+
     def contacts(self) -> dict[str, NetworkLink]:
         """:meth:`Network.contacts` at the lower ends: the softest of each port's links."""
         return self.low.contacts()
@@ -163,7 +163,7 @@ class NetworkBox:
 
 
 @dataclass(frozen=True)
-class DelayedNetwork(WithoutEnergy):
+class DelayedNetwork(Environment):
     """A network whose forces come a whole number of ticks late, E z^-d: not passive in general.
 
     Attributes:
@@ -175,6 +175,7 @@ class DelayedNetwork(WithoutEnergy):
     delay: int
 
     __repr__ = brief_repr
+    late = True
 
     def __post_init__(self) -> None:
         if self.delay < 1:
@@ -184,6 +185,15 @@ class DelayedNetwork(WithoutEnergy):
     def ports(self) -> tuple[str, ...]:
         """Names of the m ports."""
         return self.network.ports
+
+    @property
+    def stiffnesses(self) -> tuple[float, ...]:
+        """Of each link."""
+        return self.network.stiffnesses
+
+    def terms(self) -> dict[str, Any]:
+        """Masses and links, with the delay."""
+        return network_terms(self.network, self.network, self.delay)
 
     @property
     def order(self) -> int:
@@ -200,7 +210,7 @@ class DelayedNetwork(WithoutEnergy):
 
 
 @dataclass(frozen=True, eq=False)
-class StateSpaceEnvironment(_Discretised):
+class StateSpaceEnvironment(_Given):
     """An environment given by its matrices.
 
     Attributes:
@@ -234,6 +244,16 @@ class StateSpaceEnvironment(_Discretised):
     __hash__ = None  # type: ignore[assignment]  # matrices have none
 
     @property
+    def at_any_period(self) -> bool:
+        """False for a system that is discrete already."""
+        return self.method is not None
+
+    def terms(self) -> dict[str, Any]:
+        """The matrices as they are given."""
+        time = {"time": "discrete"} if self.method is None else {"time": "continuous", "method": self.method}
+        return {"type": "state-space", **system_values(self.system), **time, "delay": self.delay}
+
+    @property
     def order(self) -> int:
         """Of Rest."""
         return self.system.order + self.delay * len(self.ports)
@@ -244,7 +264,7 @@ class StateSpaceEnvironment(_Discretised):
 
 
 @dataclass(frozen=True)
-class TransferEnvironment(_Discretised):
+class TransferEnvironment(_Given):
     """An environment given by rational functions of s, such as k + b s + M s^2.
 
     Attributes:
@@ -267,6 +287,11 @@ class TransferEnvironment(_Discretised):
             raise ValueError(f"expected {m} rows of {m} entries")
         if any(not any(den) for row in self.entries for _, den in row):
             raise ValueError("expected no denominator to be zero")
+
+    def terms(self) -> dict[str, Any]:
+        """The rational functions as they are given."""
+        rows = [[rational_values(entry) for entry in row] for row in self.entries]
+        return {"type": "transfer-function", "entries": rows, "method": self.method, "delay": self.delay}
 
     @property
     def order(self) -> int:
@@ -295,7 +320,7 @@ class StiffenedEnvironment(_Discretised):
         compliance: c_i by port, m/N.
     """
 
-    world: StateSpaceEnvironment | TransferEnvironment
+    world: _Given
     compliance: tuple[float, ...]
     delay: int = field(init=False, default=0)
 
@@ -305,6 +330,19 @@ class StiffenedEnvironment(_Discretised):
     def ports(self) -> tuple[str, ...]:
         """Names of the m ports."""
         return self.world.ports
+
+    @property
+    def at_any_period(self) -> bool:
+        """As the world is."""
+        return self.world.at_any_period
+
+    def terms(self) -> dict[str, Any]:
+        """Refused: a certificate has the world, and beside it what is counted.
+
+        Raises:
+            TypeError: always.
+        """
+        raise TypeError("found a world without what is counted of it; expected the world itself")
 
     @property
     def order(self) -> int:
@@ -330,150 +368,58 @@ class StiffenedEnvironment(_Discretised):
         return self.world.units(T)
 
 
-@dataclass(frozen=True, eq=False)
-class DeclaredEnvironment(WithoutEnergy):
-    """An environment of which only its declared level is known.
-
-    Attributes:
-        ports: names of the m ports.
-        level: Phi_E, m x m symmetric, N*s/m; 0 for a passive environment, above 0 for one that lacks passivity.
-        enforced: whether a passivity controller enforces that level at run time.
-
-    Raises:
-        ValueError: the level is not symmetric, or not m x m.
-    """
-
-    ports: tuple[str, ...]
-    level: Matrix
-    enforced: bool = True
-
-    __repr__ = brief_repr
-
-    def __post_init__(self) -> None:
-        m = len(self.ports)
-        object.__setattr__(self, "level", matrix(self.level, m, m))
-        if np.any(self.level != self.level.T):
-            raise ValueError("environment.level: expected a symmetric matrix")
-
-    def __eq__(self, other: object) -> bool:
-        """Equal when every number is."""
-        if not isinstance(other, DeclaredEnvironment):
-            return NotImplemented
-        same = (self.ports, self.enforced) == (other.ports, other.enforced)
-        return same and np.array_equal(self.level, other.level)
-
-    __hash__ = None  # type: ignore[assignment]  # matrices have none
-
-    @property
-    def order(self) -> int:
-        """0: there is no Rest."""
-        return 0
-
-    def promised(self) -> Matrix:
-        """The level that a design may count on.
-
-        Raises:
-            Infeasible: no controller enforces it.
-        """
-        if not self.enforced:
-            raise Infeasible(
-                "nothing is proved about the environment's model, and its level is not enforced",
-                ("set 'enforce: true' in environment",),
-            )
-        return self.level
-
-    def environment(self, T: float) -> StateSpace:
-        """Refused: E is not known.
-
-        Raises:
-            Infeasible: always.
-        """
-        self._refuse()
-
-    def split(self, T: float) -> Split:
-        """Refused: E_hat is not known.
-
-        Raises:
-            Infeasible: always.
-        """
-        self._refuse()
-
-    def _refuse(self) -> NoReturn:
-        raise Infeasible(
-            "this needs the dynamics of the environment, but only the declared level of its model is known",
-            (
-                "use an objective that does not need the environment's dynamics: feasible or stiffest",
-                "give the environment as a network or as matrices",
-            ),
-        )
+def network_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> Network | DelayedNetwork | NetworkBox:
+    """The network that :func:`.network_terms` wrote (:func:`.environment_of`)."""
+    delay = _delay(data)
+    low, high = (_network_at(data, ports, end) for end in (0, 1))
+    if low == high:
+        return low if delay == 0 else DelayedNetwork(low, delay)
+    if delay:
+        raise ValueError("environment: found intervals and a delay, expected one of the two")
+    return NetworkBox(low, high)
 
 
-@dataclass(frozen=True, eq=False)
-class DeclaredScene(DeclaredEnvironment):
-    """A scene, of which the design uses the level 0: that of an exact solution of its ticks, kept by a controller.
+def _network_at(data: Mapping[str, Any], ports: tuple[str, ...], end: int) -> Network:
+    """The network with every interval at its low end (``end`` 0) or high end (1)."""
 
-    Attributes:
-        scene: the tools, bodies and obstacles.
-    """
+    def at(value: Any) -> float:
+        if isinstance(value, list) and len(value) != 2:
+            raise ValueError(f"environment: found {len(value)} numbers, expected an interval [low, high]")
+        return float(value[end] if isinstance(value, list) else value)
 
-    ports: tuple[str, ...] = field(init=False)
-    level: Matrix = field(init=False)
-    enforced: bool = field(init=False, default=True)
-    scene: ContactScene
-
-    __repr__ = brief_repr
-
-    def __post_init__(self) -> None:
-        m = len(self.scene.ports)
-        object.__setattr__(self, "ports", self.scene.ports)
-        object.__setattr__(self, "level", np.zeros((m, m)))
-        super().__post_init__()
-
-    def __eq__(self, other: object) -> bool:
-        """Equal when the scenes are."""
-        return isinstance(other, DeclaredScene) and self.scene == other.scene
-
-    __hash__ = None  # matrices have none
+    return Network(
+        ports,
+        tuple((str(name), at(mass)) for name, mass in data["masses"].items()),
+        tuple(
+            NetworkLink((str(a), str(b)), at(link["stiffness"]), at(link["damping"]))
+            for link in data["links"]
+            for a, b in [link["between"]]
+        ),
+    )
 
 
-@dataclass(frozen=True, eq=False)
-class ProxyEnvironment(DeclaredEnvironment):
-    """Springs from the tools to proxies, f = -K (x_e - q), whose level the proxy test keeps at every tick.
+def _delay(data: Mapping[str, Any]) -> int:
+    delay = data["delay"]
+    if type(delay) is not int or not 0 <= delay <= MOST_DELAY:
+        raise ValueError(f"environment.delay: found {delay!r}, expected a whole number from 0 to {MOST_DELAY}")
+    return delay
 
-    Attributes:
-        stiffness: K, m x m symmetric positive definite, N/m.
-        content: the digest of what proposes the proxies, where it is data, as of a mesh; None for code. Nothing is
-            proved of it; it makes the certificate of another mesh another one.
-        tank: what the world may give out beyond what it has received, J. It counts as stored at the start.
 
-    Raises:
-        ValueError: K is not symmetric positive definite, the level has a negative eigenvalue, or the tank is negative.
-    """
+def state_space_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> StateSpaceEnvironment:
+    """The environment that :meth:`StateSpaceEnvironment.terms` wrote (:func:`.environment_of`)."""
+    delay = _delay(data)
+    if data["time"] not in ("continuous", "discrete"):
+        raise ValueError(f"environment.time: found {data['time']!r}, expected 'continuous' or 'discrete'")
+    method = data["method"] if data["time"] == "continuous" else None
+    if method is not None and method not in METHODS:
+        raise ValueError(f"environment.method: found {method!r}, expected one of {', '.join(METHODS)}")
+    return StateSpaceEnvironment(ports, read_system(data, continuous=method is not None), method, delay)
 
-    enforced: bool = field(init=False, default=True)
-    stiffness: Matrix = field(default_factory=lambda: np.zeros((0, 0)))
-    content: str | None = None
-    tank: float = 0.0
 
-    __repr__ = brief_repr
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        m = len(self.ports)
-        object.__setattr__(self, "stiffness", matrix(self.stiffness, m, m))
-        if np.any(self.stiffness != self.stiffness.T) or not np.linalg.eigvalsh(self.stiffness)[0] > 0.0:
-            raise ValueError("environment.stiffness: expected a symmetric positive definite matrix")
-        values = np.linalg.eigvalsh(self.level)
-        if values[0] < -1e-12 * max(abs(values[-1]), 1.0):
-            raise ValueError("environment.level: expected no negative eigenvalue, for a held proxy costs no energy")
-        if not 0.0 <= self.tank <= MOST_DRIVE:
-            raise ValueError(f"environment.tank: found {self.tank} J; expected 0 to {MOST_DRIVE:g} J")
-
-    def __eq__(self, other: object) -> bool:
-        """Equal when every number is."""
-        if not isinstance(other, ProxyEnvironment):
-            return NotImplemented
-        same = super().__eq__(other) and (self.content, self.tank) == (other.content, other.tank)
-        return same and np.array_equal(self.stiffness, other.stiffness)
-
-    __hash__ = None  # matrices have none
+def transfer_functions_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> TransferEnvironment:
+    """The environment that :meth:`TransferEnvironment.terms` wrote (:func:`.environment_of`)."""
+    delay = _delay(data)
+    if data["method"] not in ("backward-euler", "tustin"):
+        raise ValueError(f"environment.method: found {data['method']!r}, expected 'backward-euler' or 'tustin'")
+    rows = tuple(tuple(read_rational(entry) for entry in row) for row in data["entries"])
+    return TransferEnvironment(ports, rows, data["method"], delay)

@@ -30,7 +30,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -39,6 +39,7 @@ from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.contacts import GROUND as GROUND
 from manyhands.design.models.device import zero_order_hold
 from manyhands.design.models.integrators import Split
+from manyhands.design.models.kind import Counts, Environment, Running
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix, symmetric_part
 
 _RANK_TOLERANCE = 1e-12  # relative pivot below which a direction of K stores no energy (double precision: 2e-16 * size)
@@ -65,7 +66,7 @@ class NetworkLink:
 
 
 @dataclass(frozen=True)
-class Network:
+class Network(Environment):
     """A spring-mass-damper network with ports.
 
     Attributes:
@@ -90,6 +91,7 @@ class Network:
     links: tuple[NetworkLink, ...]
 
     __repr__ = brief_repr
+    counts: ClassVar[Counts] = "part"
 
     def __post_init__(self) -> None:
         names = [*self.ports, *(name for name, _ in self.masses), GROUND]
@@ -145,6 +147,25 @@ class Network:
             links.append(NetworkLink(link.ends, factor * link.stiffness, factor * link.damping))
         return Network(self.ports, self.masses, tuple(links))
 
+    def counted(self, parts: Mapping[str, float], T: float) -> StateSpace:
+        """C = diag(part/(k + b s)) by backward Euler, with one state for each port where something is counted."""
+        contacts, m = self.contacts(), len(self.ports)
+        ports = [i for i, port in enumerate(self.ports) if port in parts]
+        n = len(ports)
+        A, B, C, D = np.zeros((n, n)), np.zeros((n, m)), np.zeros((m, n)), np.zeros((m, m))
+        for at, i in enumerate(ports):
+            link = contacts[self.ports[i]]
+            impedance = T * link.stiffness + link.damping
+            A[at, at] = link.damping / impedance
+            B[at, i] = T * A[at, at]
+            C[i, at] = parts[self.ports[i]] / impedance
+            D[i, i] = T * C[i, at]
+        return StateSpace(A, B, C, D)
+
+    def terms(self) -> dict[str, Any]:
+        """Masses and links, without a delay."""
+        return network_terms(self, self, 0)
+
     def stiffness_matrix(self) -> Matrix:
         """K, (m+n) x (m+n), N/m; ports first, then masses."""
         return self._assemble([link.stiffness for link in self.links])
@@ -185,6 +206,10 @@ class Network:
         P = np.zeros((joined + len(self.masses),) * 2)
         P[:joined, :joined], P[joined:, joined:] = self.stiffness_matrix(), self.mass_matrix()
         return P
+
+    def running(self, T: float) -> Running:
+        """E, and its mechanical energy."""
+        return Running(E=self.environment(T), storage=self.energy_matrix())
 
     @property
     def passive_network(self) -> Network:
@@ -311,6 +336,27 @@ class Network:
                 out[ends[0], ends[1]] -= weight
                 out[ends[1], ends[0]] -= weight
         return out
+
+
+def network_terms(low: Network, high: Network, delay: int) -> dict[str, Any]:
+    """All networks between two, whose forces are ``delay`` ticks late, as JSON values; an interval is [low, high]."""
+    return {
+        "type": "network",
+        "masses": {name: _interval(a, b) for (name, a), (_, b) in zip(low.masses, high.masses, strict=True)},
+        "links": [
+            {
+                "between": list(a.ends),
+                "stiffness": _interval(a.stiffness, b.stiffness),
+                "damping": _interval(a.damping, b.damping),
+            }
+            for a, b in zip(low.links, high.links, strict=True)
+        ],
+        "delay": delay,
+    }
+
+
+def _interval(low: float, high: float) -> float | list[float]:
+    return low if low == high else [low, high]
 
 
 def full_rank_factor(K: Matrix) -> Matrix:

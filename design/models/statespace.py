@@ -28,7 +28,7 @@ environment's level (:mod:`manyhands.design.levels.environment`) and for a suppl
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
@@ -544,3 +544,44 @@ def _companion(num: tuple[float, ...], den: tuple[float, ...]) -> tuple[Matrix, 
         A[:-1, 1:] = np.eye(order - 1)
         A[-1] = -monic[1:][::-1]
     return A, C, D
+
+
+def system_values(system: StateSpace) -> dict[str, Any]:
+    """A, B, C and D as rows; or the static gain instead of D, if the system states it."""
+    last = {"D": system.D.tolist()} if system.static_gain is None else {"static": system.static_gain.tolist()}
+    return {"A": system.A.tolist(), "B": system.B.tolist(), "C": system.C.tolist(), **last}
+
+
+def read_system(data: Mapping[str, Any], *, continuous: bool = False) -> StateSpace:
+    """The system that :func:`system_values` wrote; JSON has no shape for a matrix without rows or columns.
+
+    Raises:
+        KeyError, TypeError, ValueError: a matrix is missing, or its shape does not fit the others.
+    """
+    if not data["A"] and (data["B"] or any(data["C"])):
+        raise ValueError("expected B and C without entries where A has none")
+    if "static" in data:
+        if "D" in data:
+            raise ValueError("found both D and static, expected one of them")
+        A, B, C = (data[key] if data["A"] else [] for key in "ABC")
+        return StateSpace.with_static_gain(A, B, C, data["static"], continuous=continuous)
+    D = matrix(data["D"])
+    if not data["A"]:
+        return StateSpace.static(D)
+    return StateSpace(matrix(data["A"]), matrix(data["B"]), matrix(data["C"]), D)
+
+
+def rational_values(rational: Rational) -> dict[str, list[float]]:
+    """Numerator and denominator, descending powers."""
+    num, den = rational
+    return {"num": list(num), "den": list(den)}
+
+
+def read_rational(data: Mapping[str, Any]) -> Rational:
+    """The rational function that :func:`rational_values` wrote.
+
+    Raises:
+        KeyError, TypeError, ValueError: a polynomial is missing, or is no list of numbers.
+    """
+    num, den = (tuple(matrix([data[key]])[0].tolist()) for key in ("num", "den"))
+    return num, den

@@ -20,7 +20,7 @@ from manyhands.launch.doctor.colocation import Where, settle_colocation
 from manyhands.launch.doctor.delay import settle_delay
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import Prepared, design_session, prepare
-from manyhands.launch.session import ENVIRONMENT, AskedEnvironment, Session
+from manyhands.launch.session import ENVIRONMENT, Session
 from manyhands.launch.session.session import whole_ticks
 from manyhands.launch.session.shipped import load_named
 from manyhands.nodes.kernel.bundle import CLOCKS, REALTIME
@@ -321,10 +321,9 @@ def run(
     require_engine(loaded)
     ways = reach(plan, transport)
     prepared = _prepared(loaded, certificate, uncertified, realtime=clock == REALTIME, transport=transport)
-    if isinstance(loaded.environment, AskedEnvironment):
-        factory, _ = loaded.environment.code(loaded.ports)
-        if not is_shipped(factory):
-            warnings.warn(f"{loaded.name} runs the code of the model {factory}", stacklevel=2)
+    model = loaded.foreign_code.get("environment.model")
+    if model is not None and not is_shipped(model.factory):
+        warnings.warn(f"{loaded.name} runs the code of the model {model.factory}", stacklevel=2)
     kept = None if directory is None else SessionDirectory(Path(directory))
     return BackgroundRun(prepared, clock=clock, reach=ways, ticks=ticks, record=file, directory=kept)
 

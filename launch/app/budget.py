@@ -21,8 +21,6 @@ from rich.table import Table
 from manyhands.design.budget import Felt, Stiffness, environment_share, felt_over, stiffest
 from manyhands.design.files import replacing
 from manyhands.design.models.brief import brief_names, brief_repr
-from manyhands.design.models.environment import NetworkBox, StateSpaceEnvironment
-from manyhands.design.models.network import Network
 from manyhands.design.models.statespace import Matrix
 from manyhands.design.problem import HapticLoop
 from manyhands.design.series import counted_parts
@@ -182,8 +180,7 @@ def budget(loop: HapticLoop, share_at: Callable[[float], float] | None = None) -
 
 def _periods(loop: HapticLoop, wanted: Iterable[float]) -> tuple[float, ...]:
     """The periods to examine; an environment given in discrete time has only its own period."""
-    environment = loop.environment
-    if isinstance(environment, StateSpaceEnvironment) and environment.method is None:
+    if not loop.environment.at_any_period:
         return (loop.period,)
     return tuple(sorted({*wanted, loop.period}))
 
@@ -268,7 +265,7 @@ class SeriesStiffness:
 def series_budget(found: DelayBudget) -> tuple[SeriesStiffness, ...]:
     """The limits in series at the session's period, by port and delay; empty where the session counts nothing."""
     loop = found.loop
-    if not loop.series or not isinstance(loop.environment, Network | NetworkBox):
+    if not loop.series or loop.environment.counts != "part":
         return ()
     contacts, out = loop.environment.contacts(), []
     device_of = {port: device.name for device in loop.devices for port in device.ports}

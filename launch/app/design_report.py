@@ -20,12 +20,10 @@ from rich.table import Table
 from manyhands.design.certificate import Certificate, asked_text, load, save
 from manyhands.design.errors import CertificateError, DesignError, Infeasible
 from manyhands.design.models.coupling import SpringDamper
-from manyhands.design.models.environment import DeclaredEnvironment, DeclaredScene, NetworkBox, ProxyEnvironment
-from manyhands.design.models.network import Network
 from manyhands.design.models.statespace import Matrix
 from manyhands.design.models.weights import Filter
 from manyhands.design.problem import HapticLoop
-from manyhands.design.wave_link import FELT_STIFFNESS, WaveLinkFace, WorldPromise, felt_mass
+from manyhands.design.wave_link import FELT_STIFFNESS
 from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK
 from manyhands.launch.look.display import figure_table, printable, promise_lines, say, status, world_lines
 from manyhands.launch.output import print_json
@@ -133,21 +131,10 @@ def print_certificate(console: Console, certificate: Certificate) -> None:
     if claim is not None:
         norm = "‖W1 E V W2‖" if claim.aim.objective == "loop-shaping" else "‖W1 (F(E,V) − E) W2‖"
         table.add_row(norm, f"< {claim.gamma:.4f}" + ("" if claim.aim.objective == "loop-shaping" else " N/m"))
-    if isinstance(loop.environment, WaveLinkFace):
-        _face_rows(table, loop.environment, certificate.margins)
-    elif isinstance(loop.environment, WorldPromise):
-        table.add_row("environment", "a level that the certificate of the world proves, and that is assumed here")
-    elif isinstance(loop.environment, DeclaredScene):
-        table.add_row(
-            "environment", "a scene, level 0: by its contacts' energy, and enforced at run time by a controller"
-        )
-    elif isinstance(loop.environment, ProxyEnvironment):
-        tank = loop.environment.tank
-        gives = f"; they give out at most the {tank:g} J of their tank" if tank else ""
-        table.add_row("environment", f"springs to proxies: their level is kept by the proxy test at every tick{gives}")
-    elif loop.enforced:
-        table.add_row("environment", "enforced: not proved, its declared level is kept at run time by a controller")
-    else:
+    kept = loop.environment.rows(certificate.margins)
+    for what, value in kept.items():
+        table.add_row(what, value if isinstance(value, str) else _matrix_text(value, ".4f"))
+    if not kept:
         energy = isinstance(levels.P_E, str)
         by = "its mechanical energy" if energy else f"a storage matrix of order {len(levels.P_E)}"
         table.add_row("environment proved by", by)
@@ -156,18 +143,6 @@ def print_certificate(console: Console, certificate: Certificate) -> None:
         if key not in (CONDITION_10, FELT_STIFFNESS):
             table.add_row(f"  {key}", f"{margin:.3e}")
     console.print(table)
-
-
-def _face_rows(table: Table, face: WaveLinkFace, margins: Mapping[str, float]) -> None:
-    """What a site's wave link is, and what it is felt as."""
-    table.add_row("wave link", face.id)
-    table.add_row("b [N·s/m]", _matrix_text(face.b, ".4f"))
-    harvest = ", ".join(f"{theta:g}" for theta in dict.fromkeys(face.harvest))
-    table.add_row("E₀", f"{face.tank:g} J; harvest {harvest} N·s/m")
-    if face.round_trip is not None:
-        mass = float(np.linalg.eigvalsh(felt_mass(face.b, face.round_trip))[-1])
-        over = f"over a round trip of {1e3 * face.round_trip:.4g} ms"
-        table.add_row("felt", f"at least {margins[FELT_STIFFNESS]:.1f} N/m and at most {1e3 * mass:.4g} g {over}")
 
 
 def print_findings(console: Console, findings: tuple[Finding, ...]) -> None:
@@ -272,11 +247,11 @@ def series_rows(certificate: Certificate) -> dict[str, dict[str, float]]:
     own it is ``compliance`` (m/N) that is counted, and ``coupling`` is the coupling itself.
     """
     loop = certificate.loop
-    environment = loop.environment.nominal if isinstance(loop.environment, NetworkBox) else loop.environment
+    environment = loop.environment.nominal
     if not loop.series:
         return {}
     compliance = np.diag(np.linalg.inv(certificate.stiffness))
-    if not isinstance(environment, Network):
+    if environment.counts != "part":
         found = zip(loop.ports, loop.series, compliance, strict=True)
         return {port: {"compliance": c, "coupling": float(1.0 / own)} for port, c, own in found if c}
     contacts, out = environment.contacts(), {}
@@ -379,8 +354,7 @@ def run_design(
         print_certificate(out, certificate)
         if output is not None:
             say(err, f"written to {output}; prove it again with: manyhands verify {output}")
-    known_by_level = (DeclaredEnvironment, DeclaredScene, ProxyEnvironment)
-    if pictures is not None and type(certificate.loop.environment) in known_by_level:
+    if pictures is not None and certificate.loop.environment.declared_level is not None:
         say(err, "no pictures: they show the environment's response, and of this one only its level is known")
     elif pictures is not None:
         with progress_on(err, "drawing") as progress:
@@ -456,16 +430,7 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
     if failing:
         return EXIT_NOT_CERTIFIED
     if not as_json:
-        enforced = ", ".join(certificate.loop.enforced)
-        proved = f"proved, where the level of the {enforced} is enforced at run time" if enforced else "proved"
-        if isinstance(certificate.loop.environment, ProxyEnvironment):
-            proved = "proved, where the level of the environment is kept by the proxy test at every tick"
-            if tank := certificate.loop.environment.tank:
-                proved += f", and the world gives out at most the {tank:g} J of its tank"
-        elif isinstance(certificate.loop.environment, WaveLinkFace):
-            proved = f"{certificate.loop.partition.names[0]}: proved, whatever is behind its wave link"
-        elif isinstance(certificate.loop.environment, WorldPromise):
-            proved = "users in the tick: proved, where the certificate of the world proves the level assumed of it"
+        proved = certificate.loop.environment.verdict(certificate.loop.partition.names[0])
         say(out, f"{certificate.loop.session}: {proved}; certificate {certificate.id}")
     return EXIT_OK
 

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from manyhands.design.certificate import Certificate, certificate_of, read_plain, save
+from manyhands.design.environments import environment_of
 from manyhands.design.errors import CertificateError, DesignError, Infeasible
 from manyhands.design.world import CONDITION_A, World, save_world
 from manyhands.launch.app.design_report import (
@@ -196,11 +197,7 @@ def run_verify_world(
     if failing:
         return EXIT_NOT_CERTIFIED
     if not as_json:
-        level = ", where the level of the environment is enforced at run time" if _enforced(data) else ""
-        say(out, f"{data['session']}: the world is proved{level}; {data['id']}")
+        proved = environment_of(data["environment"], tuple(data["ports"])).verdict("")
+        say(out, f"{data['session']}: the world is {proved}; {data['id']}")
         say(out, f"its parties are {', '.join(stated)}; certificates that were proved together with it: {len(others)}")
     return EXIT_OK
-
-
-def _enforced(data: Mapping[str, Any]) -> bool:
-    return bool(data["environment"]["type"] == "declared")

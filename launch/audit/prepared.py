@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Final
 
 from manyhands.design.errors import CertificateError, OldCertificate
-from manyhands.launch.plan.bundles import mass_names
 from manyhands.launch.plan.loop import NotCertified
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import UNCERTIFIED, Prepared, prepare
@@ -89,7 +88,7 @@ def _session(path: Path, run: RecordedRun, folder: Path) -> Session:
         ("wave links", tuple(session.wave_links), recorded.linked),
         ("nodes", dict(graph.nodes), dict(recorded.roles)),
         ("ports", {name: graph.ports[name] for name in graph.nodes}, dict(recorded.ports)),
-        ("masses", mass_names(session), tuple(recorded.masses)),
+        ("masses", session.environment.reported(session.ports), tuple(recorded.masses)),
     ):
         if found != expected:
             raise RecordingError(

@@ -28,7 +28,6 @@ from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.environment.core import environment_core
-from manyhands.nodes.environment.enforced import EnforcedCore
 from manyhands.nodes.environment.model import ModelFailure
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle
@@ -289,7 +288,7 @@ class Simulation:
         """
         environment = self.environment
         run.f_v[k] = environment.react(run.tool.tolist())
-        if isinstance(environment, EnforcedCore) and environment.failure is not None:
+        if environment.failure is not None:
             raise ModelFailure(environment.failure)
         environment.settle()
         if run.traces is not None:

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from manyhands.design.budget import environment_share, stiffest
-from manyhands.design.models.environment import StateSpaceEnvironment
 from manyhands.design.problem import HapticLoop
 from manyhands.launch.doctor.machine import Machine
 from manyhands.launch.doctor.probe import Measured, Ticking
@@ -51,10 +50,9 @@ class Worth:
 
     def at(self, period: float) -> Worth | None:
         """The same at another period, s; None for an environment that is given in discrete time, at its own alone."""
-        environment = self.loop.environment
         if period == self.loop.period:
             return self
-        if isinstance(environment, StateSpaceEnvironment) and environment.method is None:
+        if not self.loop.environment.at_any_period:
             return None
         return Worth.of(replace(self.loop, period=period, tau=0.0))
 

@@ -22,10 +22,7 @@ import numpy as np
 
 from manyhands.design.files import replacing
 from manyhands.design.levels.contract import DeviceShare
-from manyhands.design.models.contacts import coordinates
-from manyhands.design.models.environment import DeclaredEnvironment, DeclaredScene, NetworkBox, ProxyEnvironment
-from manyhands.design.models.network import Network
-from manyhands.design.models.scene import ContactScene
+from manyhands.design.models.kind import Running
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix
 from manyhands.design.peak_gain import output_bounds
 from manyhands.launch.files import require_target
@@ -33,7 +30,7 @@ from manyhands.launch.plan.keys import Keys
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.reach import IPC, Listen, Reach, ReachError, reach
 from manyhands.launch.plan.topology import Topology
-from manyhands.launch.session import AskedEnvironment, MeshEnvironment, NetworkEnvironment, SceneEnvironment, Session
+from manyhands.launch.session import Session
 from manyhands.launch.session.errors import one_of
 from manyhands.launch.session.limits import HAND_STORE
 from manyhands.launch.session.motion import plain_intent
@@ -64,7 +61,6 @@ from manyhands.nodes.kernel.bundle import (
     WaveEnd,
 )
 from manyhands.nodes.kernel.energy_budget import EnergyBudget
-from manyhands.nodes.kernel.factory import FactoryName
 from manyhands.nodes.kernel.site_bounds import SiteBounds, site_bounds
 from manyhands.nodes.wave_link.faces import wave_feedthrough
 from manyhands.protocol.channels import links_at, topics_of
@@ -192,15 +188,14 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         link = session.wave_links.get(name)
         wave = None if link is None else _wave_end(session, name, link, bounds[name], at_user=True)
         bundles[name] = CouplingBundle(commons[name], own.block, own.K, own.level, limits, tuple(softer), wave)
-    E, Phi_E, model = _environment(prepared)
-    given, environment = session.environment, prepared.loop.environment
-    scene = environment.scene if isinstance(environment, DeclaredScene) else None
+    running = prepared.loop.environment.nominal.running(session.period)
+    Phi_E = _level(prepared, running)
     waves = {
         name: _wave_end(session, name, link, bounds[name], at_user=False) for name, link in session.wave_links.items()
     }
     bundles[ENVIRONMENT] = EnvironmentBundle(
         commons[ENVIRONMENT],
-        E,
+        running.E,
         Phi_E,
         *tools,
         {
@@ -209,16 +204,16 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         },
         {name: tuple(rung.block.D for rung in softer) for name, (_, *softer) in rungs.items()},
         independent=prepared.ladder is None or prepared.ladder.independent,
-        enforce=(isinstance(given, SceneEnvironment) or given.enforce) and Phi_E is not None,
-        model=model,
-        scene=scene,
-        stiffness=_stiffness(prepared),
-        masses=mass_names(session),
+        enforce=session.environment.enforce and Phi_E is not None,
+        model=session.foreign_code.get("environment.model"),
+        scene=running.scene,
+        stiffness=running.stiffness,
+        masses=session.environment.reported(session.ports),
         longest_tau=_longest_tau(prepared, rungs),
         budgets=budgets(session),
-        storage=_storage(prepared),
+        storage=running.storage,
         waves=waves,
-        tank=prepared.loop.environment.tank if isinstance(prepared.loop.environment, ProxyEnvironment) else 0.0,
+        tank=running.tank,
     )
     return bundles if prepared.world is None else _with_part_ids(prepared, bundles)
 
@@ -295,38 +290,18 @@ def _wave_end(session: Session, name: str, link: WaveLink, bounds: SiteBounds, a
     )  # fmt: skip
 
 
-def _storage(prepared: Prepared) -> Matrix | None:
-    """P of the mechanical energy 1/2 eta^T P eta, J, of an environment that is a network; None for other kinds."""
-    environment = prepared.loop.environment
-    network = environment.nominal if isinstance(environment, NetworkBox) else environment
-    return network.energy_matrix() if isinstance(network, Network) else None
+def _level(prepared: Prepared, running: Running) -> Matrix | None:
+    """The level that the environment promises; None where it promises none.
 
-
-def _environment(prepared: Prepared) -> tuple[StateSpace | None, Matrix | None, FactoryName | None]:
-    """E, the level that the environment promises, and the Python model in place of E.
-
-    A model's level is its *declared* one, certified or not; a model without proxies and without a passivity controller
-    promises none. The level 0 of a scene is declared as well; a scene has neither E nor a model.
+    That of a model and of a scene is *declared*, certified or not.
     """
-    given, environment = prepared.session.environment, prepared.loop.environment
-    if isinstance(environment, DeclaredScene):
-        return None, environment.level, None
-    if isinstance(given, AskedEnvironment) and isinstance(environment, DeclaredEnvironment):
-        kept = environment.enforced or isinstance(environment, ProxyEnvironment)
-        level = environment.level if kept else None
-        return None, level, prepared.session.foreign_code["environment.model"]
-    E = environment.environment(prepared.session.period)
+    if running.E is None:
+        return running.level
     if prepared.world is not None:
-        return E, matrix(prepared.world.Phi_E), None
+        return matrix(prepared.world.Phi_E)
     if prepared.certificate is None:
-        return E, None, None
-    return E, prepared.certificate.levels.Phi_E if prepared.ladder is None else prepared.ladder.Phi_E, None
-
-
-def _stiffness(prepared: Prepared) -> Matrix | None:
-    """K of the springs to a model's proxies, N/m; None where the environment has none."""
-    environment = prepared.loop.environment
-    return environment.stiffness if isinstance(environment, ProxyEnvironment) else None
+        return None
+    return prepared.certificate.levels.Phi_E if prepared.ladder is None else prepared.ladder.Phi_E
 
 
 @dataclass(frozen=True, eq=False)
@@ -445,29 +420,11 @@ def _phase(session: Session, node: str) -> float:
     return turn * linked.index(session.sites[node]) if node in session.sites else 0.0
 
 
-def mass_names(session: Session) -> tuple[str, ...]:
-    """The masses of a network in the order of its state, or the coordinates of a scene's or an engine's bodies."""
-    environment = session.environment
-    if isinstance(environment, SceneEnvironment):
-        return tuple(name for body in environment.bodies for name in coordinates(body))
-    if isinstance(environment, AskedEnvironment):
-        return environment.reported
-    return tuple(environment.masses) if isinstance(environment, NetworkEnvironment) else ()
-
-
-def scene_geometry(session: Session) -> ContactScene | None:
-    """Tools, bodies and obstacles of a scene or a mesh; None for an environment of a different type."""
-    environment = session.environment
-    if isinstance(environment, MeshEnvironment):
-        return environment.geometry(session.ports)
-    return environment.scene(session.ports).geometry if isinstance(environment, SceneEnvironment) else None
-
-
 def _columns(session: Session, graph: Topology, name: str, clock: str) -> int:
     """The number of columns in all traces of a node; 0 for an observer."""
     if name not in graph.nodes:
         return 0
-    ports, masses = graph.ports[name], mass_names(session)
+    ports, masses = graph.ports[name], session.environment.reported(session.ports)
     links = links_at(name, graph.nodes[name], graph.ports, session.wave_links)
     topics = topics_of(graph.nodes[name], masses, session.in_wall_time(name, clock), bool(links))
     return sum(len(topic.columns_of(ports, masses, links)) for topic in topics)

@@ -7,9 +7,7 @@ that has begun. Engines of other packages are their authors' code, which no comm
 from __future__ import annotations
 
 from manyhands.launch.session import Session
-from manyhands.launch.session.environment import EngineEnvironment
 from manyhands.nodes.environment.model import PROXY, make_model
-from manyhands.nodes.kernel.factory import is_shipped
 
 
 def require_engine(session: Session) -> None:
@@ -18,5 +16,5 @@ def require_engine(session: Session) -> None:
     Raises:
         FactoryError: the model is refused, or the engine is not installed.
     """
-    if isinstance(session.environment, EngineEnvironment) and is_shipped(session.environment.engine):
+    if session.environment.tried_first:
         make_model(session.foreign_code["environment.model"], session.ports, session.period, PROXY)

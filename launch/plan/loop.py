@@ -5,20 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from manyhands.design.errors import Infeasible
 from manyhands.design.models.coupling import Partition, SpringDamper
-from manyhands.design.models.environment import (
-    DeclaredEnvironment,
-    DeclaredScene,
-    DelayedNetwork,
-    Environment,
-    NetworkBox,
-    ProxyEnvironment,
-    StateSpaceEnvironment,
-    TransferEnvironment,
-)
-from manyhands.design.models.network import Network, NetworkLink
-from manyhands.design.models.statespace import StateSpace
 from manyhands.design.models.weights import Filter, Transparency
 from manyhands.design.problem import (
     MOST_ITERATIONS,
@@ -34,12 +21,9 @@ from manyhands.design.problem import (
     Wish,
 )
 from manyhands.design.series import counted_parts
-from manyhands.launch.session import AskedEnvironment, BlockMatrices, Session
+from manyhands.launch.session import Session
 from manyhands.launch.session.design import AUTO
-from manyhands.launch.session.environment import NetworkEnvironment
-from manyhands.launch.session.environment import StateSpaceEnvironment as GivenMatrices
-from manyhands.launch.session.fields import Interval
-from manyhands.launch.session.scene import SceneEnvironment
+from manyhands.launch.session.matrices import stated_system
 
 
 class NotCertified(Exception):
@@ -77,7 +61,7 @@ def haptic_loop(session: Session) -> HapticLoop:
         partition=Partition(
             tuple(session.couplings), tuple(tuple(index[p] for p in block) for block in session.blocks)
         ),
-        environment=session_environment(session),
+        environment=session.environment.for_design(session.ports),
         tau=tau,
         period_tolerance=session.period_tolerance,
     )
@@ -102,57 +86,6 @@ def stated_delay(session: Session) -> float:
     return session.latency if session.design.stated_tau is None else session.design.stated_tau
 
 
-def session_environment(session: Session) -> Environment:
-    """The environment as one of the types of ``design``."""
-    given, ports = session.environment, session.ports
-    if isinstance(given, SceneEnvironment):
-        return DeclaredScene(given.scene(ports))
-    if isinstance(given, AskedEnvironment):
-        level, stiffness = given.level_matrix(len(ports)), given.stiffness_matrix(len(ports))
-        if stiffness is not None:
-            return ProxyEnvironment(ports, level, stiffness, given.content(ports), given.tank)
-        return DeclaredEnvironment(ports, level, given.enforce)
-    if isinstance(given, NetworkEnvironment):
-        low = _network(given, ports, high=False)
-        if given.uncertain:
-            return NetworkBox(low, _network(given, ports, high=True))
-        return DelayedNetwork(low, given.delay) if given.delay else low
-    if isinstance(given, GivenMatrices):
-        system = _system(given, "the environment", continuous=given.time == "continuous")
-        return StateSpaceEnvironment(ports, system, given.method, given.delay)
-    entries = tuple(tuple((entry.num, entry.den) for entry in row) for row in given.entries)
-    return TransferEnvironment(ports, entries, given.method, given.delay)
-
-
-def _system(given: GivenMatrices | BlockMatrices, what: str, *, continuous: bool) -> StateSpace:
-    """The matrices, with D as stated, or computed from the static gain that is stated in its place.
-
-    Raises:
-        Infeasible: a static gain is stated, but a pole at s = 0 or z = 1 permits none.
-    """
-    A, B, C, last = given.arrays()
-    if given.static is None:
-        return StateSpace(A, B, C, last)
-    try:
-        return StateSpace.with_static_gain(A, B, C, last, continuous=continuous)
-    except ValueError as error:
-        raise Infeasible(f"{what}: {error}", ("state D instead", "give every mode a spring that holds it")) from error
-
-
-def _network(given: NetworkEnvironment, ports: tuple[str, ...], high: bool) -> Network:
-    """The network with every interval at one of its ends."""
-
-    def end(value: float | Interval) -> float:
-        interval = Interval.of(value)
-        return interval.high if high else interval.low
-
-    return Network(
-        ports,
-        tuple((name, end(mass)) for name, mass in given.masses.items()),
-        tuple(NetworkLink(link.between, end(link.stiffness), end(link.damping)) for link in given.links),
-    )
-
-
 def coupling_request(session: Session) -> CouplingRequest:
     """What the session's ``design:`` asks for."""
     design = session.design
@@ -162,7 +95,9 @@ def coupling_request(session: Session) -> CouplingRequest:
     if design.coupling == "given":
         if design.matrices is not None:
             given = design.matrices
-            blocks = tuple(_system(given[name], f"coupling {name}", continuous=False) for name in session.couplings)
+            blocks = tuple(
+                stated_system(given[name], f"coupling {name}", continuous=False) for name in session.couplings
+            )
             return LinearGiven(blocks, aim)
         stiffness, damping = session.given_stiffness, session.given_damping
         if stiffness is None or damping is None:

@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.launch.plan.bundles import mass_names, scene_geometry
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.run import RecordedTrace
@@ -37,10 +36,10 @@ def recorded_of(prepared: Prepared, clock: str) -> Recorded:
         clock,
         graph.nodes,
         graph.ports,
-        mass_names(session),
+        session.environment.reported(session.ports),
         periods=session.own_periods,
         linked=tuple(session.wave_links),
-        scene=scene_geometry(session),
+        scene=session.environment.geometry(session.ports),
     )
 
 
@@ -59,7 +58,7 @@ class Traces:
             ledgers: by node, for the nodes that keep one.
             ticks: number of ticks.
         """
-        graph, masses = plan.graph, mass_names(plan.session)
+        graph, masses = plan.graph, plan.session.environment.reported(plan.session.ports)
         self.by_node: dict[str, tuple[RecordedTrace, ...]] = {}
         for name, role in graph.nodes.items():
             links = links_at(name, role, graph.ports, plan.session.wave_links)

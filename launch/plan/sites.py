@@ -31,7 +31,6 @@ from manyhands.launch.plan.loop import (
     Progress,
     coupling_request,
     haptic_loop,
-    session_environment,
     stated_delay,
 )
 from manyhands.launch.session import ENVIRONMENT, Session
@@ -92,7 +91,8 @@ def in_tick(session: Session) -> SessionPart:
     own = {port for name in names for port in session.blocks_by_name[name]}
     ports = tuple(port for port in session.ports if port in own)
     index = {port: i for i, port in enumerate(ports)}
-    level = promised_level(session_environment(session), _partition(session), frozenset(session.wave_links))
+    environment = session.environment.for_design(session.ports)
+    level = promised_level(environment, _partition(session), frozenset(session.wave_links))
     blocks = tuple(tuple(index[p] for p in session.blocks_by_name[name]) for name in names)
     loop = HapticLoop(
         session=session.name,
@@ -124,7 +124,8 @@ def terms_of_world(session: Session) -> WorldTerms:
         name: (link.impedance(len(session.blocks_by_name[name])), link.tank)
         for name, link in session.wave_links.items()
     }
-    return world_terms(session.name, session.period, session_environment(session), _partition(session), links)
+    environment = session.environment.for_design(session.ports)
+    return world_terms(session.name, session.period, environment, _partition(session), links)
 
 
 def parts(session: Session) -> tuple[SessionPart, ...]:
@@ -255,7 +256,7 @@ def differences_from(certificate: Certificate, session: Session) -> list[str]:
     """A sentence for each difference between a certificate and the part of the session that it is of."""
     environment = certificate.loop.environment
     name = certificate.loop.partition.names[0]
-    own: SessionPart | None = None
+    own: SessionPart | None = None  # the two kinds are those that this module itself gives to a part
     if isinstance(environment, WaveLinkFace) and name in session.wave_links:
         own = site(session, name)
     elif isinstance(environment, WorldPromise) and 0 < len(session.wave_links) < len(session.couplings):

@@ -18,22 +18,12 @@ from types import MappingProxyType
 import numpy as np
 
 from manyhands.design.files import open_new
-from manyhands.design.models.contacts import AXES, GROUND, coordinates
-from manyhands.design.models.scene import ContactScene
 from manyhands.launch.plan.access import observed
-from manyhands.launch.plan.bundles import scene_geometry
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.reach import Reach
 from manyhands.launch.plan.topology import Topology
 from manyhands.launch.run.outcome import Progress
-from manyhands.launch.session import (
-    SUPERVISOR,
-    AskedEnvironment,
-    Interval,
-    NetworkEnvironment,
-    SceneEnvironment,
-    Session,
-)
+from manyhands.launch.session import SUPERVISOR, Session
 from manyhands.nodes.kernel.bundle import SIMULATED
 from manyhands.nodes.monitor.session_state import About, CertificateAbout, LinkAbout, NodeAbout, SpringAbout
 from manyhands.nodes.rows import telemetry as names
@@ -90,7 +80,7 @@ def describe(
         seats: those of them that users take and leave while the session runs.
     """
     session, graph = prepared.session, prepared.graph
-    masses, springs = _world(session)
+    masses, springs = session.environment.masses_and_springs(session.ports)
     return About(
         session=session.name,
         id=prepared.id,
@@ -114,7 +104,7 @@ def describe(
         },
         links=tuple(LinkAbout((link.connector, link.binder), link.ports) for link in graph.links),
         masses=masses,
-        springs=springs,
+        springs=tuple(SpringAbout(link.ends, link.stiffness, link.damping) for link in springs),
         grips=_grips(session, clock, remote),
         reach={
             port: limit
@@ -125,7 +115,7 @@ def describe(
         environment=session.environment.type,
         observers={name: tuple(observer.reads) for name, observer in session.observers.items()},
         seats={name: session.carriers[name] for name in session.wave_links if name in seats},
-        scene=scene_geometry(session),
+        scene=session.environment.geometry(session.ports),
     )
 
 
@@ -160,44 +150,6 @@ def _margins(prepared: Prepared) -> dict[str, float]:
         f"{name}: {what}": value for name, part in prepared.parts.items() for what, value in part.margins.items()
     }
     return of_parts if prepared.world is None else {**prepared.world.margins, **of_parts}
-
-
-def _world(session: Session) -> tuple[dict[str, float], tuple[SpringAbout, ...]]:
-    """Masses (kg) and springs of a network, an interval by its middle, which is what runs; or the bodies of a scene.
-
-    The coordinates of an engine's bodies stand for masses of 0: what they weigh is not known here.
-    """
-    environment = session.environment
-    if isinstance(environment, SceneEnvironment):
-        return _bodies(environment.scene(session.ports))
-    if isinstance(environment, AskedEnvironment):
-        return dict.fromkeys(environment.reported, 0.0), ()
-    if not isinstance(environment, NetworkEnvironment):
-        return {}, ()
-    springs = (
-        SpringAbout(link.between, Interval.of(link.stiffness).nominal, Interval.of(link.damping).nominal)
-        for link in environment.links
-    )
-    return {name: Interval.of(mass).nominal for name, mass in environment.masses.items()}, tuple(springs)
-
-
-def _bodies(scene: ContactScene) -> tuple[dict[str, float], tuple[SpringAbout, ...]]:
-    """The bodies of a scene (kg) and its springs, one for each coordinate."""
-    moved = [(tool.name, axis, port) for tool in scene.tools for axis, port in zip(tool.axes, tool.ports, strict=True)]
-    at = {(name, AXES[axis]): scene.ports[port] for name, axis, port in moved}
-    at |= {
-        (body.name, axis): name
-        for body in scene.bodies
-        for axis, name in zip(AXES, coordinates(body.name), strict=True)
-    }
-    at |= {(GROUND, axis): GROUND for axis in AXES}
-    springs = (
-        SpringAbout((at[link.ends[0], axis], at[link.ends[1], axis]), link.stiffness, link.damping)
-        for link in scene.links
-        for axis in AXES
-        if all((end, axis) in at for end in link.ends)
-    )
-    return {name: body.mass for body in scene.bodies for name in coordinates(body.name)}, tuple(springs)
 
 
 class Showing:

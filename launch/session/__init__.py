@@ -8,7 +8,6 @@ format.
 from manyhands.launch.session.design import BlockMatrices, Design, Pole, Weight, Weights
 from manyhands.launch.session.device import BROWSER_HAND, DEFAULT_HAND, Device, Hand
 from manyhands.launch.session.environment import (
-    GROUND,
     AskedEnvironment,
     EngineEnvironment,
     Environment,
@@ -40,7 +39,6 @@ __all__ = [
     "BROWSER_HAND",
     "DEFAULT_HAND",
     "ENVIRONMENT",
-    "GROUND",
     "RESERVED",
     "SUPERVISOR",
     "AskedEnvironment",

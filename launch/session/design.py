@@ -58,7 +58,6 @@ from manyhands.launch.session.matrices import (
     MatrixRows,
     OptionalRows,
     Rational,
-    full_arrays,
     is_hurwitz,
     one_of_two,
     size_problems,
@@ -106,10 +105,6 @@ class BlockMatrices(SessionModel):
     def _d_or_static(self) -> Self:
         one_of_two(self.D, self.static)
         return self
-
-    def arrays(self) -> tuple[Array, Array, Array, Array]:
-        """A, B, C and D, or the static gain in D's place; each has its full shape, even without states."""
-        return full_arrays(self.A, self.B, self.C, one_of_two(self.D, self.static))
 
 
 def given_problems(

@@ -2,7 +2,7 @@
 
 Every kind maps the displacements (m) of the session's ports to forces (N), one for each port. The key ``type`` names
 the kind, and the kind determines the other keys. With ``enforce``, a passivity controller keeps the environment's level
-at run time.
+at run time. :data:`KINDS`, at the end, has one line for each kind.
 
 A session file only names a Python model. The environment's process alone imports it; reading, designing and proving a
 session run none of its code.
@@ -11,10 +11,11 @@ session run none of its code.
 import hashlib
 import json
 import re
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, Self, TypeAlias, Union
 
 import numpy as np
 from pydantic import (
@@ -28,8 +29,11 @@ from pydantic import (
 )
 
 from manyhands.design.files import read_regular
-from manyhands.design.models.contacts import coordinates
+from manyhands.design.models import environment as designed
+from manyhands.design.models.contacts import GROUND, coordinates
+from manyhands.design.models.declared import DeclaredEnvironment, ProxyEnvironment
 from manyhands.design.models.distance_grid import grid_of_text
+from manyhands.design.models.network import Network, NetworkLink
 from manyhands.design.models.scene import MOST_DRIVE, MOST_POINTS, ContactScene, Obstacle
 from manyhands.launch.session.assets import ASSETS, model_assets, model_text
 from manyhands.launch.session.design import OneOrMany, full_matrix, one_or_many
@@ -38,7 +42,6 @@ from manyhands.launch.session.errors import listed, one_of, show
 from manyhands.launch.session.fields import (
     Choice,
     Described,
-    Flag,
     Interval,
     Items,
     NamedParts,
@@ -59,6 +62,7 @@ from manyhands.launch.session.fields import (
 )
 from manyhands.launch.session.foreign import PARAMETERS, Factory
 from manyhands.launch.session.forms import either, list_of, where, without
+from manyhands.launch.session.kind import ENFORCE_MEANING, Enforce, EnvironmentKind
 from manyhands.launch.session.limits import (
     MAX_BODIES,
     MAX_DELAY,
@@ -73,18 +77,17 @@ from manyhands.launch.session.limits import (
 from manyhands.launch.session.matrices import (
     D_OR_STATIC,
     STATIC_MEANING,
-    Array,
     Entry,
     MatrixRows,
     OptionalRows,
     Rational,
-    full_arrays,
     one_of_two,
     size_problems,
+    stated_system,
 )
 from manyhands.launch.session.scene import FRICTION, TOUCH, SceneEnvironment, SceneTool, tool_problems, tool_spheres
 from manyhands.nodes.environment.mesh import Lookup
-from manyhands.nodes.kernel.factory import ENGINES, MESH, MODELS
+from manyhands.nodes.kernel.factory import ENGINES, MESH, MODELS, is_shipped
 
 _LEVEL: Final = Quantity("a level", "N·s/m")
 _STIFFNESS: Final = Quantity("a stiffness", "N/m", magnitude=MAX_STIFFNESS)
@@ -95,13 +98,7 @@ _STIFFNESS_MEANING: Final = (
 )
 
 
-Enforce: TypeAlias = Flag
-"""Whether a passivity controller keeps the environment's level at run time."""
-
-ENFORCE_MEANING: Final = "whether a passivity controller keeps its level at run time"
-
-
-class AskedEnvironment(SessionModel):
+class AskedEnvironment(EnvironmentKind):
     """An environment whose answer is asked for tick by tick; the design uses nothing but its declared level."""
 
     type: str
@@ -131,29 +128,24 @@ class AskedEnvironment(SessionModel):
         m = len(ports)
         if not stiffness_problems and not np.linalg.eigvalsh(full_matrix(self.stiffness, m))[0] > 0.0:
             yield Problem(("stiffness",), show(self.stiffness), "a positive definite matrix, or numbers above 0")
-        if not level_problems and np.linalg.eigvalsh(self.level_matrix(m))[0] < 0.0:
+        if not level_problems and np.linalg.eigvalsh(full_matrix(self.level, m))[0] < 0.0:
             yield Problem(("level",), show(self.level), "no negative eigenvalue where the model proposes proxies")
 
+    def for_design(self, ports: tuple[str, ...]) -> DeclaredEnvironment:
+        """The declared level; with a stiffness, springs to the proxies that the model proposes."""
+        level = full_matrix(self.level, len(ports))
+        if self.stiffness is None:
+            return DeclaredEnvironment(ports, level, self.enforce)
+        K = full_matrix(self.stiffness, len(ports))
+        return ProxyEnvironment(ports, level, K, self.content(ports), self.tank)
+
+    @abstractmethod
     def code(self, ports: tuple[str, ...]) -> tuple[str, dict[str, Any]]:
         """The factory that makes what is asked, and its parameters."""
-        raise NotImplementedError
 
     def content(self, ports: tuple[str, ...]) -> str | None:
         """The digest of all that is asked, where that is data of the session alone; None for a model of one's own."""
         return None
-
-    @property
-    def reported(self) -> tuple[str, ...]:
-        """The names of the reported coordinates of bodies; none for a model without any."""
-        return ()
-
-    def level_matrix(self, ports: int) -> Array:
-        """Phi_E, ``ports`` x ``ports``, N·s/m."""
-        return full_matrix(self.level, ports)
-
-    def stiffness_matrix(self, ports: int) -> Array | None:
-        """K of the springs to the proxies, ``ports`` x ``ports``, N/m; None for a model that computes forces."""
-        return None if self.stiffness is None else full_matrix(self.stiffness, ports)
 
 
 class PythonEnvironment(AskedEnvironment):
@@ -294,7 +286,11 @@ class EngineEnvironment(AskedEnvironment):
         }
 
     @property
-    def reported(self) -> tuple[str, ...]:
+    def tried_first(self) -> bool:
+        """With an engine of this package."""
+        return is_shipped(self.engine)
+
+    def reported(self, ports: tuple[str, ...]) -> tuple[str, ...]:
         """x, y and z of each body."""
         return tuple(name for body in self.bodies for name in coordinates(body))
 
@@ -378,8 +374,6 @@ def _size_problems(key: str, value: OneOrMany, ports: tuple[str, ...]) -> Iterat
             yield problem._replace(at=(key, *problem.at))
 
 
-GROUND: Final = "ground"
-
 Delay: TypeAlias = Annotated[int, BeforeValidator(Whole("ticks", 0, MAX_DELAY))]
 
 
@@ -411,8 +405,10 @@ class SessionLink(SessionModel):
         return self
 
 
-class NetworkEnvironment(SessionModel):
+class NetworkEnvironment(EnvironmentKind):
     """Masses joined with ports and ground by springs and dampers, discretised by backward Euler."""
+
+    in_series: ClassVar[bool] = True
 
     type: Annotated[Literal["network"], BeforeValidator(Choice(("network",)))] = Field(
         description="the kind of environment: network"
@@ -467,6 +463,38 @@ class NetworkEnvironment(SessionModel):
             if mass not in attached and not dangling:
                 yield Problem(("masses", mass), "a mass without a link", "at least one link to every mass")
 
+    def for_design(self, ports: tuple[str, ...]) -> Network | designed.DelayedNetwork | designed.NetworkBox:
+        """The network, or with intervals every network between two."""
+        low = self._at(ports, high=False)
+        if self.uncertain:
+            return designed.NetworkBox(low, self._at(ports, high=True))
+        return designed.DelayedNetwork(low, self.delay) if self.delay else low
+
+    def _at(self, ports: tuple[str, ...], *, high: bool) -> Network:
+        """The network with every interval at one of its ends."""
+
+        def end(value: float | Interval) -> float:
+            interval = Interval.of(value)
+            return interval.high if high else interval.low
+
+        return Network(
+            ports,
+            tuple((name, end(mass)) for name, mass in self.masses.items()),
+            tuple(NetworkLink(link.between, end(link.stiffness), end(link.damping)) for link in self.links),
+        )
+
+    def reported(self, ports: tuple[str, ...]) -> tuple[str, ...]:
+        """The masses."""
+        return tuple(self.masses)
+
+    def masses_and_springs(self, ports: tuple[str, ...]) -> tuple[dict[str, float], tuple[NetworkLink, ...]]:
+        """Masses and links, an interval by its middle, which is what runs."""
+        springs = (
+            NetworkLink(link.between, Interval.of(link.stiffness).nominal, Interval.of(link.damping).nominal)
+            for link in self.links
+        )
+        return {name: Interval.of(mass).nominal for name, mass in self.masses.items()}, tuple(springs)
+
 
 _CONTINUOUS_METHODS: Final = ("backward-euler", "tustin", "zoh")
 
@@ -480,11 +508,13 @@ def _method(value: object, info: ValidationInfo) -> object:
     return "backward-euler" if value is None else Choice(_CONTINUOUS_METHODS)(value)
 
 
-class StateSpaceEnvironment(SessionModel):
+class StateSpaceEnvironment(EnvironmentKind):
     """An environment given by its matrices, x' = A x + B u, force = C x + D u, or x+ = ... in discrete time.
 
     With n states and m ports, A is n x n, B is n x m, C is m x n and D is m x m, in m, N and s.
     """
+
+    in_series: ClassVar[bool] = True
 
     model_config = ConfigDict(
         json_schema_extra={**D_OR_STATIC, "if": where("time", "discrete"), "then": without("method")}
@@ -514,13 +544,14 @@ class StateSpaceEnvironment(SessionModel):
         one_of_two(self.D, self.static)
         return self
 
-    def arrays(self) -> tuple[Array, Array, Array, Array]:
-        """A, B, C and D, or the static gain in D's place; each has its full shape, even without states."""
-        return full_arrays(self.A, self.B, self.C, one_of_two(self.D, self.static))
-
     def problems(self, ports: tuple[str, ...]) -> Iterator[Problem]:
         """A problem for each matrix whose size does not fit a session with these ports."""
         return size_problems(self.A, self.B, self.C, self.D, self.static, len(ports), MAX_ENVIRONMENT_ORDER)
+
+    def for_design(self, ports: tuple[str, ...]) -> designed.StateSpaceEnvironment:
+        """The matrices, with D as stated, or computed from the static gain."""
+        system = stated_system(self, "the environment", continuous=self.time == "continuous")
+        return designed.StateSpaceEnvironment(ports, system, self.method, self.delay)
 
 
 _entry: Final = Entry("N/m")
@@ -537,8 +568,10 @@ _DEFINED: Final = Described(_defined, _entry.json_schema)
 _ENTRIES: Final = Items("rows of entries", MAX_PORTS, Items("entries of a row", MAX_PORTS, _DEFINED))
 
 
-class TransferFunctionEnvironment(SessionModel):
+class TransferFunctionEnvironment(EnvironmentKind):
     """An environment given by m x m rational functions of s, from displacement (m) to force (N)."""
+
+    in_series: ClassVar[bool] = True
 
     type: Annotated[Literal["transfer-function"], BeforeValidator(Choice(("transfer-function",)))] = Field(
         description="the kind of environment: transfer-function"
@@ -581,18 +614,13 @@ class TransferFunctionEnvironment(SessionModel):
             if len(row) != m:
                 yield Problem(("entries", i), f"a row of {len(row)}", f"{m} entries, one for each port")
 
+    def for_design(self, ports: tuple[str, ...]) -> designed.TransferEnvironment:
+        """The rational functions."""
+        entries = tuple(tuple((entry.num, entry.den) for entry in row) for row in self.entries)
+        return designed.TransferEnvironment(ports, entries, self.method, self.delay)
 
-Environment: TypeAlias = (
-    NetworkEnvironment
-    | SceneEnvironment
-    | StateSpaceEnvironment
-    | TransferFunctionEnvironment
-    | PythonEnvironment
-    | EngineEnvironment
-    | MeshEnvironment
-)
 
-_KINDS: Final[Mapping[str, type[Environment]]] = {
+KINDS: Final[Mapping[str, type[EnvironmentKind]]] = {
     "network": NetworkEnvironment,
     "scene": SceneEnvironment,
     "state-space": StateSpaceEnvironment,
@@ -601,6 +629,13 @@ _KINDS: Final[Mapping[str, type[Environment]]] = {
     "engine": EngineEnvironment,
     "mesh": MeshEnvironment,
 }
+"""The kinds by the value of the key ``type``: one line a kind."""
+
+if TYPE_CHECKING:
+    Environment: TypeAlias = EnvironmentKind
+else:
+    Environment = Union[tuple(KINDS.values())]  # noqa: UP007  # for the schema
+"""Any environment of a session."""
 
 
 def environment_of_its_type(value: object, info: ValidationInfo) -> Environment:
@@ -609,9 +644,9 @@ def environment_of_its_type(value: object, info: ValidationInfo) -> Environment:
     Raises:
         PydanticCustomError: ``type`` is absent or unknown, or the keys of that kind are wrong.
     """
-    if isinstance(value, Environment):
+    if isinstance(value, EnvironmentKind):
         return value
-    kinds = ", ".join(_KINDS)
+    kinds = ", ".join(KINDS)
     if not isinstance(value, Mapping):
         raise refuse(show(value), f"a mapping with the key type, one of {kinds}, and the keys of that type")
     if "type" not in value:
@@ -619,9 +654,9 @@ def environment_of_its_type(value: object, info: ValidationInfo) -> Environment:
             raise refuse(f"the unknown key {show(misspelt[0])}", "type", at=(misspelt[0],))
         raise refuse("no key 'type'", f"type, the kind of environment: one of {kinds}")
     name = value["type"]
-    if not isinstance(name, str) or name not in _KINDS:
-        raise refuse(show(name), one_of(_KINDS, name), at=("type",))
-    kind = _KINDS[name]
+    if not isinstance(name, str) or name not in KINDS:
+        raise refuse(show(name), one_of(KINDS, name), at=("type",))
+    kind = KINDS[name]
     try:
         return kind.model_validate(value, context=info.context)
     except ValidationError as error:

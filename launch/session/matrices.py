@@ -8,12 +8,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import dropwhile
-from typing import Annotated, Final, TypeAlias
+from typing import Annotated, Final, Protocol, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import BeforeValidator, WithJsonSchema
 
+from manyhands.design.errors import Infeasible
+from manyhands.design.models.statespace import StateSpace
 from manyhands.launch.session.errors import one_of, show
 from manyhands.launch.session.fields import (
     Described,
@@ -92,12 +94,37 @@ def size_problems(
             yield Problem((name,), f"a matrix of {size}", f"{height} x {width}, with {n} states and {ports} ports")
 
 
-def full_arrays(A: Rows, B: Rows, C: Rows, last: Rows) -> tuple[Array, Array, Array, Array]:
-    """A, B, C and D, or the static gain in D's place; each has its full shape, even without states."""
-    n, m = len(A), len(last)
-    shapes = ((A, (n, n)), (B, (n, m)), (C, (m, n)), (last, (m, m)))
-    a, b, c, d = (np.array(rows, dtype=np.float64).reshape(shape) for rows, shape in shapes)
-    return a, b, c, d
+class StatedMatrices(Protocol):
+    """The keys of a system that states D, or the static gain in its place."""
+
+    A: Rows
+    B: Rows
+    C: Rows
+    D: Rows | None
+    static: Rows | None
+
+
+def stated_system(given: StatedMatrices, what: str, *, continuous: bool) -> StateSpace:
+    """The system, with D as stated, or computed from the static gain that is stated in its place.
+
+    Args:
+        given: the matrices, of sizes that fit one another.
+        what: the system's name in the message.
+        continuous: whether the static gain is that at s = 0 rather than at z = 1.
+
+    Raises:
+        Infeasible: a static gain is stated, but a pole at s = 0 or z = 1 permits none.
+    """
+    last = one_of_two(given.D, given.static)
+    n, m = len(given.A), len(last)
+    shapes = ((given.A, (n, n)), (given.B, (n, m)), (given.C, (m, n)), (last, (m, m)))
+    A, B, C, D = (np.array(rows, dtype=np.float64).reshape(shape) for rows, shape in shapes)
+    if given.static is None:
+        return StateSpace(A, B, C, D)
+    try:
+        return StateSpace.with_static_gain(A, B, C, D, continuous=continuous)
+    except ValueError as error:
+        raise Infeasible(f"{what}: {error}", ("state D instead", "give every mode a spring that holds it")) from error
 
 
 COEFFICIENTS: Final = Items(

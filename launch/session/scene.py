@@ -11,7 +11,9 @@ from typing import Annotated, Any, ClassVar, Final, Literal, Self, TypeAlias
 
 from pydantic import BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
 
-from manyhands.design.models.contacts import GROUND, Point, Surface
+from manyhands.design.models.contacts import AXES, GROUND, Point, Surface, coordinates
+from manyhands.design.models.declared import DeclaredScene
+from manyhands.design.models.network import NetworkLink
 from manyhands.design.models.scene import (
     BODY_SHAPES,
     MOST_DRIVE,
@@ -49,6 +51,7 @@ from manyhands.launch.session.fields import (
     require_spring_or_damper,
 )
 from manyhands.launch.session.forms import JsonSchema, either, list_of, where
+from manyhands.launch.session.kind import EnvironmentKind
 from manyhands.launch.session.limits import MAX_LINKS
 from manyhands.launch.session.motion import TraceData, plain_intent
 from manyhands.nodes.kernel.intent import intent_from
@@ -343,7 +346,7 @@ def tool_spheres(tools: Mapping[str, SceneTool], ports: tuple[str, ...]) -> tupl
     )
 
 
-class SceneEnvironment(SessionModel):
+class SceneEnvironment(EnvironmentKind):
     """Tools, bodies and obstacles in space, with springs, gravity, contacts and friction."""
 
     type: Annotated[Literal["scene"], BeforeValidator(Choice(("scene",)))] = Field(
@@ -371,6 +374,7 @@ class SceneEnvironment(SessionModel):
     tank: Annotated[float, BeforeValidator(_TANK)] = Field(
         default=0.0, description="the energy in J that the driven bodies together may give out"
     )
+    enforce: ClassVar[bool] = True
 
     def problems(self, ports: tuple[str, ...]) -> Iterator[Problem]:
         """The problems of the scene in a session with these ports."""
@@ -433,3 +437,36 @@ class SceneEnvironment(SessionModel):
             gravity=self.gravity,
             tank=self.tank,
         )
+
+    def for_design(self, ports: tuple[str, ...]) -> DeclaredScene:
+        """The scene, at the level 0."""
+        return DeclaredScene(self.scene(ports))
+
+    def reported(self, ports: tuple[str, ...]) -> tuple[str, ...]:
+        """x, y and z of each body."""
+        return tuple(name for body in self.bodies for name in coordinates(body))
+
+    def masses_and_springs(self, ports: tuple[str, ...]) -> tuple[dict[str, float], tuple[NetworkLink, ...]]:
+        """The bodies, and the springs, one for each coordinate."""
+        scene = self.scene(ports)
+        moved = [
+            (tool.name, axis, port) for tool in scene.tools for axis, port in zip(tool.axes, tool.ports, strict=True)
+        ]
+        at = {(name, AXES[axis]): ports[port] for name, axis, port in moved}
+        at |= {
+            (body.name, axis): name
+            for body in scene.bodies
+            for axis, name in zip(AXES, coordinates(body.name), strict=True)
+        }
+        at |= {(GROUND, axis): GROUND for axis in AXES}
+        springs = (
+            NetworkLink((at[link.ends[0], axis], at[link.ends[1], axis]), link.stiffness, link.damping)
+            for link in scene.links
+            for axis in AXES
+            if all((end, axis) in at for end in link.ends)
+        )
+        return {name: body.mass for body in scene.bodies for name in coordinates(body.name)}, tuple(springs)
+
+    def geometry(self, ports: tuple[str, ...]) -> ContactScene:
+        """Tools, bodies and obstacles."""
+        return self.scene(ports).geometry

@@ -37,17 +37,10 @@ from pydantic import (
 )
 
 from manyhands.design.models.brief import brief_names
+from manyhands.design.models.contacts import GROUND
 from manyhands.launch.session.design import AUTO, TRANSPARENCY, Design, full_matrix
 from manyhands.launch.session.device import Device
-from manyhands.launch.session.environment import (
-    GROUND,
-    AskedEnvironment,
-    Environment,
-    NetworkEnvironment,
-    StateSpaceEnvironment,
-    TransferFunctionEnvironment,
-    environment_of_its_type,
-)
+from manyhands.launch.session.environment import Environment, environment_of_its_type
 from manyhands.launch.session.errors import SessionError, listed, one_of, show
 from manyhands.launch.session.fields import (
     Choice,
@@ -431,16 +424,12 @@ class Session(SessionModel):
         """A problem where compliance of a world that has none to be counted is to be counted in series."""
         if self.design.counted is None:
             return
-        at, world = ("design", "series"), self.environment
-        fault = f" with an environment of type {world.type}"
-        match world:
-            case NetworkEnvironment() | StateSpaceEnvironment() | TransferFunctionEnvironment():
-                fault = f"{fault} with a delay" if world.delay else ""
+        at, fault = ("design", "series"), self.environment.without_series
         if fault:
             expected = (
                 "an environment of type network, state-space or transfer-function without delay, or series: false"
             )
-            yield Problem(at, show(self.design.series) + fault, expected)
+            yield Problem(at, f"{show(self.design.series)} with {fault}", expected)
         elif self.wave_links:
             found = f"{show(self.design.series)} with the wave link of {next(iter(self.wave_links))!r}"
             yield Problem(at, found, "no wave link, or series: false: the spring of a world is not there across a link")
@@ -531,8 +520,8 @@ class Session(SessionModel):
             for name, device in self.devices.items()
             if device.factory is not None
         }
-        if isinstance(self.environment, AskedEnvironment):
-            found["environment.model"] = FactoryName(*self.environment.code(self.ports), self.folder)
+        if (code := self.environment.code(self.ports)) is not None:
+            found["environment.model"] = FactoryName(*code, self.folder)
         return found
 
     @cached_property

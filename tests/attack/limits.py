@@ -16,13 +16,9 @@ import numpy as np
 from manyhands.design.errors import DesignError, Infeasible
 from manyhands.design.limits import IN_PROPORTION
 from manyhands.design.models.coupling import Partition, SpringDamper
-from manyhands.design.models.environment import (
-    DeclaredEnvironment,
-    DelayedNetwork,
-    Environment,
-    NetworkBox,
-    TransferEnvironment,
-)
+from manyhands.design.models.declared import DeclaredEnvironment
+from manyhands.design.models.environment import DelayedNetwork, NetworkBox, TransferEnvironment
+from manyhands.design.models.kind import Environment
 from manyhands.design.models.network import GROUND, Network, NetworkLink
 from manyhands.design.models.statespace import StateSpace
 from manyhands.design.problem import DeviceLevel, HapticLoop, LinearGiven, SpringDamperGiven

@@ -16,14 +16,9 @@ import numpy as np
 from manyhands.design.certificate import content
 from manyhands.design.errors import DesignError
 from manyhands.design.models.coupling import Partition, SpringDamper
-from manyhands.design.models.environment import (
-    DeclaredEnvironment,
-    DelayedNetwork,
-    Environment,
-    NetworkBox,
-    StateSpaceEnvironment,
-    TransferEnvironment,
-)
+from manyhands.design.models.declared import DeclaredEnvironment
+from manyhands.design.models.environment import DelayedNetwork, NetworkBox, StateSpaceEnvironment, TransferEnvironment
+from manyhands.design.models.kind import Environment
 from manyhands.design.models.network import GROUND, Network, NetworkLink
 from manyhands.design.models.statespace import Matrix, StateSpace
 from manyhands.design.models.weights import Filter, Transparency

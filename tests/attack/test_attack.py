@@ -11,7 +11,8 @@ import pytest
 from flint import ctx
 
 from manyhands.design.models.coupling import Partition
-from manyhands.design.models.environment import Environment, StateSpaceEnvironment, TransferEnvironment
+from manyhands.design.models.environment import StateSpaceEnvironment, TransferEnvironment
+from manyhands.design.models.kind import Environment
 from manyhands.design.models.statespace import StateSpace
 from manyhands.design.problem import DeviceLevel, HapticLoop, SpringDamperWanted, Wish
 from manyhands.design.proof.ladder import prove_ladder

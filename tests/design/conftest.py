@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from manyhands.design.levels.contract import Levels
 from manyhands.design.models.coupling import Partition, SpringDamper
-from manyhands.design.models.environment import Environment
+from manyhands.design.models.kind import Environment
 from manyhands.design.models.network import GROUND, Network, NetworkLink
 from manyhands.design.models.statespace import Matrix, StateSpace
 from manyhands.design.passivity.operators import RationalMatrix

@@ -9,7 +9,8 @@ from manyhands.design.errors import DesignError, SolverFailure
 from manyhands.design.levels.contract import ENERGY
 from manyhands.design.levels.floats import within_floats
 from manyhands.design.models.coupling import Partition
-from manyhands.design.models.environment import Environment, NetworkBox
+from manyhands.design.models.environment import NetworkBox
+from manyhands.design.models.kind import Environment
 from manyhands.design.models.network import GROUND, Network, NetworkLink
 from manyhands.design.problem import DeviceLevel, HapticLoop, SpringDamperWanted, Wish
 from manyhands.design.synthesis import design

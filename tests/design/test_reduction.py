@@ -16,13 +16,8 @@ from hypothesis import strategies as st
 from manyhands.design.certificate import Certificate, content
 from manyhands.design.levels.contract import loop_inequality
 from manyhands.design.models.coupling import Partition
-from manyhands.design.models.environment import (
-    DeclaredEnvironment,
-    DelayedNetwork,
-    NetworkBox,
-    StateSpaceEnvironment,
-    TransferEnvironment,
-)
+from manyhands.design.models.declared import DeclaredEnvironment
+from manyhands.design.models.environment import DelayedNetwork, NetworkBox, StateSpaceEnvironment, TransferEnvironment
 from manyhands.design.models.network import GROUND, Network, NetworkLink
 from manyhands.design.models.statespace import StateSpace
 from manyhands.design.models.transfer import InDifferences

@@ -15,7 +15,6 @@ from flint import fmpq_mat
 from manyhands.design.certificate import (
     Certificate,
     content,
-    describe_environment,
     differences,
     from_content,
     identity,
@@ -679,7 +678,7 @@ def test_the_proof_rebuilds_the_world_that_is_left(matrices: HapticLoop, kind: s
         loop = replace(of_world(springs(K, 0.3 * np.eye(2))), series=(2e-4, 1e-4))
     m = len(loop.ports)
     data = StiffenedData(
-        read_environment(Item(describe_environment(loop.environment), "environment"), loop.ports),  # type: ignore[arg-type]
+        read_environment(Item(loop.environment.terms(), "environment"), loop.ports),  # type: ignore[arg-type]
         fmpq_mat(m, m, [exact_decimal(c) if i == j else 0 for i, c in enumerate(loop.series) for j in range(m)]),
     )
     rest = split_of_proof(data, exact_decimal(T))

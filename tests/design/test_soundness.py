@@ -18,7 +18,8 @@ from manyhands.design.certificate import content, from_content, identity
 from manyhands.design.errors import Infeasible, SolverFailure
 from manyhands.design.models.coupling import SpringDamper
 from manyhands.design.models.device import held_device, zero_order_hold
-from manyhands.design.models.environment import DelayedNetwork, Environment, NetworkBox, StateSpaceEnvironment
+from manyhands.design.models.environment import DelayedNetwork, NetworkBox, StateSpaceEnvironment
+from manyhands.design.models.kind import Environment
 from manyhands.design.models.network import Network, NetworkLink
 from manyhands.design.models.statespace import Matrix, StateSpace, parallel_blocks
 from manyhands.design.passivity.operators import RationalMatrix

@@ -11,11 +11,12 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from manyhands.design.certificate import content, describe_environment, identity, read_system
+from manyhands.design.certificate import content, identity
 from manyhands.design.errors import Infeasible
 from manyhands.design.models.coupling import Partition
-from manyhands.design.models.environment import Environment, StateSpaceEnvironment, TransferEnvironment
-from manyhands.design.models.statespace import StateSpace
+from manyhands.design.models.environment import StateSpaceEnvironment, TransferEnvironment
+from manyhands.design.models.kind import Environment
+from manyhands.design.models.statespace import StateSpace, read_system
 from manyhands.design.problem import DeviceLevel, HapticLoop, LinearGiven, SpringDamperWanted, Wish
 from manyhands.design.proof import prove
 from manyhands.design.synthesis import design
@@ -166,7 +167,7 @@ def test_design_and_proof_refuse_statics_that_are_off_by_a_hair(certified) -> No
 
 
 def environment_data(session: HapticLoop, like: dict[str, object]) -> object:
-    return json.loads(json.dumps(describe_environment(session.environment)))
+    return json.loads(json.dumps(session.environment.terms()))
 
 
 # --- the couplings' side

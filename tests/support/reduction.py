@@ -34,14 +34,9 @@ from flint import fmpq
 from manyhands.design.certificate import Certificate, seal
 from manyhands.design.levels.contract import Levels, Storage, margin
 from manyhands.design.models.coupling import Partition
-from manyhands.design.models.environment import (
-    DeclaredEnvironment,
-    DelayedNetwork,
-    Environment,
-    NetworkBox,
-    StateSpaceEnvironment,
-    TransferEnvironment,
-)
+from manyhands.design.models.declared import DeclaredEnvironment
+from manyhands.design.models.environment import DelayedNetwork, NetworkBox, StateSpaceEnvironment, TransferEnvironment
+from manyhands.design.models.kind import Environment
 from manyhands.design.models.network import GROUND, Network, NetworkLink
 from manyhands.design.models.statespace import Matrix, Rational, StateSpace, matrix, symmetric_part
 from manyhands.design.models.transfer import InDifferences

@@ -9,7 +9,6 @@ import numpy as np
 
 from manyhands.design.models.coupling import SpringDamper
 from manyhands.launch.audit.simulation import Silence, Simulation
-from manyhands.launch.plan.bundles import mass_names, scene_geometry
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.recorded import Traces
 from manyhands.launch.plan.topology import topology
@@ -58,10 +57,10 @@ def recorded_of(prepared: Prepared, clock: str = "simulated") -> Recorded:
         clock,
         dict(graph.nodes),
         ports,
-        mass_names(session),
+        session.environment.reported(session.ports),
         periods=session.own_periods,
         linked=tuple(session.wave_links),
-        scene=scene_geometry(session),
+        scene=session.environment.geometry(session.ports),
     )
 
 

@@ -15,7 +15,7 @@ from manyhands.design.certificate import content, differences, from_content, ide
 from manyhands.design.errors import Infeasible
 from manyhands.design.levels.contract import ENFORCED
 from manyhands.design.models.coupling import Partition, SpringDamper
-from manyhands.design.models.environment import DeclaredEnvironment
+from manyhands.design.models.declared import DeclaredEnvironment
 from manyhands.design.models.weights import Filter, Transparency
 from manyhands.design.problem import (
     CouplingRequest,

@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.design.certificate import describe_environment, environment_of
+from manyhands.design.environments import environment_of
 from manyhands.design.models.contacts import ContactPair, Contacts, Core, Surface, core_difference
-from manyhands.design.models.environment import DeclaredScene
+from manyhands.design.models.declared import DeclaredScene
 from manyhands.design.models.scene import UNTOUCHED, Body, ContactScene, Falling, Obstacle, SceneLink, ToolSphere
 
 from ...support.scenes import random_scene
@@ -145,7 +145,7 @@ def test_a_scene_is_read_as_it_was_written(seed: int) -> None:
     motion = ("0.1*t", 0.0, {"times": [0.0, 1.0], "values": [0.0, 0.2]})
     driven = Body("driven", 0.0, (0.0, 0.0, 0.0), 0.01, motion=motion)
     scene = replace(scene, bodies=(*scene.bodies, driven), tank=2.0)
-    again = environment_of(describe_environment(DeclaredScene(scene)), scene.ports)
+    again = environment_of(DeclaredScene(scene).terms(), scene.ports)
     assert again == DeclaredScene(scene)
     assert isinstance(again, DeclaredScene)
     assert again.scene.energy_at_start == pytest.approx(scene.energy_at_start, abs=1e-12)

@@ -12,7 +12,7 @@ import pytest
 from manyhands.design.certificate import content, from_content, identity
 from manyhands.design.models.contacts import Surface
 from manyhands.design.models.coupling import Partition
-from manyhands.design.models.environment import DeclaredScene
+from manyhands.design.models.declared import DeclaredScene
 from manyhands.design.models.scene import Body, ContactScene, Obstacle, SceneLink, ToolSphere
 from manyhands.design.problem import DeviceLevel, HapticLoop, SpringDamperWanted
 from manyhands.design.proof import ProofInputError, prove

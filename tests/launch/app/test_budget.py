@@ -12,7 +12,8 @@ import pytest
 from rich.console import Console
 
 from manyhands.design.models.coupling import Partition
-from manyhands.design.models.environment import DelayedNetwork, Environment, StateSpaceEnvironment
+from manyhands.design.models.environment import DelayedNetwork, StateSpaceEnvironment
+from manyhands.design.models.kind import Environment
 from manyhands.design.models.network import GROUND, Network, NetworkLink
 from manyhands.design.models.statespace import StateSpace
 from manyhands.design.problem import DeviceLevel, HapticLoop

@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from manyhands.design.certificate import content, from_content, identity
-from manyhands.design.models.environment import DeclaredEnvironment, ProxyEnvironment
+from manyhands.design.models.declared import DeclaredEnvironment, ProxyEnvironment
 from manyhands.design.proof.prove import prove
 from manyhands.launch.app.cli import app
 from manyhands.launch.audit.simulation import Silence, Simulation
@@ -22,6 +22,7 @@ from manyhands.launch.plan.certificates import read_certificate
 from manyhands.launch.plan.loop import NotCertified, haptic_loop
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import PythonEnvironment, Session, SessionError, load_session
+from manyhands.launch.session.design import full_matrix
 from manyhands.nodes.environment.enforced import EnforcedCore
 from manyhands.nodes.environment.model import ModelFailure
 from manyhands.nodes.kernel.bundle import SIMULATED, BundleError, EnvironmentBundle, load, save
@@ -111,7 +112,7 @@ def test_a_session_is_read_and_written_back(file: Path) -> None:
     assert isinstance(given, PythonEnvironment)
     assert (given.model, given.enforce) == (f"{MODULE}:Active", True)
     assert given.parameters == {"damping": 3.0, "scene": [1, {"name": "wall", "hard": True}]}
-    np.testing.assert_array_equal(given.level_matrix(2), 0.1 * np.eye(2))
+    np.testing.assert_array_equal(full_matrix(given.level, 2), 0.1 * np.eye(2))
     assert Session.model_validate(session.as_plain(), context={"folder": file.parent}) == session
 
 
@@ -417,7 +418,7 @@ def test_a_model_needs_a_level_or_a_stiffness(file: Path) -> None:
         load_session(file)
     environment = load_session(file, ["environment.stiffness=10"]).environment
     assert isinstance(environment, PythonEnvironment)
-    np.testing.assert_array_equal(environment.level_matrix(2), np.zeros((2, 2)))
+    np.testing.assert_array_equal(full_matrix(environment.level, 2), np.zeros((2, 2)))
 
 
 @pytest.mark.usefixtures("importable")

@@ -16,6 +16,7 @@ from manyhands.launch.session import (
     limits,
     load_session,
 )
+from manyhands.launch.session.matrices import stated_system
 
 SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 
@@ -97,12 +98,13 @@ def test_matrices_have_full_shapes_and_a_method() -> None:
     environment = example("example1", STATES).environment
     assert isinstance(environment, StateSpaceEnvironment)
     assert (environment.time, environment.method, environment.delay) == ("continuous", "backward-euler", 0)
-    A, B, C, D = environment.arrays()
-    assert [matrix.shape for matrix in (A, B, C, D)] == [(1, 1), (1, 3), (3, 1), (3, 3)]
-    np.testing.assert_array_equal(D, 9 * np.eye(3))
+    system = stated_system(environment, "the environment", continuous=True)
+    assert [matrix.shape for matrix in (system.A, system.B, system.C, system.D)] == [(1, 1), (1, 3), (3, 1), (3, 3)]
+    np.testing.assert_array_equal(system.D, 9 * np.eye(3))
     static = example("example1", STATES, *(f"environment.{name}=[]" for name in "ABC")).environment
     assert isinstance(static, StateSpaceEnvironment)
-    assert [matrix.shape for matrix in static.arrays()] == [(0, 0), (0, 3), (3, 0), (3, 3)]
+    system = stated_system(static, "the environment", continuous=True)
+    assert [matrix.shape for matrix in (system.A, system.B, system.C, system.D)] == [(0, 0), (0, 3), (3, 0), (3, 3)]
 
 
 @pytest.mark.parametrize("method", ["backward-euler", "tustin", "zoh"])

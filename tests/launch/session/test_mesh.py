@@ -7,11 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from manyhands.design.certificate import describe_environment, environment_of
-from manyhands.design.models.environment import ProxyEnvironment
+from manyhands.design.environments import environment_of
+from manyhands.design.models.declared import ProxyEnvironment
 from manyhands.design.models.scene import geometry_of
-from manyhands.launch.plan.bundles import scene_geometry
-from manyhands.launch.plan.loop import session_environment
 from manyhands.launch.session import MeshEnvironment, Session, SessionError, load_session
 from manyhands.nodes.environment.mesh import MeshProxies
 from manyhands.nodes.kernel.factory import FactoryError, FactoryName, made_by, require_allowed
@@ -46,7 +44,8 @@ def path(tmp_path: Path) -> Path:
 
 
 def environment(path: Path, *overrides: str) -> ProxyEnvironment:
-    found = session_environment(load_session(path, overrides))
+    session = load_session(path, overrides)
+    found = session.environment.for_design(session.ports)
     assert isinstance(found, ProxyEnvironment)
     return found
 
@@ -68,7 +67,7 @@ def test_a_session_holds_its_grid_without_the_file(path: Path) -> None:
     again = Session.model_validate(session.as_plain())
     assert isinstance(again.environment, MeshEnvironment)
     assert again.environment.model == grid("box").text
-    assert session_environment(again) == session_environment(session)
+    assert again.environment.for_design(again.ports) == session.environment.for_design(session.ports)
 
 
 @pytest.mark.parametrize(
@@ -79,12 +78,13 @@ def test_another_world_has_another_certificate(path: Path, change: str) -> None:
     (path.parent / "other.grid").write_text(grid("box", 0.0021).text, encoding="utf-8")
     own, other = environment(path), environment(path, f"environment.{change}")
     assert own != other
-    assert describe_environment(own) != describe_environment(other)
-    assert environment_of(describe_environment(own), own.ports) == own
+    assert own.terms() != other.terms()
+    assert environment_of(own.terms(), own.ports) == own
 
 
 def test_what_is_drawn_has_tools_and_triangles(path: Path) -> None:
-    scene = scene_geometry(load_session(path))
+    session = load_session(path)
+    scene = session.environment.geometry(session.ports)
     assert scene is not None
     assert [tool.name for tool in scene.tools] == ["anna", "ben"]
     (mesh,) = scene.obstacles

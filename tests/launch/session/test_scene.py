@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from manyhands.design.models.contacts import Surface
-from manyhands.design.models.environment import DeclaredScene
+from manyhands.design.models.declared import DeclaredScene
 from manyhands.design.models.scene import Body
-from manyhands.launch.plan.loop import session_environment
 from manyhands.launch.session import SceneEnvironment, Session, SessionError, load_session
 
 TEXT = """
@@ -57,7 +56,8 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_a_file_becomes_a_scene(path: Path) -> None:
-    environment = session_environment(load_session(path))
+    session = load_session(path)
+    environment = session.environment.for_design(session.ports)
     assert isinstance(environment, DeclaredScene)
     assert not np.any(environment.level)
     scene = environment.scene
@@ -89,7 +89,7 @@ def test_a_session_is_the_same_after_it_is_written(path: Path) -> None:
     session = load_session(path)
     again = Session.model_validate(session.as_plain())
     assert isinstance(again.environment, SceneEnvironment)
-    assert session_environment(again) == session_environment(session)
+    assert again.environment.for_design(again.ports) == session.environment.for_design(session.ports)
 
 
 @pytest.mark.parametrize(
@@ -170,7 +170,8 @@ def test_too_many_pairs_are_refused_with_both_numbers(path: Path) -> None:
 def test_a_device_has_at_most_three_axes(path: Path, device: str, found: str) -> None:
     override = f"devices.anna={device}, osp: 1.37, driver: simulated, mass: 0.2, hand: {{}}}}"
     if not found:  # without names of the scene's axes, x, y and z in order
-        environment: Any = session_environment(load_session(path, [override]))
+        session = load_session(path, [override])
+        environment: Any = session.environment.for_design(session.ports)
         assert environment.scene.tools[0].axes == (0, 1, 2)
         return
     with pytest.raises(SessionError, match=found):

@@ -9,6 +9,7 @@ import pytest
 from manyhands.launch.audit.simulation import Simulation
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import DEFAULT_HAND, Session, SessionError, load_session
+from manyhands.launch.session.matrices import stated_system
 from manyhands.launch.session.session import observable
 from manyhands.nodes.kernel.intent import intent_from
 from manyhands.protocol.messages import Role
@@ -236,7 +237,8 @@ def test_given_matrices_have_full_shapes_also_without_states() -> None:
     }
     session = plain(design={"coupling": "given", "matrices": matrices})
     assert session.design.matrices is not None
-    shapes = {name: [array.shape for array in block.arrays()] for name, block in session.design.matrices.items()}
+    blocks = {name: stated_system(block, name, continuous=False) for name, block in session.design.matrices.items()}
+    shapes = {name: [V.A.shape, V.B.shape, V.C.shape, V.D.shape] for name, V in blocks.items()}
     assert shapes == {"left": [(0, 0), (0, 2), (2, 0), (2, 2)], "right": [(1, 1), (1, 3), (3, 1), (3, 3)]}
 
 

@@ -46,6 +46,22 @@ def test_every_part_is_written_and_proved(written: Path, tmp_path: Path) -> None
     assert "its parties are cx, cy, in-tick; certificates that were proved together with it: 3" in result.stdout
 
 
+@pytest.mark.parametrize(
+    ("environment", "kept"),
+    [
+        ("{type: python, model: 'a:b', level: [-0.1, -0.1, 0]}", "is enforced at run time"),
+        ("{type: python, model: 'a:b', stiffness: 900}", "is kept by the proxy test at every tick"),
+        ("{type: scene, tools: {dx: {}, dy: {}, dz: {}}}", "is enforced at run time"),
+    ],
+)
+def test_a_world_whose_level_is_not_proved_says_what_keeps_it(tmp_path: Path, environment: str, kept: str) -> None:
+    file = tmp_path / "world.json"
+    options = ["--part", "environment", "-o", file, *LINKED, "--set", f"environment={environment}"]
+    assert manyhands_command("design", "example1", *options).exit_code == 0
+    said = manyhands_command("verify", file).stdout
+    assert f"example-1: the world is proved, where the level of the environment {kept}; " in said
+
+
 def test_a_design_shows_what_is_felt(tmp_path: Path) -> None:
     result = manyhands_command("design", "example1", *LINKED)
     assert result.exit_code == 0, result.stderr

@@ -1,0 +1,82 @@
+"""What the others ask of the environment of a session: one class a kind, with its keys and its answers.
+
+The plan, the run and the reports ask these questions, and know no kind by its name. The answers here are those of an
+environment of which nothing is to be drawn or asked; a kind states only where its own differ. A kind is one line in the
+table of :mod:`manyhands.launch.session.environment`.
+"""
+
+from abc import abstractmethod
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeAlias
+
+from manyhands.design.models.kind import Environment
+from manyhands.design.models.network import NetworkLink
+from manyhands.design.models.scene import ContactScene
+from manyhands.launch.session.fields import Flag, Problem, SessionModel
+
+Enforce: TypeAlias = Flag
+"""Whether a passivity controller keeps the environment's level at run time."""
+
+ENFORCE_MEANING: Final = "whether a passivity controller keeps its level at run time"
+
+
+class EnvironmentKind(SessionModel):
+    """The environment of a session, whose key ``type`` names its kind.
+
+    Attributes:
+        in_series: whether some of its compliance may be counted in series, as long as its key ``delay``, if any, is 0.
+    """
+
+    in_series: ClassVar[bool] = False
+
+    if TYPE_CHECKING:  # keys of the kinds, which a property of this class would shadow
+
+        @property
+        @abstractmethod
+        def type(self) -> str:
+            """The name of the kind."""
+
+        @property
+        @abstractmethod
+        def enforce(self) -> bool:
+            """Whether a passivity controller keeps its level at run time."""
+
+    @abstractmethod
+    def problems(self, ports: tuple[str, ...]) -> Iterator[Problem]:
+        """What is wrong with it in a session with these ports."""
+
+    @abstractmethod
+    def for_design(self, ports: tuple[str, ...]) -> Environment:
+        """The same as design has it, in a session with these ports and without :meth:`problems`.
+
+        Raises:
+            Infeasible: a static gain is stated that its poles do not permit.
+        """
+
+    def code(self, ports: tuple[str, ...]) -> tuple[str, dict[str, Any]] | None:
+        """The factory of the model that is asked, and its parameters; None where none is."""
+        return None
+
+    @property
+    def tried_first(self) -> bool:
+        """Whether its model is made once before anything is started: it may be refused, and is no stranger's code."""
+        return False
+
+    def reported(self, ports: tuple[str, ...]) -> tuple[str, ...]:
+        """The masses, or coordinates of bodies, whose positions are reported, in the order of the state."""
+        return ()
+
+    def masses_and_springs(self, ports: tuple[str, ...]) -> tuple[dict[str, float], tuple[NetworkLink, ...]]:
+        """By name in :meth:`reported` the mass, kg, or 0 where it is not known here; and the springs, for drawing."""
+        return dict.fromkeys(self.reported(ports), 0.0), ()
+
+    def geometry(self, ports: tuple[str, ...]) -> ContactScene | None:
+        """Tools, bodies and obstacles for drawing; None for an environment without places."""
+        return None
+
+    @property
+    def without_series(self) -> str:
+        """Why none of its compliance may be counted in series, as in *found ... with ...*; empty where it may be."""
+        if self.in_series and not getattr(self, "delay", 0):  # a key of some kinds
+            return ""
+        return f"an environment of type {self.type}{' with a delay' if self.in_series else ''}"
