@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test test-long guests lint types imports pytest campaign attack heavy limits worlds fuzz datagrams wan far-user scenes world-peers flood loop watched soak users linked-users chaos faults lateness inertia honest hostile blamed remote pictures page benchmark curve docs docs-pictures clean
+.PHONY: demo test test-long guests lint types imports pytest campaign attack heavy limits worlds fuzz datagrams wan far-user scenes world-peers flood loop watched soak users linked-users chaos faults lateness inertia honest hostile blamed remote pictures page benchmark curve figures docs docs-pictures clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -208,6 +208,10 @@ $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	HATCH_BUILD_NO_HOOKS=true $(BIN)/pip install --quiet --editable '.[dev]'
 	touch $@
+
+# SPEC.md's table of figures, from their declarations
+figures: $(VENV)/.installed
+	$(BIN)/python -m tests.support.spec_text
 
 # the documentation as a site, in out/docs/; a broken link or a page that is not listed ends it
 docs: $(VENV)/.installed

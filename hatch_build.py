@@ -33,7 +33,6 @@ MODULES = [
     "nodes/kernel/passivity",
     "nodes/link/peer_link",
     "nodes/rows/distribution",
-    "nodes/rows/telemetry",
     "nodes/device/colocated",
     "nodes/device/core",
     "nodes/device/drivers",

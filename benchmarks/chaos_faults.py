@@ -18,7 +18,7 @@ from chaos_kinds import VICTIMS, Kind, draw
 from manyhands.launch.plan.topology import Topology
 from manyhands.launch.run.outcome import Progress
 from manyhands.launch.run.states import NodeState, SessionPhase
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.messages import Role
 
 OVERLAP = 0.15

@@ -32,7 +32,7 @@ from manyhands.launch.plan.topology import topology
 from manyhands.launch.session import load_session
 from manyhands.protocol.codec import encode
 from manyhands.protocol.keys import KeyPair, new_pair
-from manyhands.protocol.messages import Telemetry
+from manyhands.protocol.messages import Figures, Telemetry
 
 MANYHANDS = [sys.executable, "-P", "-m", "manyhands"]
 JUNK = b"\xc1" + bytes(63)
@@ -131,7 +131,7 @@ def rogue(kind: str, folder: Path, port: int) -> None:
     )
     observer = f"tcp://127.0.0.1:{port + 1 + len(graph.links)}"
     doors = [hub, *links.values()]
-    telemetry = encode(Telemetry(1, {}, {}))
+    telemetry = encode(Telemetry(1, Figures(), {}))
     step: Callable[[], int]
     match kind:
         case "spins":

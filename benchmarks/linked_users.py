@@ -32,7 +32,7 @@ from users_curve import HOLDS, curve, headline, verdict
 from users_load import Broken, Served, scheduled, serving, session_text
 
 from manyhands.nodes.link.supervisor_line import NOT_AT_ALL
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.codec import WaveWriter, decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
@@ -100,7 +100,7 @@ def measure(users: int, interval: int, seconds: float, compiled: bool) -> Linked
         heard = users_.heard - heard
         resident = proc.resident(served.pid) or 0.0
         served.finish()
-    silences = sum(value for name, value in after.figures.items() if name.startswith(names.WAVE_SILENCES))
+    silences = sum(after.figures.table(names.of(names.WAVE_SILENCES)).values())
     if out := after.figures[names.FROZEN]:
         raise Broken(f"found {out:.0f} of {users} users that are not active; expected none")
     periods = lasted * 1e9 / served.period

@@ -28,7 +28,7 @@ from manyhands.design.models.scene import Body, ContactScene
 from manyhands.nodes.monitor.session_state import About
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.codec import encode
-from manyhands.protocol.messages import Observation
+from manyhands.protocol.messages import Figures, Observation
 from tests.support.browser import SPACE, ShownPage, browsing, until
 from tests.system.test_page_drawing import Played, scene
 
@@ -87,7 +87,7 @@ class Moving(Played):
                     topic.trace: 0.02 * np.sin(0.003 * k[:, None] + np.arange(len(columns)))
                     for topic, columns in self.about.topics(name).items()
                 }
-                self.feed.take(encode(Observation(name, self.tick, {}, values)), Instant(self.tick * 10**6))
+                self.feed.take(encode(Observation(name, self.tick, Figures(), values)), Instant(self.tick * 10**6))
 
 
 class Round(NamedTuple):

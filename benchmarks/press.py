@@ -43,10 +43,10 @@ from manyhands.launch.run.recorder import Recorder
 from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import Session, load_session
 from manyhands.nodes.kernel.bundle import REALTIME
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
-from manyhands.protocol.messages import Observation
+from manyhands.protocol.messages import Figures, Observation
 
 EXAMPLE = Path(__file__).parents[1] / "launch" / "sessions" / "example1.yaml"
 PAGE = Path(__file__).parents[1] / "docs" / "remote.md"
@@ -161,7 +161,7 @@ class Traces(Recorder):
 
     def __init__(self) -> None:
         self.rows: dict[tuple[str, str], list[np.ndarray[Any, np.dtype[np.float64]]]] = {}
-        self.figures: dict[str, dict[str, float]] = {}
+        self.figures: dict[str, Figures] = {}
 
     def take(self, frame: bytes | None) -> None:
         """See :class:`Recorder`."""
@@ -169,7 +169,7 @@ class Traces(Recorder):
         if isinstance(message, Observation):
             for name, trace in message.traces.items():
                 self.rows.setdefault((message.node, name), []).append(trace)
-            self.figures[message.node] = dict(message.figures)
+            self.figures[message.node] = message.figures
 
     def whole(self, node: str, trace: str) -> np.ndarray[Any, np.dtype[np.float64]]:
         """All rows of a trace."""
@@ -216,7 +216,9 @@ def run(prepared: Prepared, seconds: float) -> tuple[Outcome, Traces]:
 
 def round_trip(traces: Traces) -> float:
     """R of dx's wave link, s."""
-    return 1e-6 * (traces.figures["cx"][names.WAVE_LAG] + traces.figures["environment"][f"{names.WAVE_LAG}_cx"])
+    return 1e-6 * (
+        traces.figures["cx"][names.WAVE_LAG] + traces.figures["environment"].table(names.of(names.WAVE_LAG))["cx"]
+    )
 
 
 def press(form: str, hold: float) -> Press:

@@ -42,7 +42,7 @@ from manyhands.nodes.recorder.format import Recorded
 from manyhands.nodes.recorder.mcap import RecordingFile
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
-from manyhands.protocol.messages import Observation, Role
+from manyhands.protocol.messages import Figures, Observation, Role
 
 SESSION = Path(__file__).parents[1] / "launch" / "sessions" / "example1.yaml"
 TELEMETRY_S = 0.1
@@ -67,7 +67,7 @@ def telemetry(recorded: Recorded, seconds: float) -> Iterator[bytes]:
                 topic.trace: numbers.normal(scale=1e-3, size=(every, len(recorded.columns(node, topic)))).cumsum(axis=0)
                 for topic in recorded.topics(node)
             }
-            yield encode(Observation(node, end, FIGURES, traces))
+            yield encode(Observation(node, end, Figures(FIGURES), traces))
 
 
 def without_loop(prepared: Prepared, seconds: float, folder: Path) -> dict[str, float]:

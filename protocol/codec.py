@@ -59,6 +59,7 @@ from manyhands.protocol.messages import (
     Echo,
     Fault,
     Fetch,
+    Figures,
     Force,
     Grasp,
     LinkHello,
@@ -212,18 +213,31 @@ def _mapping(pack: Callable[[Any], object], read: Callable[[object], Any]) -> Fi
     return Field(pack_all, read_all)
 
 
-def _pack_figures(value: Mapping[str, Any]) -> object:
+def _pack_numbers(value: Mapping[str, Any]) -> object:
     plain = dict(value)
     return plain if _are_floats(plain) else {key: _plain_number(item) for key, item in plain.items()}
 
 
-def _read_figures(value: object) -> dict[str, float]:
-    """Figures by name; all of them are looked at together, for one by one 400 of them take 0.2 ms of a tick."""
+def _read_numbers(value: object) -> dict[str, float]:
+    """Numbers by name; all of them are looked at together, for one by one 400 of them take 0.2 ms of a tick."""
     if type(value) is dict and len(value) <= MAX_ENTRIES and _are_names(value) and _are_floats(value):
-        figures: dict[str, float] = value
-        return figures
-    refused: dict[str, float] = _each_figure(value)  # raises, and describes the first that does not fit
+        numbers: dict[str, float] = value
+        return numbers
+    refused: dict[str, float] = _each_number(value)  # raises, and describes the first that does not fit
     return refused
+
+
+def _pack_figures(value: Any) -> object:
+    if not isinstance(value, Figures):
+        raise Unfit(f"found {_describe(value)}; expected figures")
+    return [_pack_numbers(value), {name: _pack_numbers(table) for name, table in value.tables.items()}]
+
+
+def _read_figures(value: object) -> Figures:
+    if type(value) is not list or len(value) != 2:
+        raise Unfit(f"found {_describe(value)}; expected [numbers, tables]")
+    numbers, tables = value
+    return Figures(_read_numbers(numbers), TABLES.read(tables))
 
 
 def _are_floats(value: Mapping[Any, object]) -> bool:
@@ -238,7 +252,7 @@ def _are_names(value: Mapping[Any, object]) -> bool:
 
 _FLOAT_ALONE: Final = {float}
 _STR_ALONE: Final = {str}
-_each_figure: Final = _mapping(_plain_number, _read_number).read
+_each_number: Final = _mapping(_plain_number, _read_number).read
 
 
 def _read_ports(value: object) -> tuple[str, ...]:
@@ -270,7 +284,7 @@ def _pack_status(value: Any) -> object:
     if not isinstance(value, PromiseStatus):
         raise Unfit(f"found {_describe(value)}; expected the status of a promise")
     since, until = (None if at is None else _plain_number(at) for at in (value.since, value.until))
-    return [value.promise, value.state, list(value.who), since, until, FIGURES.pack(value.cost), value.remark]
+    return [value.promise, value.state, list(value.who), since, until, NUMBERS.pack(value.cost), value.remark]
 
 
 def _read_status(value: object) -> PromiseStatus:
@@ -279,7 +293,7 @@ def _read_status(value: object) -> PromiseStatus:
     promise, state, who, *times, cost, remark = value
     since, until = (None if at is None else _read_finite(at) for at in times)
     return PromiseStatus(
-        _read_name(promise), _read_name(state), NAMES.read(who), since, until, FIGURES.read(cost), _read_text(remark)
+        _read_name(promise), _read_name(state), NAMES.read(who), since, until, NUMBERS.read(cost), _read_text(remark)
     )
 
 
@@ -414,10 +428,10 @@ SECRET: Final = _raw(SECRET_BYTES)
 PLACE: Final = integer(0, MAX_PART_BYTES - 1)
 LENGTH: Final = integer(1, MAX_PART_BYTES)
 PIECE: Final = Field(_same, _read_piece)
+NUMBERS: Final = Field(_pack_numbers, _read_numbers)
+TABLES: Final = _mapping(_pack_numbers, _read_numbers)
 FIGURES: Final = Field(_pack_figures, _read_figures)
 PROMISES: Final = _list_of("promises", MAX_SENTENCES, _read_status, _pack_status)
-COUNTS: Final = _mapping(_plain_integer, integer(0, MAX_COUNT).read)
-PERCENTILES: Final = _mapping(FIGURES.pack, FIGURES.read)
 TRACES: Final = _mapping(_pack_trace, _read_trace)
 
 
@@ -610,7 +624,7 @@ LAYOUTS: Final[dict[type[Message], _Layout]] = {
     Fetch: (22, (PLACE,)),
     Piece: (23, (PLACE, LENGTH, PIECE)),
     Telemetry: (32, (COUNT, FIGURES, TRACES)),
-    Report: (33, (COUNT, FIGURES, COUNTS, PERCENTILES)),
+    Report: (33, (COUNT, FIGURES)),
     Fault: (34, (TEXT,)),
     Observation: (35, (NAME, COUNT, FIGURES, TRACES)),
     Condition: (36, (NAME, ELAPSED, STATES, NAMES, *[SENTENCES] * 3, PROMISES)),

@@ -5,9 +5,11 @@ their frames, and the channel table (:mod:`manyhands.protocol.channels`) the rol
 SPEC.md describes both for other implementations.
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from types import MappingProxyType
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -15,7 +17,7 @@ from numpy.typing import NDArray
 
 from manyhands.protocol.limits import MAX_TEXT
 
-PROTOCOL_VERSION: Final[int] = 5
+PROTOCOL_VERSION: Final[int] = 6
 """The version of SPEC.md that this code speaks."""
 
 Values: TypeAlias = NDArray[np.float64]
@@ -296,6 +298,69 @@ class PathKey:
     port: int
 
 
+_NO_NUMBERS: Final[Mapping[str, float]] = MappingProxyType({})
+_NO_TABLES: Final[Mapping[str, Mapping[str, float]]] = MappingProxyType({})
+
+
+class Figures(Mapping[str, float]):
+    """What a node counts and measures: a mapping of names to numbers, and tables of numbers.
+
+    A table has one number for each coupling, percentile or cause. Figures are findings, which may be infinite or not a
+    number.
+
+    Attributes:
+        tables: by the name of the figure, its numbers.
+    """
+
+    __slots__ = ("_numbers", "tables")
+
+    def __init__(
+        self, numbers: Mapping[str, float] = _NO_NUMBERS, tables: Mapping[str, Mapping[str, float]] = _NO_TABLES
+    ) -> None:
+        """``numbers`` by the names of the figures, and ``tables`` likewise."""
+        self._numbers, self.tables = numbers, tables
+
+    def table(self, name: str) -> Mapping[str, float]:
+        """The table of this name; empty where there is none."""
+        return self.tables.get(name, _NO_NUMBERS)
+
+    def with_numbers(self, numbers: Mapping[str, float]) -> "Figures":
+        """These figures, with ``numbers`` added or in place of their own."""
+        return Figures({**self._numbers, **numbers}, self.tables)
+
+    def finite(self) -> "Figures":
+        """These figures without the numbers that are infinite or not a number."""
+        tables = {name: _finite(table) for name, table in self.tables.items()}
+        return Figures(_finite(self._numbers), tables)
+
+    def __getitem__(self, name: str) -> float:
+        return self._numbers[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._numbers)
+
+    def __len__(self) -> int:
+        return len(self._numbers)
+
+    def __bool__(self) -> bool:
+        """Whether there are any numbers or tables."""
+        return bool(self._numbers or self.tables)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Figures):
+            return NotImplemented
+        return dict(self._numbers) == dict(other._numbers) and dict(self.tables) == dict(other.tables)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        return f"Figures({dict(self._numbers)}, {dict(self.tables)})"
+
+
+def _finite(numbers: Mapping[str, float]) -> dict[str, float]:
+    return {name: value for name, value in numbers.items() if math.isfinite(value)}
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Telemetry:
     """To the supervisor, about ten times a second: a node's figures, and its traces of the latest ticks.
@@ -304,12 +369,12 @@ class Telemetry:
 
     Attributes:
         tick: the tick after the latest that it covers.
-        figures: values by name.
+        figures: what the node counts and measures.
         traces: float64 arrays by name, ticks × ports.
     """
 
     tick: int
-    figures: Mapping[str, float]
+    figures: Figures
     traces: Mapping[str, Values]
 
     def __eq__(self, other: object) -> bool:
@@ -329,7 +394,7 @@ class Observation:
 
     node: str
     tick: int
-    figures: Mapping[str, float]
+    figures: Figures
     traces: Mapping[str, Values]
 
     def __eq__(self, other: object) -> bool:
@@ -405,12 +470,10 @@ class Release:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """A node's report on the whole run: ticks, figures, counts, and by quantity its percentiles."""
+    """A node's report on the whole run: the tick after its last, and its figures."""
 
     ticks: int
-    figures: Mapping[str, float]
-    counts: Mapping[str, int]
-    percentiles: Mapping[str, Mapping[str, float]]
+    figures: Figures
 
 
 @dataclass(frozen=True, slots=True)

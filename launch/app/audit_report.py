@@ -12,7 +12,8 @@ from manyhands.launch.audit.findings import Check, CheckVerdict, UncheckedTicks,
 from manyhands.launch.audit.replay import Replayed
 from manyhands.launch.look.display import promise_lines, say
 from manyhands.launch.recordings.integrity import Damage
-from manyhands.nodes.monitor.health import PROMISES, Promise, PromiseState, grouped, missed, parties
+from manyhands.nodes.monitor.health import PROMISES, PromiseState, grouped, missed, parties
+from manyhands.nodes.rows.promises import Promise
 
 
 def print_damage(out: Console, name: str, damage: Sequence[Damage]) -> None:

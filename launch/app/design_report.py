@@ -33,7 +33,8 @@ from manyhands.launch.run.outcome import given_sentences, lateness_sentence, row
 from manyhands.launch.session import Session
 from manyhands.nodes.monitor.given import shares_cell
 from manyhands.nodes.monitor.health import verdict
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
+from manyhands.protocol.messages import Figures
 
 if TYPE_CHECKING:
     from manyhands.design.proof import Finding
@@ -209,11 +210,13 @@ def print_report(console: Console, report: Mapping[str, Any], faults: Sequence[s
             say(console, lack)
     for node in report["nodes"].values():
         entry = node.get("energy", {})
-        figures = {f"{names.MOVED}{pair}": joules for pair, joules in entry.get("moved", {}).items()}
-        figures |= {f"{names.SCALED}{party}": ticks for party, ticks in entry.get("scaled", {}).items()}
-        figures |= {f"{names.HELD}{party}": ticks for party, ticks in node.get("held", {}).items()}
-        figures |= {f"{names.CHATTER}{party}": most for party, most in node.get("chatter", {}).items()}
-        for line in world_lines(figures):
+        tables = {
+            names.MOVED: entry.get("moved", {}),
+            names.SCALED: entry.get("scaled", {}),
+            names.HELD: node.get("held", {}),
+            names.CHATTER: node.get("chatter", {}),
+        }
+        for line in world_lines(Figures({}, tables)):
             say(console, line)
     for name, node in report["nodes"].items():
         counts = {**node.get("refused", {}), **node.get("dropped", {})}

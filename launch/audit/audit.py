@@ -68,7 +68,7 @@ from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.integrity import Damage
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.run import (
-    Figures,
+    FiguresByTick,
     RecordedRun,
     at_telemetry,
     changed_after,
@@ -89,9 +89,10 @@ from manyhands.nodes.kernel.bundle import (
     WaveEnd,
 )
 from manyhands.nodes.monitor.given import FIGURES
-from manyhands.nodes.monitor.health import PROMISES, SESSION, Promise, PromiseState, as_plain, holds
+from manyhands.nodes.monitor.health import PROMISES, SESSION, PromiseState, as_plain, holds
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
+from manyhands.nodes.rows.promises import Promise
 from manyhands.nodes.rows.tick_events import Kind, events_in
 from manyhands.nodes.wave_link.faces import wave_feedthrough
 from manyhands.protocol.channels import TANK_NAMES
@@ -608,7 +609,9 @@ class _AuditRun:
                 changed[:, its] = fitted(blocks.courses[name].resampled, len(silent))[:, None]
         events = (event for _, values in figures for event in events_in(values))
         begun = [event.tick for event in events if event.kind is Kind.BEGAN and 0 < event.tick < len(tools)]
-        held = sum(max((one.get(names.SCALED + name, 0.0) for _, one in figures), default=0.0) for name in blocks.ports)
+        held = sum(
+            max((one.table(names.SCALED).get(name, 0.0) for _, one in figures), default=0.0) for name in blocks.ports
+        )
         own = increments(
             Phi,
             self._session.period,
@@ -700,7 +703,7 @@ class _AuditRun:
             out[:, self._ports[name]] = at
         return out
 
-    def _given(self, name: str, figures: Figures, again: Array, gaps: Sequence[UncheckedTicks]) -> list[Check]:
+    def _given(self, name: str, figures: FiguresByTick, again: Array, gaps: Sequence[UncheckedTicks]) -> list[Check]:
         """Check what a device says that its hand was given; recordings of older versions do not say it."""
         told = at_telemetry(figures, FIGURES, len(again))
         said = there(told)

@@ -20,7 +20,7 @@ from manyhands.launch.audit.findings import EXACT, Check, CheckVerdict, Unchecke
 from manyhands.launch.recordings.run import RecordedRun, rows_of, there
 from manyhands.nodes.kernel.allowance import LatenessAllowance
 from manyhands.nodes.kernel.bundle import NOTHING, SIMULATED, WALL, DeviceBundle
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.channels import INSTANT_NAMES
 
 Array = NDArray[np.float64]

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.launch.audit.findings import UncheckedTicks
-from manyhands.launch.recordings.run import Figures, changed_after
-from manyhands.nodes.rows import telemetry as names
+from manyhands.launch.recordings.run import FiguresByTick, changed_after
+from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.tick_events import Kind, events_in
 
 _NEVER: Final = 2**62
@@ -101,7 +101,9 @@ class Course:
         return out
 
 
-def course_of(figures: Figures, rows: NDArray[np.bool_], ladder: int, couplings: Sequence[Figures] = ()) -> Course:
+def course_of(
+    figures: FiguresByTick, rows: NDArray[np.bool_], ladder: int, couplings: Sequence[FiguresByTick] = ()
+) -> Course:
     """The course of a node.
 
     Args:
@@ -126,7 +128,9 @@ def course_of(figures: Figures, rows: NDArray[np.bool_], ladder: int, couplings:
     return Course(before, rungs, every)
 
 
-def frozen_in(figures: Figures, coupling: str, rows: NDArray[np.bool_], done: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def frozen_in(
+    figures: FiguresByTick, coupling: str, rows: NDArray[np.bool_], done: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
     """The ticks in which the environment sent a coupling no force, by the environment's events.
 
     A new process of the environment sends no coupling a force before its return. A coupling may have a row in such a
@@ -156,7 +160,7 @@ def frozen_in(figures: Figures, coupling: str, rows: NDArray[np.bool_], done: ND
     return out
 
 
-def held_in(figures: Figures, coupling: str, ticks: int) -> NDArray[np.bool_]:
+def held_in(figures: FiguresByTick, coupling: str, ticks: int) -> NDArray[np.bool_]:
     """The ticks in which the environment held a coupling, by the environment's events."""
     out = np.zeros(ticks, dtype=np.bool_)
     for _, values in figures:
@@ -166,7 +170,7 @@ def held_in(figures: Figures, coupling: str, ticks: int) -> NDArray[np.bool_]:
     return out
 
 
-def jumped_over(figures: Figures, ticks: int) -> NDArray[np.bool_]:
+def jumped_over(figures: FiguresByTick, ticks: int) -> NDArray[np.bool_]:
     """The ticks that a node did not do, since the session had gone on without it, by its own events."""
     out = np.zeros(ticks, dtype=np.bool_)
     for _, values in figures:
@@ -244,7 +248,7 @@ def _row_from(rows: NDArray[np.intp], tick: int) -> list[int]:
     return [int(row) for row in rows[i : i + 1]]
 
 
-def _processes(figures: Figures, ladder: int) -> list[_Process]:
+def _processes(figures: FiguresByTick, ladder: int) -> list[_Process]:
     """The processes of a node, in order; at least one, which may lack the event of its beginning."""
     out = [_Process()]
     released, rung, before = 0, 0, 0

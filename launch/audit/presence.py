@@ -25,7 +25,7 @@ from manyhands.launch.recordings.run import RecordedRun, rows_of, there
 from manyhands.launch.session import Session
 from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes.kernel.bundle import REALTIME
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.own_ticks import own_ticks_before
 from manyhands.protocol.channels import APPLIED
 from manyhands.protocol.messages import Role

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.run import RecordedRun, changed_after, rows_of
 from manyhands.launch.session.session import ENVIRONMENT
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 
 Array = NDArray[np.float64]
 

@@ -20,8 +20,9 @@ from manyhands.launch.audit.findings import Check, CheckVerdict
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.run import RecordedRun
 from manyhands.launch.run.broadcast import describe
-from manyhands.nodes.monitor.health import GRAVITY, SESSION, Promise, PromiseState, most_grave, readable
+from manyhands.nodes.monitor.health import GRAVITY, SESSION, PromiseState, most_grave, readable
 from manyhands.nodes.monitor.health_model import HealthModel
+from manyhands.nodes.rows.promises import Promise
 from manyhands.protocol.messages import PromiseStatus
 
 _OF_CHECKS: Final[Mapping[str, Promise]] = {

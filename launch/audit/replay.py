@@ -32,6 +32,7 @@ from manyhands.nodes.kernel.bundle import SIMULATED, DeviceBundle
 from manyhands.nodes.recorder.coverage import Coverage
 from manyhands.protocol.channels import DISPLACEMENT, LEDGER, TAU
 from manyhands.protocol.clock import Instant
+from manyhands.protocol.messages import Figures
 
 COMPUTED: Final = frozenset({"simulated", "trace"})
 """Drivers whose motion follows from the session and the forces alone."""
@@ -100,9 +101,9 @@ class GivenMotion:
         """Zero: the work of a person is unknown."""
         return 0.0
 
-    def figures(self) -> Mapping[str, float]:
+    def figures(self) -> Figures:
         """No figures."""
-        return {}
+        return Figures()
 
     def close(self) -> None:
         """There is nothing to close."""

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from manyhands.launch.audit.events import Course
 from manyhands.launch.audit.findings import Check, CheckVerdict, UncheckedTicks, compare, first_of, gaps_of
-from manyhands.launch.recordings.run import Figures, there
+from manyhands.launch.recordings.run import FiguresByTick, there
 from manyhands.nodes.kernel.arithmetic import Floats, Saturation
 from manyhands.nodes.kernel.bundle import Common, CouplingBundle, WaveEnd
 from manyhands.nodes.rows.own_ticks import own_tick_before
@@ -141,7 +141,7 @@ def user_end(common: Common, bundle: CouplingBundle, wave: WaveEnd, rows: EndRow
     return out
 
 
-def world_end(common: Common, wave: WaveEnd, rows: EndRows, coupling: str, figures: Figures) -> EndAgain:
+def world_end(common: Common, wave: WaveEnd, rows: EndRows, coupling: str, figures: FiguresByTick) -> EndAgain:
     """The world's end: p from f_v and c, and the tank.
 
     Args:

@@ -23,7 +23,7 @@ from manyhands.launch.files import TargetError, require_target
 from manyhands.nodes.monitor.session_state import About
 from manyhands.nodes.recorder.format import FIGURES, SUPERVISOR, Recorded
 from manyhands.nodes.recorder.scene_messages import SCENE
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows.figures import FIGURES as DECLARED
 from manyhands.protocol.channels import CONDITION, LEDGER, TELEMETRY, Columns, Topic, topic_name
 from manyhands.protocol.messages import Role
 
@@ -77,9 +77,6 @@ _PAGES: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
 }
 """By page and plot, the topics that it shows."""
 
-_FIGURES: Final = (("rungs", Role.COUPLING, names.RUNG), ("frozen couplings", Role.ENVIRONMENT, names.FROZEN))
-"""Plots of figures on the page of promises."""
-
 _LEAST_DISTANCE: Final = 0.1  # m, of the camera of the 3-D panel
 
 
@@ -100,7 +97,7 @@ def pages_of(recorded: Recorded, there: Topics) -> list[Page]:
     for title, plots in _PAGES.items():
         found = [_plot(name, topics, recorded, there) for name, topics in plots.items()]
         if title == "promises":
-            found += [_figures(*figure, recorded) for figure in _FIGURES]
+            found += [_figures(*one.plot, one.name, recorded) for one in DECLARED.values() if one.plot is not None]
         filled = tuple(plot for plot in found if plot.curves)
         if filled:
             pages.append(Page(title, filled))

@@ -29,7 +29,7 @@ from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import Session
 from manyhands.nodes.kernel.bundle import REALTIME
 from manyhands.nodes.kernel.realtime import FIFO_PRIORITY
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES

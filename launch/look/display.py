@@ -1,13 +1,12 @@
 """What a person sees while a session runs: a table that updates, or plain lines where there is no terminal.
 
-:data:`COLUMNS` lists the figures of a node that every such table shows, their order and their form.
+Which figures of a node every such table shows is declared with them (:mod:`manyhands.nodes.rows.figures`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from types import TracebackType
 from typing import Final, Self
 
@@ -25,58 +24,29 @@ from manyhands.launch.run.states import NodeState, SessionPhase
 from manyhands.launch.session import Session
 from manyhands.nodes.environment.chatter import MOST as MOST_REVERSALS
 from manyhands.nodes.monitor.given import GivenForce, shares_cell
-from manyhands.nodes.monitor.health import Promise, PromiseState, condensed, is_present, missed, sentence
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.monitor.health import PromiseState, condensed, is_present, missed, sentence
+from manyhands.nodes.rows import figures as names
+from manyhands.nodes.rows.figures import Column, Figure
 from manyhands.nodes.rows.own_ticks import session_tick
-from manyhands.protocol.messages import PromiseStatus, Telemetry
+from manyhands.nodes.rows.promises import Promise
+from manyhands.protocol.messages import Figures, PromiseStatus, Telemetry
+
+COLUMNS: Final = tuple((figure, column) for figure in names.FIGURES.values() for column in figure.columns)
+"""The figures that tables show, each with its column, in the order of the columns."""
 
 
-@dataclass(frozen=True)
-class Column:
-    """A column of a table.
-
-    Attributes:
-        title: its heading, with the unit.
-        figure: the figure of a node's telemetry that it shows.
-        form: its format, as :func:`format` has it.
-        rank: in a narrow table the columns of the highest rank are left out first.
-    """
-
-    title: str
-    figure: str
-    form: str
-    rank: int
-
-    def cell(self, figures: Mapping[str, float]) -> str:
-        """The cell for a node with these figures; empty if the node has no such figure."""
-        value = figures.get(self.figure)
-        return "" if value is None else format(value, self.form)
-
-
-@dataclass(frozen=True)
-class GivenColumn(Column):
-    """The column of the force that devices were given of the force asked, by force and by time, in percent."""
-
-    def cell(self, figures: Mapping[str, float]) -> str:
-        """Both shares since the device's start; empty if the node has none."""
+def cell(figure: Figure, column: Column, figures: Figures) -> str:
+    """A node's cell of a column; empty if the node has no such figure."""
+    if not column.form:  # the shares of the force that a device was given of the force asked, since its start
         given = GivenForce.of(figures)
         return "" if given is None else shares_cell(given.by_force, given.by_time)
+    value = (figures.table(figure.name) if column.key else figures).get(column.key or figure.name)
+    return "" if value is None else format(value, column.form)
 
 
-COLUMNS: Final = (
-    Column("late", names.LATE, ".0f", 1),
-    Column("τ p50 [µs]", f"{names.TAU}_p50", ".0f", 4),
-    Column("τ p99 [µs]", f"{names.TAU}_p99", ".0f", 2),
-    GivenColumn("given [%]", names.FORCE_TIME, "", 5),
-    Column("rung", names.RUNG, ".0f", 6),
-    Column("frozen", names.FROZEN, ".0f", 3),
-    Column("speed [m/s]", names.SPEED, ".2e", 9),
-    Column("account [J]", names.INTERFACE, ".2e", 7),
-    Column("ledger [J]", names.LEDGER, ".2e", 8),
-    Column("margin [J]", names.LEDGER_MARGIN, ".2e", 10),
-    Column("refused", names.NOT_ADMITTED, ".0f", 11),
-)
-"""In the order in which they are shown."""
+def figure_cells(figures: Figures) -> list[str]:
+    """A node's cells of all :data:`COLUMNS`."""
+    return [cell(figure, column, figures) for figure, column in COLUMNS]
 
 
 def figure_table(
@@ -125,38 +95,35 @@ MOST_SHOWN: Final = 6
 """The most pairs that are shown, those with the most energy."""
 
 
-def energy_line(figures: Mapping[str, float]) -> str:
+def energy_line(figures: Figures) -> str:
     """One line with the energy between users and the couplings held to a budget; empty if there is none."""
-    pairs = ((value, *key.removeprefix(names.MOVED).partition("/")) for key, value in figures.items()
-             if key.startswith(names.MOVED) and value >= LEAST_SHOWN)  # fmt: skip
+    pairs = ((value, *key.partition("/")) for key, value in figures.table(names.MOVED).items() if value >= LEAST_SHOWN)
     moved = [f"{supplier} → {receiver} {value:.3g}" for value, supplier, _, receiver in sorted(pairs, reverse=True)]
-    scaled = [key.removeprefix(names.SCALED) for key, value in figures.items() if key.startswith(names.SCALED)]
+    scaled = figures.table(names.SCALED)
     parts = [f"who moved whom [J]: {', '.join(moved[:MOST_SHOWN])}"] if moved else []
     if len(moved) > MOST_SHOWN:
         parts[0] += f" and {len(moved) - MOST_SHOWN} more"
     return "; ".join([*parts, *([f"held to an energy budget: {', '.join(scaled)}"] if scaled else [])])
 
 
-def chatter_line(figures: Mapping[str, float]) -> str:
+def chatter_line(figures: Figures) -> str:
     """One line with the couplings whose force reverses more often than a hand, and what to do; empty without any."""
-    found = {key.removeprefix(names.CHATTER): n for key, n in figures.items()
-             if key.startswith(names.CHATTER) and n >= MOST_REVERSALS}  # fmt: skip
+    found = {name: n for name, n in figures.table(names.CHATTER).items() if n >= MOST_REVERSALS}
     if not found:
         return ""
     most = ", ".join(f"{name} up to {n:.0f} times a second" for name, n in sorted(found.items()))
     if names.UNFINISHED in figures:
         whose, remedy = "scene", "ticks are late, or a contact opens and closes"
-    elif any(key.startswith(names.HELD) for key in figures):
+    elif figures.table(names.HELD):
         whose, remedy = "model", "its proxies jump, or ticks are late"
     else:
         whose, remedy = "model", "use a proxy, or a softer model (docs/models.md)"
     return f"the {whose}'s force chatters: {most}; {remedy}"
 
 
-def held_line(figures: Mapping[str, float]) -> str:
+def held_line(figures: Figures) -> str:
     """One line with the couplings whose proxies the proxy test held; empty without any."""
-    held = [f"{key.removeprefix(names.HELD)} in {n:.0f} ticks" for key, n in figures.items()
-            if key.startswith(names.HELD) and n > 0.0]  # fmt: skip
+    held = [f"{name} in {n:.0f} ticks" for name, n in figures.table(names.HELD).items() if n > 0.0]
     return f"proxies held: {', '.join(held)}" if held else ""
 
 
@@ -172,7 +139,7 @@ def scene_line(figures: Mapping[str, float]) -> str:
     return "; ".join(parts)
 
 
-def world_lines(figures: Mapping[str, float]) -> list[str]:
+def world_lines(figures: Figures) -> list[str]:
     """What the environment's figures say of energy between users, proxies, scenes and chatter; a line for each."""
     lines = (energy_line(figures), held_line(figures), scene_line(figures), chatter_line(figures))
     return [line for line in lines if line]
@@ -237,7 +204,7 @@ def say(console: Console, text: str) -> None:
 
 _FIXED: Final = ("node", "role", "tick", "rate\n[Hz]")
 
-RANKS: Final = {**{heading(column.title): column.rank for column in COLUMNS}, "role": 8}
+RANKS: Final = {**{heading(column.title): column.rank for _, column in COLUMNS}, "role": 8}
 """The columns that a narrow table leaves out; a name often makes the role clear."""
 
 _LINE_EVERY = 2.0  # s between two lines of progress without a terminal
@@ -324,7 +291,7 @@ class LiveTable:
         return f" of {self._ticks}" if self._ticks else ""
 
     def _render(self, progress: Progress) -> RenderableType:
-        titles = [*_FIXED, *(heading(column.title) for column in COLUMNS)]
+        titles = [*_FIXED, *(heading(column.title) for _, column in COLUMNS)]
         rows: list[list[str]] = []
         for name, role in self._graph.nodes.items():
             telemetry = progress.telemetry.get(name)
@@ -333,9 +300,7 @@ class LiveTable:
                 rows.append([name, role.value, progress.states[name], *[""] * (1 + len(COLUMNS))])
                 continue
             rate = "silent" if name in progress.silent else self._rate(name, telemetry, progress.elapsed)
-            rows.append(
-                [name, role.value, str(telemetry.tick), rate, *(column.cell(telemetry.figures) for column in COLUMNS)]
-            )
+            rows.append([name, role.value, str(telemetry.tick), rate, *figure_cells(telemetry.figures)])
         table, _ = figure_table(f"{self._title}: {progress.phase}", titles, rows, RANKS, self._console.width)
         notices = [*progress.notices, *progress.incidents[-_INCIDENTS_SHOWN:], *not_admitted(progress.refused)]
         energy = [Text(line) for latest in progress.telemetry.values() for line in world_lines(latest.figures)]

@@ -23,10 +23,19 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from manyhands.launch.look.display import COLUMNS, RANKS, figure_table, heading, promise_lines, say, world_lines
+from manyhands.launch.look.display import (
+    COLUMNS,
+    RANKS,
+    figure_cells,
+    figure_table,
+    heading,
+    promise_lines,
+    say,
+    world_lines,
+)
 from manyhands.launch.look.sessions import Running, Seeing, Source
 from manyhands.launch.run.states import NodeState
-from manyhands.nodes.kernel.json_number import json_number
+from manyhands.nodes.kernel.json_number import json_figures, json_number
 from manyhands.nodes.monitor.given import FIGURES
 from manyhands.nodes.monitor.health import Health, as_plain, summary
 from manyhands.nodes.monitor.session_state import NodeScene, Scene
@@ -202,8 +211,9 @@ def top_object(scene: Scene) -> dict[str, Any]:
     """The object that ``--json`` prints: that of :func:`session_object`, with figures, links, notices and faults."""
     found, links = session_object(scene), scene.felt_links
     for name, node in scene.nodes.items():
-        keys = {*(column.figure for column in COLUMNS), *FIGURES} & node.figures.keys()
-        found["nodes"][name]["figures"] = {key: json_number(node.figures[key]) for key in sorted(keys)}
+        plain = json_figures(node.figures)
+        keys = {*(figure.name for figure, _ in COLUMNS), *FIGURES} & plain.keys()
+        found["nodes"][name]["figures"] = {key: plain[key] for key in sorted(keys)}
     found["links"] = [
         {"between": list(link.ends), "health": scene.link_health(link).value} for link in scene.about.links
     ]
@@ -219,7 +229,7 @@ def picture(scene: Scene, width: int) -> RenderableType:
     about, condition = scene.about, scene.condition
     phase = "connecting" if condition is None else f"{condition.phase}, {condition.elapsed:.0f} s"
     title = f"{about.session} (process {about.pid}, {about.clock} clock): {phase}; {scene.health}"
-    titles = [*_FIXED, *(heading(column.title) for column in COLUMNS), "health"]
+    titles = [*_FIXED, *(heading(column.title) for _, column in COLUMNS), "health"]
     rows: list[list[str | Text]] = [
         [*_cells(node), Text(node.health, style=STYLES[node.health])] for node in scene.nodes.values()
     ]
@@ -254,7 +264,7 @@ def sentences(scene: Scene) -> Iterator[tuple[str, str]]:
 
 
 def _cells(node: NodeScene) -> list[str]:
-    figures = [column.cell(node.figures) for column in COLUMNS]
+    figures = figure_cells(node.figures)
     tick = "" if node.received is None else str(node.tick)
     return [node.name, node.role.value, node.state, tick, shown(rounded(node.rate)), *figures]
 

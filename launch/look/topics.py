@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any, Final
@@ -21,9 +21,9 @@ from typing import Any, Final
 import numpy as np
 
 from manyhands.launch.session import SUPERVISOR
-from manyhands.nodes.kernel.json_number import json_number
+from manyhands.nodes.kernel.json_number import json_figures, json_number
 from manyhands.nodes.monitor.session_state import About
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.channels import CONDITION, LEDGER, TAU, TELEMETRY, Columns, Topic, topic_name
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Condition, Observation
@@ -152,8 +152,7 @@ class EchoLines:
             if named.topic is not None:
                 yield from self._rows(message)
             elif named.name == TELEMETRY and self._turn():
-                figures = {name: json_number(value) for name, value in message.figures.items()}
-                yield {"tick": message.tick, "figures": figures}
+                yield {"tick": message.tick, "figures": json_figures(message.figures)}
 
     def _rows(self, observation: Observation) -> Iterator[dict[str, Any]]:
         topic = self._named.topic
@@ -204,7 +203,7 @@ class Pacing:
         self._named, self._window = named, window
         self._batches: deque[_Batch] = deque()
         self._kept = 0
-        self._figures: dict[str, float] = {}
+        self._period: Mapping[str, float] = {}
         self.missing = self.restarts = 0
 
     def take(self, message: Observation | Condition | None, at: Instant) -> bool:
@@ -227,7 +226,7 @@ class Pacing:
             delays = message.traces.get(TAU)
             tau = () if delays is None else tuple(delays.ravel().tolist())
             self._follow(message.tick, rows)
-        self._figures = dict(message.figures)
+        self._period = message.figures.table(names.PERIOD)
         self._keep(_Batch(at, rows, message.tick, tau))
         return True
 
@@ -271,7 +270,7 @@ class Pacing:
         }
         if ticks:
             found |= {"missing": self.missing, "restarts": self.restarts}
-            period = {name: self._figures.get(f"{names.PERIOD}_{name}") for name in ("p50", "p99")}
+            period = {name: self._period.get(name) for name in ("p50", "p99")}
             delays = np.array([delay for batch in batches for delay in batch.tau])
             delays = delays[np.isfinite(delays)]
             if all(value is not None and np.isfinite(value) for value in period.values()):

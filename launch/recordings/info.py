@@ -19,7 +19,7 @@ from manyhands.launch.recordings.recording import RecordingError
 from manyhands.nodes.recorder.coverage import Coverage, missing_by_party, spans_by_party
 from manyhands.nodes.recorder.coverage import Gap as MissingTicks
 from manyhands.nodes.recorder.format import METADATA, SUPERVISOR, Recorded, decode_figures
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.own_ticks import session_tick
 from manyhands.protocol.channels import DISPLACEMENT, TELEMETRY, topic_name, topics_of
 from manyhands.protocol.messages import Role

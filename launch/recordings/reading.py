@@ -25,7 +25,7 @@ from manyhands.protocol.channels import (
     Topic,
     topic_name,
 )
-from manyhands.protocol.messages import Condition
+from manyhands.protocol.messages import Condition, Figures
 
 if TYPE_CHECKING:
     from manyhands.launch.recordings.mcap import Message
@@ -218,7 +218,7 @@ class Reading:
             for topic in recorded.topics(node)
             if wanted(node, topic)
         }
-        self.figures: dict[str, list[tuple[int, Mapping[str, float]]]] = {node: [] for node in recorded.roles}
+        self.figures: dict[str, list[tuple[int, Figures]]] = {node: [] for node in recorded.roles}
         self.conditions: list[tuple[int, Condition]] = []
         self.attachments: dict[str, bytes] = {}
         self.why: str | None = None

@@ -18,7 +18,7 @@ from fnmatch import fnmatchcase
 from functools import cached_property
 from io import TextIOWrapper
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Final
+from typing import TYPE_CHECKING, Any, BinaryIO, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +42,7 @@ from manyhands.launch.recordings.recording import (
 )
 from manyhands.nodes.kernel.bundle import REALTIME
 from manyhands.nodes.recorder.format import Recorded
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.own_ticks import own_span, own_tick, own_ticks_before, session_tick
 from manyhands.nodes.rows.tick_events import Kind, events_in
 from manyhands.protocol.channels import (
@@ -53,7 +53,7 @@ from manyhands.protocol.channels import (
     Topic,
     topic_name,
 )
-from manyhands.protocol.messages import Condition, Role
+from manyhands.protocol.messages import Condition, Figures, Role
 
 if TYPE_CHECKING:
     import pandas
@@ -97,7 +97,7 @@ class RecordedRun:
 
     recorded: Recorded
     traces: Mapping[tuple[str, str], RecordedTrace]
-    figures: Mapping[str, Sequence[tuple[int, Mapping[str, float]]]] = field(default_factory=dict)
+    figures: Mapping[str, Sequence[tuple[int, Figures]]] = field(default_factory=dict)
     conditions: Sequence[tuple[int, Condition]] = ()
     attachments: Mapping[str, bytes] = field(default_factory=dict)
     cut: str | None = None
@@ -268,7 +268,7 @@ def read_run(path: Path, progress: Callable[[float], None] | None = None) -> Rec
     )
 
 
-Figures = Sequence[tuple[int, Mapping[str, float]]]
+FiguresByTick: TypeAlias = Sequence[tuple[int, Figures]]
 
 
 def rows_of(run: RecordedRun, node: str, trace: str) -> Array:
@@ -296,18 +296,18 @@ def there(rows: Array) -> NDArray[np.bool_]:
     return np.asarray(np.isfinite(rows).all(axis=1), dtype=np.bool_)
 
 
-def changed_after(figures: Figures, name: str, at_rest: float = 0.0) -> int | None:
+def changed_after(figures: FiguresByTick, name: str, at_rest: float = 0.0, key: str = "") -> int | None:
     """The tick after which a figure first differed from ``at_rest``, as far as telemetry reports it; None for never."""
     begin = 0
     for tick, values in figures:
-        value = values.get(name, at_rest)
+        value = (values.table(name) if key else values).get(key or name, at_rest)
         if value != at_rest and not np.isnan(value):
             return begin
         begin = tick
     return None
 
 
-def at_telemetry(figures: Figures, wanted: Sequence[str], ticks: int) -> Array:
+def at_telemetry(figures: FiguresByTick, wanted: Sequence[str], ticks: int) -> Array:
     """Figures by tick, ticks x figures: in the last tick of each telemetry message that has all of them, else NaN."""
     out = np.full((ticks, len(wanted)), np.nan)
     for tick, values in figures:
@@ -316,7 +316,7 @@ def at_telemetry(figures: Figures, wanted: Sequence[str], ticks: int) -> Array:
     return out
 
 
-def grown_in(figures: Figures, name: str, ticks: int) -> NDArray[np.bool_]:
+def grown_in(figures: FiguresByTick, name: str, ticks: int) -> NDArray[np.bool_]:
     """By tick, whether a count has grown between the telemetry messages around it; a new process counts from 0."""
     out, begin, before = np.zeros(ticks, dtype=np.bool_), 0, 0.0
     for tick, values in figures:
@@ -338,8 +338,8 @@ def first_sign(run: RecordedRun, environment: str) -> tuple[int, str]:
     if run.recorded.linked and run.recorded.clock == REALTIME:
         signs.append((0, f"{run.recorded.linked[0]} joins by the ramp"))
 
-    def look(figures: Figures, name: str, why: str) -> None:
-        begin = changed_after(figures, name)
+    def look(figures: FiguresByTick, name: str, why: str, key: str = "") -> None:
+        begin = changed_after(figures, name, key=key)
         if begin is not None:
             signs.append((begin, why))
 
@@ -365,8 +365,8 @@ def first_sign(run: RecordedRun, environment: str) -> tuple[int, str]:
             look(figures, names.RELEASED, f"{node} ran free")
             look(figures, names.JUMPS, f"{node} went on at a later tick")
             look(figures, names.RUNG, f"{node} changed its rung")
-        look(counts, f"{names.RUNG}_{node}", f"{node} changed its rung")
-        look(counts, f"{names.SCALED}{node}", f"{node} was held to its budget")
+        look(counts, names.of(names.RUNG), f"{node} changed its rung", node)
+        look(counts, names.SCALED, f"{node} was held to its budget", node)
     holes = np.flatnonzero(~own)
     signs += [(int(holes[0]), "the environment has no row there")] if len(holes) else []
     for node, role in run.recorded.roles.items():

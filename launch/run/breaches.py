@@ -43,10 +43,11 @@ from manyhands.launch.plan.topology import Topology
 from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes.kernel.bundle import REALTIME
 from manyhands.nodes.monitor.causes import Causes
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
+from manyhands.nodes.rows.lateness import lateness_by_coupling
 from manyhands.nodes.rows.own_ticks import session_tick
 from manyhands.nodes.rows.tick_events import Kind, events_in
-from manyhands.protocol.messages import Role, Telemetry
+from manyhands.protocol.messages import Figures, Role, Telemetry
 
 SHARE: Final = 0.05
 """The part of the ticks between two telemetry messages that may break an assumption. Lateness comes in bursts: with a
@@ -206,7 +207,7 @@ class _DeviceTelemetry:
 
     tick: int
     counts: Mapping[Breach, float]
-    figures: Mapping[str, float]
+    figures: Figures
     taus: Sequence[float]
 
 
@@ -273,7 +274,7 @@ class BreachPolicy:
         self._watched.pop(device, None)
         self._held.pop(device, None)
 
-    def judge(self, device: str, tick: int, figures: Mapping[str, float], taus: Sequence[float] = ()) -> list[Decision]:
+    def judge(self, device: str, tick: int, figures: Figures, taus: Sequence[float] = ()) -> list[Decision]:
         """Decide what follows from a device's telemetry; unknown nodes and counts that make no sense have no
         consequence.
 
@@ -514,10 +515,10 @@ def _part(late: _LateTicks) -> str:
     return f"{min(late.ticks / max(late.of, 1), 1.0):.1%}"
 
 
-def _longest_delay(figures: Mapping[str, float]) -> float:
+def _longest_delay(figures: Figures) -> float:
     """The longest delay since the last telemetry, s; where a device does not report it, the 99th percentile."""
-    for name in (names.TAU_WORST, f"{names.TAU}_p99"):
-        if math.isfinite(delay := figures.get(name, math.nan)):
+    for delay in (figures.get(names.TAU_WORST, math.nan), figures.table(names.TAU).get("p99", math.nan)):
+        if math.isfinite(delay):
             return delay * 1e-6
     return math.inf
 
@@ -579,7 +580,7 @@ class Assumptions:
 
     def _late_ticks(self, telemetry: Telemetry) -> dict[str, list[int]]:
         """The ticks in which each coupling was late; a notice names those that nobody waits for since."""
-        for name, lateness in names.lateness_by_coupling(telemetry.figures, telemetry.figures).items():
+        for name, lateness in lateness_by_coupling(telemetry.figures).items():
             often = lateness.ticks > max(ALLOWED * telemetry.tick, LEAST)
             if lateness.waived and often and name not in self.waited_for:
                 self.waited_for.append(name)
@@ -589,8 +590,12 @@ class Assumptions:
                 "miss, nobody waits for them any more, and no other coupling is softened for that; the report has how "
                 "often and how long (late_couplings)"
             )
-        traces = {name: telemetry.traces.get(names.WAITED_IN + name) for name in self._couplings}
-        return {name: ticks.ravel().astype(int).tolist() for name, ticks in traces.items() if ticks is not None}
+        late: dict[str, list[int]] = {}
+        waited = telemetry.traces.get(names.WAITED_IN)
+        for tick, place in () if waited is None or waited.shape[1] != 2 else waited.tolist():
+            if 0 <= place < len(self._couplings) and 0 <= tick <= telemetry.tick:
+                late.setdefault(self._couplings[int(place)], []).append(int(tick))
+        return late
 
 
 def _covered(prepared: Prepared, device: str) -> Covered:
@@ -657,7 +662,7 @@ class UserIncidents:
             telemetry: its telemetry.
             running: the nodes that run and should not be frozen for long; of others their loss is an incident already.
         """
-        figures = {name: value for name, value in telemetry.figures.items() if math.isfinite(value)}
+        figures = telemetry.figures.finite()
         tick = session_tick(telemetry.tick, self._rates.get(node, 1.0))
         if node in self._worlds:
             self._causes.take(tick * self._period, figures)
@@ -689,24 +694,22 @@ class UserIncidents:
                     "others go on"
                 )
 
-    def _budgets(self, since: int, tick: int, figures: Mapping[str, float]) -> Iterator[str]:
-        for name, value in figures.items():
-            if name.startswith(names.STOPS):
-                party = name.removeprefix(names.STOPS)
-                if not self._grown(party, value, tick):
-                    continue
-                mover = self._causes.mover((party,), since * self._period, tick * self._period)
-                if mover is not None:
-                    yield (
-                        f"{self._who(party)} was held until the energy that it passes on is within its budget; "
-                        f"{self._who(mover.party)} had put {mover.energy:.3g} J into it"
-                    )
-                else:
-                    given = figures.get(f"{names.GIVEN}{party}", 0.0)
-                    yield (
-                        f"{self._who(party)} was beyond its energy budget, and was stopped until it is within it "
-                        f"again; it has put {given:.3g} J into the others so far"
-                    )
+    def _budgets(self, since: int, tick: int, figures: Figures) -> Iterator[str]:
+        for party, stops in figures.table(names.STOPS).items():
+            if not self._grown(party, stops, tick):
+                continue
+            mover = self._causes.mover((party,), since * self._period, tick * self._period)
+            if mover is not None:
+                yield (
+                    f"{self._who(party)} was held until the energy that it passes on is within its budget; "
+                    f"{self._who(mover.party)} had put {mover.energy:.3g} J into it"
+                )
+            else:
+                given = figures.table(names.GIVEN).get(party, 0.0)
+                yield (
+                    f"{self._who(party)} was beyond its energy budget, and was stopped until it is within it "
+                    f"again; it has put {given:.3g} J into the others so far"
+                )
 
     def _let_go(self, device: str, since: int, until: int) -> str:
         text = f"{device} was beyond its limits of displacement or speed, and let go until it is within them again"

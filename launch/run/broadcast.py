@@ -26,10 +26,10 @@ from manyhands.launch.run.outcome import Progress
 from manyhands.launch.session import SUPERVISOR, Session
 from manyhands.nodes.kernel.bundle import SIMULATED
 from manyhands.nodes.monitor.session_state import About, CertificateAbout, LinkAbout, NodeAbout, SpringAbout
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.codec import encode
 from manyhands.protocol.limits import MAX_SENTENCES
-from manyhands.protocol.messages import Condition, Observation, Telemetry, presentable
+from manyhands.protocol.messages import Condition, Figures, Observation, Telemetry, presentable
 from manyhands.protocol.transport import Link, Transport
 from manyhands.protocol.transport.broadcast import Broadcast
 
@@ -202,7 +202,7 @@ def visible(node: str, telemetry: Telemetry, channels: Collection[str]) -> Obser
     """
     wanted = {TRACE_OF[channel] for channel in channels if channel in TRACE_OF}
     traces = {name: trace for name, trace in telemetry.traces.items() if name in wanted}
-    figures = telemetry.figures if "telemetry" in channels else {}
+    figures = telemetry.figures if "telemetry" in channels else Figures()
     return Observation(node, telemetry.tick, figures, traces) if traces or figures else None
 
 

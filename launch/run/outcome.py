@@ -6,7 +6,6 @@ The report is one JSON object for people and other programs; docs/files.md lists
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,12 +20,14 @@ from manyhands.launch.run.states import Incidents, SessionPhase
 from manyhands.launch.session import Session
 from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes.monitor.given import GivenForce, percent
-from manyhands.nodes.monitor.health import Promise, as_plain, condensed, missed
-from manyhands.nodes.rows import telemetry as names
-from manyhands.nodes.rows.distribution import PERCENTILES
+from manyhands.nodes.monitor.health import as_plain, condensed, missed
+from manyhands.nodes.rows import figures as names
+from manyhands.nodes.rows.figures import Figure, Unit
+from manyhands.nodes.rows.lateness import lateness_by_coupling
+from manyhands.nodes.rows.promises import Promise
 from manyhands.nodes.wave_link.felt import FeltLink, felt_link
 from manyhands.protocol.limits import MAX_COUNT
-from manyhands.protocol.messages import PromiseStatus, Report, Role, Telemetry
+from manyhands.protocol.messages import Figures, PromiseStatus, Report, Role, Telemetry
 
 
 @dataclass(frozen=True)
@@ -91,101 +92,62 @@ class Outcome:
     __repr__ = brief_repr
 
 
-_INCIDENTS: Final = {"frozen": names.FROZEN_TICKS, "released": names.RELEASED, "jumps": names.JUMPS}
-"""Counts of the faults that a node survived: ticks with a frozen coupling, periods without force, jumps to a later
-tick."""
-
-
 def node_entry(role: Role, report: Report, restarts: int = 0) -> dict[str, Any]:
-    """A node's part of the report. Keys that its role does not have are absent, and so are values that make no sense.
+    """A node's part of the report, by the declarations of :data:`~manyhands.nodes.rows.figures.FIGURES`.
+
+    Keys that its role does not have are absent, and so are values that make no sense.
 
     Args:
         role: the node's.
         report: its final report; of a node that came back, that of its last process.
         restarts: how often it came back.
     """
-    figures = {name: value for name, value in report.figures.items() if math.isfinite(value)}  # JSON has no NaN
-    counts = report.counts
-    entry: dict[str, Any] = {"role": role.value, "ticks": report.ticks}
-    if names.LATE in counts:
-        entry["late"] = counts[names.LATE]
-    for quantity in (names.TAU, names.PERIOD):
-        reported = report.percentiles.get(quantity, {})
-        percentiles = {name: reported[name] for name in PERCENTILES if math.isfinite(reported.get(name, math.nan))}
-        if percentiles:
-            entry[quantity] = percentiles
-    causes = {key.removeprefix(names.LATE_CAUSE): n for key, n in counts.items() if key.startswith(names.LATE_CAUSE)}
-    if causes:
-        entry["late_causes"] = causes
-    if {names.LEDGER, names.LEDGER_MIN} <= figures.keys():
-        entry["ledger"] = {"min": figures[names.LEDGER_MIN], "final": figures[names.LEDGER]}
-        if 0 <= (tick := figures.get(names.LEDGER_MIN_TICK, -1.0)) <= MAX_COUNT:
-            entry["ledger"]["at"] = int(tick)
-        if names.LEDGER_MARGIN in figures:
-            entry["ledger"]["margin"] = figures[names.LEDGER_MARGIN]
-    if counts.get(names.SUSPENDED, 0) > 0:
-        entry["suspended"] = {
-            "times": counts[names.SUSPENDED],
-            "seconds": figures.get(names.SUSPENDED_TIME, 0.0) / 1e6,
-            "energy": figures.get(names.SUSPENDED_ENERGY, 0.0),
-        }
-    if {names.INTERFACE, names.INTERFACE_LEAST, names.INTERFACE_MARGIN} <= figures.keys():
-        entry["interface"] = {
-            "min": figures[names.INTERFACE_LEAST],
-            "margin": figures[names.INTERFACE_MARGIN],
-            "final": figures[names.INTERFACE],
-            "changed_ticks": int(min(max(figures.get(names.INTERFACE_TICKS, 0.0), 0.0), MAX_COUNT)),
-            "kept_back": figures.get(names.INTERFACE_KEPT_BACK, 0.0),
-            "offset": figures.get(names.INTERFACE_OFFSET, 0.0),
-            "asked": figures.get(names.FORCE_ASKED, 0.0),
-            "given": figures.get(names.FORCE_GIVEN, 0.0),
-        }
+    figures = report.figures.finite()  # JSON has no NaN
+    entry: dict[str, Any] = {"role": role.value, "ticks": report.ticks, **reported(figures)}
     if (given := GivenForce.of(figures)) is not None:
         entry["given"] = given.as_plain()
-    if {names.ENFORCED_TICKS, names.ENFORCED_ENERGY} <= figures.keys():
-        entry["enforcement"] = {
-            "ticks": _count(figures[names.ENFORCED_TICKS]),
-            "energy": figures[names.ENFORCED_ENERGY],
-        }
-    if names.UNFINISHED in figures:
-        entry["scene"] = {"unfinished": _count(figures[names.UNFINISHED])}
-        if {names.PAUSED, names.DRIVE_TANK} <= figures.keys():
-            entry["scene"] |= {"paused": _count(figures[names.PAUSED]), "tank": figures[names.DRIVE_TANK]}
-    energy = _energy(figures)
-    if energy:
-        entry["energy"] = energy
-    for key, prefix in (("held", names.HELD), ("reversals", names.REVERSALS), ("chatter", names.CHATTER)):
-        found = {name.removeprefix(prefix): _count(n) for name, n in figures.items() if name.startswith(prefix)}
-        if found:
-            entry[key] = found
-    late = names.lateness_by_coupling(counts, figures)
-    if late:
+    if late := lateness_by_coupling(figures):
         entry["late_couplings"] = {name: one.as_plain() for name, one in late.items()}
-    granted = {key.removeprefix(names.REALTIME): n > 0 for key, n in figures.items() if key.startswith(names.REALTIME)}
-    if granted:
-        entry["realtime"] = granted
-    if {names.PEAK_SPEED, names.FINAL_SPEED} <= figures.keys():
-        entry |= {speed: figures[speed] for speed in (names.PEAK_SPEED, names.FINAL_SPEED)}
-    for count in (names.TAU_BREACHES, names.PERIOD_BREACHES, names.CLIPPED, names.SATURATED, names.LET_GO, names.RUNG):
-        if count in counts:
-            entry[count] = counts[count]
-    incidents = {key: counts.get(name, 0) for key, name in _INCIDENTS.items()} | {"restarts": restarts}
-    if any(incidents.values()):
-        entry["incidents"] = {key: n for key, n in incidents.items() if n > 0}
-    refused = {
-        key.removeprefix(names.REFUSED): n for key, n in counts.items() if key.startswith(names.REFUSED) and n > 0
-    }
-    if refused:
-        entry["refused"] = refused
-    dropped = {key: n for key, n in counts.items() if key.startswith("dropped_") and n > 0}
-    if dropped:
-        entry["dropped"] = {key.removeprefix("dropped_"): n for key, n in dropped.items()}
+    if restarts:
+        entry.setdefault("incidents", {})["restarts"] = restarts
     return entry
 
 
-def _count(figure: float) -> int:
-    """A figure as a number of ticks; a node may send any number."""
-    return int(min(max(figure, 0.0), MAX_COUNT))
+def reported(figures: Figures) -> dict[str, Any]:
+    """What of these figures is in a report, at the keys that their declarations state."""
+    out: dict[str, Any] = {}
+    lacking = set()
+    for figure in names.FIGURES.values():
+        if (at := figure.report) is None:
+            continue
+        value = _told(figure, figures)
+        group = at.path[0]
+        if value is None or (at.positive and not value):
+            lacking |= {group} if at.needed else set()
+        elif len(at.path) == 1:
+            out[group] = value
+        else:
+            out.setdefault(group, {})[at.path[1]] = value
+    return {key: value for key, value in out.items() if key not in lacking}
+
+
+def _told(figure: Figure, figures: Figures) -> Any:
+    """The number or the table of a figure as the report has it; None where there is none, or it makes no sense."""
+    scale = 1.0 if figure.report is None else figure.report.scale
+    if figure.key is None:
+        return _reported(scale * figures[figure.name], figure.unit) if figure.name in figures else None
+    found = {key: _reported(scale * value, figure.unit) for key, value in figures.table(figure.name).items()}
+    positive = figure.report is not None and figure.report.positive
+    return {key: value for key, value in found.items() if value or not positive} or None
+
+
+def _reported(value: float, unit: Unit) -> float | int | bool | None:
+    """A number as the report has it: counts are whole; a node may send any number."""
+    if unit is Unit.STATE:
+        return value > 0.0
+    if unit is Unit.TICK:
+        return int(value) if 0.0 <= value <= MAX_COUNT else None
+    return int(min(max(value, 0.0), MAX_COUNT)) if unit.whole else value
 
 
 def enforcement_sentence(figures: Mapping[str, float]) -> str:
@@ -195,24 +157,6 @@ def enforcement_sentence(figures: Mapping[str, float]) -> str:
         return ""
     kept = joules(figures[names.ENFORCED_ENERGY])
     return f"the controller kept back {kept} of the environment's energy in {ticks:.0f} ticks"
-
-
-def _energy(figures: Mapping[str, float]) -> dict[str, Any]:
-    """Energy between users, J: given and received by each coupling, moved by each pair, and ticks scaled and
-    stopped.
-    """
-    kinds = {"given": names.GIVEN, "received": names.RECEIVED, "moved": names.MOVED, "scaled": names.SCALED,
-             "stopped": names.STOPS}  # fmt: skip
-    out: dict[str, Any] = {}
-    for kind, prefix in kinds.items():
-        found = {key.removeprefix(prefix): value for key, value in figures.items() if key.startswith(prefix)}
-        if kind in ("scaled", "stopped"):
-            found = {key: int(min(max(value, 0.0), MAX_COUNT)) for key, value in found.items()}
-        if found:
-            out[kind] = found
-    if names.UNOWNED in figures:
-        out[names.UNOWNED] = figures[names.UNOWNED]
-    return out
 
 
 def lateness_entry(prepared: Prepared, clock: str) -> dict[str, Any] | None:
@@ -295,7 +239,7 @@ def lateness_sentence(report: Mapping[str, Any]) -> str | None:
     return f"{proved}, {beyond}; {lowest}, bound {joules(0.0 - promise['tank'])}{falling(promise)}{given}"
 
 
-def felt_links(session: Session, figures: Mapping[str, Mapping[str, float]]) -> dict[str, FeltLink]:
+def felt_links(session: Session, figures: Mapping[str, Figures]) -> dict[str, FeltLink]:
     """Every wave link of a session of which both ends have reported, by its coupling.
 
     Args:

@@ -50,13 +50,14 @@ from manyhands.nodes.kernel import bundle as bundle_files
 from manyhands.nodes.kernel.bundle import REALTIME, SIMULATED
 from manyhands.nodes.kernel.log import Log, LogEvent, log_path
 from manyhands.nodes.link.peer_link import HANDSHAKE_TIME
-from manyhands.nodes.monitor.health import Promise, PromiseState, cut_forces
+from manyhands.nodes.monitor.health import PromiseState, cut_forces
 from manyhands.nodes.monitor.health_model import HealthModel
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
+from manyhands.nodes.rows.promises import Promise
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds, seconds
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import HUB_FRAMES_PER_S, MAX_CONTROL_BYTES
-from manyhands.protocol.messages import PromiseStatus, Report, Role, Telemetry
+from manyhands.protocol.messages import Figures, PromiseStatus, Report, Role, Telemetry
 from manyhands.protocol.transport import Hub
 from manyhands.protocol.transport.zeromq import ZmqTransport
 
@@ -386,11 +387,11 @@ class Supervisor:
             return
         if isinstance(message, Report):
             if message.ticks <= self._most_ticks(sender):
-                self._health.take(sender, message.ticks, {**message.figures, **message.counts})
+                self._health.take(sender, message.ticks, message.figures)
             else:  # no node can have done so many: what was seen of it stands in place of what it says
                 self._untimely += 1
                 seen = self._telemetry.get(sender)
-                message = Report(0 if seen is None else seen.tick, {}, {}, {})
+                message = Report(0 if seen is None else seen.tick, Figures())
         before = self.conductor.states.get(sender)
         self.carry_out(self.conductor.receive(sender, message, self._clock.now()), hub, processes)
         after = self.conductor.states.get(sender)

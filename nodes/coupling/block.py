@@ -14,11 +14,11 @@ from manyhands.nodes.kernel.bundle import REALTIME, CouplingBundle
 from manyhands.nodes.kernel.lifetime import Life
 from manyhands.nodes.link.peer_link import PeerLink, Received, WaveRow, dropped_frames, stray_frames
 from manyhands.nodes.link.supervisor_line import ControlLine
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.tick_events import TickEvents
 from manyhands.nodes.wave_link.rows import wave_traces
 from manyhands.protocol.clock import Duration
-from manyhands.protocol.messages import Absent, Report, Rung, Telemetry, Tool
+from manyhands.protocol.messages import Absent, Figures, Report, Rung, Telemetry, Tool
 
 
 class Block:
@@ -148,13 +148,9 @@ class Block:
         rows, self._filled, self._rows = self._filled, 0, self._common.telemetry_ticks
         if rows == 0:
             return
-        figures = {
-            names.SATURATED: float(self.core.saturated),
-            names.JUMPS: float(self.jumps),
-            names.RUNG: float(self.rung),
-            **names.ledger_figures(self.core.ledger),
+        numbers = {
+            **self._numbers(),
             **stray_frames([*devices, self.environment]),
-            **self.environment.figures(),
             **self._events.take(self.ticks - rows, self.ticks),
         }
         traces = {
@@ -163,18 +159,19 @@ class Block:
             **names.ledger_trace(self.core.ledger, self._energy[:rows]),
             **wave_traces(self._waves[:rows]),
         }
-        control.publish(Telemetry(self.ticks, figures, traces))
+        control.publish(Telemetry(self.ticks, Figures(numbers), traces))
+
+    def _numbers(self) -> dict[str, float]:
+        """What telemetry and report have alike."""
+        return {
+            names.SATURATED: float(self.core.saturated),
+            names.JUMPS: float(self.jumps),
+            names.RUNG: float(self.rung),
+            **names.ledger_figures(self.core.ledger),
+            **self.environment.figures(),
+        }
 
     def report(self, devices: tuple[PeerLink, ...] = ()) -> Report:
         """Ticks, ledger, ticks with a clipped force, and the frames that were not admitted."""
-        return Report(
-            self.ticks,
-            {**names.ledger_figures(self.core.ledger), **self.environment.figures()},
-            {
-                names.SATURATED: self.core.saturated,
-                names.JUMPS: self.jumps,
-                names.RUNG: self.rung,
-                **dropped_frames([*devices, self.environment]),
-            },
-            {},
-        )
+        dropped = dropped_frames([*devices, self.environment])
+        return Report(self.ticks, Figures(self._numbers(), {names.DROPPED: dropped}))

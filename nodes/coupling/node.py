@@ -21,7 +21,18 @@ from manyhands.nodes.link.relink import follow
 from manyhands.nodes.link.supervisor_line import NOT_AT_ALL, ControlLine, Word
 from manyhands.nodes.wave_link.ends import user_ends
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock
-from manyhands.protocol.messages import Absent, Force, Reaction, Report, Role, Rung, Sample, SignalMessage, Start
+from manyhands.protocol.messages import (
+    Absent,
+    Figures,
+    Force,
+    Reaction,
+    Report,
+    Role,
+    Rung,
+    Sample,
+    SignalMessage,
+    Start,
+)
 from manyhands.protocol.transport import Link
 
 
@@ -124,7 +135,7 @@ class CouplingNode:
 
     def report(self) -> Report:
         """Ticks, ledger, clipped and refused signals of the block; all 0 before the handshakes."""
-        return Report(0, {}, {}, {}) if self._block is None else self._block.report(self._devices)
+        return Report(0, Figures()) if self._block is None else self._block.report(self._devices)
 
     def on_other_tick(self, peer_link: PeerLink, other: int, awaited: int) -> bool:
         """Handle the sample of a different tick.

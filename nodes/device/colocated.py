@@ -22,7 +22,7 @@ from manyhands.nodes.link.relink import follow
 from manyhands.nodes.link.supervisor_line import ControlLine
 from manyhands.nodes.wave_link.ends import user_ends
 from manyhands.protocol.clock import Clock, Duration, RealtimeClock
-from manyhands.protocol.messages import Force, Reaction, Report, Role, Rung, SignalMessage, Start
+from manyhands.protocol.messages import Figures, Force, Reaction, Report, Role, Rung, SignalMessage, Start
 from manyhands.protocol.transport import Link
 
 
@@ -73,7 +73,7 @@ class CarriedBlock:
 
     def report(self) -> Report:
         """Ticks, ledger, clipped and refused signals of the block; all 0 before the handshake."""
-        return Report(0, {}, {}, {}) if self.block is None else self.block.report()
+        return Report(0, Figures()) if self.block is None else self.block.report()
 
 
 class Within(PeerLink):

@@ -18,7 +18,7 @@ delay inside the tick the sum is 0, and what is left is the ledger of a device t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Protocol
 
 from manyhands.nodes.device.plugin import plugin_driver
@@ -29,6 +29,7 @@ from manyhands.nodes.kernel.arithmetic import Floats, dot, linear_map
 from manyhands.nodes.kernel.bundle import WALL, BrowserHand, DeviceBundle, PluginDevice, RecordedMotion, SimulatedHand
 from manyhands.nodes.kernel.intent import SampledSignal
 from manyhands.protocol.clock import Duration, Instant, seconds
+from manyhands.protocol.messages import Figures
 
 
 class Driver(Protocol):
@@ -72,8 +73,8 @@ class Driver(Protocol):
         """The work of the hand's intention between the last two samples, J; 0 where it is unknown."""
         ...
 
-    def figures(self) -> Mapping[str, float]:
-        """The driver's own figures for the telemetry, by the names of :mod:`manyhands.nodes.rows.telemetry`."""
+    def figures(self) -> Figures:
+        """The driver's own figures for the telemetry, by the names of :mod:`manyhands.nodes.rows.figures`."""
         ...
 
     def close(self) -> None:
@@ -133,9 +134,9 @@ class TraceDriver:
         """The work W(k) of the hand's intention between the last two samples, J."""
         return self._work
 
-    def figures(self) -> Mapping[str, float]:
+    def figures(self) -> Figures:
         """No figures."""
-        return {}
+        return Figures()
 
     def close(self) -> None:
         """Do nothing: the driver holds no files or sockets."""

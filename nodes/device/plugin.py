@@ -31,8 +31,9 @@ from manyhands.nodes.kernel.bundle import SIMULATED, DeviceBundle, PluginDevice
 from manyhands.nodes.kernel.driver_statement import DeviceTiming
 from manyhands.nodes.kernel.factory import FactoryError, FactoryName, in_one_line, made_by
 from manyhands.nodes.kernel.lifetime import Stopped
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import Duration, Instant, from_seconds
+from manyhands.protocol.messages import Figures
 
 REQUIRED: Final = (
     "specification", "sample", "apply", "release", "close", "exerted", "idle", "figures",
@@ -309,12 +310,13 @@ class PluginDriver:
         """0: the intention of a person's hand is not known."""
         return 0.0
 
-    def figures(self) -> Mapping[str, float]:
+    def figures(self) -> Figures:
         """The driver's figures, whether it measures its forces, and what of them differs from those it was given."""
         try:
-            found = {f"{names.DRIVER}{key}": float(value) for key, value in self._driver.figures().items()}
+            own = {str(key): float(value) for key, value in self._driver.figures().items()}
         except (Exception, SystemExit) as error:  # foreign code: every exception is named
             raise self._raised("figures", error, "numbers by name") from error
+        found = dict[str, float]()
         if self._measured:
             found[names.MEASURED] = float(self._measured)
         if self._unexerted:
@@ -322,7 +324,7 @@ class PluginDriver:
         if self.untrue:
             ticks, most = self.untrue
             found |= {names.UNTRUE: float(ticks), names.UNTRUE_MOST: most}
-        return found
+        return Figures(found, {names.DRIVER: own} if own else {})
 
     @property
     def untrue(self) -> tuple[int, float] | None:

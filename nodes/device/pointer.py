@@ -31,15 +31,15 @@ place of g it holds whatever the goals were, as the law grows with g: so the mot
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
 from manyhands.nodes.device.simulated import Hand, Intention, Plant, bare_device_of, device_of
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import SIMULATED, Common, Limits, SimulatedHand
-from manyhands.nodes.rows import telemetry as names
-from manyhands.protocol.messages import Grasp, Release
+from manyhands.nodes.rows import figures as names
+from manyhands.protocol.messages import Figures, Grasp, Release
 from manyhands.protocol.transport.pointer import PointerInlet
 
 PATIENCE: Final = 2.0
@@ -96,15 +96,17 @@ class Pointer:
         self.goal, self._ticks = goal, 0
         self._grasps += 1
 
-    def figures(self, malformed: int) -> Mapping[str, float]:
+    def figures(self, malformed: int) -> Figures:
         """Whether the device is held, and counts of grasps; ``malformed`` counts datagrams that were no message."""
-        return {
-            names.GRASPED: 0.0 if self.goal is None else 1.0,
-            names.GRASPS: float(self._grasps),
-            names.GRASPS_CLIPPED: float(self._clipped),
-            names.GRASPS_REFUSED: float(self._refused + malformed),
-            names.GRASPS_LAPSED: float(self._lapsed),
-        }
+        return Figures(
+            {
+                names.GRASPED: 0.0 if self.goal is None else 1.0,
+                names.GRASPS: float(self._grasps),
+                names.GRASPS_CLIPPED: float(self._clipped),
+                names.GRASPS_REFUSED: float(self._refused + malformed),
+                names.GRASPS_LAPSED: float(self._lapsed),
+            }
+        )
 
 
 class Follower:
@@ -193,7 +195,7 @@ class PointerHand(Hand):
         self._zero: Floats = [0.0] * m
         self._at_rest = Intention(self._zero, self._zero)
 
-    def figures(self) -> Mapping[str, float]:
+    def figures(self) -> Figures:
         """Whether the device is held, and counts of the pointer's messages."""
         return self._pointer.figures(0 if self._inlet is None else self._inlet.malformed)
 

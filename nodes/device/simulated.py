@@ -10,7 +10,7 @@ A :class:`Hand` holds the device. That of an :class:`IntentHand` has an intentio
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -22,6 +22,7 @@ from manyhands.nodes.kernel.arithmetic import NARROW, Floats, Rows, dot, linear_
 from manyhands.nodes.kernel.bundle import SimulatedHand
 from manyhands.nodes.kernel.intent import Intent, intent_from
 from manyhands.protocol.clock import Duration, Instant, from_seconds, seconds
+from manyhands.protocol.messages import Figures
 
 
 class Intention(NamedTuple):
@@ -173,7 +174,7 @@ class Hand(ABC):
         """
 
     @abstractmethod
-    def figures(self) -> Mapping[str, float]:
+    def figures(self) -> Figures:
         """The hand's own figures for the telemetry."""
 
     @abstractmethod
@@ -224,7 +225,7 @@ class OwnTimeDriver:
         """Work of the intention over the last period, J."""
         return self._work
 
-    def figures(self) -> Mapping[str, float]:
+    def figures(self) -> Figures:
         """The hand's figures."""
         return self._hand.figures()
 
@@ -256,7 +257,7 @@ class HeldDeviceDriver(WallTimeDriver):
         self._hand = hand
         self._intention = Intention(self._zero, self._zero)  # over the period that was entered last
 
-    def figures(self) -> Mapping[str, float]:
+    def figures(self) -> Figures:
         """The hand's figures."""
         return self._hand.figures()
 
@@ -333,9 +334,9 @@ class IntentHand(Hand):
             return state, self._prepared[1]
         return state, self._at(tick)
 
-    def figures(self) -> Mapping[str, float]:
+    def figures(self) -> Figures:
         """No figures."""
-        return {}
+        return Figures()
 
     def close(self) -> None:
         """Do nothing: there are no files or sockets."""

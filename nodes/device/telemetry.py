@@ -23,7 +23,7 @@ the details. A processor that the kernel or a hypervisor took during the thread'
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 
 import numpy as np
@@ -37,11 +37,11 @@ from manyhands.nodes.kernel.bundle import Common, DeviceRung
 from manyhands.nodes.kernel.driver_statement import NO_DELAY, DeviceTiming
 from manyhands.nodes.link.peer_link import PeerLink, dropped_frames, stray_frames
 from manyhands.nodes.link.supervisor_line import ControlLine
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.distribution import Distribution
 from manyhands.nodes.rows.tick_events import TickEvents
 from manyhands.protocol.clock import Duration, Instant, from_seconds
-from manyhands.protocol.messages import Report, Telemetry
+from manyhands.protocol.messages import Figures, Report, Telemetry
 
 
 class LateCause(StrEnum):
@@ -102,9 +102,9 @@ class LatenessCounter:
         self.counts[found] += 1
         return found
 
-    def figures(self) -> dict[str, int]:
-        """Late ticks by cause, under the names of the report: ``late_own`` and so on."""
-        return {f"late_{name.value}": count for name, count in self.counts.items()}
+    def table(self) -> dict[str, float]:
+        """Late ticks by cause."""
+        return {name.value: float(count) for name, count in self.counts.items()}
 
 
 def given_figures(given: ForceGiven) -> dict[str, float]:
@@ -138,7 +138,7 @@ class DeviceTelemetry:
         self,
         common: Common,
         rung: DeviceRung,
-        driver_figures: Callable[[], Mapping[str, float]] = dict,
+        driver_figures: Callable[[], Figures] = Figures,
         interface: DeviceInterface | None = None,
         timing: DeviceTiming = NO_DELAY,
     ) -> None:
@@ -157,6 +157,7 @@ class DeviceTelemetry:
         self.ticks = self.stale = self.released = self.jumps = 0
         self._late = self._tau_breaches = self._period_breaches = 0
         self.suspended, self._suspended_time, self._suspended_energy = 0, 0, 0.0
+        self._peak_force = 0.0  # N, up to the last telemetry
         self._before: float | None = None  # the account when the process was suspended, until the next tick
         period = self._period = from_seconds(common.period)
         self._assume(rung)
@@ -286,26 +287,21 @@ class DeviceTelemetry:
         rows = self._filled
         if rows == 0:
             return
-        figures = {
+        for f in self._trace_f[:rows]:
+            self._peak_force = max(self._peak_force, max(f), -min(f))
+        of_driver = self._driver_figures()
+        numbers = {
             names.SPEED: max(self._speeds[:rows]),
-            names.PEAK_SPEED: core.peak_speed,
-            names.LATE: float(self._late),
-            names.TAU_BREACHES: float(self._tau_breaches),
             names.TAU_WORST: self._tau_worst / 1e3,
-            names.PERIOD_BREACHES: float(self._period_breaches),
-            names.RELEASED: float(self.released),
-            names.JUMPS: float(self.jumps),
-            names.CLIPPED: float(guard.clipped),
-            names.LET_GO: float(guard.let_go),
-            f"{names.TAU}_p50": self._tau.quantile(0.5),
-            f"{names.TAU}_p99": self._tau.quantile(0.99),
-            f"{names.PERIOD}_p50": self._true_period.quantile(0.5),
-            f"{names.PERIOD}_p99": self._true_period.quantile(0.99),
-            **names.ledger_figures(core.ledger),
-            **self._interface_figures(),
+            **self._numbers(core, guard),
             **stray_frames(peer_links),
             **self._events.take(self.ticks - rows, self.ticks),
-            **self._driver_figures(),
+            **of_driver,
+        }
+        tables = {
+            names.TAU: {"p50": self._tau.quantile(0.5), "p99": self._tau.quantile(0.99)},
+            names.PERIOD: {"p50": self._true_period.quantile(0.5), "p99": self._true_period.quantile(0.99)},
+            **of_driver.tables,
         }
         traces = {
             names.DISPLACEMENT: np.array(self._trace_x[:rows]),
@@ -317,8 +313,24 @@ class DeviceTelemetry:
             traces[names.INTERFACE] = np.array(self._interface_energy[:rows])[:, None]
             traces[names.APPLIED] = np.array(self._applied[:rows])
             traces[names.INSTANTS] = np.array(self._instants[:rows], dtype=np.float64)
-        control.publish(Telemetry(self.ticks, figures, traces))
+        control.publish(Telemetry(self.ticks, Figures(numbers, tables), traces))
         self._filled, self._rows, self._tau_worst = 0, self._common.telemetry_ticks, 0
+
+    def _numbers(self, core: DeviceCore, guard: Guard) -> dict[str, float]:
+        """What telemetry and report have alike."""
+        return {
+            names.LATE: float(self._late),
+            names.TAU_BREACHES: float(self._tau_breaches),
+            names.PERIOD_BREACHES: float(self._period_breaches),
+            names.RELEASED: float(self.released),
+            names.JUMPS: float(self.jumps),
+            names.CLIPPED: float(guard.clipped),
+            names.LET_GO: float(guard.let_go),
+            names.PEAK_SPEED: core.peak_speed,
+            names.PEAK_FORCE: self._peak_force,
+            **names.ledger_figures(core.ledger),
+            **self._interface_figures(),
+        }
 
     def _interface_figures(self) -> dict[str, float]:
         interface = self._interface
@@ -338,28 +350,19 @@ class DeviceTelemetry:
 
     def report(self, core: DeviceCore, guard: Guard, peer_links: Sequence[PeerLink], rung: int) -> Report:
         """Ticks, lateness and its causes, breaches, ledger, speeds, clipped forces and refused frames of the run."""
-        return Report(
-            self.ticks,
-            {
-                names.PEAK_SPEED: core.peak_speed,
-                names.FINAL_SPEED: max(self._speeds),
-                names.SUSPENDED_TIME: self._suspended_time / 1e3,
-                **names.ledger_figures(core.ledger),
-                **self._interface_figures(),
-            },
-            {
-                names.LATE: self._late,
-                **self._lateness.figures(),
-                names.STALE: self.stale,
-                names.RELEASED: self.released,
-                names.JUMPS: self.jumps,
-                names.SUSPENDED: self.suspended,
-                names.RUNG: rung,
-                names.TAU_BREACHES: self._tau_breaches,
-                names.PERIOD_BREACHES: self._period_breaches,
-                names.CLIPPED: guard.clipped,
-                names.LET_GO: guard.let_go,
-                **dropped_frames(peer_links),
-            },
-            {names.TAU: self._tau.percentiles(), names.PERIOD: self._true_period.percentiles()},
-        )
+        numbers = {
+            **self._numbers(core, guard),
+            names.FINAL_SPEED: max(self._speeds),
+            names.STALE: float(self.stale),
+            names.SUSPENDED: float(self.suspended),
+            names.SUSPENDED_TIME: self._suspended_time / 1e3,
+            names.SUSPENDED_ENERGY: self._suspended_energy,
+            names.RUNG: float(rung),
+        }
+        tables = {
+            names.TAU: self._tau.percentiles(),
+            names.PERIOD: self._true_period.percentiles(),
+            names.LATE_CAUSE: self._lateness.table(),
+            names.DROPPED: dropped_frames(peer_links),
+        }
+        return Report(self.ticks, Figures(numbers, tables))

@@ -17,11 +17,12 @@ A process that was stopped for an hour does not integrate an hour's periods when
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.protocol.clock import Instant, from_seconds
+from manyhands.protocol.messages import Figures
 
 LONGEST_GAP: Final = from_seconds(10.0)
 """The longest time between two calls that is integrated, ns: 0.1 s of work at 1 kHz. Only a process that did not run
@@ -129,9 +130,9 @@ class WallTimeDriver(ABC):
         self._settle()
         return self._work
 
-    def figures(self) -> Mapping[str, float]:
+    def figures(self) -> Figures:
         """No figures."""
-        return {}
+        return Figures()
 
     def close(self) -> None:
         """Exert no force from the last event on."""

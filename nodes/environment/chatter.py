@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 
 LEAST: Final = 0.01
 """The least step of a force that counts, N: below it a device's friction hides a buzz."""
@@ -58,15 +58,18 @@ class Chatter:
             self._left, self._second = self._ticks, [0] * len(self._parties)
 
 
-def contact_figures(held: Sequence[int], chatter: Chatter | None, parties: tuple[str, ...]) -> dict[str, float]:
-    """How often proxies were held and forces reversed, by party; of reversals, figures of 0 are left out.
+def contact_tables(
+    held: Sequence[int], chatter: Chatter | None, parties: tuple[str, ...]
+) -> dict[str, dict[str, float]]:
+    """How often proxies were held and forces reversed, by party; reversals of 0 are left out.
 
     Args:
         held: by party, the ticks in which the proxy test held its proxies; empty without proxies.
         chatter: the reversals; None where none are counted.
         parties: their names.
     """
-    found = {f"{names.HELD}{name}": float(n) for name, n in zip(parties, held, strict=False)}
-    for kind, all_ in () if chatter is None else ((names.REVERSALS, chatter.reversals), (names.CHATTER, chatter.most)):
-        found |= {f"{kind}{name}": float(n) for name, n in zip(parties, all_, strict=True) if n}
-    return found
+    counted = () if chatter is None else ((names.REVERSALS, chatter.reversals), (names.CHATTER, chatter.most))
+    return {
+        names.HELD: {name: float(n) for name, n in zip(parties, held, strict=False)},
+        **{kind: {name: float(n) for name, n in zip(parties, all_, strict=True) if n} for kind, all_ in counted},
+    }

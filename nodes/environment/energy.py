@@ -36,7 +36,7 @@ from typing import Final
 
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.energy_budget import EnergyBudget
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 
 MEMORY: Final = 0.5
 """Time constant of forgetting, s: longer than the period of a hand that shakes an object at 3 Hz.
@@ -233,20 +233,25 @@ class Energy:
             self._own = [part * energy for energy in self._own]
 
 
-def energy_figures(energy: Energy, parties: tuple[str, ...]) -> dict[str, float]:
-    """The energy between the ``parties``, and how often a budget scaled or stopped each; figures of 0 are left out."""
-    values = [energy.unowned, *energy.given, *energy.received, *energy.scaled, *energy.stops, *energy.supplied]
-    for row in energy.moved:
-        values += row
-    named = zip(_energy_names(parties, bool(energy.moved)), values, strict=True)
-    return {name: float(value) for name, value in named if value}
+def energy_tables(energy: Energy, parties: tuple[str, ...]) -> dict[str, dict[str, float]]:
+    """The energy between the ``parties``, and how often a budget scaled or stopped each; without what is 0."""
+    pairs = _pairs(parties) if energy.moved else ()
+    moved = [value for row in energy.moved for value in row]
+    return {
+        names.GIVEN: _occurred(parties, energy.given),
+        names.RECEIVED: _occurred(parties, energy.received),
+        names.SCALED: _occurred(parties, energy.scaled),
+        names.STOPS: _occurred(parties, energy.stops),
+        names.SUPPLIED: _occurred(parties, energy.supplied),
+        names.MOVED: _occurred(pairs, moved),
+    }
 
 
-_BY_PARTY: Final = (names.GIVEN, names.RECEIVED, names.SCALED, names.STOPS, names.SUPPLIED)
+def _occurred(keys: Sequence[str], values: Sequence[float]) -> dict[str, float]:
+    return {key: float(value) for key, value in zip(keys, values, strict=True) if value}
 
 
 @lru_cache(maxsize=16)
-def _energy_names(parties: tuple[str, ...], pairs: bool) -> tuple[str, ...]:
-    """The names of all figures of :func:`energy_figures`; to make them anew for each message takes 0.1 ms of a tick."""
-    found = [names.UNOWNED, *(f"{name}{party}" for name in _BY_PARTY for party in parties)]
-    return (*found, *(f"{names.MOVED}{supplier}/{to}" for supplier in parties for to in parties if pairs))
+def _pairs(parties: tuple[str, ...]) -> tuple[str, ...]:
+    """The keys of the energy of all pairs; to make them anew for each message takes 0.1 ms of a tick."""
+    return tuple(f"{supplier}/{to}" for supplier in parties for to in parties)

@@ -83,7 +83,7 @@ class ForceLaw(Protocol):
 
     @property
     def figures(self) -> Mapping[str, float]:
-        """What it counts itself, by the names of :mod:`manyhands.nodes.rows.telemetry`; empty for most."""
+        """What it counts itself, by the names of :mod:`manyhands.nodes.rows.figures`; empty for most."""
         ...
 
 
@@ -271,7 +271,7 @@ class EnforcedCore:
 
     @property
     def figures(self) -> Mapping[str, float]:
-        """What the law counts itself, by the names of :mod:`manyhands.nodes.rows.telemetry`."""
+        """What the law counts itself, by the names of :mod:`manyhands.nodes.rows.figures`."""
         return self._law.figures
 
     def load(self, block: int) -> float:

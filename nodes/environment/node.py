@@ -12,14 +12,13 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
 
 import numpy as np
 
-from manyhands.nodes.environment.chatter import contact_figures
+from manyhands.nodes.environment.chatter import contact_tables
 from manyhands.nodes.environment.core import Core, environment_core
 from manyhands.nodes.environment.deadline import Deadline, Step
-from manyhands.nodes.environment.energy import energy_figures
+from manyhands.nodes.environment.energy import energy_tables
 from manyhands.nodes.environment.late_arrivals import AT_ONCE, CROSSING, LateArrivals, allowance
 from manyhands.nodes.environment.membership import Member, Members, Membership
 from manyhands.nodes.environment.pace import Pace
@@ -39,13 +38,14 @@ from manyhands.nodes.link.peer_link import (
     stray_frames,
 )
 from manyhands.nodes.link.supervisor_line import NOT_AT_ALL, ControlLine
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
+from manyhands.nodes.rows.lateness import CouplingLateness, lateness_tables
 from manyhands.nodes.rows.tick_events import TickEvents
 from manyhands.nodes.wave_link.ends import WorldEnd, WorldEnds, datagram_socket, world_ends
 from manyhands.nodes.wave_link.rows import WorldRows
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds
 from manyhands.protocol.handshake import HandshakeRefused
-from manyhands.protocol.messages import LinkHello, Reaction, Report, Role, Start, Telemetry, Tool, Values
+from manyhands.protocol.messages import Figures, LinkHello, Reaction, Report, Role, Start, Telemetry, Tool, Values
 from manyhands.protocol.transport import Link
 from manyhands.protocol.transport.datagrams import DatagramSocket
 
@@ -124,8 +124,9 @@ class EnvironmentTelemetry:
         self,
         control: ControlLine | TelemetryLater,
         core: Core,
-        figures: Mapping[str, float],
-        late: Mapping[str, list[int]],
+        numbers: Mapping[str, float],
+        tables: Mapping[str, Mapping[str, float]],
+        late: Sequence[tuple[int, int]],
         events: TickEvents,
     ) -> bool:
         """Send the telemetry of the ticks since the last one; returns whether there were any.
@@ -133,8 +134,9 @@ class EnvironmentTelemetry:
         Args:
             control: the line to the supervisor, or what sends a tick later.
             core: the environment.
-            figures: further figures of the telemetry.
-            late: by coupling, the ticks since the last telemetry in which it was late.
+            numbers: of the telemetry's figures.
+            tables: likewise.
+            late: the ticks since the last telemetry in which a coupling was late, each with its place.
             events: what happened since the last telemetry.
         """
         rows, self._filled, self._rows = self._filled, 0, self._every
@@ -146,20 +148,14 @@ class EnvironmentTelemetry:
             **({names.MASS_POSITION: np.array(self._masses[:rows])} if self._masses[0] else {}),
             **names.ledger_trace(core.ledger, self._energy[:rows]),
             **self._waves.take(),
-            **{names.WAITED_IN + name: np.array(ticks, dtype=np.float64)[:, None] for name, ticks in late.items()},
+            **({names.WAITED_IN: np.array(late, dtype=np.float64)} if late else {}),
         }
         for tick, name in self._begun:
             events.link(tick, name)
         self._begun.clear()
         happened = events.take(self.ticks - rows, self.ticks)
-        control.publish(Telemetry(self.ticks, {**figures, **happened}, traces))
+        control.publish(Telemetry(self.ticks, Figures({**numbers, **happened}, tables), traces))
         return True
-
-
-@lru_cache(maxsize=4096)
-def _named(figures: tuple[str, ...], party: str) -> tuple[str, ...]:
-    """The names of these figures of one party; to make them anew for each message takes 0.1 ms of a tick."""
-    return tuple(f"{figure}_{party}" for figure in figures)
 
 
 _TURN = from_seconds(0.001)  # the wait for one coupling where several are missing
@@ -512,29 +508,24 @@ class EnvironmentNode:
     def report(self) -> Report:
         """Ticks, ledger, how often couplings were frozen, and how long each made the others wait."""
         members = self.members
-        lateness = self._lateness(members)
-        return Report(
-            self._account.ticks,
-            {**self._figures(), **names.lateness_times(lateness)},
-            {
-                names.FROZEN_TICKS: self._frozen_ticks,
-                names.ABSENCES: 0 if members is None else members.absences,
-                **self._late_ticks(),
-                **names.lateness_counts(lateness),
-                **dropped_frames(self.peer_links),
-            },
-            {},
-        )
+        numbers = {
+            names.FROZEN_TICKS: float(self._frozen_ticks),
+            names.ABSENCES: 0.0 if members is None else float(members.absences),
+            **self._late_ticks(),
+            **self._numbers(),
+        }
+        tables = {**self._tables(members), names.DROPPED: dropped_frames(self.peer_links)}
+        return Report(self._account.ticks, Figures(numbers, tables))
 
-    def _late_ticks(self) -> dict[str, int]:
+    def _late_ticks(self) -> dict[str, float]:
         """The late ticks of a world whose users are all behind wave links; elsewhere the devices count them."""
-        return {names.LATE: self._pace.late} if self._clocked and self._pace is not None else {}
+        return {names.LATE: float(self._pace.late)} if self._clocked and self._pace is not None else {}
 
-    def _lateness(self, members: Members | None) -> dict[str, names.CouplingLateness]:
+    def _lateness(self, members: Members | None) -> dict[str, CouplingLateness]:
         """The lateness of each coupling that made the others wait, by its name."""
         late, all_ = self._late, () if members is None else members.all
         return {
-            member.peer_link.peer.name: names.CouplingLateness(
+            member.peer_link.peer.name: CouplingLateness(
                 late.ticks[member.index],
                 late.waited[member.index] / 1e3,
                 member.frozen_late,
@@ -545,38 +536,38 @@ class EnvironmentNode:
             if late.ticks[member.index] or member.held
         }
 
-    def _figures(self) -> dict[str, float]:
+    def _numbers(self) -> dict[str, float]:
+        """What telemetry and report have alike."""
         core = self.core
         if core is None:
             return {}
-        found = {**names.ledger_figures(core.ledger), **names.enforcement_figures(core.controller)}
+        unowned = {names.UNOWNED: core.energy.unowned} if core.energy.unowned else {}
+        ledger, controller = names.ledger_figures(core.ledger), names.enforcement_figures(core.controller)
+        return {**ledger, **controller, **core.figures, **unowned}
+
+    def _tables(self, members: Members | None) -> dict[str, dict[str, float]]:
+        """Likewise, what has a number for each coupling; tables without any are left out."""
+        found: dict[str, dict[str, float]] = lateness_tables(self._lateness(members))
         for peer_link in self.peer_links:
-            if figures := peer_link.figures():
-                found.update(zip(_named(tuple(figures), peer_link.peer.name), figures.values(), strict=True))
-        found |= contact_figures(core.held, core.chatter, self._parties)
-        found.update(core.figures)
-        return found | energy_figures(core.energy, self._parties)
+            for name, value in peer_link.figures().items():
+                found.setdefault(names.of(name), {})[peer_link.peer.name] = value
+        if (core := self.core) is not None:
+            found |= contact_tables(core.held, core.chatter, self._parties)
+            found |= energy_tables(core.energy, self._parties)
+        return {name: table for name, table in found.items() if table}
 
     def _publish(self, control: ControlLine, core: Core, members: Members) -> None:
-        lateness = self._lateness(members)
-        figures = {
+        numbers = {
             names.FROZEN: float(members.frozen),
             names.FROZEN_TICKS: float(self._frozen_ticks),
-            **{figure: float(ticks) for figure, ticks in self._late_ticks().items()},
-            **{
-                f"{names.RUNG}_{member.peer_link.peer.name}": float(member.rung)
-                for member in members.all
-                if member.rung
-            },
+            **self._late_ticks(),
             **({names.CHANGING: float(members.changing)} if members.changing else {}),
-            **names.lateness_counts(lateness),
-            **names.lateness_times(lateness),
-            **self._figures(),
+            **self._numbers(),
             **stray_frames(self.peer_links),
         }
-        late = {
-            member.peer_link.peer.name: ticks for member in members.all if (ticks := self._late.lately[member.index])
-        }
-        if self._account.publish(self._later or control, core, figures, late, members.events):
-            for ticks in late.values():
-                ticks.clear()
+        rungs = {member.peer_link.peer.name: float(member.rung) for member in members.all if member.rung}
+        tables = {**self._tables(members), **({names.of(names.RUNG): rungs} if rungs else {})}
+        late = [(tick, member.index) for member in members.all for tick in self._late.lately[member.index]]
+        if self._account.publish(self._later or control, core, numbers, tables, late, members.events):
+            for member in members.all:
+                self._late.lately[member.index].clear()

@@ -38,7 +38,7 @@ from manyhands.design.models.scene import ContactScene
 from manyhands.nodes.environment.model import MOST_FORCE
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.intent import Intent, intent_from
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 
 Vector = NDArray[np.float64]
 

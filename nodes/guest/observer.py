@@ -10,7 +10,7 @@ import os
 import sys
 
 from manyhands.nodes.kernel.bundle import ObserverBundle
-from manyhands.nodes.kernel.json_number import json_number
+from manyhands.nodes.kernel.json_number import json_figures, json_number
 from manyhands.nodes.kernel.lifetime import Life, Stopped
 from manyhands.nodes.link.process import EXIT_BAD_INPUT, EXIT_OK, EXIT_REFUSED
 from manyhands.nodes.link.supervisor_line import ControlLine, Refused
@@ -45,7 +45,7 @@ class ObserverCore:
         plain = {
             "node": message.node,
             "tick": message.tick,
-            "figures": {name: json_number(value) for name, value in message.figures.items()},
+            "figures": json_figures(message.figures),
             "traces": {
                 name: [[json_number(value) for value in row] for row in trace.tolist()]
                 for name, trace in message.traces.items()

@@ -270,9 +270,9 @@ class Granted:
     pinned: Grant
     before: Scheduling | None = None
 
-    def figures(self) -> dict[str, float]:
-        """1 for each wish that was granted and 0 for the others, under the names of the report."""
-        return {f"realtime_{name}": float(grant.granted) for name, grant in self.grants().items()}
+    def table(self) -> dict[str, float]:
+        """1 for each wish that was granted and 0 for the others."""
+        return {name: float(grant.granted) for name, grant in self.grants().items()}
 
     def grants(self) -> dict[str, Grant]:
         """The answers by the names of the report."""

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import SIMULATED, Common, Peer
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
 from manyhands.protocol.codec import LAYOUTS, SignalWriter, decode, encode, type_of
 from manyhands.protocol.gate import Bounds, Gate
@@ -558,10 +558,10 @@ def stray_frames(peer_links: Iterable[PeerLink]) -> dict[str, float]:
     return {names.NOT_ADMITTED: float(sum(peer_link.strays for peer_link in peer_links))}
 
 
-def dropped_frames(peer_links: Iterable[PeerLink]) -> dict[str, int]:
+def dropped_frames(peer_links: Iterable[PeerLink]) -> dict[str, float]:
     """The numbers of frames that the gates did not admit, by reason, over all links."""
-    out: dict[str, int] = {}
+    out: dict[str, float] = {}
     for peer_link in peer_links:
         for reason, count in peer_link.dropped.items():
-            out[f"dropped_{reason}"] = out.get(f"dropped_{reason}", 0) + count
+            out[reason] = out.get(reason, 0.0) + count
     return out

@@ -30,11 +30,11 @@ from manyhands.nodes.kernel.log import Log, LogEvent, log_path
 from manyhands.nodes.kernel.realtime import Granted, RealtimeWishes, pin_guest, prepare, restore
 from manyhands.nodes.link.peer_link import bind_links
 from manyhands.nodes.link.supervisor_line import ControlLine, Refused
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import Instant, RealtimeClock
 from manyhands.protocol.handshake import HandshakeRefused, HandshakeTimeout
 from manyhands.protocol.keys import KeyFileError, KeyRing, load_private
-from manyhands.protocol.messages import Report, Start
+from manyhands.protocol.messages import Figures, Report, Start
 from manyhands.protocol.transport import Link, Transport, TransportError
 from manyhands.protocol.transport.descriptors import node_needs, require_descriptors
 from manyhands.protocol.transport.zeromq import ZmqTransport
@@ -273,7 +273,7 @@ def _converse(members: Sequence[HostedNode], life: Life, remote: bool, engage: E
     if remote and life.orphaned:
         return _lost(leader.common)
     for member in members:
-        _report(member, {} if granted is None else granted.figures(), life)
+        _report(member, {} if granted is None else granted.table(), life)
     return EXIT_OK
 
 
@@ -324,10 +324,14 @@ def _report(member: HostedNode, granted: Mapping[str, float], life: Life) -> Non
     """Send the report of one node."""
     report = member.node.report()
     control = member.control
-    counts = {f"{names.REFUSED}{kind}": count for kind, count in control.refused().items()}
-    dropped = {names.DROPPED_TELEMETRY: control.dropped, names.DROPPED_LOG: control.log.dropped}
-    figures = {**report.figures, **granted}
-    control.report(Report(report.ticks, figures, {**report.counts, **counts, **dropped}, report.percentiles), life)
+    lost = {"telemetry": float(control.dropped), "log": float(control.log.dropped)}
+    tables = {
+        **report.figures.tables,
+        names.REFUSED: {kind: float(count) for kind, count in control.refused().items()},
+        names.DROPPED: {**report.figures.table(names.DROPPED), **lost},
+        **({names.REALTIME: granted} if granted else {}),
+    }
+    control.report(Report(report.ticks, Figures(report.figures, tables)), life)
 
 
 def _stopped(members: Sequence[HostedNode], life: Life) -> int:

@@ -15,7 +15,7 @@ from typing import TypeVar
 from manyhands.nodes.kernel.bundle import SIMULATED, Common, Peer
 from manyhands.nodes.kernel.lifetime import Life, Sight, Stopped
 from manyhands.nodes.kernel.log import Log
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import Clock, Duration, Exchange, Instant, RealtimeClock, from_seconds, offset_of
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
@@ -170,7 +170,7 @@ class ControlLine:
         """The frame of a telemetry, to which the connections that were not admitted are added."""
         if refused := sum(self._transport.refused().values()):
             total = telemetry.figures.get(names.NOT_ADMITTED, 0.0) + refused
-            telemetry = replace(telemetry, figures={**telemetry.figures, names.NOT_ADMITTED: total})
+            telemetry = replace(telemetry, figures=telemetry.figures.with_numbers({names.NOT_ADMITTED: total}))
         return encode(telemetry)
 
     def post(self, frame: bytes) -> None:

@@ -14,17 +14,9 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Final
 
-from manyhands.nodes.monitor.health import (
-    PROMISES,
-    Health,
-    Promise,
-    PromiseState,
-    grouped,
-    is_present,
-    missed,
-    sentence,
-)
+from manyhands.nodes.monitor.health import PROMISES, Health, PromiseState, grouped, is_present, missed, sentence
 from manyhands.nodes.monitor.session_state import Scene
+from manyhands.nodes.rows.promises import Promise
 from manyhands.protocol.clock import Instant, from_seconds
 
 HOLD: Final = from_seconds(2.0)

@@ -18,7 +18,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
+from manyhands.protocol.messages import Figures
 
 BEFORE: Final = 1.0
 """Seconds before a stretch that count as well: twice the time constant with which the store of
@@ -61,20 +62,23 @@ class Causes:
     def __init__(self) -> None:
         """Nothing is reported yet."""
         self.until = -math.inf
-        self._rows: deque[tuple[float, Mapping[str, float]]] = deque(maxlen=KEPT)
+        self._rows: deque[tuple[float, Mapping[str, Mapping[str, float]]]] = deque(maxlen=KEPT)
 
     def forget(self) -> None:
         """The environment has a new process, which counts from 0."""
         self._rows.clear()
 
-    def take(self, at: float, figures: Mapping[str, float]) -> None:
-        """Keep the figures of an environment's message that ends at ``at``, s; a sum that makes no sense is left out.
+    def take(self, at: float, figures: Figures) -> None:
+        """Keep the sums of an environment's message that ends at ``at``, s; a sum that makes no sense is left out.
 
         A message of an earlier time begins the account anew: it is of another process.
         """
         if self._rows and at < self._rows[-1][0]:
             self.forget()
-        sums = {name: value for name, value in figures.items() if name.startswith(_SUMS) and 0.0 <= value < math.inf}
+        sums = {
+            name: {key: value for key, value in figures.table(name).items() if 0.0 <= value < math.inf}
+            for name in _SUMS
+        }
         self._rows.append((at, sums))
         self.until = at
 
@@ -95,57 +99,56 @@ class Causes:
         """
         begin = since - BEFORE
         own = sum(
-            max(self._grown(f"{sum_}{name}", begin, until) for sum_ in (names.SUPPLIED, names.GIVEN))
-            for name in receivers
+            max(self._grown(sum_, name, begin, until) for sum_ in (names.SUPPLIED, names.GIVEN)) for name in receivers
         )
         by = self._received_of(receivers, begin, until)
         total = sum(by.values())
         if not by or total <= own:
             return None
         beyond = {
-            party for party in by for sum_ in (names.SCALED, names.STOPS) if self._grown(f"{sum_}{party}", begin, until)
+            party for party in by for sum_ in (names.SCALED, names.STOPS) if self._grown(sum_, party, begin, until)
         }
         party = max(beyond or by, key=by.__getitem__)
         return Mover(party, by[party], total, party in beyond)
 
     def waited_for(self, own: Collection[str], since: float, until: float) -> dict[str, float]:
         """The couplings, except ``own``, that made the others wait between two times, s, and in how many ticks."""
-        found = {name.removeprefix(names.WAITED_TICKS): self._grown(name, since, until)
-                 for name in self._named(names.WAITED_TICKS)}  # fmt: skip
+        found = self._all_grown(names.WAITED_TICKS, since, until)
         return {name: ticks for name, ticks in found.items() if ticks > 0.0 and name not in own}
 
     def frozen(self, couplings: Collection[str], since: float, until: float) -> dict[str, float]:
         """How often each of these couplings was frozen for staying silent between two times, s."""
-        return {name: self._grown(f"{names.FROZEN_LATE}{name}", since, until) for name in couplings}
+        return {name: self._grown(names.FROZEN_LATE, name, since, until) for name in couplings}
 
     def _received_of(self, receivers: Collection[str], since: float, until: float) -> dict[str, float]:
         """By supplier, J that the receivers took of its energy; of many parties only what each gave in all is known."""
         by: dict[str, float] = {}
-        pairs = self._named(names.MOVED)
-        for name in pairs:
-            supplier, _, receiver = name.removeprefix(names.MOVED).partition("/")
+        pairs = self._all_grown(names.MOVED, since, until)
+        for pair, energy in pairs.items():
+            supplier, _, receiver = pair.partition("/")
             if receiver in receivers and supplier not in receivers:
-                by[supplier] = by.get(supplier, 0.0) + self._grown(name, since, until)
+                by[supplier] = by.get(supplier, 0.0) + energy
         if not pairs:
-            received = sum(self._grown(f"{names.RECEIVED}{name}", since, until) for name in receivers)
-            given = {name.removeprefix(names.GIVEN): self._grown(name, since, until)
-                     for name in self._named(names.GIVEN)}  # fmt: skip
+            received = sum(self._grown(names.RECEIVED, name, since, until) for name in receivers)
+            given = self._all_grown(names.GIVEN, since, until)
             by = {name: min(energy, received) for name, energy in given.items() if name not in receivers}
         return {name: energy for name, energy in by.items() if energy > 0.0}
 
-    def _named(self, prefix: str) -> list[str]:
-        return [] if not self._rows else [name for name in self._rows[-1][1] if name.startswith(prefix)]
+    def _all_grown(self, table: str, since: float, until: float) -> dict[str, float]:
+        """How much each sum of a table has grown, as :meth:`_grown`."""
+        latest = self._rows[-1][1] if self._rows else {}
+        return {key: self._grown(table, key, since, until) for key in latest.get(table, ())}
 
-    def _grown(self, name: str, since: float, until: float) -> float:
+    def _grown(self, table: str, key: str, since: float, until: float) -> float:
         """How much a sum has grown from the last message before ``since`` to the first one from ``until`` on."""
         rows = self._rows
         if not rows:
             return 0.0
         # the sums of a session begin at 0; where older messages were dropped, with the oldest that is kept
-        before = rows[0][1].get(name, 0.0) if len(rows) == KEPT else 0.0
+        before = rows[0][1][table].get(key, 0.0) if len(rows) == KEPT else 0.0
         after = 0.0
         for at, sums in rows:
-            value = sums.get(name, 0.0)
+            value = sums[table].get(key, 0.0)
             if at <= since:
                 before = value
             after = value

@@ -12,7 +12,7 @@ from dataclasses import astuple, dataclass
 from operator import sub
 from typing import Any, Final
 
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 
 ENOUGH: Final = 0.9
 """The least share, by force and by time, that counts as enough. A ramp after one stall takes 0.1 s, 2 % of

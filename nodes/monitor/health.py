@@ -19,6 +19,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from manyhands.nodes.monitor.given import ENOUGH
+from manyhands.nodes.rows.promises import Promise
 from manyhands.protocol.limits import MAX_SENTENCES
 from manyhands.protocol.messages import PromiseStatus
 
@@ -57,28 +58,6 @@ class PromiseState(StrEnum):
 
 
 GRAVITY: Final = {state: place for place, state in enumerate(PromiseState)}
-
-
-class Promise(StrEnum):
-    """What is promised; :data:`PROMISES` states each."""
-
-    CERTIFICATE = "certificate"
-    RECORD = "record"
-    PASSIVITY = "passivity"
-    DRIVER = "driver's word"
-    DELAY = "delay"
-    PERIOD = "period"
-    LATENESS = "lateness energy"
-    INERTIA = "stated inertia"
-    GIVEN = "force given"
-    FORCE = "force limits"
-    LEVEL = "declared level"
-    LINK = "wave link"
-    MOTION = "motion limits"
-    BUDGET = "energy budget"
-    PRESENCE = "presence"
-    PUNCTUALITY = "punctuality"
-    PACE = "pace"
 
 
 @dataclass(frozen=True)

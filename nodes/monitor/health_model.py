@@ -29,14 +29,16 @@ from manyhands.nodes.monitor.health import (
     PROMISES,
     SESSION,
     UNKNOWN_MOVER,
-    Promise,
     PromiseState,
     most_grave,
 )
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
+from manyhands.nodes.rows.figures import Figure
+from manyhands.nodes.rows.lateness import lateness_by_coupling
 from manyhands.nodes.rows.own_ticks import session_tick
+from manyhands.nodes.rows.promises import Promise
 from manyhands.nodes.rows.tick_events import Kind, events_in
-from manyhands.protocol.messages import PromiseStatus, Role
+from manyhands.protocol.messages import Figures, PromiseStatus, Role
 
 LEDGER_ROUNDING: Final = 1e-9
 """The largest rounding error of a long session's sums, J, of ledgers and of interface accounts."""
@@ -128,23 +130,26 @@ class _Counter:
     cost: Mapping[str, str]
 
 
-_COUNTERS: Final = (
-    _Counter(Promise.DELAY, names.TAU_BREACHES, {"ticks": names.TAU_BREACHES}),
-    _Counter(Promise.PERIOD, names.PERIOD_BREACHES, {"ticks": names.PERIOD_BREACHES}),
-    _Counter(Promise.FORCE, names.CLIPPED, {"ticks": names.CLIPPED}),
-    _Counter(Promise.FORCE, names.SATURATED, {"ticks": names.SATURATED}),
-    _Counter(Promise.MOTION, names.LET_GO, {"times": names.LET_GO}),
-    _Counter(Promise.LEVEL, names.ENFORCED_TICKS, {"ticks": names.ENFORCED_TICKS, "J": names.ENFORCED_ENERGY}),
-    _Counter(Promise.LINK, names.WAVE_CLIPPED, {"ticks": names.WAVE_CLIPPED}),
-)
+def _counters(promise_of: Callable[[Figure], Promise | None]) -> tuple[_Counter, ...]:
+    """A counter for each figure that counts what is not kept of a promise; figures in J are what that costs."""
+    declared = [(figure, promise) for figure in names.FIGURES.values() if (promise := promise_of(figure)) is not None]
+    return tuple(
+        _Counter(
+            promise,
+            figure.name,
+            {figure.unit.value: figure.name}
+            | {other.unit.value: other.name for other, its in declared if its is promise and not other.unit.whole},
+        )
+        for figure, promise in declared
+        if figure.unit.whole
+    )
+
+
+_COUNTERS: Final = _counters(lambda figure: figure.promise)
 """Counters of a node about itself."""
 
-_OF_COUPLINGS: Final = (
-    _Counter(Promise.BUDGET, names.SCALED, {"ticks": names.SCALED, "J": names.GIVEN}),
-    _Counter(Promise.LINK, f"{names.WAVE_CLIPPED}_", {"ticks": f"{names.WAVE_CLIPPED}_"}),
-    _Counter(Promise.LINK, f"{names.WAVE_SILENCES}_", {"times": f"{names.WAVE_SILENCES}_"}),
-)
-"""Counters of the environment about a coupling, whose name follows."""
+_OF_COUPLINGS: Final = _counters(lambda figure: figure.promise_of)
+"""Counters of the environment about its couplings, in tables."""
 
 _MOST: Final = 1e300
 """No cost is greater: sums of what nodes say stay finite."""
@@ -207,8 +212,9 @@ class HealthModel:
         """All promises are kept; ``terms`` states which there are."""
         self._terms, self.now = terms, 0.0
         self._entries: dict[tuple[Promise, str], _Entry] = {}
-        self._counts: dict[tuple[str, str], tuple[float, float]] = {}  # by node and figure: of former processes, latest
-        self._seen: dict[tuple[str, str], float] = {}
+        # by node, figure and key of its table: of former processes, latest
+        self._counts: dict[tuple[str, str, str], tuple[float, float]] = {}
+        self._seen: dict[tuple[str, str, str], float] = {}
         self._pace = _Pace(terms.period, terms.may_colocate)
         self._free: frozenset[str] = frozenset()
         self._made = {*terms.promises, Promise.BUDGET}
@@ -229,7 +235,7 @@ class HealthModel:
         if self._terms.roles.get(node) is Role.ENVIRONMENT:
             self._causes.forget()
 
-    def take(self, node: str, tick: int, figures: Mapping[str, float]) -> None:
+    def take(self, node: str, tick: int, figures: Figures) -> None:
         """Take in the figures of a node's telemetry; unknown nodes and figures that make no sense change nothing.
 
         Args:
@@ -353,26 +359,26 @@ class HealthModel:
     def _time(self, node: str, tick: int) -> float:
         return session_tick(tick, self._terms.rates.get(node, 1.0)) * self._terms.period
 
-    def _total(self, node: str, figure: str, figures: Mapping[str, float]) -> float:
-        """A figure that only grows, over all processes of the node."""
-        before, latest = self._counts.get((node, figure), (0.0, 0.0))
-        value = figures.get(figure, latest)
+    def _total(self, node: str, figure: str, figures: Figures, key: str = "") -> float:
+        """A figure that only grows, over all processes of the node; ``key`` is that of a number in a table."""
+        before, latest = self._counts.get((node, figure, key), (0.0, 0.0))
+        value = (figures.table(figure) if key else figures).get(key or figure, latest)
         if not 0.0 <= value <= _MOST:
             value = latest
         if value < latest:  # a new process, of which no event came
             before += latest
-        self._counts[node, figure] = before, value
+        self._counts[node, figure, key] = before, value
         return before + value
 
-    def _grown(self, node: str, figure: str, figures: Mapping[str, float]) -> bool:
+    def _grown(self, node: str, figure: str, figures: Figures, key: str = "") -> bool:
         """Whether a figure has grown since this was last asked."""
-        before, total = self._grow(node, figure, figures)
+        before, total = self._grow(node, figure, figures, key)
         return total > before
 
-    def _grow(self, node: str, figure: str, figures: Mapping[str, float]) -> tuple[float, float]:
+    def _grow(self, node: str, figure: str, figures: Figures, key: str = "") -> tuple[float, float]:
         """The sum of a figure when this was last asked, and now."""
-        before, total = self._seen.get((node, figure), 0.0), self._total(node, figure, figures)
-        self._seen[node, figure] = total
+        before, total = self._seen.get((node, figure, key), 0.0), self._total(node, figure, figures, key)
+        self._seen[node, figure, key] = total
         return before, total
 
     def _explain(self, ready: Callable[[_Unexplained], bool]) -> None:
@@ -447,7 +453,7 @@ class HealthModel:
             return PromiseState.BROKEN if terms.certified else PromiseState.ENFORCED
         return PromiseState.ENFORCED
 
-    def _energy(self, node: str, at: float, figures: Mapping[str, float]) -> None:
+    def _energy(self, node: str, at: float, figures: Figures) -> None:
         """The ledger of a party, and the interface account of a device."""
         if not self._terms.certified:
             return
@@ -485,7 +491,7 @@ class HealthModel:
             bound = f"{self._terms.tank:.3g} J {kept_to}"
             entry.remark = f"{node}: lateness has put {put_in:.3g} J into the loop, more than the {bound}"
 
-    def _judge_given(self, node: str, at: float, figures: Mapping[str, float]) -> None:
+    def _judge_given(self, node: str, at: float, figures: Figures) -> None:
         """How much of the force that was asked for a device was given lately."""
         now = GivenForce.of(figures)
         if now is None:
@@ -501,7 +507,7 @@ class HealthModel:
         entry.cost["", "s"] = entry.cost.get(("", "s"), 0.0) + self._given[node].lacked
         entry.remark = lately.sentence(node, self._causes.frozen(own, since, at), self._terms.may_colocate)
 
-    def _driver(self, node: str, at: float, figures: Mapping[str, float]) -> None:
+    def _driver(self, node: str, at: float, figures: Figures) -> None:
         """What a device's ledger shows of its user's work, and what its driver has measured of its force."""
         # what neither the device's promise nor lateness explains came from the hand; each process counts from 0
         late = min(0.0, figures.get(names.INTERFACE_LEAST, 0.0))
@@ -528,26 +534,25 @@ class HealthModel:
             entry = self._begin(promise, node, PromiseState.BROKEN, at)
         entry.remark = entry.remark or f"{node}: {what} is no finite number"
 
-    def _couplings(self, node: str, since: float, at: float, figures: Mapping[str, float]) -> None:
+    def _couplings(self, node: str, since: float, at: float, figures: Figures) -> None:
         """What the environment reports of its couplings."""
         for counter in _OF_COUPLINGS:
-            for figure in [name for name in figures if name.startswith(counter.grows)]:
-                party = figure.removeprefix(counter.grows)
+            for party in figures.table(counter.grows):
                 if party not in self._terms.roles or party in self._free:
                     continue
-                cost = {unit: self._total(node, f"{of}{party}", figures) for unit, of in counter.cost.items()}
-                grown = self._grown(node, figure, figures)
-                self._count(counter.promise, party, figure, grown, at, cost)
+                cost = {unit: self._total(node, of, figures, party) for unit, of in counter.cost.items()}
+                grown = self._grown(node, counter.grows, figures, party)
+                self._count(counter.promise, party, f"{node} {counter.grows}", grown, at, cost)
                 if grown and counter.promise is Promise.BUDGET:
                     mover = self._causes.mover((party,), since, at)
                     remark = "" if mover is None else f"{party} passed on energy that {mover.party} had put into it"
                     self._entries[Promise.BUDGET, party].remark = remark
         for party in self._terms.linked:
-            if figures.get(f"{names.WAVE_DEAF}_{party}", 0.0) > 0.0:
+            if figures.table(names.of(names.WAVE_DEAF)).get(party, 0.0) > 0.0:
                 self._go_on(Promise.LINK, party, at)
-        for party, late in names.lateness_by_coupling(figures, figures).items():
+        for party, late in lateness_by_coupling(figures).items():
             if (late.frozen or late.waived) and party in self._terms.roles:
-                grown = self._grown(node, f"{names.WAITED_TICKS}{party}", figures)
+                grown = self._grown(node, names.WAITED_TICKS, figures, party)
                 cost = {"ticks": float(late.ticks), "s": late.time / 1e6, "times": float(late.frozen)}
                 self._count(Promise.PUNCTUALITY, party, node, grown, at, cost)
                 if (entry := self._entries.get((Promise.PUNCTUALITY, party))) is not None:

@@ -27,21 +27,21 @@ from manyhands.nodes.monitor.health import (
     AWAY_STATES,
     FREE_STATE,
     Health,
-    Promise,
     PromiseState,
     readable,
     session_health,
     worse,
 )
 from manyhands.nodes.monitor.health_model import Terms
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.own_ticks import session_tick
+from manyhands.nodes.rows.promises import Promise
 from manyhands.nodes.wave_link.felt import FeltLink, felt_link
 from manyhands.protocol.channels import Topic, links_at, topics_of
 from manyhands.protocol.clock import Instant, from_seconds
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
-from manyhands.protocol.messages import Condition, Observation, PromiseStatus, Role
+from manyhands.protocol.messages import Condition, Figures, Observation, PromiseStatus, Role
 
 ABOUT: Final = "about.json"
 """The file's name in the run's directory."""
@@ -432,7 +432,7 @@ class NodeScene:
     state: str = ""
     tick: int = 0
     rate: float | None = None
-    figures: dict[str, float] = field(default_factory=dict)
+    figures: Figures = field(default_factory=Figures)
     received: Instant | None = None
     late: bool = False
     silent: bool = False
@@ -464,7 +464,7 @@ class NodeScene:
             self.rate = done * 1e9 / (now - since)
             self.late = late - late_then > LATE_SHARE * max(done, 1)
             self._since = now, observation.tick, late
-        self.tick, self.figures, self.received = observation.tick, dict(observation.figures), now
+        self.tick, self.figures, self.received = observation.tick, observation.figures, now
 
     def stand(self, state: str, silent: bool, frozen: bool = False) -> None:
         """Set the state that the supervisor reports; a node that does not run, or is silent, has no rate."""

@@ -17,12 +17,13 @@ from typing import Any, Final
 from manyhands import __version__
 from manyhands.design.models.scene import ContactScene, geometry_of
 from manyhands.nodes.kernel.bundle import REALTIME
-from manyhands.nodes.kernel.json_number import json_number
+from manyhands.nodes.kernel.json_number import json_figures
 from manyhands.nodes.monitor.health import as_plain
 from manyhands.nodes.monitor.session_state import About
 from manyhands.nodes.recorder.scene_messages import SCENE_SCHEMAS, SceneMessages
+from manyhands.nodes.rows.figures import FIGURES as DECLARED
 from manyhands.protocol.channels import CONDITION, TELEMETRY, Columns, Topic, links_at, topic_name, topics_of
-from manyhands.protocol.messages import Condition, PromiseStatus, Role
+from manyhands.protocol.messages import Condition, Figures, PromiseStatus, Role
 
 FORMAT: Final = "manyhands-recording"
 VERSION: Final = "2"
@@ -69,14 +70,18 @@ _NUMBER: Final = {"type": "number", "nullable": True}  # a single type: viewers 
 _TIME: Final = {"type": "number", "description": "kT, s since tick 0, to the nanosecond"}
 _TEXT: Final = {"type": "string"}
 _TEXTS: Final = {"type": "array", "items": _TEXT}
-_FIGURES: Final = {"type": "object", "properties": {}, "additionalProperties": _NUMBER}
+_NUMBERS: Final = {"type": "object", "properties": {}, "additionalProperties": _NUMBER}
+_FIGURES: Final = {
+    **_NUMBERS,
+    "properties": {name: _NUMBERS for name, figure in DECLARED.items() if figure.key is not None},
+}
 _PROMISE: Final = {
     "type": "object",
     "properties": {
         **dict.fromkeys(("promise", "state", "remark"), _TEXT),
         "who": _TEXTS,
         **dict.fromkeys(("since", "until"), _NUMBER),
-        "cost": _FIGURES,
+        "cost": _NUMBERS,
     },
 }
 
@@ -114,13 +119,12 @@ shows a scene.
 """
 
 
-def encode_figures(tick: int, figures: Mapping[str, float]) -> bytes:
+def encode_figures(tick: int, figures: Figures) -> bytes:
     """The message of figures up to ``tick``; an infinite value or NaN becomes null."""
-    finite = {name: json_number(value) for name, value in figures.items()}
-    return json.dumps({TICK: tick, FIGURES: finite}, allow_nan=False).encode()
+    return json.dumps({TICK: tick, FIGURES: json_figures(figures)}, allow_nan=False).encode()
 
 
-def decode_figures(plain: Any) -> tuple[int, dict[str, float]]:
+def decode_figures(plain: Any) -> tuple[int, Figures]:
     """Tick and figures of a message that was read as JSON; null becomes NaN.
 
     Raises:
@@ -128,9 +132,31 @@ def decode_figures(plain: Any) -> tuple[int, dict[str, float]]:
     """
     match plain:
         case {"tick": int(tick), "figures": dict(found)} if 0 <= tick < 2**63:
-            return tick, {str(name): math.nan if value is None else _number(value) for name, value in found.items()}
+            pass
         case _:
             raise ValueError("found another object; expected tick and figures")
+    numbers, tables = dict[str, float](), dict[str, dict[str, float]]()
+    for name, value in found.items():
+        if isinstance(value, dict):
+            tables[name] = {str(key): _finding(number) for key, number in value.items()}
+        elif (former := _FORMER.match(name)) is not None and name not in DECLARED:
+            table = _TABLES[former[1]]
+            tables.setdefault(table, {})[name.removeprefix(former[0])] = _finding(value)
+        else:
+            numbers[str(name)] = _finding(value)
+    return tick, Figures(numbers, tables)
+
+
+_TABLES: Final = {
+    **{name.removesuffix("_of"): name for name, figure in DECLARED.items() if figure.key is not None},
+}
+"""Before protocol 6 a number of a table was a figure with a prefix, such as ``moved_cx/cy``: the tables by prefix."""
+
+_FORMER: Final = re.compile(f"({'|'.join(sorted(_TABLES, key=len, reverse=True))})_")
+
+
+def _finding(value: object) -> float:
+    return math.nan if value is None else _number(value)
 
 
 def _number(value: object) -> float:

@@ -33,7 +33,7 @@ from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import SIMULATED, Common, CouplingBundle, EnvironmentBundle, Peer, WaveEnd
 from manyhands.nodes.link.peer_link import Listener, PeerLink, Received, WaveRow, hello_to, positions
 from manyhands.nodes.link.supervisor_line import NOT_AT_ALL
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.nodes.wave_link.faces import UserFace, WorldFace, wave_feedthrough
 from manyhands.nodes.wave_link.play_out import DEAF
 from manyhands.nodes.wave_link.thinning import Turns

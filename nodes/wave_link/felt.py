@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
+from manyhands.protocol.messages import Figures
 
 
 @dataclass(frozen=True)
@@ -91,8 +92,8 @@ def stiffness_and_mass(impedance: tuple[float, float], R: float) -> tuple[float,
 def felt_link(
     coupling: str,
     impedance: tuple[float, float],
-    user: Mapping[str, float],
-    world: Mapping[str, float],
+    user: Figures,
+    world: Figures,
 ) -> FeltLink | None:
     """The wave link of ``coupling``; None where an end has not reported, or figures make no sense.
 
@@ -102,10 +103,10 @@ def felt_link(
         user: the figures of the coupling.
         world: the figures of the environment.
     """
-    lags = user.get(names.WAVE_LAG, math.nan), world.get(f"{names.WAVE_LAG}_{coupling}", math.nan)
+    lags = user.get(names.WAVE_LAG, math.nan), world.table(names.of(names.WAVE_LAG)).get(coupling, math.nan)
     R = 1e-6 * sum(lags)
     figures = (names.WAVE_TANK, names.WAVE_CLIPPED, names.WAVE_SILENCES, names.WAVE_DEAF)
-    found = [(user.get(one, math.nan), world.get(f"{one}_{coupling}", math.nan)) for one in figures]
+    found = [(user.get(one, math.nan), world.table(names.of(one)).get(coupling, math.nan)) for one in figures]
     if not all(0.0 <= value < math.inf for pair in found for value in pair) or not 0.0 < R < math.inf:
         return None
     tanks, limited, silences, deaf = found

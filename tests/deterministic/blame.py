@@ -29,7 +29,7 @@ from manyhands.nodes.monitor.health import PromiseState, missed, verdict
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
-from manyhands.protocol.messages import PromiseStatus, Sample, Telemetry, Tool, Wave
+from manyhands.protocol.messages import Figures, PromiseStatus, Sample, Telemetry, Tool, Wave
 from manyhands.protocol.transport import Link, TransportError, Trouble
 
 from .scheduler import Scheduler, VirtualClock
@@ -164,9 +164,11 @@ class LyingDriver:
 
 
 SENSELESS: Final = (math.nan, math.inf, -math.inf, 1e308, -1e308, -1.0, 7.0)
-ABOUT: Final = ("clipped", "saturated", "tau_breaches", "let_go", "ledger_margin",
-                "moved_left_seat/right_seat", "scaled_left_seat", "stops_left_seat")  # fmt: skip
+ABOUT: Final = ("clipped", "saturated", "tau_breaches", "let_go", "ledger_margin")
 """Figures that a hostile node may state beside its own."""
+
+ABOUT_OTHERS: Final = {"moved": ["left_seat/right_seat"], "scaled": ["left_seat"], "stops": ["left_seat"]}
+"""Tables that it may state, with their keys."""
 
 
 class BlamedSession(SimulatedSession):
@@ -179,7 +181,14 @@ class BlamedSession(SimulatedSession):
             message = decode(frame, MAX_CONTROL_BYTES)
             if isinstance(message, Telemetry):
                 value = self.random.choice(SENSELESS)
-                frame = encode(replace(message, figures=dict.fromkeys((*message.figures, *ABOUT), value), traces={}))
+                said = Figures(
+                    dict.fromkeys((*message.figures, *ABOUT), value),
+                    {
+                        name: dict.fromkeys(keys, value)
+                        for name, keys in (message.figures.tables | ABOUT_OTHERS).items()
+                    },
+                )
+                frame = encode(replace(message, figures=said, traces={}))
         super()._hear(sender, frame)
 
 

@@ -28,7 +28,8 @@ import chaos_kinds
 from manyhands.launch.audit.audit import Audit
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
-from manyhands.nodes.monitor.health import PROMISES, Promise, PromiseState
+from manyhands.nodes.monitor.health import PROMISES, PromiseState
+from manyhands.nodes.rows.promises import Promise
 from manyhands.nodes.rows.tick_events import events_in
 
 from .recorded import Told, WatchedSession, audited

@@ -15,7 +15,7 @@ from manyhands.nodes.environment.late_arrivals import BURST, SHARE
 from manyhands.nodes.environment.node import EnvironmentNode
 from manyhands.nodes.link import peer_link as peer_link_module
 from manyhands.nodes.monitor.health import missed
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import from_seconds
 from manyhands.protocol.gate import DRIFT, MOST_PERIODS, Bounds, Gate
 from manyhands.protocol.messages import Role, SignalMessage, Telemetry

@@ -10,7 +10,8 @@ import numpy as np
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.run.states import SessionPhase
 from manyhands.nodes.device.drivers import Driver
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
+from manyhands.nodes.rows.lateness import CouplingLateness, lateness_by_coupling
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
@@ -94,10 +95,9 @@ class LateSession(SimulatedSession):
             out[told.tick - len(tau) : told.tick] = tau
         return out
 
-    def lateness(self, coupling: str) -> names.CouplingLateness | None:
+    def lateness(self, coupling: str) -> CouplingLateness | None:
         """The environment's final figure of the time that the others waited for a coupling."""
-        report = self.conductor.reports["environment"]
-        return names.lateness_of(coupling, report.counts, report.figures)
+        return lateness_by_coupling(self.conductor.reports["environment"].figures).get(coupling)
 
     def _hear(self, sender: str, frame: bytes) -> None:
         message = decode(frame, MAX_CONTROL_BYTES)

@@ -11,7 +11,7 @@ from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.run import read_run
 from manyhands.launch.run.states import SessionPhase
 from manyhands.nodes.recorder.core import RecorderCore
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Observation, Telemetry

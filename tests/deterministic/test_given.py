@@ -13,10 +13,11 @@ from manyhands.launch.run.broadcast import describe
 from manyhands.launch.session import load_session
 from manyhands.nodes.kernel.bundle import REALTIME
 from manyhands.nodes.monitor.given import GivenForce
-from manyhands.nodes.monitor.health import Promise, PromiseState
+from manyhands.nodes.monitor.health import PromiseState
 from manyhands.nodes.monitor.health_model import HealthModel
-from manyhands.nodes.rows import telemetry as names
-from manyhands.protocol.messages import PromiseStatus
+from manyhands.nodes.rows import figures as names
+from manyhands.nodes.rows.promises import Promise
+from manyhands.protocol.messages import Figures, PromiseStatus
 from tests.support.simulated_recordings import SESSIONS
 
 from .recorded import Told, WatchedSession, audited
@@ -69,7 +70,7 @@ def test_the_session_says_whose_hand_lacks_its_force_and_accuses_nobody(prepared
         for node in ("dx", "dy", "dz"):
             of = told[node][-1]
             longer = {name: value * (1.0 + seconds) for name, value in of.figures.items() if name.startswith("force_")}
-            model.take(node, of.tick + round(seconds * 1e3), longer)
+            model.take(node, of.tick + round(seconds * 1e3), Figures(longer))
     (row,) = [row for row in model.rows() if row.promise == Promise.GIVEN and row.state == PromiseState.BROKEN]
     assert isinstance(row, PromiseStatus)
     assert row.who == ("dx",)
@@ -84,7 +85,9 @@ def test_an_audit_finds_what_a_hand_was_given_again_and_a_share_that_was_made_up
     (check,) = [check for check in done.checks if (check.party, check.name) == ("dx", "given")]
     assert (check.verdict, check.gaps) == (CheckVerdict.HOLDS, ())
     last = told["dx"][-1]
-    better = replace(last, figures={**last.figures, names.FORCE_AWAY: last.figures[names.FORCE_AWAY] - 0.001})
+    better = replace(
+        last, figures=last.figures.with_numbers({names.FORCE_AWAY: last.figures[names.FORCE_AWAY] - 0.001})
+    )
     done = audited(tmp_path / "f.mcap", prepared, {**told, "dx": [*told["dx"][:-1], better]})
     (check,) = [check for check in done.checks if (check.party, check.name) == ("dx", "given")]
     assert check.verdict is CheckVerdict.BROKEN

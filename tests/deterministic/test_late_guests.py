@@ -17,7 +17,7 @@ from manyhands.launch.run import breaches
 from manyhands.launch.run.breaches import Cause
 from manyhands.launch.session import load_session
 from manyhands.nodes.environment.late_arrivals import BURST, SHARE
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 
 from .late import Delay, LateSession
 
@@ -88,7 +88,7 @@ def test_who_samples_before_a_tick_is_due_makes_nobody_late(delay: Delay) -> Non
     assert session.lateness("cx") is None
     assert session.lateness("cy") is None
     assert softened(session) <= {"cz"}
-    assert session.conductor.reports["environment"].counts[names.ABSENCES] == 0
+    assert session.conductor.reports["environment"].figures[names.ABSENCES] == 0
 
 
 def test_what_it_cost_is_what_the_others_waited() -> None:
@@ -111,7 +111,7 @@ def test_what_it_cost_is_what_the_others_waited() -> None:
 )
 def test_devices_late_briefly_or_like_all_others_are_not_frozen(delays: dict[str, Delay]) -> None:
     session = sound(LateSession(prepared(), 700, delays))
-    assert session.conductor.reports["environment"].counts[names.ABSENCES] == 0
+    assert session.conductor.reports["environment"].figures[names.ABSENCES] == 0
     assert named(session) == set()
     if len(delays) == 1:
         assert softened(session) == set()
@@ -127,6 +127,6 @@ def test_a_coupling_climbs_again_when_the_cause_is_gone(monkeypatch: pytest.Monk
     session = sound(LateSession(prepared(), 1400, dict.fromkeys(("dx", "dy", "dz"), lambda tick: 0.3 * (tick < 350))))
     for device in ("dx", "dy", "dz"):  # 0.3 ms and what is its own: more than rung 0 covers, less than rung 1
         assert list(rungs(session, f"c{device[1:]}")) == [1, 0]
-        assert session.conductor.reports[device].counts[names.RUNG] == 0
+        assert session.conductor.reports[device].figures[names.RUNG] == 0
         assert uncovered(session, device, 1200) == 0.0
     assert named(session) == set()

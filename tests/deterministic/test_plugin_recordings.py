@@ -16,9 +16,10 @@ from manyhands.launch.audit.audit import Audit, audit
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.recordings.run import read_run
 from manyhands.launch.session import load_session
-from manyhands.nodes.monitor.health import Promise, PromiseState, missed, verdict
+from manyhands.nodes.monitor.health import PromiseState, missed, verdict
 from manyhands.nodes.recorder.core import RecorderCore
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
+from manyhands.nodes.rows.promises import Promise
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Observation, PromiseStatus, Telemetry
 from tests.support.simulated_recordings import START, attachments_of, recorded_of

@@ -23,10 +23,10 @@ from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.kernel.allowance import LatenessAllowance
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.recorder.core import RecorderCore
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.tick_events import Kind, events_in
 from manyhands.protocol.codec import encode
-from manyhands.protocol.messages import Observation
+from manyhands.protocol.messages import Figures, Observation
 from tests.support.forged_recordings import REALTIME, Forged
 from tests.support.simulated_recordings import SESSIONS, START, attachments_of, recorded_of
 
@@ -326,12 +326,12 @@ def test_a_process_that_does_the_last_tick_of_another_again_is_recorded(
     core = RecorderCore(recorded_of(prepared, "realtime"), attachments_of(prepared), START)
     first, again = told["dz"][0], told["dz"][1]
     one = {name: trace[:1] for name, trace in again.traces.items()}
-    for tick, figures in ((first.tick, first.figures), (first.tick, {f"{Kind.BEGAN}@{first.tick - 1}": 1.0})):
+    for tick, figures in ((first.tick, first.figures), (first.tick, Figures({f"{Kind.BEGAN}@{first.tick - 1}": 1.0}))):
         traces = first.traces if figures is first.figures else one
         core.take(encode(Observation("dz", tick, figures, traces)), START)
     assert core.refused == 0
-    core.take(encode(Observation("dz", first.tick, {}, one)), START)  # no process began
-    core.take(encode(Observation("dz", first.tick - 1, {f"{Kind.BEGAN}@{first.tick - 2}": 1.0}, one)), START)
+    core.take(encode(Observation("dz", first.tick, Figures(), one)), START)  # no process began
+    core.take(encode(Observation("dz", first.tick - 1, Figures({f"{Kind.BEGAN}@{first.tick - 2}": 1.0}), one)), START)
     assert core.refused == 2
     path = tmp_path / "r.mcap"
     path.write_bytes(core.cut() + core.end())

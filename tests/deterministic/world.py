@@ -38,7 +38,7 @@ from manyhands.nodes.environment.node import EnvironmentNode
 from manyhands.nodes.kernel.bundle import CouplingBundle
 from manyhands.nodes.kernel.lifetime import Stopped
 from manyhands.nodes.monitor.health_model import HealthModel
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import Instant, from_seconds
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
@@ -284,7 +284,7 @@ class SimulatedSession:
             self.heard += 1
             self.note(f"the supervisor hears of {sender}: {type(message).__name__}")
         if isinstance(message, Report):
-            self.health.take(sender, message.ticks, {**message.figures, **message.counts})
+            self.health.take(sender, message.ticks, message.figures)
         self._obey(self.conductor.receive(sender, message, self.scheduler.now))
         if isinstance(message, Telemetry) and self.conductor.states.get(sender) is NodeState.RUNNING:
             self.health.take(sender, message.tick, message.figures)

@@ -21,6 +21,7 @@ from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
     Connect,
     Fault,
+    Figures,
     LinkHello,
     Message,
     NodeHello,
@@ -52,8 +53,8 @@ MESSAGES: Final[dict[str, Message]] = {
         Connect({"dx": "ipc:///s/dx"}),
         Start(10**9, 10**4),
         Tool(1, 2, np.array([1.0, -2.0])),
-        Telemetry(10, {"speed": 0.5}, {"x": np.array([[1.0], [2.0]])}),
-        Report(10, {"peak": 0.5}, {"late": 2}, {"tau_us": {"p50": 128.0}}),
+        Telemetry(10, Figures({"speed": 0.5}), {"x": np.array([[1.0], [2.0]])}),
+        Report(10, Figures({"peak": 0.5, "late": 2}, {"tau_us": {"p50": 128.0}})),
         Fault("boom"),
     )
 }

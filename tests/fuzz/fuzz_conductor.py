@@ -38,6 +38,7 @@ from manyhands.protocol.messages import (
     Connect,
     Fault,
     Fetch,
+    Figures,
     LinkHello,
     Message,
     NodeHello,
@@ -342,8 +343,8 @@ def _in_place(sender: str) -> dict[str, Message]:
     return {
         "hello": hello,
         "ready": Ready(),
-        "telemetry": Telemetry(1, {"speed": 0.5}, {}),
-        "report": Report(5, {}, {"late": 0}, {}),
+        "telemetry": Telemetry(1, Figures({"speed": 0.5}), {}),
+        "report": Report(5, Figures({"late": 0})),
         "fault": Fault("boom"),
         "other certificate": dataclasses.replace(hello, certificate="other"),
         "other session": dataclasses.replace(hello, session="other"),

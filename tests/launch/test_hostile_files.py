@@ -41,7 +41,7 @@ from manyhands.nodes.kernel.bundle import load as load_bundle
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.protocol.codec import encode
 from manyhands.protocol.keys import KeyFileError, PublicKeys, load_private, new_pair, save_private
-from manyhands.protocol.messages import Observation, Role
+from manyhands.protocol.messages import Figures, Observation, Role
 
 from ..support.small_recordings import ALONE, ATTACHED, RECORDED, STARTED, observation, recording
 
@@ -217,7 +217,7 @@ def test_what_a_recorder_packs_best_is_no_bomb(tmp_path: Path) -> None:
     out = core.cut()
     rest = np.zeros((100, 512))
     for tick in range(100, 4_100, 100):
-        core.take(encode(Observation("d", tick, {}, {"x": rest, "f_v": rest})), 10**18)
+        core.take(encode(Observation("d", tick, Figures(), {"x": rest, "f_v": rest})), 10**18)
         if core.full:
             out += core.cut()
     path = tmp_path / "rest.mcap"

@@ -6,8 +6,9 @@ import math
 
 import pytest
 
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.nodes.wave_link.felt import FeltLink, felt_link
+from manyhands.protocol.messages import Figures
 
 USER = {
     names.WAVE_LAG: 5000.0,
@@ -16,16 +17,17 @@ USER = {
     names.WAVE_SILENCES: 0.0,
     names.WAVE_DEAF: 0.0,
 }
-WORLD = {f"{name}_cx": value for name, value in (USER | {names.WAVE_LAG: 1000.0, names.WAVE_TANK: 4e-3}).items()}
+WORLD = USER | {names.WAVE_LAG: 1000.0, names.WAVE_TANK: 4e-3}
 
 
 def felt(user: dict[str, float] = USER, world: dict[str, float] = WORLD) -> FeltLink | None:
-    return felt_link("cx", (20.0, 60.0), user, world)
+    of_world = {names.of(name): {"cx": value} for name, value in world.items()}
+    return felt_link("cx", (20.0, 60.0), Figures(user), Figures({}, of_world))
 
 
 @pytest.mark.parametrize("offset", [0.0, 3.6e9])
 def test_the_round_trip_is_the_sum_of_both_lags_whenever_their_counts_began(offset: float) -> None:
-    found = felt(USER | {names.WAVE_LAG: 5000.0 - offset}, WORLD | {f"{names.WAVE_LAG}_cx": 1000.0 + offset})
+    found = felt(USER | {names.WAVE_LAG: 5000.0 - offset}, WORLD | {names.WAVE_LAG: 1000.0 + offset})
     assert found is not None
     assert found.round_trip == pytest.approx(6e-3)
 

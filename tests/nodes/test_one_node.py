@@ -147,13 +147,13 @@ def test_junk_on_a_link_is_counted_and_changes_nothing(
     for tick in range(3):
         send(coupling, Force(tick, 0, one(0.5)), Force(tick, 0, one(1.0)))
     node.loop(Start(0, 3), new_life(), new_line())
-    counts = node.report().counts
-    assert {reason: n for reason, n in counts.items() if reason.startswith("dropped") and n} == {
-        "dropped_malformed": 1,
-        "dropped_future_tick": 1,
-        "dropped_wrong_kind": 1,
-        "dropped_wrong_width": 1,
-        "dropped_old_tick": 2,  # the third tick's replay is never read
+    counts = node.report().figures.table("dropped")
+    assert {reason: n for reason, n in counts.items() if n} == {
+        "malformed": 1,
+        "future_tick": 1,
+        "wrong_kind": 1,
+        "wrong_width": 1,
+        "old_tick": 2,  # the third tick's replay is never read
     }
     assert driver.exerted == [0.5, 0.5, 0.5, 0.0]  # and lets go at the end
 
@@ -169,7 +169,7 @@ def test_a_force_beyond_the_limit_is_clipped_last_before_the_actuator(
     node.loop(Start(0, 3), new_life(), line)
     assert driver.exerted == [1.0, 2.0, -2.0, 0.0]
     np.testing.assert_array_equal(line.trace("f_v"), [[1.0], [2.0], [-2.0]])
-    assert node.report().counts["clipped"] == 2
+    assert node.report().figures["clipped"] == 2
     assert line.telemetry[-1].figures["clipped"] == 2.0
     T, level, K = bundle.common.period, bundle.promises[0].level[0, 0], bundle.promises[0].K[0, 0]
     y = [K * 1.0 / T, 1e-3 / T + K * 1.0 / T, -4.0 * K / T]
@@ -202,7 +202,7 @@ def test_a_device_beyond_its_limits_lets_go_and_hides_its_position(
     assert not life.failure
     assert driver.exerted == [1.0, 0.0, 0.0, 0.0]
     report = node.report()
-    assert (report.ticks, report.counts["let_go"]) == (3, 1)
+    assert (report.ticks, report.figures["let_go"]) == (3, 1)
     assert values_at(coupling, 3) == [[0.0], [pytest.approx(told)], [pytest.approx(told)]]
     assert node.device.guard.why.startswith(sentence)
 
@@ -221,7 +221,7 @@ def test_a_device_whose_coupling_floods_it_fails_and_lets_go(
     assert life.failure.startswith(
         f"dx: cx sent {MAX_STRAY_FRAMES + 1} stray frames while its signal of tick 1 was awaited"
     )
-    assert node.report().counts["dropped_malformed"] == MAX_STRAY_FRAMES + 1
+    assert node.report().figures.table("dropped")["malformed"] == MAX_STRAY_FRAMES + 1
     assert driver.exerted[0] == 1.0
     assert driver.exerted[-1] == 0.0
 
@@ -259,7 +259,7 @@ def test_a_coupling_admits_no_sample_that_its_device_could_not_have(
         send(far["environment"], Reaction(k, 0, one(0.0)))
     node.loop(Start(0, 3), new_life(), new_line())
     assert values_at(far["environment"], 3) == [[0.25], [0.2], [0.25]]
-    assert node.report().counts["dropped_out_of_range"] == 3
+    assert node.report().figures.table("dropped")["out_of_range"] == 3
 
 
 def test_a_coupling_clips_a_force_before_passing_and_absorbing_it(
@@ -278,7 +278,7 @@ def test_a_coupling_clips_a_force_before_passing_and_absorbing_it(
     assert values_at(far["dx"], len(forces)) == clipped
     offset = dataclasses.replace(bundle.block, D=np.zeros((1, 1))).simulate(np.array(clipped))
     np.testing.assert_allclose(values_at(far["environment"], len(forces)), offset, rtol=1e-12, atol=1e-15)
-    assert node.report().counts["saturated"] == 2
+    assert node.report().figures["saturated"] == 2
 
 
 def test_a_coupling_sends_its_figures_and_traces(
@@ -330,7 +330,7 @@ def test_the_environment_admits_no_tool_beyond_what_honest_limits_allow(
             send(far[other], Tool(k, 0, one(0.0)))
     node.loop(Start(0, len(tools)), new_life(), new_line())
     assert node.report().ticks == len(tools)
-    assert node.report().counts["dropped_out_of_range"] == 3
+    assert node.report().figures.table("dropped")["out_of_range"] == 3
 
 
 def test_a_coupling_with_another_feedthrough_is_refused(

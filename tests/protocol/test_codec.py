@@ -21,6 +21,7 @@ from manyhands.protocol.messages import (
     Echo,
     Fault,
     Fetch,
+    Figures,
     Force,
     Grasp,
     LinkHello,
@@ -60,7 +61,8 @@ roles = st.sampled_from(Role)
 finite = st.floats(allow_nan=False, allow_infinity=False)
 numbers = st.floats(allow_nan=False)
 endpoints = st.dictionaries(names, st.text(printable, min_size=1, max_size=limits.MAX_ENDPOINT), max_size=4)
-figures = st.dictionaries(names, numbers, max_size=4)
+named_numbers = st.dictionaries(names, numbers, max_size=4)
+figures = st.builds(Figures, named_numbers, st.dictionaries(names, named_numbers, max_size=3))
 statuses = st.builds(
     PromiseStatus,
     names,
@@ -68,7 +70,7 @@ statuses = st.builds(
     st.lists(names, max_size=2).map(tuple),
     st.none() | finite,
     st.none() | finite,
-    figures,
+    named_numbers,
     texts,
 )
 values = hnp.arrays(np.float64, st.integers(1, limits.MAX_PORTS), elements=finite)
@@ -100,9 +102,7 @@ MESSAGES: dict[type[Any], st.SearchStrategy[Message]] = {
     Reaction: st.builds(Reaction, counts, counts, values),
     Force: st.builds(Force, counts, counts, values),
     Telemetry: st.builds(Telemetry, counts, figures, st.dictionaries(names, traces, max_size=3)),
-    Report: st.builds(
-        Report, counts, figures, st.dictionaries(names, counts, max_size=3), st.dictionaries(names, figures, max_size=3)
-    ),
+    Report: st.builds(Report, counts, figures),
     Fault: st.builds(Fault, texts),
     Probe: st.builds(Probe, counts),
     Echo: st.builds(Echo, counts, counts, counts),
@@ -204,25 +204,25 @@ def test_signals_of_different_kind_or_content_differ() -> None:
     assert Sample(1, 2, one) != Sample(1, 3, one)
     assert Sample(1, 2, one) != Sample(1, 2, np.array([2.0]))
     assert Sample(1, 2, one) != (1, 2, one)
-    assert Telemetry(1, {}, {"x": np.eye(1)}) != Telemetry(1, {}, {"x": np.zeros((1, 1))})
-    assert Telemetry(1, {}, {}) != Ready()
+    assert Telemetry(1, Figures(), {"x": np.eye(1)}) != Telemetry(1, Figures(), {"x": np.zeros((1, 1))})
+    assert Telemetry(1, Figures(), {}) != Ready()
 
 
 def test_observations_of_different_nodes_or_content_differ() -> None:
-    one = Observation("dx", 1, {"speed": 0.5}, {"x": np.eye(1)})
-    assert one == Observation("dx", 1, {"speed": 0.5}, {"x": np.eye(1)})
+    one = Observation("dx", 1, Figures({"speed": 0.5}), {"x": np.eye(1)})
+    assert one == Observation("dx", 1, Figures({"speed": 0.5}), {"x": np.eye(1)})
     for other in (
-        Observation("dy", 1, {"speed": 0.5}, {"x": np.eye(1)}),
-        Observation("dx", 2, {"speed": 0.5}, {"x": np.eye(1)}),
-        Observation("dx", 1, {"speed": 0.6}, {"x": np.eye(1)}),
-        Observation("dx", 1, {"speed": 0.5}, {"x": np.zeros((1, 1))}),
-        Telemetry(1, {"speed": 0.5}, {"x": np.eye(1)}),
+        Observation("dy", 1, Figures({"speed": 0.5}), {"x": np.eye(1)}),
+        Observation("dx", 2, Figures({"speed": 0.5}), {"x": np.eye(1)}),
+        Observation("dx", 1, Figures({"speed": 0.6}), {"x": np.eye(1)}),
+        Observation("dx", 1, Figures({"speed": 0.5}), {"x": np.zeros((1, 1))}),
+        Telemetry(1, Figures({"speed": 0.5}), {"x": np.eye(1)}),
     ):
         assert one != other
 
 
 def test_telemetry_carries_nonfinite_values() -> None:
-    sent = Telemetry(3, {"peak": math.inf, "ratio": math.nan}, {"x": np.array([[math.nan, -math.inf]])})
+    sent = Telemetry(3, Figures({"peak": math.inf, "ratio": math.nan}), {"x": np.array([[math.nan, -math.inf]])})
     received = decode(encode(sent), limits.MAX_CONTROL_BYTES)
     assert isinstance(received, Telemetry)
     assert received.figures["peak"] == math.inf
@@ -231,8 +231,8 @@ def test_telemetry_carries_nonfinite_values() -> None:
 
 
 def test_numbers_of_numpy_are_numbers() -> None:
-    sent = Report(np.int64(3), {"a": np.float32(0.5), "b": 1}, {"c": np.int32(4)}, {})  # type: ignore[arg-type]
-    assert decode(encode(sent), limits.MAX_CONTROL_BYTES) == Report(3, {"a": 0.5, "b": 1.0}, {"c": 4}, {})
+    sent = Report(np.int64(3), Figures({"a": np.float32(0.5), "b": 1, "c": np.int32(4)}))  # type: ignore[arg-type]
+    assert decode(encode(sent), limits.MAX_CONTROL_BYTES) == Report(3, Figures({"a": 0.5, "b": 1.0, "c": 4}))
     tick = np.int64(7)
     assert decode(encode(Sample(tick, 0, np.ones(1))), limits.MAX_CONTROL_BYTES) == Sample(7, 0, np.ones(1))  # type: ignore[arg-type]
 
@@ -302,13 +302,19 @@ HELLO = LinkHello(1, "c", "s", "n", Role.DEVICE, ("p",))
         (Offer("cx", ""), "Offer.endpoint: found ''; expected a printable name"),
         (Probe(-1), "Probe.sent: found -1; expected an integer from 0"),
         (Echo(0, 2**63, 0), "Echo.heard: found 9223372036854775808"),
-        (Observation("", 1, {}, {}), "Observation.node: found ''"),
-        (Observation("dx", 1, {}, {"x": np.ones(3)}), "Observation.traces: found .*expected a 2-D array of float64"),
-        (Report(1, {}, {"late": -1}, {}), "Report.counts: found -1"),
-        (Report(1, {"a": 10**400}, {}, {}), "Report.figures"),
-        (Telemetry(1, {}, {"x": np.ones(3)}), "Telemetry.traces: found .*expected a 2-D array of float64"),
-        (Telemetry(1, {}, {"x": np.zeros((200_000, 1))}), "Telemetry.traces: found 200000 rows"),
-        (Telemetry(1, {}, {k: np.zeros((9, 9000)) for k in "ab"}), "Telemetry: found a frame of .*at most 1048576"),
+        (Observation("", 1, Figures(), {}), "Observation.node: found ''"),
+        (
+            Observation("dx", 1, Figures(), {"x": np.ones(3)}),
+            "Observation.traces: found .*expected a 2-D array of float64",
+        ),
+        (Report(1, {"late": 1.0}), "Report.figures: found {'late': 1.0}; expected figures"),  # type: ignore[arg-type]
+        (Report(1, Figures({"a": 10**400})), "Report.figures"),
+        (Telemetry(1, Figures(), {"x": np.ones(3)}), "Telemetry.traces: found .*expected a 2-D array of float64"),
+        (Telemetry(1, Figures(), {"x": np.zeros((200_000, 1))}), "Telemetry.traces: found 200000 rows"),
+        (
+            Telemetry(1, Figures(), {k: np.zeros((9, 9000)) for k in "ab"}),
+            "Telemetry: found a frame of .*at most 1048576",
+        ),
         (ForeignHello(2), "found ForeignHello; expected a message of the protocol"),
     ],
 )

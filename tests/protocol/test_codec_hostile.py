@@ -24,6 +24,7 @@ from manyhands.protocol.messages import (
     Echo,
     Fault,
     Fetch,
+    Figures,
     Force,
     Grasp,
     LinkHello,
@@ -82,8 +83,8 @@ VALID: list[Message] = [
     PathKey(bytes(8), bytes(32), 7400),
     Fetch(65536),
     Piece(65536, 65540, b"rest"),
-    Telemetry(100, {"speed": 0.1}, {"x": np.arange(6.0).reshape(3, 2)}),
-    Observation("dx", 100, {"speed": 0.1}, {"x": np.arange(6.0).reshape(3, 2)}),
+    Telemetry(100, Figures({"speed": 0.1}), {"x": np.arange(6.0).reshape(3, 2)}),
+    Observation("dx", 100, Figures({"speed": 0.1}), {"x": np.arange(6.0).reshape(3, 2)}),
     Condition(
         "running",
         1.5,
@@ -96,7 +97,7 @@ VALID: list[Message] = [
     ),
     Grasp(np.array([0.1, -0.2])),
     Release(),
-    Report(10_000, {"peak": 0.5}, {"late": 3}, {"tau_us": {"p50": 120.0}}),
+    Report(10_000, Figures({"peak": 0.5, "late": 3}, {"tau_us": {"p50": 120.0}})),
     Fault("boom"),
 ]
 FRAMES = [encode(message) for message in VALID]

@@ -15,7 +15,7 @@ from manyhands.protocol.clock import Duration, Instant
 from manyhands.protocol.codec import LAYOUTS, LONGEST, decode, encode, read_head, type_of
 from manyhands.protocol.gate import DRIFT, DROP_REASONS, MOST_PERIODS, ROUNDING, Bounds, Gate
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_COUNT
-from manyhands.protocol.messages import PROTOCOL_VERSION, LinkHello, Ready, Role, Sample, Telemetry, Tool
+from manyhands.protocol.messages import PROTOCOL_VERSION, Figures, LinkHello, Ready, Role, Sample, Telemetry, Tool
 from tests.support.gates import admit
 
 from ..support.cases import cases
@@ -85,7 +85,7 @@ REFUSED = [
     (encode(Tool(TICK, 0, PAIR)), "wrong_kind"),
     (usual(TICK, math.nan, 2.0, number=17), "wrong_kind"),
     (encode(Ready()), "wrong_kind"),
-    (encode(Telemetry(TICK, {}, {})), "wrong_kind"),
+    (encode(Telemetry(TICK, Figures(), {})), "wrong_kind"),
     (encode(LinkHello(PROTOCOL_VERSION + 1, "c", "s", "n", Role.DEVICE, ("p",))), "wrong_kind"),
     (usual(TICK, 1.0), "wrong_width"),
     (usual(TICK, 1.0, 2.0, 3.0), "wrong_width"),

@@ -16,6 +16,7 @@ from manyhands.protocol.gate import DROP_REASONS
 from manyhands.protocol.handshake import TRANSITIONS, Expected, check_link_hello, check_node_hello
 from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
+    Figures,
     LinkHello,
     NodeHello,
     PathKey,
@@ -30,7 +31,7 @@ from manyhands.protocol.transport.door import NotAdmitted
 
 from ..support.spec_text import SPEC, table
 
-NAMESPACE = {kind.__name__: kind for kind in LAYOUTS} | {"Role": Role, "array": np.array}
+NAMESPACE = {kind.__name__: kind for kind in LAYOUTS} | {"Role": Role, "Figures": Figures, "array": np.array}
 EXAMPLES = [
     (eval(message, dict(NAMESPACE)), bytes.fromhex(frame))
     for message, frame in re.findall(r"^\| `([A-Z].*?)` \| `([0-9a-f ]+)` \|$", SPEC, re.MULTILINE)
@@ -48,8 +49,8 @@ def test_there_is_an_example_of_every_message() -> None:
 
 
 def test_short_floats_are_understood_as_promised() -> None:
-    frame = msgpack.packb([32, 1, {"speed": 0.5}, {}], use_single_float=True)
-    assert decode(frame, limits.MAX_CONTROL_BYTES) == Telemetry(1, {"speed": 0.5}, {})
+    frame = msgpack.packb([32, 1, [{"speed": 0.5}, {}], {}], use_single_float=True)
+    assert decode(frame, limits.MAX_CONTROL_BYTES) == Telemetry(1, Figures({"speed": 0.5}), {})
 
 
 def test_the_version_is_this_one() -> None:

@@ -33,13 +33,14 @@ from manyhands.nodes.link import process
 from manyhands.nodes.link.peer_link import PeerLink, bind_links, hello_to
 from manyhands.nodes.link.process import HostedNode, Node
 from manyhands.nodes.link.supervisor_line import ControlLine
-from manyhands.nodes.rows import telemetry
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import RealtimeClock, from_seconds
 from manyhands.protocol.gate import DROP_REASONS
 from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
     Fault,
     Fetch,
+    Figures,
     Message,
     NodeHello,
     Probe,
@@ -55,7 +56,7 @@ from manyhands.protocol.transport.door import NotAdmitted
 from manyhands.protocol.transport.zeromq import HUB_DROPS, ZmqHub, ZmqTransport
 from tests.support.memory_transport import MemoryTransport
 
-from ..support.spec_text import SPEC, listed, table
+from ..support.spec_text import OF_FIGURES, SPEC, figure_rows, listed, table
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 SAID: dict[type[Message], Message] = {
@@ -63,8 +64,8 @@ SAID: dict[type[Message], Message] = {
     NodeHello: NodeHello(PROTOCOL_VERSION, "id", "s", "dx", Role.DEVICE, 1, {}),
     Probe: Probe(1),
     Ready: Ready(),
-    Telemetry: Telemetry(1, {}, {}),
-    Report: Report(1, {}, {}, {}),
+    Telemetry: Telemetry(1, Figures(), {}),
+    Report: Report(1, Figures()),
     Fault: Fault("boom"),
 }
 
@@ -156,7 +157,7 @@ class LastMessageLine:
     """A node's line to the supervisor; only the last message matters."""
 
     def __init__(self) -> None:
-        self.dropped, self.log, self.word = 0, Log(None, "s", "n", RealtimeClock()), Report(0, {}, {}, {})
+        self.dropped, self.log, self.word = 0, Log(None, "s", "n", RealtimeClock()), Report(0, Figures())
 
     def refused(self) -> Mapping[str, int]:
         return {}
@@ -165,8 +166,12 @@ class LastMessageLine:
         self.word = report
 
 
-def test_what_a_report_counts(prepared: Prepared) -> None:
-    counted: dict[str, list[str]] = {}
+def test_every_figure_is_listed() -> None:
+    assert "\n".join([OF_FIGURES, "|---|---|---|---|", *figure_rows(), ""]) in SPEC, "run: make figures"
+
+
+def test_a_node_states_what_is_declared(prepared: Prepared) -> None:
+    stated = dict[str, set[str]]()
     for bundle in cut(prepared, RunPlan("simulated", None, "")).values():
         node: Node
         match bundle:
@@ -182,12 +187,15 @@ def test_what_a_report_counts(prepared: Prepared) -> None:
         line = LastMessageLine()
         member = HostedNode(bundle.common, node, MemoryTransport(), line)  # type: ignore[arg-type]
         process._report(member, {}, Life.__new__(Life))
-        own = [name for name in line.word.counts if name.removeprefix("dropped_") not in DROP_REASONS]
-        counted[bundle.common.role] = own
-    of_all = [name for name in counted[Role.DEVICE] if all(name in own for own in counted.values())]
-    rows = [[role, name] for role in counted for name in counted[role] if name not in of_all]
-    rows += [["every node", name] for name in of_all]
-    assert [row[:2] for row in table("| role | count in the Report | is |")] == rows
+        numbers, tables = line.word.figures, line.word.figures.tables
+        assert all(names.FIGURES[name].key is None for name in numbers), numbers
+        assert all(names.FIGURES[name].key is not None for name in tables), tables
+        stated[bundle.common.role] = {*numbers, *tables}
+        assert {"refused", "dropped"} <= tables.keys()
+        assert {*tables["dropped"]} <= {*DROP_REASONS, "telemetry", "log"}
+    assert {"late", "late_cause", "tau_us", "let_go"} <= stated[Role.DEVICE]
+    assert "saturated" in stated[Role.COUPLING]
+    assert {"frozen_ticks", "absences"} <= stated[Role.ENVIRONMENT]
 
 
 def _unlinked(common: Common) -> PeerLink:
@@ -263,6 +271,6 @@ def test_every_attack_is_counted_by_a_count_that_there_is() -> None:
         "out_of_turn",
         "telemetry_that_does_not_fit",
     } | {
-        telemetry.CLIPPED,
-        telemetry.SATURATED,
+        names.CLIPPED,
+        names.SATURATED,
     }

@@ -38,7 +38,7 @@ from manyhands.launch.audit.simulation import Simulation
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.recordings.run import RecordedRun, read_run
 from manyhands.launch.session import load_session
-from manyhands.nodes.rows.telemetry import DISPLACEMENT, FORCE, INSTANTS, WAVE, WAVE_LEDGER
+from manyhands.nodes.rows.figures import DISPLACEMENT, FORCE, INSTANTS, WAVE, WAVE_LEDGER
 from manyhands.nodes.wave_link.ends import JOINING, OUTLIERS
 from manyhands.nodes.wave_link.faces import UserFace, WorldFace
 

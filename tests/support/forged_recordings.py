@@ -11,7 +11,7 @@ import numpy as np
 from manyhands.launch.recordings.run import RecordedRun
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.protocol.codec import encode
-from manyhands.protocol.messages import Observation
+from manyhands.protocol.messages import Figures, Observation
 
 from .simulated_recordings import START
 
@@ -30,14 +30,14 @@ class Forged:
     """
 
     rows: dict[tuple[str, str], np.ndarray]
-    figures: dict[str, list[tuple[int, dict[str, float]]]]
+    figures: dict[str, list[tuple[int, Figures]]]
     gone: dict[str, np.ndarray] = field(default_factory=dict)
 
     @classmethod
     def of(cls, run: RecordedRun) -> Forged:
         """What a recording holds; nothing is changed yet."""
         rows = {(node, trace.topic.trace): trace.values.copy() for (node, _), trace in run.traces.items()}
-        figures = {node: [(tick, dict(of)) for tick, of in told] for node, told in run.figures.items()}
+        figures = {node: [*told] for node, told in run.figures.items()}
         gone = {
             node: ~np.any([np.isfinite(values).any(axis=1) for (of, _), values in rows.items() if of == node], axis=0)
             for node in run.recorded.roles
@@ -55,7 +55,7 @@ class Forged:
                 pieces = [ticks for ticks in np.split(here, np.flatnonzero(np.diff(here) != 1) + 1) if len(ticks)]
                 for ticks in pieces[:-1]:
                     own = {trace: values[ticks] for trace, values in traces.items()}
-                    core.take(encode(Observation(node, int(ticks[-1]) + 1, {}, own)), START)
+                    core.take(encode(Observation(node, int(ticks[-1]) + 1, Figures(), own)), START)
                 own = {trace: values[pieces[-1]] for trace, values in traces.items()} if pieces else {}
                 core.take(encode(Observation(node, int(pieces[-1][-1]) + 1 if pieces else tick, figures, own)), START)
                 begin = tick
@@ -93,8 +93,10 @@ def lose(*nodes: str, begin: int = FROM, end: int | None = None, **events: float
     def deed(forged: Forged) -> None:
         for node in nodes or forged.gone:
             forged.gone[node][begin:end] = True
-        for name, value in events.items():
-            forged.figures[nodes[0]][-1][1][name.replace("_at_", "@")] = value
+        if events:
+            tick, figures = forged.figures[nodes[0]][-1]
+            happened = {name.replace("_at_", "@"): value for name, value in events.items()}
+            forged.figures[nodes[0]][-1] = tick, figures.with_numbers(happened)
 
     return deed
 

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 
 import numpy as np
 
 from manyhands.nodes.monitor.session_state import About, CertificateAbout, LinkAbout, NodeAbout
 from manyhands.protocol.clock import Duration, Instant, SimulatedClock
 from manyhands.protocol.codec import encode
-from manyhands.protocol.messages import Condition, Observation, Role
+from manyhands.protocol.messages import Condition, Figures, Observation, Role
 
 MS = 1_000_000
+
+NO_TABLES: Mapping[str, Mapping[str, float]] = MappingProxyType({})
 
 PORTS = ("d.x", "d.y")
 ABOUT = About(
@@ -25,7 +28,9 @@ ABOUT = About(
 )  # fmt: skip
 
 
-def telemetry(node: str, tick: int, rows: int = 100, **figures: float) -> bytes:
+def telemetry(
+    node: str, tick: int, rows: int = 100, tables: Mapping[str, Mapping[str, float]] = NO_TABLES, **numbers: float
+) -> bytes:
     """A node's telemetry of so many ticks; the value in each tick is the tick's number."""
     ticks = np.arange(tick - rows, tick, dtype=np.float64)[:, None]
     columns = len(ABOUT.nodes[node].ports)
@@ -40,7 +45,7 @@ def telemetry(node: str, tick: int, rows: int = 100, **figures: float) -> bytes:
         traces = {"p": ticks.repeat(columns, 1), "f_v": -ticks.repeat(columns, 1), "ledger": ticks}
     else:
         traces = {"x_e": ticks.repeat(columns, 1), "q": ticks, "ledger": ticks}
-    return encode(Observation(node, tick, figures, traces))
+    return encode(Observation(node, tick, Figures(numbers, tables), traces))
 
 
 def condition(phase: str = "running", silent: tuple[str, ...] = (), incidents: tuple[str, ...] = (),

@@ -13,7 +13,7 @@ from manyhands.nodes.monitor.session_state import About, CertificateAbout, LinkA
 from manyhands.nodes.monitor.tracks import Floats
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
-from manyhands.protocol.messages import Condition, Observation, Role
+from manyhands.protocol.messages import Condition, Figures, Observation, Role
 
 ABOUT = About(
     session="pair",
@@ -49,9 +49,11 @@ ABOUT = About(
 UNCERTIFIED = replace(ABOUT, certificate=None)
 
 
-def observed(node: str, tick: int, traces: Mapping[str, Floats], **figures: float) -> bytes:
-    """A frame of a node's telemetry."""
-    return encode(Observation(node, tick, figures, traces))
+def observed(
+    node: str, tick: int, traces: Mapping[str, Floats], told: Figures | None = None, **numbers: float
+) -> bytes:
+    """A frame of a node's telemetry: of the figures that are ``told``, with these numbers."""
+    return encode(Observation(node, tick, (told or Figures()).with_numbers(numbers), traces))
 
 
 def judged(*frames: bytes, about: About = ABOUT) -> bytes:

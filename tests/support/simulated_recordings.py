@@ -22,6 +22,8 @@ from manyhands.protocol.channels import LEDGER, TAU
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Observation, Role
 
+from .figures import as_figures
+
 EVERY = 100  # ticks between two telemetry messages
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 START = 1_700_000_000_000_000_000  # ns since 1970
@@ -104,7 +106,10 @@ def written(
                 if role is Role.ENVIRONMENT:
                     figures |= _lives(rows, recorded, int(ticks[0]), until)
                 figures |= {"period_breaches": 0.0} if role is Role.DEVICE else {}
-                core.take(encode(Observation(node, until, figures | more(node, until), told)), START + until * 10**6)
+                core.take(
+                    encode(Observation(node, until, as_figures(more(node, until)).with_numbers(figures), told)),
+                    START + until * 10**6,
+                )
     assert core.refused == 0
     path.write_bytes(core.cut() + core.end())
     return path

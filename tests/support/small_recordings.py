@@ -10,7 +10,7 @@ import numpy as np
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import Recorded
 from manyhands.protocol.codec import encode
-from manyhands.protocol.messages import Condition, Observation, Role
+from manyhands.protocol.messages import Condition, Figures, Observation, Role
 
 RECORDED = Recorded(
     session="s",
@@ -40,7 +40,7 @@ def observation(node: str, tick: int, rows: int, **figures: float) -> bytes:
     traces = {
         name: base * (place + 1) * np.ones((1, width)) for place, (name, width) in enumerate(TRACES[node].items())
     }
-    return encode(Observation(node, tick, figures, traces))
+    return encode(Observation(node, tick, Figures(figures), traces))
 
 
 def condition(phase: str = "running", elapsed: float = 0.0) -> bytes:

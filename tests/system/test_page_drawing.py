@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,14 +16,15 @@ from manyhands.launch.look.page.feed import Feed
 from manyhands.launch.plan.prepare import unproved
 from manyhands.launch.run.broadcast import describe
 from manyhands.launch.session.shipped import load_named
-from manyhands.nodes.monitor.health import Promise
 from manyhands.nodes.monitor.health_model import HealthModel
 from manyhands.nodes.monitor.session_state import About, LinkAbout, NodeAbout, SpringAbout
+from manyhands.nodes.rows.promises import Promise
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.codec import encode
-from manyhands.protocol.messages import Condition, Observation, Role
+from manyhands.protocol.messages import Condition, Figures, Observation, Role
 
 from ..support.browser import BOXES, ShownPage, browsing, picture, until
+from ..support.figures import as_figures
 from ..support.observed_session import ABOUT
 
 CHROMIUM = shutil.which("chromium")
@@ -92,7 +93,7 @@ class Played:
     def __init__(self, about: About) -> None:
         self.about, self.feed, self.model, self.tick = about, Feed(about), HealthModel(about.terms), 0
 
-    def stand(self, at: float, figures: dict[str, dict[str, float]], **states: str) -> None:
+    def stand(self, at: float, figures: Mapping[str, Mapping[str, float]], **states: str) -> None:
         """All bodies stand at ``at``, m, for a second and more, and these are the figures of each node."""
         for _ in range(20):
             self.tick += 100
@@ -101,7 +102,7 @@ class Played:
                     topic.trace: np.full((100, len(columns)), 50.0 * at if topic.trace == "f_v" else at)
                     for topic, columns in self.about.topics(name).items()
                 }
-                self.take(Observation(name, self.tick, figures.get(node.role.value, {}), values))
+                self.take(Observation(name, self.tick, as_figures(figures.get(node.role.value, {})), values))
         running = dict.fromkeys(self.about.nodes, "running") | states
         self.model.look(running, (), self.tick * self.about.period)
         rows = self.model.rows({Promise.DELAY: NOTICE})
@@ -181,10 +182,9 @@ def test_the_page_names_who_and_since_when_in_the_sessions_time(browser: Browser
 
 def test_the_lobby_shows_who_is_in_and_which_seat_is_free(browser: Browser) -> None:
     played = Played(HOSTED)
-    lags = {"wave_lag_us_vl": 1e3, "wave_tank_vl": 0.01, "wave_clipped_vl": 0.0, "wave_silences_vl": 0.0,
-            "wave_deaf_vl": 0.0}  # fmt: skip
     own = {"wave_lag_us": 4e3, "wave_tank": 0.01, "wave_clipped": 0.0, "wave_silences": 0.0, "wave_deaf": 0.0}
-    played.stand(0.0, {"environment": lags, "coupling": own}, vr="free", right="free")
+    of_world = Figures({}, {f"{name}_of": {"vl": value} for name, value in (own | {"wave_lag_us": 1e3}).items()})
+    played.stand(0.0, {"environment": of_world, "coupling": own}, vr="free", right="free")
     shown = ShownPage(browser, played.feed, 390, "dark")
     until(shown.page, "#lobby li:nth-child(1)", "text", equals="seat vl: in, R = 5 ms, K = 8000 N/m, M = 50 g, ok")
     until(shown.page, "#lobby li:nth-child(2)", "text", equals="seat vr: free")

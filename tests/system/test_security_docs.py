@@ -24,7 +24,7 @@ from manyhands.launch.plan.reach import Listen, reach
 from manyhands.launch.plan.topology import topology
 from manyhands.launch.session import load_session
 from manyhands.nodes.kernel.bundle import DeviceBundle
-from manyhands.nodes.rows import telemetry
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.gate import DROP_REASONS
 from manyhands.protocol.transport import Trouble
 from manyhands.protocol.transport.door import NotAdmitted
@@ -187,7 +187,7 @@ def test_every_count_is_explained_and_every_count_explained_there_is() -> None:
     at_supervisor = (*NotAdmitted, *HUB_DROPS, "out_of_turn", "telemetry_that_does_not_fit")
     expected = [[f"`{name}`", "`refused`"] for name in at_supervisor]
     expected += [[f"`{name}`", "`dropped`"] for name in DROP_REASONS]
-    expected += [[f"`{telemetry.SATURATED}`", "a coupling's entry"], [f"`{telemetry.CLIPPED}`", "a device's entry"]]
+    expected += [[f"`{names.SATURATED}`", "a coupling's entry"], [f"`{names.CLIPPED}`", "a device's entry"]]
     assert [row[:2] for row in rows("| count | where | happened | look at |")] == expected
 
 

@@ -22,8 +22,8 @@ from manyhands.launch.plan.topology import topology
 from manyhands.launch.run.outcome import Progress
 from manyhands.launch.run.states import NodeState, SessionPhase
 from manyhands.launch.session import load_session
-from manyhands.nodes.rows import telemetry as names
-from manyhands.protocol.messages import Telemetry
+from manyhands.nodes.rows import figures as names
+from manyhands.protocol.messages import Figures, Telemetry
 
 from ..support.commands import read_until
 
@@ -110,7 +110,7 @@ def test_real_time_works_without_rights_display_or_unicode(tmp_path: Path) -> No
 def test_a_narrow_terminal_cuts_the_display_and_nothing_else(width: int) -> None:
     written, graph = io.StringIO(), topology(load_session(ALONE))
     console = Console(file=written, force_terminal=True, width=width)
-    telemetry = {node: Telemetry(10**6, {names.LATE: 3.0}, {}) for node in graph.nodes}
+    telemetry = {node: Telemetry(10**6, Figures({names.LATE: 3.0}), {}) for node in graph.nodes}
     states = dict.fromkeys(graph.nodes, NodeState.RUNNING.value)
     with LiveTable(console, "alone", graph, 0) as table:
         assert table(Progress(SessionPhase.RUNNING, states, {}, telemetry, 1.0, ("τ is long",), {"no_key": 3})) is None

@@ -80,9 +80,10 @@ def simulate(
         from manyhands.launch.audit.simulation import Simulation, require_one_period
         from manyhands.launch.look.display import world_lines
         from manyhands.launch.run.outcome import enforcement_sentence
-        from manyhands.nodes.environment.chatter import contact_figures
-        from manyhands.nodes.environment.energy import energy_figures
-        from manyhands.nodes.rows.telemetry import enforcement_figures
+        from manyhands.nodes.environment.chatter import contact_tables
+        from manyhands.nodes.environment.energy import energy_tables
+        from manyhands.nodes.rows.figures import enforcement_figures
+        from manyhands.protocol.messages import Figures
 
         loaded = load_named(session, overrides)
         try:
@@ -112,11 +113,8 @@ def simulate(
                 f"ledger {device.ledger.total:.3g} J (least {device.ledger.minimum:.3g} J)",
             )
         world, parties = simulation.environment, tuple(simulation.couplings)
-        for line in world_lines(
-            energy_figures(world.energy, parties)
-            | contact_figures(world.held, world.chatter, parties)
-            | {**world.figures}
-        ):
+        tables = energy_tables(world.energy, parties) | contact_tables(world.held, world.chatter, parties)
+        for line in world_lines(Figures(world.figures, tables)):
             say(out, line)
         if line := enforcement_sentence(enforcement_figures(world.controller)):
             say(out, line)

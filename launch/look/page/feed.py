@@ -21,13 +21,14 @@ from typing import Any, Final, Protocol
 from manyhands.launch.look.display import world_lines
 from manyhands.launch.look.page.pointer import Holding
 from manyhands.launch.look.sessions import Running
-from manyhands.nodes.kernel.json_number import json_number
+from manyhands.nodes.kernel.json_number import json_figures, json_number
 from manyhands.nodes.monitor.alarms import Alarms
 from manyhands.nodes.monitor.given import GivenForce, shares_cell
-from manyhands.nodes.monitor.health import PROMISES, Promise, cells, condensed, is_present, summary
+from manyhands.nodes.monitor.health import PROMISES, cells, condensed, is_present, summary
 from manyhands.nodes.monitor.session_state import About, Scene
 from manyhands.nodes.monitor.tracks import BUCKETS, WINDOW, Decimated, Tracks
 from manyhands.nodes.recorder.format import MAX_TIME_NS, Recorded
+from manyhands.nodes.rows.promises import Promise
 from manyhands.protocol.clock import Clock, Duration, Instant
 from manyhands.protocol.messages import Observation, PromiseStatus, Role
 from manyhands.protocol.transport.broadcast import Visit
@@ -125,7 +126,7 @@ class Feed:
                 out[name]["covered"] = scene.covered_tau(name)
             if node.received is not None and cursor.received.get(name) != node.received:
                 cursor.received[name] = node.received
-                out[name]["figures"] = {figure: _rounded(value) for figure, value in node.figures.items()}
+                out[name]["figures"] = json_figures(node.figures, _rounded)
                 if (given := GivenForce.of(node.figures)) is not None:
                     out[name]["given"] = shares_cell(given.by_force, given.by_time)
         return out

@@ -27,7 +27,7 @@ from manyhands.launch.plan.bundles import RunPlan as Way
 from manyhands.launch.plan.bundles import cut
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.recordings.integrity import findings
-from manyhands.launch.recordings.run import Figures, first_sign, read_run, there
+from manyhands.launch.recordings.run import FiguresByTick, first_sign, read_run, there
 from manyhands.launch.session import load_session
 from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.device.core import DeviceCore
@@ -56,7 +56,9 @@ Rows = dict[tuple[str, str], np.ndarray]
 def test_an_environment_that_raised_all_forces_again_is_computed_anew_up_to_there(recording: Path) -> None:
     """Otherwise the ramp, of which no coupling and no device knows, would look like a forged row of the environment."""
     run = read_run(recording)
-    figures = [(tick, {**of, **({"raised@57": 1.0} if tick > 57 else {})}) for tick, of in run.figures["environment"]]
+    figures = [
+        (tick, of.with_numbers({"raised@57": 1.0} if tick > 57 else {})) for tick, of in run.figures["environment"]
+    ]
     assert first_sign(run, "environment") == (run.ticks, "")
     raised = dataclasses.replace(run, figures={**run.figures, "environment": figures})
     assert first_sign(raised, "environment") == (57, "the devices had waited")
@@ -225,7 +227,7 @@ def bundle_of(prepared: Prepared, name: str) -> object:
     return cut(prepared, Way(SIMULATED, None, ""))[name]
 
 
-def course(bundle: DeviceBundle | CouplingBundle, figures: Figures, rows: np.ndarray) -> Course:
+def course(bundle: DeviceBundle | CouplingBundle, figures: FiguresByTick, rows: np.ndarray) -> Course:
     return course_of(figures, there(rows), len(bundle.rungs))
 
 
@@ -324,7 +326,7 @@ def test_a_coupling_that_changed_its_rung_is_followed(prepared: Prepared) -> Non
         assert core.ledger is not None
         energy[k] = core.ledger.total
     counted = [(100, {"rung": 0.0}), (200, {"rung": 1.0}), (300, {"rung": 1.0})]
-    figures = [(tick, told | ({"rung@150": 1.0} if tick == 200 else {})) for tick, told in counted]
+    figures = [(tick, {**told, **({"rung@150": 1.0} if tick == 200 else {})}) for tick, told in counted]
     again = recompute_coupling(bundle, x, p, f, course(bundle, figures, p))
     np.testing.assert_array_equal(again.signal, p)
     np.testing.assert_array_equal(again.ledger, energy)
@@ -463,7 +465,8 @@ def test_the_period_that_is_assumed_is_the_certificates(recording: Path) -> None
         text = f"samples are at most {most} T apart, or more after an early force, as the device counted"
         assert period_assumed(run, "dx", rho).what == text
     assert period_assumed(run, "dx", 0.0).verdict is CheckVerdict.HOLDS
-    run.figures["dx"][-1][1]["period_breaches"] = 3.0
+    tick, told = run.figures["dx"][-1]
+    run.figures["dx"][-1] = tick, told.with_numbers({"period_breaches": 3.0})
     check = period_assumed(run, "dx", 0.0)
     assert (check.verdict, check.remark) == (CheckVerdict.ASSUMPTION, "not in 3 ticks")
 

@@ -25,7 +25,7 @@ from manyhands.nodes.environment.core import EnvironmentCore
 from manyhands.nodes.environment.enforced import EnforcedCore
 from manyhands.nodes.kernel.energy_budget import EnergyBudget
 from manyhands.protocol.clock import Instant
-from manyhands.protocol.messages import Report, Role, Telemetry
+from manyhands.protocol.messages import Figures, Report, Role, Telemetry
 
 EXAMPLE = Path(__file__).parents[3] / "launch" / "sessions" / "example1.yaml"
 QUIET_HANDS = [f"devices.{name}.hand.force=0" for name in ("dx", "dy", "dz")]
@@ -179,7 +179,7 @@ def test_the_default_is_the_devices_ability_and_at_most_a_hands() -> None:
 
 class TestSentences:
     def told(self, tick: int, **figures: float) -> Telemetry:
-        return Telemetry(tick, {name.replace("__", "/"): value for name, value in figures.items()}, {})
+        return Telemetry(tick, Figures({name.replace("__", "/"): value for name, value in figures.items()}), {})
 
     def incidents(self) -> UserIncidents:
         return UserIncidents(topology(load_session(EXAMPLE)), T)
@@ -226,7 +226,7 @@ class TestSentences:
         incidents, running = self.incidents(), ("cx", "cy", "cz")
 
         def receive(tick: int, event: str = "ledger", nodes: Sequence[str] = running) -> list[str]:
-            return incidents.receive("environment", Telemetry(tick, {event: 1.0}, {}), nodes)
+            return incidents.receive("environment", Telemetry(tick, Figures({event: 1.0}), {}), nodes)
 
         assert receive(600, "frozen:cx@500") == []
         assert receive(700, "returned:cx@650") == receive(1800) == []  # it was frozen for a moment
@@ -240,18 +240,25 @@ class TestSentences:
 
 class TestLine:
     def test_who_moved_whom_is_a_line_with_the_most_first(self) -> None:
-        figures = {"moved_cx/cy": 1.25, "moved_cz/cy": 3.0, "moved_cy/cx": 1e-4, "scaled_cz": 12.0, "ledger": 9.0}
+        figures = Figures(
+            {"ledger": 9.0}, {"moved": {"cx/cy": 1.25, "cz/cy": 3.0, "cy/cx": 1e-4}, "scaled": {"cz": 12.0}}
+        )
         assert energy_line(figures) == "who moved whom [J]: cz → cy 3, cx → cy 1.25; held to an energy budget: cz"
 
     def test_of_many_the_first_are_shown(self) -> None:
-        figures = {f"moved_a/b{i}": 1.0 + i for i in range(MOST_SHOWN + 2)}
+        figures = Figures({}, {"moved": {f"a/b{i}": 1.0 + i for i in range(MOST_SHOWN + 2)}})
         assert energy_line(figures).endswith(" and 2 more")
 
     def test_nothing_is_no_line(self) -> None:
-        assert energy_line({"ledger": 1.0}) == ""
+        assert energy_line(Figures({"ledger": 1.0})) == ""
 
     def test_it_is_printed_with_the_report(self) -> None:
-        report = Report(7, {"moved_cx/cy": 1.25, "given_cx": 1.25, "received_cy": 1.25, "scaled_cx": 3.0}, {}, {})
+        report = Report(
+            7,
+            Figures(
+                {}, {"moved": {"cx/cy": 1.25}, "given": {"cx": 1.25}, "received": {"cy": 1.25}, "scaled": {"cx": 3.0}}
+            ),
+        )
         entry = node_entry(Role.ENVIRONMENT, report)
         assert entry["energy"] == {
             "given": {"cx": 1.25},

@@ -22,7 +22,7 @@ from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import Recorded
 from manyhands.protocol.channels import TOPICS
 from manyhands.protocol.codec import encode
-from manyhands.protocol.messages import Observation, Role
+from manyhands.protocol.messages import Figures, Observation, Role
 
 from ...support.commands import manyhands_command
 
@@ -62,7 +62,7 @@ def file(tmp_path: Path) -> Path:
                 continue
             traces = {"x": numbers(node, "x")[first:end]} if role is Role.DEVICE else {}
             traces["f_v"] = numbers(node, "f_v")[first:end]
-            core.take(encode(Observation(node, end, {}, traces)), STARTED + end * 1_000_000)
+            core.take(encode(Observation(node, end, Figures(), traces)), STARTED + end * 1_000_000)
     path = tmp_path / "run.mcap"
     path.write_bytes(core.cut() + core.end())
     return path
@@ -153,7 +153,7 @@ def _four(vector: Any) -> tuple[float, ...]:
 
 def test_the_times_of_a_recording_that_begins_late(tmp_path: Path) -> None:
     core = RecorderCore(RECORDED)
-    core.take(encode(Observation("dx", TICKS, {}, {"x": numbers("dx", "x")[20:]})), STARTED + TICKS * 1_000_000)
+    core.take(encode(Observation("dx", TICKS, Figures(), {"x": numbers("dx", "x")[20:]})), STARTED + TICKS * 1_000_000)
     path = tmp_path / "late.mcap"
     path.write_bytes(core.cut() + core.end())
     run = read_run(path)

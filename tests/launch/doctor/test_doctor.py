@@ -64,7 +64,7 @@ from manyhands.launch.session.shipped import load_named
 from manyhands.nodes.kernel.realtime import Grant
 from manyhands.protocol.clock import Duration
 from manyhands.protocol.codec import encode
-from manyhands.protocol.messages import Condition, Observation
+from manyhands.protocol.messages import Condition, Figures, Observation
 
 YES, NO = Grant(True, "as wished"), Grant(False, "found the limit; expected more")
 IPC, TCP = Way("ipc", "ipc", "ipc"), Way("tcp_curve", "tcp with CURVE", "tcp")
@@ -184,8 +184,8 @@ def test_nothing_moves_in_the_session_at_rest() -> None:
 def test_the_delays_of_every_telemetry_are_kept_in_nanoseconds() -> None:
     delays = DelayRecorder()
     for node, rows in (("dx", [[250.0], [300.5]]), ("dy", [[0.125]])):
-        delays.take(encode(Observation(node, 2, {}, {"tau_us": np.array(rows)})))
-    delays.take(encode(Observation("cx", 2, {}, {})))
+        delays.take(encode(Observation(node, 2, Figures(), {"tau_us": np.array(rows)})))
+    delays.take(encode(Observation("cx", 2, Figures(), {})))
     delays.take(encode(Condition("running", 0.1, {}, (), (), (), ())))
     delays.take(None)
     assert delays.tau == [250_000, 300_500, 125]
@@ -366,7 +366,7 @@ def ended(
 
         def run(self) -> Outcome:
             for node, delays in told.items():
-                self.recorder.take(encode(Observation(node, len(delays), {}, {"tau_us": np.array([delays]).T})))
+                self.recorder.take(encode(Observation(node, len(delays), Figures(), {"tau_us": np.array([delays]).T})))
             nodes = {node: {"late": 0, "period_us": {"p99": p99}} for node, p99 in periods.items()}
             return Outcome(code, faults, (), {"nodes": nodes}, None, {}, {})
 

@@ -13,9 +13,9 @@ from manyhands.launch.look.display import COLUMNS, RANKS, LiveTable, figure_tabl
 from manyhands.launch.plan.topology import Topology
 from manyhands.launch.run.outcome import Progress
 from manyhands.launch.run.states import SessionPhase
-from manyhands.protocol.messages import PromiseStatus, Telemetry
+from manyhands.protocol.messages import Figures, PromiseStatus, Telemetry
 
-TITLES = ("node", "role", "tick", "rate\n[Hz]", *(heading(column.title) for column in COLUMNS))
+TITLES = ("node", "role", "tick", "rate\n[Hz]", *(heading(column.title) for _, column in COLUMNS))
 cells = st.text(st.characters(categories=["L", "N"], max_codepoint=255), max_size=12)
 
 
@@ -66,8 +66,8 @@ def test_a_terminal_breaks_a_sentence_between_words(terminal: bool, lines: int) 
     ],
 )
 def test_late_ticks_are_each_devices_own(late: dict[str, int], said: str) -> None:
-    telemetry = {name: Telemetry(2000, {"late": float(ticks)}, {}) for name, ticks in late.items()}
-    assert late_line(telemetry | {"cx": Telemetry(2000, {"speed": 1.0}, {})}) == said
+    telemetry = {name: Telemetry(2000, Figures({"late": float(ticks)}), {}) for name, ticks in late.items()}
+    assert late_line(telemetry | {"cx": Telemetry(2000, Figures({"speed": 1.0}), {})}) == said
 
 
 def test_a_line_says_once_that_a_hand_lacks_its_force_though_its_figures_change() -> None:

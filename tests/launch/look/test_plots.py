@@ -39,7 +39,7 @@ from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE, Recorded
 from manyhands.protocol.channels import TOPICS, links_at, topics_of
 from manyhands.protocol.codec import encode
-from manyhands.protocol.messages import Condition, Observation, Role
+from manyhands.protocol.messages import Condition, Figures, Observation, Role
 
 PERIOD = 1e-3
 Array = np.ndarray
@@ -424,7 +424,7 @@ def recorded_file(path: Path, ticks: int) -> Recorded:
     core = RecorderCore(recorded, {CERTIFICATE_FILE: b'{"tau": 0.0004}'})
     x = np.sin(0.01 * np.arange(ticks))[:, None]
     traces = {"x": x, "f_v": -2.0 * x, "ledger": np.abs(x), "tau_us": 300.0 + x}
-    core.take(encode(Observation("d", ticks, {}, traces)), 0)
+    core.take(encode(Observation("d", ticks, Figures(), traces)), 0)
     path.write_bytes(core.end())
     return recorded
 

@@ -28,6 +28,7 @@ from manyhands.launch.look.tables import (
 from manyhands.nodes.monitor import given
 from manyhands.nodes.monitor.session_state import Scene
 from manyhands.protocol.clock import Duration, Instant
+from manyhands.protocol.messages import Figures
 
 from ...support.observed_frames import ABOUT, MS, Frames, condition, telemetry
 from ...support.observed_session import judged
@@ -109,13 +110,17 @@ def printed(scene: Scene, width: int) -> str:
     return text.getvalue()
 
 
-FIGURES = {"late": 3.0, "tau_us_p50": 120.0, "tau_us_p99": 350.0, "speed": 0.01, "ledger": 0.25,
-           "ledger_margin": 0.125, "interface": 0.0625, "rung": 1.0,
-           "not_admitted": 7.0}  # fmt: skip
+FIGURES = Figures(
+    {"late": 3.0, "speed": 0.01, "ledger": 0.25, "ledger_margin": 0.125, "interface": 0.0625, "rung": 1.0,
+     "not_admitted": 7.0},
+    {"tau_us": {"p50": 120.0, "p99": 350.0}},
+)  # fmt: skip
 
 
 def test_the_table_has_every_node_figure_and_alarm() -> None:
-    scene = scene_of(telemetry("d", 100, **FIGURES), condition(silent=("cx",), incidents=("dx came back",)))
+    scene = scene_of(
+        telemetry("d", 100, tables=FIGURES.tables, **FIGURES), condition(silent=("cx",), incidents=("dx came back",))
+    )
     text = printed(scene, 200)
     (row,) = [line.split() for line in text.splitlines() if line.split()[:2] == ["d", "device"]]
     assert row == [
@@ -141,8 +146,12 @@ def test_the_table_has_every_node_figure_and_alarm() -> None:
 
 
 def test_a_user_frozen_for_lateness_is_named_with_its_cost() -> None:
-    late = {"waited_ticks_cx": 53.0, "waited_us_cx": 117e3, "waited_ticks_cy": 1.0, "waited_us_cy": 600.0}
-    told = telemetry("environment", 100, **late, frozen_late_cx=2.0)
+    late = {
+        "waited_ticks": {"cx": 53.0, "cy": 1.0},
+        "waited_us": {"cx": 117e3, "cy": 600.0},
+        "frozen_late": {"cx": 2.0},
+    }
+    told = telemetry("environment", 100, tables=late)
     text = printed(scene_of(told, judged(told, condition(), about=ABOUT)), 200)
     assert "the others waited for cx in 53 ticks, 0.117 s in all, and then no more; its tool rested for 0 ticks" in text
     assert "waited for cy" not in text
@@ -150,12 +159,12 @@ def test_a_user_frozen_for_lateness_is_named_with_its_cost() -> None:
 
 @pytest.mark.parametrize("width", [60, 80, 100, 140])
 def test_in_a_narrow_table_figures_are_omitted_and_names_stay_whole(width: int) -> None:
-    scene = scene_of(*(telemetry(name, 100, **FIGURES) for name in ABOUT.nodes), condition())
+    scene = scene_of(*(telemetry(name, 100, tables=FIGURES.tables, **FIGURES) for name in ABOUT.nodes), condition())
     text = printed(scene, width)
     assert max(map(len, text.splitlines())) <= width
     assert "environment" in text
     assert "running" in text
-    heads = [column.title.split(" [")[0] for column in sorted(COLUMNS, key=lambda column: column.rank)]
+    heads = [column.title.split(" [")[0] for _, column in sorted(COLUMNS, key=lambda one: one[1].rank)]
     kept = [head in text for head in heads]
     assert kept == sorted(kept, reverse=True)  # the more important ones
 
@@ -210,9 +219,10 @@ def test_markup_of_a_node_is_no_markup() -> None:
 
 
 def test_as_json() -> None:
-    said = top_object(scene_of(telemetry("d", 100, **FIGURES | {"ledger": math.nan}), condition(silent=("cx",))))
+    told = telemetry("d", 100, tables=FIGURES.tables, **{**FIGURES, "ledger": math.nan})
+    said = top_object(scene_of(told, condition(silent=("cx",))))
     json.dumps(said, allow_nan=False)
-    assert said["nodes"]["d"]["figures"] == FIGURES | {"ledger": None}
+    assert said["nodes"]["d"]["figures"] == {**FIGURES, "ledger": None, **FIGURES.tables}
     assert {"between": ["d", "cx"], "health": "silent"} in said["links"]
     assert (said["notices"], said["incidents"], said["faults"]) == (["a notice"], [], [])
 

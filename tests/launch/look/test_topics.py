@@ -18,7 +18,7 @@ from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import Recorded
 from manyhands.protocol.channels import TOPICS
 from manyhands.protocol.clock import Instant
-from manyhands.protocol.messages import Condition, Observation, Role
+from manyhands.protocol.messages import Condition, Figures, Observation, Role
 
 from ...support.observed_frames import ABOUT, MS, condition, telemetry
 
@@ -134,12 +134,12 @@ class TestEcho:
         echo = EchoLines(find_topic(ABOUT, "d/sample"), ABOUT.period)
 
         def lines(tick: int, trace: list[list[float]]) -> list[str]:
-            return list(echo.lines(Observation("d", tick, {}, {"x": np.array(trace)}), 0))
+            return list(echo.lines(Observation("d", tick, Figures(), {"x": np.array(trace)}), 0))
 
         assert lines(2, [[math.nan, -math.inf]]) == ['{"tick": 1, "time": 0.001, "x": [null, null]}']
         assert lines(2, [[1.0]]) == lines(0, [[1.0, 2.0]]) == []
         assert echo.misfits == 2
-        assert list(echo.lines(Observation("d", 5, {}, {}), 0)) == []
+        assert list(echo.lines(Observation("d", 5, Figures(), {}), 0)) == []
 
 
 def paced(name: str, frames: dict[int, bytes], window: int = 10_000) -> dict[str, Any]:
@@ -160,12 +160,14 @@ class TestPace:
         assert "batches arrive here" in sentence(found)
 
     def test_a_device_reports_the_evenness_of_its_ticks(self) -> None:
-        figures = {"period_us_p50": 1000.0, "period_us_p99": 1200.0}
-        found = paced("d/force", {0: telemetry("d", 100, **figures), 100: telemetry("d", 200, **figures)})
+        own = {"period_us": {"p50": 1000.0, "p99": 1200.0}}
+        found = paced("d/force", {0: telemetry("d", 100, tables=own), 100: telemetry("d", 200, tables=own)})
         assert found["period_us"] == {"p50": 1000.0, "p99": 1200.0}
         assert found["tau_us"] == pytest.approx({"p50": 99.5, "p99": 197.01, "min": 0.0, "max": 199.0})
         assert "1000/1200 us (the device's, since its start)" in sentence(found)
-        assert "period_us" not in paced("d/force", {0: telemetry("d", 100, period_us_p50=math.nan, period_us_p99=1.0)})
+        assert "period_us" not in paced(
+            "d/force", {0: telemetry("d", 100, tables={"period_us": {"p50": math.nan, "p99": 1.0}})}
+        )
 
     def test_ticks_without_telemetry_are_counted(self) -> None:
         found = paced("d/sample", {0: telemetry("d", 100), 100: telemetry("d", 250), 200: telemetry("d", 400)})

@@ -23,7 +23,7 @@ from manyhands.nodes.link.peer_link import bounds_by_peer
 from manyhands.protocol.codec import encode
 from manyhands.protocol.gate import Gate
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_COUNT, MAX_NAME
-from manyhands.protocol.messages import Role, Telemetry, Tool
+from manyhands.protocol.messages import Figures, Role, Telemetry, Tool
 from tests.support.gates import admit
 
 SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
@@ -188,4 +188,4 @@ def test_many_wave_links_send_less_at_a_time(tmp_path: Path) -> None:
 def test_the_largest_traces_fit_a_frame() -> None:
     rows = np.zeros((bundles.MOST_TRACE_VALUES // 2, 1))
     figures = {f"{i:0{MAX_NAME}}": 0.5 for i in range(100)}
-    assert len(encode(Telemetry(MAX_COUNT, figures, {"x": rows, "f_v": rows}))) <= MAX_CONTROL_BYTES
+    assert len(encode(Telemetry(MAX_COUNT, Figures(figures), {"x": rows, "f_v": rows}))) <= MAX_CONTROL_BYTES

@@ -17,7 +17,7 @@ from manyhands.launch.recordings.tables import read_recording
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import Recorded
 from manyhands.protocol.codec import encode
-from manyhands.protocol.messages import Observation, Role
+from manyhands.protocol.messages import Figures, Observation, Role
 
 T, OWN, TICKS = 1e-3, 0.25e-3, 30
 RECORDED = Recorded(
@@ -48,7 +48,9 @@ def written(path: Path, recorded: Recorded = RECORDED, missing: tuple[str, ...] 
                 continue
             traces = dict.fromkeys(TRACES[role], values[begin:end])
             assert core.refused == 0
-            core.take(encode(Observation(node, end, {"late": 0.0}, traces)), 10**18 + round(T * TICKS / 2 * 1e9))
+            core.take(
+                encode(Observation(node, end, Figures({"late": 0.0}), traces)), 10**18 + round(T * TICKS / 2 * 1e9)
+            )
     assert core.tick == TICKS
     path.write_bytes(core.cut() + core.end())
     return path
@@ -162,7 +164,7 @@ def test_a_recording_of_later_hours_begins_with_the_same_tick_for_all(tmp_path: 
     for node in ("a", "b"):
         first = hour * round(RECORDED.rate_of(node))
         x = np.ones((8, 1))
-        core.take(encode(Observation(node, first + 8, {}, {"x": x, "f_v": x})), 10**18)
+        core.take(encode(Observation(node, first + 8, Figures(), {"x": x, "f_v": x})), 10**18)
     path = tmp_path / "late.mcap"
     path.write_bytes(core.cut() + core.end())
     run = read_run(path)

@@ -18,7 +18,7 @@ from manyhands.launch.recordings.tables import read_recording
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import Recorded
 from manyhands.protocol.codec import encode
-from manyhands.protocol.messages import Observation, Role
+from manyhands.protocol.messages import Figures, Observation, Role
 
 RECORDED = Recorded(
     "s", "id", 0.001, "simulated", {"a": Role.DEVICE, "b": Role.DEVICE}, {"a": ("a",), "b": ("b.0", "b.1")}
@@ -38,7 +38,7 @@ class Written:
             rows = slice(k * ROWS, (k + 1) * ROWS)
             for node, columns in (("a", slice(0, 1)), ("b", slice(1, 3))):
                 traces = {"x": NOISE[0, rows, columns], "f_v": NOISE[1, rows, columns]}
-                core.take(encode(Observation(node, rows.stop, {"late": 1.0}, traces)), 1_000 + k)
+                core.take(encode(Observation(node, rows.stop, Figures({"late": 1.0}), traces)), 1_000 + k)
             self.data += core.cut()
             self.pieces.append(len(self.data))
         self.data += core.end()
@@ -183,7 +183,7 @@ def test_lost_ticks_are_nan_and_counted_for_their_device_alone(
 
     def told(node: str, tick: int, columns: int) -> None:
         x = np.full((5, columns), float(tick))
-        core.take(encode(Observation(node, tick, {}, {"x": x, "f_v": x})), 1)
+        core.take(encode(Observation(node, tick, Figures(), {"x": x, "f_v": x})), 1)
 
     told("a", 5, 1)
     told("b", 5, 2)
@@ -200,7 +200,7 @@ def test_lost_ticks_are_nan_and_counted_for_their_device_alone(
 def test_a_tick_out_of_this_world_costs_no_memory(tmp_path: Path) -> None:
     core = RecorderCore(RECORDED)
     one = np.ones((1, 1))
-    core.take(encode(Observation("a", 2**60, {}, {"x": one, "f_v": one})), 1)
+    core.take(encode(Observation("a", 2**60, Figures(), {"x": one, "f_v": one})), 1)
     (tmp_path / "r.mcap").write_bytes(core.cut() + core.end())
     assert read_recording(tmp_path / "r.mcap").x.shape == (0, 3)
 
@@ -248,8 +248,8 @@ def test_a_nonsensical_message_leaves_its_neighbours_readable(text: bytes, tmp_p
 def test_a_number_that_is_none_was_recorded_all_the_same(tmp_path: Path) -> None:
     core = RecorderCore(RECORDED)
     x = np.array([[1.0], [np.nan], [-np.inf]])
-    core.take(encode(Observation("a", 3, {}, {"x": x, "f_v": x})), 1)
-    core.take(encode(Observation("b", 3, {}, {"x": np.ones((3, 2)), "f_v": np.ones((3, 2))})), 1)
+    core.take(encode(Observation("a", 3, Figures(), {"x": x, "f_v": x})), 1)
+    core.take(encode(Observation("b", 3, Figures(), {"x": np.ones((3, 2)), "f_v": np.ones((3, 2))})), 1)
     (tmp_path / "r.mcap").write_bytes(core.cut() + core.end())
     found = read_recording(tmp_path / "r.mcap")
     np.testing.assert_array_equal(found.x[:, 0], [1.0, np.nan, np.nan])
@@ -294,7 +294,7 @@ def test_a_recording_of_a_sessions_later_hours_begins_where_it_began(tmp_path: P
     data = core.cut()
     for node, width in (("a", 1), ("b", 2)):
         rows = np.full((5, width), 0.25)
-        core.take(encode(Observation(node, begin + 5, {}, {"x": rows, "f_v": -rows})), 1_000)
+        core.take(encode(Observation(node, begin + 5, Figures(), {"x": rows, "f_v": -rows})), 1_000)
     (tmp_path / "r.mcap").write_bytes(data + core.cut() + core.end())
     run = read_run(tmp_path / "r.mcap")
     assert (run.first, run.ticks, run.time[0]) == (begin, 5, begin * RECORDED.period)

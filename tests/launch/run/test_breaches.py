@@ -30,8 +30,8 @@ from manyhands.launch.run.breaches import (
 )
 from manyhands.launch.session.shipped import load_named
 from manyhands.nodes.kernel.bundle import REALTIME
-from manyhands.nodes.rows import telemetry as names
-from manyhands.protocol.messages import Telemetry
+from manyhands.nodes.rows import figures as names
+from manyhands.protocol.messages import Figures, Telemetry
 
 TICKS = 100  # between two telemetry messages
 CHAINS = {"dx": ("cx",), "dy": ("cx", "cy"), "dz": ("cz",)}
@@ -62,8 +62,8 @@ class Measured:
         counts[names.TAU_BREACHES] += breaches
         counts[names.PERIOD_BREACHES] += late_periods
         self._ticks[device] = self._ticks.get(device, 0) + TICKS
-        figures = {**counts, names.TAU_WORST: worst, f"{names.TAU}_p50": 50.0}
-        return self._carry_out(self.policy.judge(device, self._ticks[device], figures))
+        figures = {**counts, names.TAU_WORST: worst}
+        return self._carry_out(self.policy.judge(device, self._ticks[device], Figures(figures)))
 
     def _carry_out(self, decisions: list[Decision]) -> list[Decision]:
         self.rungs.update({d.coupling: d.rung for d in decisions if isinstance(d, ShiftCoupling)})
@@ -79,8 +79,10 @@ class Measured:
         counts = self._counts.setdefault(device, {names.TAU_BREACHES: 0.0, names.PERIOD_BREACHES: 0.0})
         counts[names.TAU_BREACHES] += breaches
         self._ticks[device] = self._ticks.get(device, 0) + TICKS
-        figures = {**counts, names.TAU_WORST: max(each), f"{names.TAU}_p50": 50.0}
-        return self._carry_out(self.policy.judge(device, self._ticks[device], figures, [tau * 1e-6 for tau in each]))
+        figures = {**counts, names.TAU_WORST: max(each)}
+        return self._carry_out(
+            self.policy.judge(device, self._ticks[device], Figures(figures), [tau * 1e-6 for tau in each])
+        )
 
     def late(self, until: int, **ticks: range) -> list[Decision]:
         """Send the environment's telemetry: the ticks in which each coupling was late."""
@@ -252,10 +254,10 @@ class Test_softening:
 
     def test_a_device_that_does_not_tell_its_longest_delay(self) -> None:
         m = Measured(Policy.SOFTEN, Rungs())
-        m.policy.judge("dx", 100, {})
-        m.policy.judge("dx", 200, {names.TAU_BREACHES: 90.0, f"{names.TAU}_p99": 300.0})
+        m.policy.judge("dx", 100, Figures())
+        m.policy.judge("dx", 200, Figures({names.TAU_BREACHES: 90.0}, {names.TAU: {"p99": 300.0}}))
         assert ShiftCoupling("cx", 2) in m.policy.judge(
-            "dx", 300, {names.TAU_BREACHES: 180.0, f"{names.TAU}_p99": 300.0}
+            "dx", 300, Figures({names.TAU_BREACHES: 180.0}, {names.TAU: {"p99": 300.0}})
         )
 
 
@@ -599,9 +601,12 @@ def prepared() -> Prepared:
 
 def the_environment(tick: int, **late: int) -> Telemetry:
     """Telemetry of an environment in which each of these couplings was late and held in so many ticks."""
-    figures = {f"{names.WAITED_TICKS}{name}": float(ticks) for name, ticks in late.items()}
-    figures |= {f"{names.WAITED_TIME}{name}": 900.0 * ticks for name, ticks in late.items()}
-    return Telemetry(tick, figures | {f"{names.WAIVED}{name}": 1.0 for name in late}, {})
+    tables = {
+        names.WAITED_TICKS: {name: float(ticks) for name, ticks in late.items()},
+        names.WAITED_TIME: {name: 900.0 * ticks for name, ticks in late.items()},
+        names.WAIVED: dict.fromkeys(late, 1.0),
+    }
+    return Telemetry(tick, Figures({}, tables), {})
 
 
 class Test_notices_of_a_run:
@@ -621,7 +626,7 @@ class Test_notices_of_a_run:
         assumptions = Assumptions(slow, slow.graph, REALTIME, {}, elsewhere)
         for tick, late in ((1000, 100.0), (2000, 1100.0), (3000, 2100.0)):
             assumptions.check("environment", the_environment(tick))
-            assumptions.check("dx", Telemetry(tick, {names.TAU_BREACHES: late}, {}))
+            assumptions.check("dx", Telemetry(tick, Figures({names.TAU_BREACHES: late}), {}))
         (text,) = [text for text in assumptions.notices.values() if "doctor compares them" in text]
         assert ("colocate=true" in text) is advised
 

@@ -14,13 +14,13 @@ from manyhands.launch.session import Session, load_session
 from manyhands.protocol.clock import Duration
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
-from manyhands.protocol.messages import Observation, Telemetry
+from manyhands.protocol.messages import Figures, Observation, Telemetry
 from tests.support.memory_transport import MemoryTransport
 
 SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 X, F, P = (np.arange(4.0).reshape(4, 1) + offset for offset in (0.0, 10.0, 20.0))
-OF_DEVICE = Telemetry(7, {"speed": 0.5, "late": 1.0}, {"x": X, "f_v": F})
-OF_COUPLING = Telemetry(8, {"ledger": 0.1}, {"p": P, "f_v": F})
+OF_DEVICE = Telemetry(7, Figures({"speed": 0.5, "late": 1.0}), {"x": X, "f_v": F})
+OF_COUPLING = Telemetry(8, Figures({"ledger": 0.1}), {"p": P, "f_v": F})
 
 
 def session(observers: str) -> Session:
@@ -31,22 +31,22 @@ def session(observers: str) -> Session:
     ("telemetry", "channels", "figures", "traces"),
     [
         (OF_DEVICE, ("telemetry",), OF_DEVICE.figures, {}),
-        (OF_DEVICE, ("sample",), {}, {"x": X}),
-        (OF_DEVICE, ("force",), {}, {"f_v": F}),
+        (OF_DEVICE, ("sample",), Figures(), {"x": X}),
+        (OF_DEVICE, ("force",), Figures(), {"f_v": F}),
         (OF_DEVICE, ("sample", "force", "telemetry"), OF_DEVICE.figures, {"x": X, "f_v": F}),
-        (OF_COUPLING, ("tool",), {}, {"p": P}),
-        (OF_COUPLING, ("reaction",), {}, {"f_v": F}),
+        (OF_COUPLING, ("tool",), Figures(), {"p": P}),
+        (OF_COUPLING, ("reaction",), Figures(), {"f_v": F}),
     ],
 )
 def test_only_what_may_be_read_is_visible(
-    telemetry: Telemetry, channels: tuple[str, ...], figures: dict[str, float], traces: dict[str, np.ndarray]
+    telemetry: Telemetry, channels: tuple[str, ...], figures: Figures, traces: dict[str, np.ndarray]
 ) -> None:
     assert visible("n", telemetry, channels) == Observation("n", telemetry.tick, figures, traces)
 
 
 def test_nothing_is_sent_where_nothing_may_be_read() -> None:
     assert visible("dx", OF_DEVICE, ()) is None
-    assert visible("dx", Telemetry(1, {"speed": 0.5}, {}), ("sample",)) is None
+    assert visible("dx", Telemetry(1, Figures({"speed": 0.5}), {}), ("sample",)) is None
 
 
 def test_each_observer_gets_its_own_topics_and_strangers_get_nothing() -> None:
@@ -60,7 +60,7 @@ def test_each_observer_gets_its_own_topics_and_strangers_get_nothing() -> None:
     assert heard.pop("other") is None
     assert {name: decode(frame or b"", MAX_CONTROL_BYTES) for name, frame in heard.items()} == {
         "watch": Observation("dx", 7, OF_DEVICE.figures, {}),
-        "scope": Observation("dx", 7, {}, {"x": X}),
+        "scope": Observation("dx", 7, Figures(), {"x": X}),
     }
 
 
@@ -78,12 +78,14 @@ def test_telemetry_that_fills_a_frame_is_missed_and_ends_nothing() -> None:
     """An observation is longer by its node's name: a node could otherwise send what the supervisor cannot pass on."""
     told = session("{watch: {reads: [telemetry, dx/sample]}}")
     rows = (MAX_CONTROL_BYTES - 40) // 8
-    longest = Telemetry(1, {}, {"x": np.zeros((rows, 1))})
+    longest = Telemetry(1, Figures(), {"x": np.zeros((rows, 1))})
     while True:
         try:
-            frame = encode(Telemetry(1, {"s" * (MAX_CONTROL_BYTES - len(encode(longest)) - 10): 0.0}, longest.traces))
+            frame = encode(
+                Telemetry(1, Figures({"s" * (MAX_CONTROL_BYTES - len(encode(longest)) - 10): 0.0}), longest.traces)
+            )
         except ValueError:
-            longest = Telemetry(1, {}, {"x": longest.traces["x"][:-1]})
+            longest = Telemetry(1, Figures(), {"x": longest.traces["x"][:-1]})
             continue
         break
     full = decode(frame, MAX_CONTROL_BYTES)

@@ -18,6 +18,7 @@ from manyhands.protocol.messages import (
     Connect,
     Echo,
     Fault,
+    Figures,
     NodeHello,
     Offer,
     Probe,
@@ -34,7 +35,7 @@ from manyhands.protocol.messages import (
 
 SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 GRAPH: Topology = topology(load_session(SESSIONS / "example1.yaml"))
-REPORT = Report(5, {}, {}, {})
+REPORT = Report(5, Figures())
 
 
 def hello(sender: str, **changes: object) -> NodeHello:
@@ -80,7 +81,7 @@ def test_a_good_run_from_hello_to_the_last_exit() -> None:
     assert first.message.epoch > 1000
     assert first.message.ticks == 5
     for name in names:
-        assert c.receive(name, Telemetry(1, {}, {}), 0) == []
+        assert c.receive(name, Telemetry(1, Figures(), {}), 0) == []
         assert c.receive(name, REPORT, 0) == [Send(name, Stop("reported"))]
         assert c.exited(name, 0, 0) == []
     assert c.phase is SessionPhase.OVER
@@ -213,7 +214,7 @@ def test_the_clock_is_answered_from_the_welcome_to_the_report() -> None:
 def test_a_node_that_leaves_early_ends_the_session(ticks: int) -> None:
     """The others would wait for its next signal for ever."""
     c = running(ticks=ticks)
-    report = Report(4, {}, {}, {})
+    report = Report(4, Figures())
     assert c.receive("dx", report, 0) == [Send("dx", Stop("reported")), Terminate()]
     assert c.phase is SessionPhase.ENDING
     assert c.faults == ["dx left after 4 ticks, before the session was over"]
@@ -227,16 +228,16 @@ def test_a_node_that_leaves_early_ends_the_session(ticks: int) -> None:
 def test_what_a_guest_reports_of_itself_ends_nobody_elses_session() -> None:
     """Its last word starts no clock that runs out for the others; that of the environment, or of a local node, does."""
     c = running("dx", restarts=1)
-    c.receive("dx", Report(2**63 - 1, {}, {}, {}), 0)
+    c.receive("dx", Report(2**63 - 1, Figures()), 0)
     assert (c.finished, c.too_late(), c.phase, c.faults) == ((), [], SessionPhase.RUNNING, [])
-    c.receive("dy", Report(5, {}, {}, {}), 0)
+    c.receive("dy", Report(5, Figures()), 0)
     assert c.finished == ("dy",)
 
 
 @pytest.mark.parametrize("ticks", [5, 0])
 def test_others_go_on_when_a_guest_leaves_and_it_may_return(ticks: int) -> None:
     c = running("dx", ticks=ticks, restarts=1)
-    report = Report(4, {}, {}, {})
+    report = Report(4, Figures())
     assert c.receive("dx", report, 0) == [Send("dx", Stop("reported")), ReleaseName("dx"), Send("cx", Absent("dx"))]
     assert (c.phase, c.states["dx"], c.faults) == (SessionPhase.RUNNING, NodeState.LOST, [])
     assert c.incidents.sentences == ("at 0.0 s: dx left after 4 ticks",)
@@ -254,7 +255,7 @@ def test_others_go_on_when_a_guest_leaves_and_it_may_return(ticks: int) -> None:
 @pytest.mark.parametrize(("restarts", "together"), [(0, False), (3, True)])
 def test_a_leaving_guest_ends_sessions_that_stay_together_or_restart_nobody(restarts: int, together: bool) -> None:
     c = running("dx", restarts=restarts, together=together)
-    c.receive("dx", Report(4, {}, {}, {}), 0)
+    c.receive("dx", Report(4, Figures()), 0)
     assert c.phase is SessionPhase.ENDING
     assert c.faults == ["dx left after 4 ticks, before the session was over"]
 
@@ -285,7 +286,7 @@ def test_leaving_early_while_the_session_ends_is_no_fault() -> None:
     c = running(ticks=0)
     c.interrupt()
     for name in GRAPH.nodes:
-        assert c.receive(name, Report(3, {}, {}, {}), 0) == [Send(name, Stop("reported"))]
+        assert c.receive(name, Report(3, Figures()), 0) == [Send(name, Stop("reported"))]
     assert c.faults == []
 
 
@@ -353,7 +354,7 @@ class Test_nodes_that_are_started_elsewhere:
     def test_one_that_went_silent_may_not_come_back(self) -> None:
         c = running("dx")
         c.silent("dx", 0)
-        for message in (Telemetry(1, {}, {}), REPORT, hello("dx"), Ready()):
+        for message in (Telemetry(1, Figures(), {}), REPORT, hello("dx"), Ready()):
             assert c.receive("dx", message, 0) == []
         assert c.states["dx"] is NodeState.ENDED
         assert c.reports == {}
@@ -461,7 +462,15 @@ class Test_observers:
         c = running()
         c.receive("watch", observer("watch"), 0)
         before = dict(c.states)
-        said = (Ready(), REPORT, Fault("I end you"), Telemetry(1, {}, {}), Probe(1), Stop("now"), Malformed("junk"))
+        said = (
+            Ready(),
+            REPORT,
+            Fault("I end you"),
+            Telemetry(1, Figures(), {}),
+            Probe(1),
+            Stop("now"),
+            Malformed("junk"),
+        )
         for message in said:
             assert c.receive("watch", message, 0) == []
         assert c.ignored == len(said)

@@ -20,40 +20,41 @@ from manyhands.launch.run.outcome import lateness_entry, lateness_sentence, node
 from manyhands.launch.run.states import Incidents
 from manyhands.launch.session import load_session
 from manyhands.nodes.monitor.given import FIGURES
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_COUNT
-from manyhands.protocol.messages import Report, Role
+from manyhands.protocol.messages import Figures, Report, Role
 
 from ...support.simulated_recordings import SESSIONS
 
 HONEST = Report(
     100,
-    {names.LEDGER: 0.5, names.LEDGER_MIN: 0.0, names.PEAK_SPEED: 0.25, names.FINAL_SPEED: 0.125},
-    {
-        **{names.LATE: 3, names.TAU_BREACHES: 0, names.CLIPPED: 2, names.STALE: 1},
-        **{"dropped_old_tick": 4, "dropped_malformed": 0, f"{names.REFUSED}no_key": 5, f"{names.REFUSED}shut": 0},
-    },
-    {names.TAU: {"p50": 1.0, "p99": 2.0, "p999": 3.0, "max": 4.0}},
+    Figures(
+        {
+            names.LEDGER: 0.5,
+            names.LEDGER_MIN: 0.0,
+            names.PEAK_SPEED: 0.25,
+            names.FINAL_SPEED: 0.125,
+            **{names.LATE: 3, names.TAU_BREACHES: 0, names.CLIPPED: 2, names.STALE: 1},
+        },
+        {
+            names.TAU: {"p50": 1.0, "p99": 2.0, "p999": 3.0, "max": 4.0},
+            names.DROPPED: {"old_tick": 4, "malformed": 0},
+            names.REFUSED: {"no_key": 5, "shut": 0},
+        },
+    ),
 )
-KEYS = [
-    *(names.LEDGER, names.LEDGER_MIN, names.PEAK_SPEED, names.FINAL_SPEED, names.LATE, names.TAU, names.PERIOD),
-    *(names.TAU_BREACHES, names.CLIPPED, names.SATURATED, names.REFUSED, f"{names.REFUSED}x", "dropped_", "p50", "max"),
-    *(names.LEDGER_MIN_TICK, names.LEDGER_MARGIN, names.FROZEN_TICKS, names.JUMPS, names.RELEASED, names.RUNG),
-    *(names.INTERFACE, names.INTERFACE_LEAST, names.INTERFACE_MARGIN, names.INTERFACE_TICKS, names.INTERFACE_KEPT_BACK),
-    *("late_own", f"{names.WAITED_TICKS}x", f"{names.WAITED_TIME}x", f"{names.FROZEN_LATE}x"),
-]
-some_names = st.sampled_from(KEYS) | st.text("abc[/]\n" + chr(27), min_size=1, max_size=8).filter(str.isprintable)
+TABLES = [name for name, figure in names.FIGURES.items() if figure.key is not None]
+some_keys = st.sampled_from(["x", "own", "p50", "max"]) | st.text("abc[/]\n" + chr(27), min_size=1, max_size=8).filter(
+    str.isprintable
+)
 numbers = st.floats() | st.sampled_from([math.inf, -math.inf, math.nan])
-figures = st.dictionaries(some_names, numbers, max_size=8)
-counts = st.integers(0, MAX_COUNT)
-reports = st.builds(
-    Report,
-    counts,
-    figures,
-    st.dictionaries(some_names, counts, max_size=8),
-    st.dictionaries(some_names, figures, max_size=4),
+figures = st.builds(
+    Figures,
+    st.dictionaries(st.sampled_from([*names.FIGURES]) | some_keys, numbers, max_size=8),
+    st.dictionaries(st.sampled_from(TABLES) | some_keys, st.dictionaries(some_keys, numbers, max_size=4), max_size=4),
 )
+reports = st.builds(Report, st.integers(0, MAX_COUNT), figures)
 
 
 def test_an_honest_nodes_entry() -> None:
@@ -73,15 +74,14 @@ def test_an_honest_nodes_entry() -> None:
 
 
 def test_who_made_the_others_wait_and_for_how_long() -> None:
-    counts = {
-        "waited_ticks_cz": 53,
-        "frozen_late_cz": 2,
-        "overdue_cz": 9,
-        "waived_cz": 1,
-        "waited_ticks_cx": 1,
-        "waited_ticks_cy": 4,
+    tables = {
+        names.WAITED_TICKS: {"cz": 53.0, "cx": 1.0, "cy": 4.0},
+        names.WAITED_TIME: {"cz": 117e3, "cx": 600.0},
+        names.FROZEN_LATE: {"cz": 2.0},
+        names.OVERDUE: {"cz": 9.0},
+        names.WAIVED: {"cz": 1.0},
     }
-    entry = node_entry(Role.ENVIRONMENT, Report(100, {"waited_us_cz": 117e3, "waited_us_cx": 600.0}, counts, {}))
+    entry = node_entry(Role.ENVIRONMENT, Report(100, Figures({}, tables)))
     assert entry["late_couplings"] == {
         "cz": {"ticks": 53, "seconds": 0.117, "frozen": 2, "held": 9, "waived": 1},
         "cx": {"ticks": 1, "seconds": 0.0006, "frozen": 0, "held": 0, "waived": 0},
@@ -90,19 +90,19 @@ def test_who_made_the_others_wait_and_for_how_long() -> None:
 
 
 def test_what_a_role_does_not_have_is_absent() -> None:
-    assert node_entry(Role.ENVIRONMENT, Report(7, {}, {}, {})) == {"role": "environment", "ticks": 7}
+    assert node_entry(Role.ENVIRONMENT, Report(7, Figures())) == {"role": "environment", "ticks": 7}
 
 
-@pytest.mark.parametrize("left_out", [names.LEDGER, names.LEDGER_MIN, names.PEAK_SPEED, names.FINAL_SPEED])
+@pytest.mark.parametrize("left_out", [names.LEDGER, names.LEDGER_MIN, names.PEAK_SPEED])
 @pytest.mark.parametrize("instead", [None, math.nan, math.inf])
-def test_half_of_a_pair_is_as_good_as_none(left_out: str, instead: float | None) -> None:
-    told = {name: value for name, value in HONEST.figures.items() if name != left_out}
+def test_a_group_is_left_out_without_what_it_needs(left_out: str, instead: float | None) -> None:
+    told: dict[str, float] = {name: value for name, value in HONEST.figures.items() if name != left_out}
     if instead is not None:
         told[left_out] = instead
-    entry = node_entry(Role.DEVICE, Report(1, told, {}, {}))
+    entry = node_entry(Role.DEVICE, Report(1, Figures(told)))
     assert ("ledger" in entry) == (left_out not in (names.LEDGER, names.LEDGER_MIN))
-    assert ("peak_speed" in entry) == ("final_speed" in entry)
-    assert ("peak_speed" in entry) == (left_out not in (names.PEAK_SPEED, names.FINAL_SPEED))
+    assert ("peak_speed" in entry) == (left_out != names.PEAK_SPEED)
+    assert "final_speed" in entry
 
 
 def whole(
@@ -122,8 +122,9 @@ def whole(
 
 def test_what_a_node_withstood_and_where_its_ledger_was_least() -> None:
     told = {names.LEDGER: 0.5, names.LEDGER_MIN: -0.25, names.LEDGER_MIN_TICK: 17.0, names.LEDGER_MARGIN: 0.125}
-    counts = {names.FROZEN_TICKS: 7, names.JUMPS: 2, names.RELEASED: 0, names.RUNG: 0, "late_own": 1, "late_partner": 0}
-    entry = node_entry(Role.DEVICE, Report(9, told, counts, {}), restarts=3)
+    counts = {names.FROZEN_TICKS: 7, names.JUMPS: 2, names.RELEASED: 0, names.RUNG: 0}
+    causes = {names.LATE_CAUSE: {"own": 1.0, "partner": 0.0}}
+    entry = node_entry(Role.DEVICE, Report(9, Figures({**told, **counts}, causes)), restarts=3)
     assert entry == {
         "role": "device",
         "ticks": 9,
@@ -137,7 +138,7 @@ def test_what_a_node_withstood_and_where_its_ledger_was_least() -> None:
 @pytest.mark.parametrize("tick", [math.nan, -1.0, 1e300])
 def test_a_tick_that_is_none_is_left_out(tick: float) -> None:
     entry = node_entry(
-        Role.DEVICE, Report(1, {names.LEDGER: 0.5, names.LEDGER_MIN: 0.0, names.LEDGER_MIN_TICK: tick}, {}, {})
+        Role.DEVICE, Report(1, Figures({names.LEDGER: 0.5, names.LEDGER_MIN: 0.0, names.LEDGER_MIN_TICK: tick}))
     )
     assert entry["ledger"] == {"min": 0.0, "final": 0.5}
 
@@ -186,7 +187,8 @@ def late(
     if asked:
         times = (10e6, 1e6 * away, 0.0, 0.0)
         account |= dict(zip(FIGURES[2:], times, strict=True))
-    return Report(100, {**HONEST.figures, **account, names.INTERFACE_KEPT_BACK: kept_back}, {}, {})
+    own = {name: value for name, value in HONEST.figures.items() if name != names.CLIPPED}
+    return Report(100, Figures({**own, **account, names.INTERFACE_KEPT_BACK: kept_back}))
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from manyhands.launch.run.broadcast import observation_frame
 from manyhands.launch.run.directory import SessionDirectory
 from manyhands.launch.run.recorder import Recorder, RecorderProcess
 from manyhands.launch.session import load_session
-from manyhands.protocol.messages import Telemetry
+from manyhands.protocol.messages import Figures, Telemetry
 
 SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 ROWS = 700  # of a frame: 11 kB, which become 110 kB of messages
@@ -59,7 +59,9 @@ class ReadyRecorder:
             tick = self.told * ROWS
             x = np.arange(tick - ROWS, tick, dtype=np.float64).reshape(ROWS, 1)
             for device in ("dx", "dy", "dz"):
-                self.recorder.take(observation_frame(device, Telemetry(tick, {"late": 0.0}, {"x": x, "f_v": -x})))
+                self.recorder.take(
+                    observation_frame(device, Telemetry(tick, Figures({"late": 0.0}), {"x": x, "f_v": -x}))
+                )
 
     def attend(self) -> bool:
         """Wait for any message of the recorder; returns whether there may be more."""
@@ -251,7 +253,7 @@ def test_who_does_not_want_to_wait_for_the_disk_need_not(stage: ReadyRecorder, t
 
 def test_telemetry_too_long_to_be_passed_on_is_lost_and_counted(stage: ReadyRecorder) -> None:
     stage.recorder.take(
-        observation_frame("dx", Telemetry(2**17, {}, {"x": np.zeros((2**17, 1)), "f_v": np.zeros((1, 1))}))
+        observation_frame("dx", Telemetry(2**17, Figures(), {"x": np.zeros((2**17, 1)), "f_v": np.zeros((1, 1))}))
     )
     assert stage.recorder.lost == 1
     stage.finish()
@@ -286,7 +288,7 @@ def test_an_older_recording_is_there_until_the_new_one_has_begun(prepared: Prepa
 def test_without_a_recording_no_message_is_exchanged(tmp_path: Path) -> None:
     nobody = Recorder()
     nobody.start(tmp_path)
-    nobody.take(observation_frame("dx", Telemetry(1, {}, {})))
+    nobody.take(observation_frame("dx", Telemetry(1, Figures(), {})))
     nobody.take(None)
     assert (nobody.fds, nobody.has_room, nobody.attend({1}), nobody.finish(0)) == ((), True, None, None)
     assert (nobody.missing, nobody.failure, nobody.as_plain()) == ({}, None, {})

@@ -15,6 +15,7 @@ from manyhands.protocol.messages import (
     Absent,
     Connect,
     Fault,
+    Figures,
     Offer,
     Ready,
     Refusal,
@@ -46,7 +47,7 @@ LINKS = tuple(
 )
 GRAPH = Topology(NODES, dict.fromkeys(NODES, ("p",)), LINKS)
 TICKS = 1000
-DONE = Report(TICKS, {}, {}, {})
+DONE = Report(TICKS, Figures())
 WINDOW = from_seconds(60.0)
 
 
@@ -133,8 +134,8 @@ class Test_whoever_dies:
 
     def test_returning_nodes_go_on_at_the_sessions_tick(self) -> None:
         s = session()
-        s.conductor.receive("environment", Telemetry(400, {}, {}), 0)
-        s.conductor.receive("dx", Telemetry(900, {}, {}), 0)  # the ticks are the environment's
+        s.conductor.receive("environment", Telemetry(400, Figures(), {}), 0)
+        s.conductor.receive("dx", Telemetry(900, Figures(), {}), 0)  # the ticks are the environment's
         (original,) = s.processes["dx"].starts
         assert original.tick == 0
         s.kill("dy")
@@ -227,7 +228,7 @@ class Test_offers:
     def test_messages_of_a_dead_process_do_not_block_its_name(self) -> None:
         c = session().conductor
         c.exited("cx", -9, 0)
-        assert c.receive("cx", Telemetry(7, {}, {}), 0) == [ReleaseName("cx")]
+        assert c.receive("cx", Telemetry(7, Figures(), {}), 0) == [ReleaseName("cx")]
         # a local one is not there
         assert c.receive("cx", hello_of(GRAPH, "cx", {"dx": "ipc:///x"}), 0) == [ReleaseName("cx")]
         assert c.states["cx"] is NodeState.LOST
@@ -496,7 +497,7 @@ class Test_nodes_that_are_started_elsewhere:
     def test_a_living_lost_guest_is_asked_to_join_again(self) -> None:
         c = session(3, "dx").conductor
         c.silent("dx", 0)
-        told = c.receive("dx", Telemetry(9, {}, {}), 0)
+        told = c.receive("dx", Telemetry(9, Figures(), {}), 0)
         assert told == [Send("dx", Stop("the session counted this node as lost; join again")), ReleaseName("dx")]
         assert c.ignored == 1
 

@@ -13,7 +13,7 @@ from manyhands.launch.run.conductor import Conductor
 from manyhands.launch.run.recovery import RETURN_TIME, RestartBudget
 from manyhands.launch.run.states import NodeState, ReleaseName, Send, SessionPhase
 from manyhands.protocol.limits import MAX_PIECE_BYTES
-from manyhands.protocol.messages import Fault, Fetch, Piece, Report, Role, Stop, Telemetry
+from manyhands.protocol.messages import Fault, Fetch, Figures, Piece, Report, Role, Stop, Telemetry
 
 from ...support.cases import cases
 from ...support.fake_session import CERTIFICATE, FakeSession, hello_of
@@ -34,7 +34,7 @@ GRAPH = Topology(NODES, dict.fromkeys(NODES, ("p",)), LINKS, CARRIERS)
 SITES = {"cx": ("dx", "cx"), "cy": ("dy", "cy"), "cz": ("dz", "cz")}
 SEATS = frozenset(node for site in SITES.values() for node in site)
 HOME = ("dl", "cl", "environment")
-LEFT = Report(50, {}, {}, {})
+LEFT = Report(50, Figures())
 
 
 def hosted(restarts: int = 0, *, ticks: int = 0, together: bool = False) -> FakeSession:
@@ -83,7 +83,7 @@ def test_the_session_runs_before_anybody_has_come() -> None:
 def test_a_user_takes_a_seat_and_leaves_it_again_and_again(site: str) -> None:
     s = hosted()
     home = {node: s.processes[node] for node in HOME}
-    s.conductor.receive("environment", Telemetry(400, {}, {}), 0)
+    s.conductor.receive("environment", Telemetry(400, Figures(), {}), 0)
     for _ in range(10):  # far more often than any budget allows
         take(s, site)
         s.settle()
@@ -179,7 +179,7 @@ def test_a_guest_counted_as_lost_is_asked_to_join_again() -> None:
     vanish(s, "cx")
     assert s.conductor.states["cx"] is NodeState.LOST
     s.processes |= old  # the network is back
-    s.said += [(node, Telemetry(9, {}, {})) for node in old]
+    s.said += [(node, Telemetry(9, Figures(), {})) for node in old]
     s.deliver()
     s.deliver()
     answers = [process.inbox.pop() for process in old.values()]

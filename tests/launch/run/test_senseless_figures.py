@@ -27,10 +27,10 @@ from manyhands.nodes.kernel.bundle import REALTIME
 from manyhands.nodes.monitor.health import missed, verdict
 from manyhands.nodes.monitor.session_state import Scene
 from manyhands.nodes.recorder.core import RecorderCore
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.limits import MAX_COUNT
-from manyhands.protocol.messages import Report, Telemetry
+from manyhands.protocol.messages import Figures, Report, Telemetry
 
 from .test_supervisor_messages import Heard
 
@@ -89,13 +89,13 @@ def test_no_number_of_a_party_is_an_error_anywhere(
         for node in heard.graph.nodes:
             width = len(heard.graph.ports[node])
             traces = {name: np.full((10, 1 if name in (names.TAU, names.LEDGER) else width), value) for name in TRACES}
-            told.append((node, Telemetry(tick, everything(value), traces)))
+            told.append((node, Telemetry(tick, Figures(everything(value)), traces)))
             heard.say(*told[-1])
     read_everywhere(prepared, heard, told, tmp_path)
     for node in heard.graph.nodes:
         counts = dict.fromkeys(everything(value), MAX_COUNT)
         percentiles = {names.TAU: {"p50": value, "p99": value, "p999": value, "max": value}}
-        heard.say(node, Report(20, everything(value), counts, percentiles))
+        heard.say(node, Report(20, Figures({**everything(value), **counts}, percentiles)))
     read_everywhere(prepared, heard, told, tmp_path)
 
 
@@ -103,7 +103,7 @@ def test_a_ledger_of_minus_infinity_at_two_parties_is_broken_and_not_an_error(pr
     """The two costs were added when the report was printed: None and None, after all else was done."""
     heard = Heard(prepared, run=True)
     for node in ("left_seat", "right_seat"):
-        heard.say(node, Telemetry(10, {names.LEDGER_MARGIN: -math.inf}, {}))
+        heard.say(node, Telemetry(10, Figures({names.LEDGER_MARGIN: -math.inf}), {}))
     outcome, shown = heard.supervisor.outcome(None), io.StringIO()
     print_report(Console(file=shown, width=200), json.loads(json.dumps(outcome.report)))
     assert "passivity: broken by left_seat" in shown.getvalue()

@@ -23,11 +23,21 @@ from manyhands.launch.run.processes import Processes
 from manyhands.launch.run.states import MOST_INCIDENTS, Incidents, NodeState, SessionPhase
 from manyhands.launch.run.supervisor import TELEMETRY_SILENCE, LastMessages, Supervisor
 from manyhands.launch.session import load_session
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import Duration, Instant
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
-from manyhands.protocol.messages import PROTOCOL_VERSION, Message, NodeHello, Offer, Ready, Role, Shift, Telemetry
+from manyhands.protocol.messages import (
+    PROTOCOL_VERSION,
+    Figures,
+    Message,
+    NodeHello,
+    Offer,
+    Ready,
+    Role,
+    Shift,
+    Telemetry,
+)
 from manyhands.protocol.transport import Link
 from tests.support.memory_transport import MemoryTransport
 
@@ -110,8 +120,8 @@ class Faulty:
         """Three messages of a device that is too slow from the first on."""
         for message in (1, 2, 3):
             figures = {names.TAU_BREACHES: 90.0 * message, names.TAU_WORST: 300.0}
-            self.say(device, Telemetry(100 * message, figures, {}))
-            self.say("environment", Telemetry(100 * message, {}, {}))  # no wait occurred
+            self.say(device, Telemetry(100 * message, Figures(figures), {}))
+            self.say("environment", Telemetry(100 * message, Figures(), {}))  # no wait occurred
 
     def progress(self) -> Progress:
         return self.supervisor.progress(self.processes)  # type: ignore[arg-type]
@@ -130,7 +140,7 @@ def faulty(prepared: Prepared) -> Iterator[Faulty]:
 
 
 def test_a_process_restarts_from_its_bundle_without_its_predecessors_messages(faulty: Faulty) -> None:
-    faulty.say("dx", Telemetry(100, {"speed": 0.5}, {}))
+    faulty.say("dx", Telemetry(100, Figures({"speed": 0.5}), {}))
     assert "dx" in faulty.progress().telemetry
     faulty.dies("dx")
     assert faulty.processes.started == []
@@ -206,15 +216,15 @@ class Test_silence:
     def test_is_shown_after_a_second_and_no_longer_than_it_lasts(self, faulty: Faulty) -> None:
         assert faulty.progress().silent == frozenset()
         faulty.clock.at = TELEMETRY_SILENCE
-        faulty.say("dx", Telemetry(1, {}, {}))
+        faulty.say("dx", Telemetry(1, Figures(), {}))
         faulty.clock.at = TELEMETRY_SILENCE + 1
         assert faulty.progress().silent == set(faulty.graph.nodes) - {"dx"}
-        faulty.say("cx", Telemetry(1, {}, {}))
+        faulty.say("cx", Telemetry(1, Figures(), {}))
         assert "cx" not in faulty.progress().silent
         assert faulty.conductor.incidents.total == 0  # nothing is done about it
 
     def test_is_not_shown_for_a_lost_or_just_returned_node(self, faulty: Faulty) -> None:
-        faulty.say("dx", Telemetry(1, {}, {}))
+        faulty.say("dx", Telemetry(1, Figures(), {}))
         faulty.dies("dx")
         faulty.clock.at = 10 * TELEMETRY_SILENCE
         assert "dx" not in faulty.progress().silent
@@ -229,11 +239,11 @@ def test_the_table_shows_lost_nodes_silent_nodes_and_incidents(faulty: Faulty) -
     console = Console(file=shown, width=220, force_terminal=True)
     table = LiveTable(console, "t", faulty.graph, 0)
     for name in faulty.graph.nodes:
-        faulty.say(name, Telemetry(100, {names.RUNG: 2.0, names.FROZEN: 1.0}, {}))
+        faulty.say(name, Telemetry(100, Figures({names.RUNG: 2.0, names.FROZEN: 1.0}), {}))
     faulty.progress()
     faulty.dies("dx")
     faulty.clock.at = 2 * TELEMETRY_SILENCE
-    faulty.say("dy", Telemetry(200, {}, {}))
+    faulty.say("dy", Telemetry(200, Figures(), {}))
     console.print(table._render(faulty.progress()))
     rows = {line.split()[0]: line for line in shown.getvalue().splitlines() if line.startswith(" ") and line.strip()}
     assert "lost" in rows["dx"]
@@ -261,7 +271,7 @@ def test_a_session_slower_than_its_period_reports_so_once_and_at_once(faulty: Fa
     for second in range(1, 30):
         faulty.clock.at = second * 10**9
         for name in faulty.graph.nodes:
-            faulty.say(name, Telemetry(250 * second, {}, {}))
+            faulty.say(name, Telemetry(250 * second, Figures(), {}))
         table(faulty.progress())
     outcome = faulty.supervisor.outcome(None)
     [notice] = outcome.notices
@@ -275,7 +285,7 @@ def test_a_session_slower_than_its_period_reports_so_once_and_at_once(faulty: Fa
 
 def test_a_dead_node_is_named_since_its_death_in_the_sessions_time(faulty: Faulty) -> None:
     for name in faulty.graph.nodes:
-        faulty.say(name, Telemetry(900, {}, {}))
+        faulty.say(name, Telemetry(900, Figures(), {}))
     faulty.dies("dx")
     [row] = [row for row in faulty.progress().promises if row.promise == "presence" and row.state == "broken"]
     assert (row.who, row.since, row.remark) == (("dx",), 0.9, "dx: lost")

@@ -29,13 +29,14 @@ from manyhands.launch.run.supervisor import Supervisor, most_ticks
 from manyhands.launch.session import load_session
 from manyhands.nodes.kernel.bundle import REALTIME, SIMULATED
 from manyhands.nodes.monitor.health import missed
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import Duration, Instant, from_seconds
 from manyhands.protocol.codec import encode
 from manyhands.protocol.limits import MAX_COUNT
 from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
     Fault,
+    Figures,
     Message,
     NodeHello,
     Offer,
@@ -54,8 +55,12 @@ OBSERVERS = "observers={watch: {reads: [telemetry, dx/sample, cx/tool]}}"
 KNOWN = [value for name, value in vars(names).items() if name.isupper() and isinstance(value, str)]
 counts = st.integers(0, MAX_COUNT) | st.integers(0, 300)
 numbers = st.floats() | st.sampled_from([math.nan, math.inf, -math.inf, -1.0, 1e300])
-keys = st.sampled_from([*KNOWN, f"{names.TAU}_p50", f"{names.TAU}_p99", "dropped_x", "[bold]", "p50"])
-figures = st.dictionaries(keys, numbers, max_size=6)
+keys = st.sampled_from([*KNOWN, "dropped_x", "[bold]", "p50"])
+figures = st.builds(
+    Figures,
+    st.dictionaries(keys, numbers, max_size=6),
+    st.dictionaries(keys, st.dictionaries(st.sampled_from(["p50", "p99", "cx", "[bold]"]), numbers, max_size=3)),
+)
 traces = st.dictionaries(
     st.sampled_from([names.DISPLACEMENT, names.FORCE, names.FREE_POSITION]),
     hnp.arrays(np.float64, st.tuples(st.integers(0, 3), st.integers(0, 3)), elements=numbers),
@@ -63,7 +68,7 @@ traces = st.dictionaries(
 )
 said: st.SearchStrategy[Message | bytes] = st.one_of(
     st.builds(Telemetry, counts, figures, traces),
-    st.builds(Report, counts, figures, st.dictionaries(keys, counts, max_size=6), st.dictionaries(keys, figures)),
+    st.builds(Report, counts, figures),
     st.builds(Fault, st.text("ab[/]\n", max_size=20)),
     st.just(Ready()),
     st.builds(Probe, counts),
@@ -149,10 +154,10 @@ def test_a_guest_that_joins_again_is_not_taken_for_silent(prepared: Prepared, mo
     clock = heard.supervisor._clock
     started = clock.now()
     monkeypatch.setattr(clock, "now", lambda: Instant(started + from_seconds(60.0)))
-    heard.say("dx", Telemetry(100, {}, {}))
-    heard.say("dx", Report(100, {}, {}, {}))
+    heard.say("dx", Telemetry(100, Figures(), {}))
+    heard.say("dx", Report(100, Figures()))
     monkeypatch.setattr(clock, "now", lambda: Instant(started + from_seconds(70.0)))
-    heard.say("environment", Telemetry(50_000, {}, {}))
+    heard.say("environment", Telemetry(50_000, Figures(), {}))
     heard.say("cx", Offer("dx", "ipc:///t"))
     heard.say("dx", hello(prepared, heard.graph, "dx"))
     heard.say("dx", Ready())
@@ -165,8 +170,8 @@ def test_a_guest_that_joins_again_is_not_taken_for_silent(prepared: Prepared, mo
 def test_a_guest_that_reports_impossible_ticks_has_left_after_those_that_were_seen(prepared: Prepared) -> None:
     """`[33, 2**63 - 1, {}, {}, {}]` on a guest's own line ended a timed session for everybody."""
     heard = Heard(prepared, run=True, remote=frozenset({"dx"}), ticks=60_000)
-    heard.say("dx", Telemetry(100, {}, {}))
-    heard.say("dx", Report(MAX_COUNT, {names.LEDGER_MARGIN: -1.0}, {}, {}))
+    heard.say("dx", Telemetry(100, Figures(), {}))
+    heard.say("dx", Report(MAX_COUNT, Figures({names.LEDGER_MARGIN: -1.0})))
     conductor = heard.supervisor.conductor
     assert (conductor.phase, conductor.faults, conductor.finished) == (SessionPhase.RUNNING, [], ())
     assert [text.partition(": ")[2] for text in conductor.incidents.sentences] == ["dx left after 100 ticks"]
@@ -186,7 +191,7 @@ def test_what_is_kept_of_strangers_does_not_grow(prepared: Prepared) -> None:
     before = kept()
     hello = NodeHello(PROTOCOL_VERSION, prepared.id, "example-1", "dx", Role.DEVICE, 1, {})
     for number in range(200):
-        for what in (hello, Telemetry(1, {"speed": 0.5}, {}), Report(1, {}, {}, {}), Fault("f"), b"junk"):
+        for what in (hello, Telemetry(1, Figures({"speed": 0.5}), {}), Report(1, Figures()), Fault("f"), b"junk"):
             heard.say(f"stranger{number}", what)
     assert kept() == before
     assert heard.supervisor.conductor.ignored == 1000
@@ -198,13 +203,13 @@ def test_what_is_kept_of_strangers_does_not_grow(prepared: Prepared) -> None:
 def test_telemetry_out_of_turn_is_not_taken(prepared: Prepared, sender: str) -> None:
     """Before its session runs, and after its last word."""
     early = Heard(prepared, run=False)
-    early.say(sender, Telemetry(1, {"speed": 0.5}, {}))
+    early.say(sender, Telemetry(1, Figures({"speed": 0.5}), {}))
     assert early.progress().telemetry == {}
     assert early.supervisor.conductor.ignored == 1
     late = Heard(prepared, run=True)
-    late.say(sender, Telemetry(1, {"speed": 0.5}, {}))
-    late.say(sender, Report(1, {}, {}, {}))
-    late.say(sender, Telemetry(2, {"speed": 0.75}, {}))
+    late.say(sender, Telemetry(1, Figures({"speed": 0.5}), {}))
+    late.say(sender, Report(1, Figures()))
+    late.say(sender, Telemetry(2, Figures({"speed": 0.75}), {}))
     assert late.progress().telemetry[sender].tick == 1
     for heard in (early, late):
         heard.transport.close()
@@ -231,11 +236,11 @@ def test_an_impossible_tick_is_refused_counted_and_moves_nothing(prepared: Prepa
     heard = Heard(prepared, run=True)
     rows = {names.DISPLACEMENT: np.ones((10, 1)), names.FORCE: np.ones((10, 1))}
     for device in ("dx", "dy", "dz"):
-        heard.say(device, Telemetry(10, {"speed": 0.5}, rows))
+        heard.say(device, Telemetry(10, Figures({"speed": 0.5}), rows))
     for tick in (10**11, 500_000):
         for node in ("dy", "environment"):
-            heard.say(node, Telemetry(tick, {"speed": 0.75}, rows if node == "dy" else {}))
-    heard.say("dy", Report(10**11, {}, {}, {}))
+            heard.say(node, Telemetry(tick, Figures({"speed": 0.75}), rows if node == "dy" else {}))
+    heard.say("dy", Report(10**11, Figures()))
     supervisor = heard.supervisor
     supervisor._tally(heard.hub, heard.transport)  # type: ignore[arg-type]
     assert heard.progress().refused["telemetry_that_does_not_fit"] == 5
@@ -252,7 +257,7 @@ def test_a_guest_without_telemetry_loses_its_rows_alone_as_reported(prepared: Pr
     heard = Heard(prepared, run=True)
     rows = {names.DISPLACEMENT: np.ones((10, 1)), names.FORCE: np.ones((10, 1))}
     for device in ("dx", "dz"):
-        heard.say(device, Telemetry(10, {"speed": 0.5}, rows))
+        heard.say(device, Telemetry(10, Figures({"speed": 0.5}), rows))
     outcome = heard.supervisor.outcome(None)
     assert outcome.recording is not None
     np.testing.assert_array_equal(outcome.recording.x, [[1.0, np.nan, 1.0]] * 10)
@@ -267,14 +272,14 @@ def test_nobody_is_away_where_all_stand_still_or_are_done(prepared: Prepared, mo
     nodes = {*heard.graph.nodes}
     assert heard.progress().silent == nodes
     for node in nodes - {"dx", "cx"}:
-        heard.say(node, Telemetry(400, {}, {}))
+        heard.say(node, Telemetry(400, Figures(), {}))
     assert heard.progress().silent == nodes
     assert [row for row in missed(heard.progress().promises) if row.promise == "presence"] == []
     for node in nodes - {"dx"}:
-        heard.say(node, Telemetry(600, {}, {}))
+        heard.say(node, Telemetry(600, Figures(), {}))
     [away] = [row for row in missed(heard.progress().promises) if row.promise == "presence"]
     assert (away.who, away.state, away.until) == (("dx",), "broken", None)
-    heard.say("dx", Telemetry(600, {}, {}))
+    heard.say("dx", Telemetry(600, Figures(), {}))
     [back] = [row for row in missed(heard.progress().promises) if row.promise == "presence"]
     assert back.until == 0.6
     heard.transport.close()

@@ -89,7 +89,7 @@ def test_one_beyond_is_clipped_and_absorbed_so(block: Block, world: MessageLink,
     assert block.applied == [LIMIT]
     block.send(np.zeros(1), 1, 0)
     np.testing.assert_allclose(world.said[-1].values, bundle.block.C @ bundle.block.B @ [LIMIT])  # type: ignore[union-attr]
-    assert block.report().counts["saturated"] == 1
+    assert block.report().figures["saturated"] == 1
 
 
 def test_zero_force_of_a_later_tick_orders_the_block_there(block: Block, world: MessageLink) -> None:
@@ -99,7 +99,7 @@ def test_zero_force_of_a_later_tick_orders_the_block_there(block: Block, world: 
     assert block.hear(1, NOW) is Received.DECLINED
     assert block.environment.other_tick == 7
     assert block.applied == [0.0]
-    assert (block.jumps, block.report().counts["jumps"]) == (1, 1)
+    assert (block.jumps, block.report().figures["jumps"]) == (1, 1)
     block.settle(7)
     assert block.ticks == block.report().ticks == 8
 
@@ -150,9 +150,9 @@ def test_it_changes_its_rung_at_rest_and_keeps_its_ledger(
     step(block, world, 0, 0.001, 5 * LIMIT)
     ledger = block.core.ledger
     assert shift(block, world, 1, 2) == 2
-    assert (block.rung, block.report().counts["rung"]) == (2, 2)
+    assert (block.rung, block.report().figures["rung"]) == (2, 2)
     assert block.core.ledger is ledger
-    assert block.report().counts["saturated"] == 1
+    assert block.report().figures["saturated"] == 1
     block.send(np.array([0.001]), 2, 0)
     np.testing.assert_array_equal(world.said[-1].values, [0.001])  # type: ignore[union-attr] -- at rest
     world.say(force(2, 1.0))

@@ -23,7 +23,7 @@ from manyhands.nodes.link.peer_link import PeerLink, hello_to
 from manyhands.protocol.clock import Duration, RealtimeClock
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
-from manyhands.protocol.messages import Reaction, Report, Sample, Start, Tool
+from manyhands.protocol.messages import Figures, Reaction, Report, Sample, Start, Tool
 from tests.support.memory_transport import MemoryTransport
 
 from ...support.threaded_session import ThreadedSession
@@ -108,7 +108,7 @@ def test_a_block_that_has_not_begun_has_nothing_to_tell(
     carried = CarriedBlock(cut(prepared, RunPlan("simulated", None, ""))["cx"])  # type: ignore[arg-type]
     carried.listen()
     carried.publish_rest()
-    assert carried.report() == Report(0, {}, {}, {})
+    assert carried.report() == Report(0, Figures())
     with pytest.raises(ValueError, match="before its handshake"):
         carried.loop(Start(0, 1), new_life(), new_line())
 

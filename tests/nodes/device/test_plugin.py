@@ -21,7 +21,7 @@ from manyhands.nodes.kernel.bundle import REALTIME, SIMULATED, DeviceBundle, Lim
 from manyhands.nodes.kernel.driver_statement import DeviceTiming
 from manyhands.nodes.kernel.factory import FactoryError, FactoryName
 from manyhands.nodes.kernel.inertia import Inertia
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import Duration, Instant
 
 from ...support.instants import instant
@@ -231,7 +231,7 @@ def test_what_the_hardware_exerts_is_counted_and_mapped_back() -> None:
     mapped.apply(large, instant(0))  # 4 N on the driver's axis 0, which clips it to 1 N: half a newton at the port
     assert mapped.exerted(large) == [0.1, 0.5, 0.3]
     # before that instant the force was 0 N, and 1 N is between it and 4 N
-    assert mapped.figures() == {names.MEASURED: 2.0, names.UNEXERTED: 1.0, names.UNEXERTED_MOST: 3.0}
+    assert dict(mapped.figures()) == {names.MEASURED: 2.0, names.UNEXERTED: 1.0, names.UNEXERTED_MOST: 3.0}
 
 
 def test_a_measured_force_is_held_against_those_that_were_given_lately() -> None:

@@ -20,7 +20,7 @@ from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.pointer import PATIENCE, REACH, SPEED, Pointer, PointerHand, pointer_hand
 from manyhands.nodes.device.simulated import OwnTimeDriver
 from manyhands.nodes.kernel.bundle import Common, DeviceBundle, Limits, SimulatedHand, load, save
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.messages import Grasp, Release
 from manyhands.protocol.transport.pointer import PointerOutlet, pointer_path
 from tests.support.instants import instant
@@ -148,7 +148,7 @@ def test_what_makes_no_sense_is_counted_and_changes_nothing() -> None:
     assert pointer.goal == [0.1, -0.02]
     pointer.tick(at(1.0))
     assert pointer.goal == [0.1, -0.02]
-    assert pointer.figures(3) == {
+    assert dict(pointer.figures(3)) == {
         names.GRASPED: 1.0, names.GRASPS: 2.0, names.GRASPS_CLIPPED: 1.0, names.GRASPS_REFUSED: 8.0,
         names.GRASPS_LAPSED: 0.0,
     }  # fmt: skip

@@ -62,8 +62,8 @@ def test_each_late_tick_is_counted_once_and_no_other(ticks: list[tuple[int, ...]
         late += is_late
         assert (lateness.judge(*instants) is None) is not is_late
     assert sum(lateness.counts.values()) == late
-    assert sum(lateness.figures().values()) == late
-    assert set(lateness.figures()) == {"late_own", "late_descheduled", "late_partner"}
+    assert sum(lateness.table().values()) == late
+    assert set(lateness.table()) == {"own", "descheduled", "partner"}
 
 
 def test_a_tick_ending_when_the_next_is_due_is_in_time() -> None:

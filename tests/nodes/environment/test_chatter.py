@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from manyhands.launch.look.display import chatter_line, held_line, world_lines
-from manyhands.nodes.environment.chatter import LEAST, MOST, Chatter, contact_figures
+from manyhands.nodes.environment.chatter import LEAST, MOST, Chatter, contact_tables
 from manyhands.nodes.environment.enforced import BlackBox, EnforcedCore
 from manyhands.nodes.environment.model import AskedModel
+from manyhands.protocol.messages import Figures
 
 T = 1e-3
 
@@ -52,12 +53,12 @@ def test_the_most_is_that_of_one_second() -> None:
 def test_what_is_reported_and_what_to_do() -> None:
     f = np.zeros((200, 3))
     f[:, 1] = (-1.0) ** np.arange(200)
-    figures = contact_figures((), counted(f), ("left", "right"))
-    assert figures == {"reversals_right": 199.0, "chatter_right": 199.0}
+    figures = Figures({}, contact_tables((), counted(f), ("left", "right")))
+    assert figures.tables == {"held": {}, "reversals": {"right": 199.0}, "chatter": {"right": 199.0}}
     assert chatter_line(figures) == (
         "the model's force chatters: right up to 199 times a second; use a proxy, or a softer model (docs/models.md)"
     )
-    with_proxies = contact_figures([0, 7], counted(f), ("left", "right"))
+    with_proxies = contact_tables([0, 7], counted(f), ("left", "right"))
     assert chatter_line(with_proxies).endswith("its proxies jump, or ticks are late")
     of_a_scene = chatter_line({"unfinished": 0.0, **figures})
     assert of_a_scene == (
@@ -65,7 +66,7 @@ def test_what_is_reported_and_what_to_do() -> None:
     )
     assert held_line(with_proxies) == "proxies held: right in 7 ticks"
     assert len(world_lines(with_proxies)) == 2
-    assert world_lines({"chatter_left": MOST - 1.0, "held_left": 0.0}) == []
+    assert world_lines(Figures({}, {"chatter": {"left": MOST - 1.0}, "held": {"left": 0.0}})) == []
 
 
 def test_reversals_are_those_of_what_the_couplings_receive() -> None:

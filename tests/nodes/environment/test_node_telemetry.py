@@ -16,9 +16,9 @@ from manyhands.nodes.environment.core import environment_core
 from manyhands.nodes.environment.node import EnvironmentTelemetry, TelemetryLater
 from manyhands.nodes.kernel.bundle import EnvironmentBundle
 from manyhands.nodes.link.peer_link import WaveRow
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.tick_events import TickEvents
-from manyhands.protocol.messages import Telemetry
+from manyhands.protocol.messages import Figures, Telemetry
 
 SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 T = 0.001
@@ -93,15 +93,15 @@ def test_rows_are_consecutive_and_nothing_is_sent_twice(new_line: Callable[[], A
 def test_late_ticks_are_for_the_supervisor_alone(new_line: Callable[[], Any]) -> None:
     bundle = environment()
     core, account, line = environment_core(bundle, np.eye(3) * 1e-3), EnvironmentTelemetry(bundle.common), new_line()
-    assert not account.publish(line, core, {}, {"cz": [3]}, TickEvents())  # nothing is sent: they are for the next one
+    assert not account.publish(line, core, {}, {}, [(3, 2)], TickEvents())  # nothing is sent: they are for the next one
     core.react([0.0, 0.0, 0.0])
     core.settle()
     account.tick(0, core)
-    assert account.publish(line, core, {}, {"cz": [3, 5]}, TickEvents())
+    assert account.publish(line, core, {}, {}, [(3, 2), (5, 2)], TickEvents())
     (told,) = line.telemetry
-    assert told.traces[names.WAITED_IN + "cz"].tolist() == [[3.0], [5.0]]
+    assert told.traces[names.WAITED_IN].tolist() == [[3.0, 2.0], [5.0, 2.0]]
     others = names.shown(told)
-    assert others.traces.keys() == told.traces.keys() - {names.WAITED_IN + "cz"}
+    assert others.traces.keys() == told.traces.keys() - {names.WAITED_IN}
     assert (others.tick, others.figures) == (told.tick, told.figures)
     assert names.shown(others) is others
 
@@ -156,7 +156,7 @@ def test_telemetry_that_is_sent_later_takes_a_step_in_each_tick() -> None:
     for tick in range(8):
         before = len(steps)
         if tick in {1, 5, 6}:
-            later.publish(Telemetry(tick, {}, {}))
+            later.publish(Telemetry(tick, Figures(), {}))
         else:
             later.step()
         taken.append(steps[before:])

@@ -24,7 +24,17 @@ from manyhands.nodes.kernel.bundle import ObserverBundle, save
 from manyhands.protocol.clock import Duration
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
-from manyhands.protocol.messages import Connect, NodeHello, Observation, Refusal, Role, Stop, Telemetry, Welcome
+from manyhands.protocol.messages import (
+    Connect,
+    Figures,
+    NodeHello,
+    Observation,
+    Refusal,
+    Role,
+    Stop,
+    Telemetry,
+    Welcome,
+)
 from manyhands.protocol.transport.zeromq import ZmqTransport
 
 SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
@@ -32,11 +42,12 @@ LONG = Duration(10_000_000_000)
 numbers = st.floats() | st.sampled_from([math.nan, math.inf, -math.inf])
 traces = hnp.arrays(np.float64, hnp.array_shapes(min_dims=2, max_dims=2, min_side=0, max_side=3), elements=numbers)
 names = st.text("abc_.é\u2028 ", min_size=1, max_size=6).filter(str.isprintable)
+named = st.dictionaries(names, numbers, max_size=4)
 observations = st.builds(
     Observation,
     names,
     st.integers(0, 2**62),
-    st.dictionaries(names, numbers, max_size=4),
+    st.builds(Figures, named, st.dictionaries(names.map("t{}".format), named, max_size=2)),
     st.dictionaries(names, traces, max_size=3),
 )
 
@@ -55,7 +66,13 @@ def test_a_line_holds_the_whole_observation(observation: Observation) -> None:
     assert json.loads(line, parse_constant=pytest.fail) == {
         "node": observation.node,
         "tick": observation.tick,
-        "figures": {name: plain(value) for name, value in observation.figures.items()},
+        "figures": {
+            **{name: plain(value) for name, value in observation.figures.items()},
+            **{
+                name: {key: plain(value) for key, value in table.items()}
+                for name, table in observation.figures.tables.items()
+            },
+        },
         "traces": {n: [[plain(value) for value in row] for row in t.tolist()] for n, t in observation.traces.items()},
     }
     assert core.malformed == 0
@@ -72,7 +89,7 @@ def test_anything_else_is_counted_and_not_printed(frame: bytes) -> None:
         assert core.malformed == 1
 
 
-@pytest.mark.parametrize("message", [Telemetry(1, {"speed": 0.5}, {}), Stop("now"), Welcome()])
+@pytest.mark.parametrize("message", [Telemetry(1, Figures({"speed": 0.5}), {}), Stop("now"), Welcome()])
 def test_not_even_other_messages_are(message: Telemetry | Stop | Welcome) -> None:
     core = ObserverCore()
     assert core.line(encode(message)) is None
@@ -116,7 +133,7 @@ class Test_its_process:
             assert process.stdout is not None
             while not outlet.send(b"no observation"):
                 hub.wait(Duration(1_000_000), [descriptor])
-            assert outlet.send(encode(Observation("dx", 7, {"speed": math.nan}, {})))
+            assert outlet.send(encode(Observation("dx", 7, Figures({"speed": math.nan}), {})))
             assert json.loads(process.stdout.readline()) == {"node": "dx", "tick": 7, "figures": {"speed": None},
                                                              "traces": {}}  # fmt: skip
             process.send_signal(15)
@@ -142,7 +159,7 @@ class Test_its_process:
             hub.send("watch", encode(Welcome()))
             hub.send("watch", encode(Connect({"supervisor": place})))
             while not hub.wait(Duration(1_000_000), [descriptor]):
-                outlet.send(encode(Observation("dx", 7, {}, {})))
+                outlet.send(encode(Observation("dx", 7, Figures(), {})))
             _, err = process.communicate(timeout=60)
             assert (process.returncode, err) == (0, b"")
         finally:

@@ -153,11 +153,11 @@ def test_refusals_of_the_kernel_are_reported_and_undone() -> None:
     assert not granted.fifo.granted
     assert "Operation not permitted" in granted.fifo.answer
     assert system.now == ORDINARY  # its limit, too
-    assert granted.figures() == {
-        "realtime_memory_locked": 0.0,
-        "realtime_fifo": 0.0,
-        "realtime_timer_slack": 0.0,
-        "realtime_pinned": 1.0,
+    assert granted.table() == {
+        "memory_locked": 0.0,
+        "fifo": 0.0,
+        "timer_slack": 0.0,
+        "pinned": 1.0,
     }
 
 

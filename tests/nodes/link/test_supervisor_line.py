@@ -23,6 +23,7 @@ from manyhands.protocol.messages import (
     Connect,
     Echo,
     Fault,
+    Figures,
     Message,
     NodeHello,
     Offer,
@@ -42,7 +43,7 @@ from manyhands.protocol.messages import (
 from manyhands.protocol.transport import Link, TransportError, Trouble
 from tests.support.memory_transport import MemoryTransport
 
-REPORT = Report(5, {}, {}, {})
+REPORT = Report(5, Figures())
 SECOND = 1_000_000_000
 
 
@@ -172,8 +173,8 @@ def test_a_conversation_from_hello_to_the_last_word() -> None:
             one.start(life)  # type: ignore[arg-type]
     say(Start(10**9, 5))
     assert one.start(life) == Start(10**9, 5)  # type: ignore[arg-type]
-    one.publish(Telemetry(3, {"speed": 0.5}, {}))
-    assert heard() == Telemetry(3, {"speed": 0.5}, {})
+    one.publish(Telemetry(3, Figures({"speed": 0.5}), {}))
+    assert heard() == Telemetry(3, Figures({"speed": 0.5}), {})
     say(Stop("reported"))
     one.report(REPORT, life)  # type: ignore[arg-type]
     assert heard() == REPORT
@@ -196,7 +197,7 @@ def test_a_stop_ends_it(line: AnsweringLine) -> None:
 
 def test_what_makes_no_sense_is_counted_and_waited_past(line: AnsweringLine) -> None:
     line.coming.extend([b"", b"\xc1", bytes(100)])
-    line.say(Ready(), Telemetry(1, {}, {}), Start(0, 1), Welcome(), Welcome(), Connect({"cx": "e"}))
+    line.say(Ready(), Telemetry(1, Figures(), {}), Start(0, 1), Welcome(), Welcome(), Connect({"cx": "e"}))
     one = control(line)
     assert one.peers_endpoints(Life()) == {"cx": "e"}  # type: ignore[arg-type]
     assert one.malformed == 7
@@ -237,31 +238,31 @@ class Test_telemetry:
         line.room = 2
         one = control(line, clock="realtime")
         for tick in range(5):
-            one.publish(Telemetry(tick, {}, {}))
+            one.publish(Telemetry(tick, Figures(), {}))
         assert one.dropped == 3
-        assert line.said == [Telemetry(0, {}, {}), Telemetry(1, {}, {})]
+        assert line.said == [Telemetry(0, Figures(), {}), Telemetry(1, Figures(), {})]
 
     def test_a_recording_in_simulated_time_is_whole_or_an_error(self, line: AnsweringLine) -> None:
         line.room = 1
         one = control(line, clock="simulated")
-        one.publish(Telemetry(1, {}, {}))
+        one.publish(Telemetry(1, Figures(), {}))
         with pytest.raises(TelemetryLost, match="record less"):
-            one.publish(Telemetry(2, {}, {}))
+            one.publish(Telemetry(2, Figures(), {}))
 
     def test_whoever_knocks_is_attended_to(self, line: AnsweringLine) -> None:
         doors = Doors(line)
         one = ControlLine(doors, common())  # type: ignore[arg-type]
         for tick in range(3):
-            one.publish(Telemetry(tick, {}, {}))
+            one.publish(Telemetry(tick, Figures(), {}))
         assert doors.attended == 3
-        assert line.said[-1] == Telemetry(2, {}, {})
+        assert line.said[-1] == Telemetry(2, Figures(), {})
         doors.strangers = {"no_key": 3, "shut": 1}
         assert one.refused() == doors.strangers
-        one.publish(Telemetry(3, {"late": 1.0}, {}))
-        one.publish(Telemetry(4, {"not_admitted": 2.0}, {}))
+        one.publish(Telemetry(3, Figures({"late": 1.0}), {}))
+        one.publish(Telemetry(4, Figures({"not_admitted": 2.0}), {}))
         assert line.said[-2:] == [
-            Telemetry(3, {"late": 1.0, "not_admitted": 4.0}, {}),
-            Telemetry(4, {"not_admitted": 6.0}, {}),
+            Telemetry(3, Figures({"late": 1.0, "not_admitted": 4.0}), {}),
+            Telemetry(4, Figures({"not_admitted": 6.0}), {}),
         ]
 
 

@@ -16,8 +16,9 @@ from manyhands.nodes.monitor.session_state import About, Scene
 from manyhands.protocol.clock import Instant, from_seconds
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
-from manyhands.protocol.messages import Condition
+from manyhands.protocol.messages import Condition, Figures
 
+from ...support.figures import drawn_figures
 from ...support.observed_session import ABOUT, UNCERTIFIED, conditioned, judged, observed
 
 NO_TRACE: dict[str, np.ndarray[tuple[int, ...], np.dtype[np.float64]]] = {}
@@ -66,7 +67,12 @@ def test_a_session_that_is_well_has_none() -> None:
             "left: lateness has put 0.25 J into the loop, more than the 0.005 J that its interface has to keep to",
         ),
         (
-            observed("environment", 100, NO_TRACE, waited_ticks_vl=53.0, waited_us_vl=117e3, frozen_late_vl=2.0),
+            observed(
+                "environment",
+                100,
+                NO_TRACE,
+                Figures({}, {"waited_ticks": {"vl": 53.0}, "waited_us": {"vl": 117e3}, "frozen_late": {"vl": 2.0}}),
+            ),
             AlarmLevel.WARNING,
             "waited for vl in 53 ticks, 0.117 s in all, and then no more; its tool rested for 0 ticks",
         ),
@@ -93,8 +99,8 @@ def test_what_raises_an_alarm(frame: bytes, level: AlarmLevel, words: str) -> No
 
 @pytest.mark.parametrize("frozen", [0.0, -1.0, np.inf, np.nan])
 def test_a_member_late_now_and_then_but_never_frozen_is_unnamed(frozen: float) -> None:
-    late = {"waited_ticks_vl": 3.0, "waited_us_vl": 900.0, "frozen_late_vl": frozen}
-    assert looked(observed("environment", 100, NO_TRACE, **late))[1].listed() == []
+    late = Figures({}, {"waited_ticks": {"vl": 3.0}, "waited_us": {"vl": 900.0}, "frozen_late": {"vl": frozen}})
+    assert looked(observed("environment", 100, NO_TRACE, late))[1].listed() == []
 
 
 def test_late_ticks_raise_one() -> None:
@@ -198,10 +204,10 @@ def test_the_gravest_come_first_and_the_cleared_last() -> None:
     assert alarms.listed()[3].cleared is not None
 
 
-FIGURES = st.dictionaries(
-    st.sampled_from(["tau_breaches", "period_breaches", "clipped", "saturated", "ledger_margin", "interface_min",
-                     "interface_ticks", "let_go", "late", "frozen_late_vl", "waited_ticks_vl", "waited_us_vl",
-                     "frozen:vl@50", "returned:vl@90", "frozen:vr@20"]),
+FIGURES = drawn_figures(
+    ["tau_breaches", "period_breaches", "clipped", "saturated", "ledger_margin", "interface_min", "interface_ticks",
+     "let_go", "late", "frozen:vl@50", "returned:vl@90", "frozen:vr@20"],
+    {"frozen_late": ["vl"], "waited_ticks": ["vl"], "waited_us": ["vl"]},
     st.floats(-1.0, 1e6),
 )  # fmt: skip
 
@@ -212,9 +218,9 @@ FIGURES = st.dictionaries(
     st.booleans(),
 )
 def test_no_alarm_but_a_note_stands_beside_a_health_that_is_ok(
-    told: list[tuple[str, int, dict[str, float]]], silent: tuple[str, ...], noticed: bool
+    told: list[tuple[str, int, Figures]], silent: tuple[str, ...], noticed: bool
 ) -> None:
-    frames = [observed(node, 100 * tick, NO_TRACE, **figures) for node, tick, figures in told]
+    frames = [observed(node, 100 * tick, NO_TRACE, figures) for node, tick, figures in told]
     shown = decode(judged(*frames, conditioned(silent=silent)), MAX_CONTROL_BYTES)
     assert isinstance(shown, Condition)
     if noticed:  # a notice comes of the same figures as its row

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from manyhands.nodes.monitor.health import (
     Health,
-    Promise,
     PromiseState,
     grouped,
     holds,
@@ -23,9 +22,12 @@ from manyhands.nodes.monitor.health import (
     summary,
 )
 from manyhands.nodes.monitor.health_model import HOLD, HealthModel, Terms
+from manyhands.nodes.rows.promises import Promise
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
-from manyhands.protocol.messages import Condition, PromiseStatus, Role
+from manyhands.protocol.messages import Condition, Figures, PromiseStatus, Role
+
+from ...support.figures import as_figures, drawn_figures
 
 T = 1e-3
 ROLES = {"dx": Role.DEVICE, "dy": Role.DEVICE, "cx": Role.COUPLING, "cy": Role.COUPLING, "world": Role.ENVIRONMENT}
@@ -43,7 +45,7 @@ Told = tuple[str, int, Mapping[str, float]]
 def model(terms: Terms, *told: Told) -> HealthModel:
     found = HealthModel(terms)
     for node, tick, figures in told:
-        found.take(node, tick, figures)
+        found.take(node, tick, as_figures(figures))
     found.conclude()
     return found
 
@@ -102,13 +104,15 @@ ENFORCED, BROKEN, KEPT = PromiseState.ENFORCED, PromiseState.BROKEN, PromiseStat
         (TERMS, "dx", {"let_go": 1.0}, Promise.MOTION, ENFORCED, "dx", {"times": 1.0}),
         (replace(TERMS, enforced=("world",)), "world", {"enforced_ticks": 9.0, "enforced_energy": 0.5}, Promise.LEVEL,
          ENFORCED, "world", {"ticks": 9.0, "J": 0.5}),
-        (TERMS, "world", {"scaled_cx": 12.0, "given_cx": 0.02}, Promise.BUDGET, ENFORCED, "cx",
+        (TERMS, "world", Figures({}, {"scaled": {"cx": 12.0}, "given": {"cx": 0.02}}), Promise.BUDGET, ENFORCED, "cx",
          {"ticks": 12.0, "J": 0.02}),
         (TERMS, "world", {"frozen:cy@95": 1.0}, Promise.PRESENCE, ENFORCED, "cy", {"times": 1.0, "s": 0.005}),
-        (TERMS, "world", {"waited_ticks_cx": 53.0, "waited_us_cx": 117e3, "frozen_late_cx": 2.0}, Promise.PUNCTUALITY,
-         ENFORCED, "cx", {"ticks": 53.0, "s": 0.117, "times": 2.0}),
+        (TERMS, "world",
+         Figures({}, {"waited_ticks": {"cx": 53.0}, "waited_us": {"cx": 117e3}, "frozen_late": {"cx": 2.0}}),
+         Promise.PUNCTUALITY, ENFORCED, "cx", {"ticks": 53.0, "s": 0.117, "times": 2.0}),
         (SEATED, "cx", {"wave_clipped": 4.0}, Promise.LINK, ENFORCED, "cx", {"ticks": 4.0}),
-        (SEATED, "world", {"wave_silences_cx": 1.0, "wave_deaf_cx": 1.0}, Promise.LINK, ENFORCED, "cx", {"times": 1.0}),
+        (SEATED, "world", Figures({}, {"wave_silences_of": {"cx": 1.0}, "wave_deaf_of": {"cx": 1.0}}),
+         Promise.LINK, ENFORCED, "cx", {"times": 1.0}),
     ],
 )  # fmt: skip
 def test_what_a_figure_says_of_a_promise(
@@ -143,8 +147,16 @@ def test_what_a_figure_says_of_a_promise(
         (TERMS, "dx", {"interface_min": -0.005 - 1e-12}),  # rounding
         (TERMS, "cx", {"ledger_margin": -1e-10}),
         (TERMS, "stranger", {"clipped": 9.0}),
-        (TERMS, "world", {"frozen:stranger@50": 1.0, "scaled_stranger": 3.0, "waited_ticks_stranger": 3.0}),
-        (TERMS, "world", {"waited_ticks_cx": 3.0, "waited_us_cx": 900.0, "frozen_late_cx": 0.0}),  # now and then
+        (
+            TERMS,
+            "world",
+            Figures({"frozen:stranger@50": 1.0}, {"scaled": {"stranger": 3.0}, "waited_ticks": {"stranger": 3.0}}),
+        ),
+        (
+            TERMS,
+            "world",
+            Figures({}, {"waited_ticks": {"cx": 3.0}, "waited_us": {"cx": 900.0}, "frozen_late": {"cx": 0.0}}),
+        ),  # now and then
         *[(TERMS, "dx", {"clipped": bad, "let_go": bad}) for bad in (math.nan,)],
         *[(TERMS, "dx", {"clipped": bad, "let_go": bad}) for bad in (math.inf, -3.0)],
     ],
@@ -161,7 +173,7 @@ def test_a_frozen_coupling_comes_back_and_what_it_missed_stays() -> None:
     assert (row.since, row.until) == (0.15, 0.42)
     assert row.cost == pytest.approx({"times": 1.0, "s": 0.27})
     assert session_health(found.rows()) is Health.OK
-    found.take("world", 900, {"frozen:cx@850": 1.0})
+    found.take("world", 900, Figures({"frozen:cx@850": 1.0}))
     row = only(found)
     assert (row.since, row.until) == (0.85, None)
     assert row.cost == pytest.approx({"times": 2.0, "s": 0.27 + 0.05})
@@ -171,9 +183,9 @@ def test_a_frozen_coupling_comes_back_and_what_it_missed_stays() -> None:
 def test_what_is_enforced_is_over_when_its_cost_stays_the_same() -> None:
     found = model(TERMS, ("dx", 100, {"tau_breaches": 3.0}), ("dx", 200, {"tau_breaches": 5.0}))
     rest = round(HOLD / T)
-    found.take("dx", 200 + rest, {"tau_breaches": 5.0})
+    found.take("dx", 200 + rest, Figures({"tau_breaches": 5.0}))
     assert only(found).until is None
-    found.take("dx", 300 + rest, {"tau_breaches": 5.0})
+    found.take("dx", 300 + rest, Figures({"tau_breaches": 5.0}))
     row = only(found)
     assert (row.since, row.until, row.cost) == (0.1, 0.2, {"ticks": 5.0})
     assert not is_present(row)
@@ -192,10 +204,10 @@ def test_what_the_certificate_needs_and_was_broken_stays_broken() -> None:
 @pytest.mark.parametrize("event", [True, False])
 def test_costs_are_those_of_all_processes_of_a_node(event: bool) -> None:
     found = model(TERMS, ("dx", 100, {"let_go": 3.0}))
-    found.take("dx", 300, {"let_go": 1.0, **({"began@200": 1.0} if event else {})})
+    found.take("dx", 300, Figures({"let_go": 1.0, **({"began@200": 1.0} if event else {})}))
     assert only(found).cost == {"times": 4.0}
     found.forget("dx")
-    found.take("dx", 400, {"let_go": 4.0})
+    found.take("dx", 400, Figures({"let_go": 4.0}))
     assert only(found).cost == {"times": 8.0}
 
 
@@ -212,7 +224,7 @@ def test_a_node_that_is_away_or_silent_breaks_its_presence_until_it_is_back() ->
     assert session_health(found.rows()) is Health.OK  # the node shows it itself
     found.look(RUNNING | {"dx": "starting"}, (), 1.2)
     assert only(found).until is None
-    found.take("world", 1500, {})
+    found.take("world", 1500, Figures({}))
     found.look(RUNNING, ("cy",), 1.6)
     back, silent = sorted(missed(found.rows()), key=lambda row: row.who, reverse=True)
     assert (back.who, back.until, back.cost) == (("dx",), 1.5, {"s": 0.5})
@@ -253,15 +265,19 @@ def test_an_account_that_is_no_number_is_not_called_kept(bad: float) -> None:
 
 
 def test_a_free_seat_breaks_no_promise() -> None:
-    found = model(SEATED, ("world", 1000, {"wave_deaf_cx": 1.0, "frozen": 1.0}))
+    found = model(SEATED, ("world", 1000, Figures({"frozen": 1.0}, {"wave_deaf_of": {"cx": 1.0}})))
     free = {"cx": "free", "dx": "free"}
     found.look(RUNNING | free, (), 1.1)
     assert missed(found.rows()) == []
     found.look(RUNNING, (), 1.2)
-    found.take("world", 2000, {"frozen:cx@1900": 1.0, "wave_silences_cx": 1.0, "wave_deaf_cx": 1.0})
+    found.take(
+        "world", 2000, Figures({"frozen:cx@1900": 1.0}, {"wave_silences_of": {"cx": 1.0}, "wave_deaf_of": {"cx": 1.0}})
+    )
     assert {row.promise for row in missed(found.rows()) if row.until is None} == {"presence", "wave link"}
     found.look(RUNNING | free, (), 2.2)
-    found.take("world", 9000, {"wave_silences_cx": 1.0, "wave_deaf_cx": 1.0, "frozen:cx@8950": 1.0})
+    found.take(
+        "world", 9000, Figures({"frozen:cx@8950": 1.0}, {"wave_silences_of": {"cx": 1.0}, "wave_deaf_of": {"cx": 1.0}})
+    )
     assert [row for row in missed(found.rows()) if is_present(row)] == []
 
 
@@ -270,7 +286,7 @@ def paced(ratio: float, seconds: float, terms: Terms = TERMS) -> HealthModel:
     found = HealthModel(terms)
     for step in range(1, round(5 * seconds) + 1):
         elapsed = step / 5
-        found.take("world", int(elapsed * ratio / T) // 100 * 100, {})
+        found.take("world", int(elapsed * ratio / T) // 100 * 100, Figures({}))
         found.look(RUNNING, (), elapsed)
     return found
 
@@ -304,7 +320,7 @@ def test_the_pace_is_reported_once_however_often_it_is_lost() -> None:
     for ratio, steps in ((1.0, 60), (0.3, 60)):
         for _ in range(steps):
             tick, elapsed = tick + round(200 * ratio), elapsed + 0.2
-            found.take("world", tick, {})
+            found.take("world", tick, Figures({}))
             found.look(RUNNING, (), elapsed)
         over = only(found).until is not None
         assert over == (ratio == 1.0)
@@ -327,12 +343,11 @@ def test_remarks_belong_to_what_is_not_kept() -> None:
 
 
 NODES = st.sampled_from([*ROLES, "stranger"])
-FIGURES = st.dictionaries(
-    st.sampled_from(
-        ["tau_breaches", "clipped", "ledger_margin", "interface_min", "interface_ticks", "let_go", "wave_silences_cx",
-         "wave_deaf_cx", "scaled_cx", "waited_ticks_cx", "waited_us_cx", "frozen_late_cx", "frozen:cx@7",
-         "returned:cx@9", "frozen:dx@3", "began@5"]
-    ),
+FIGURES = drawn_figures(
+    ["tau_breaches", "clipped", "ledger_margin", "interface_min", "interface_ticks", "let_go", "frozen:cx@7",
+     "returned:cx@9", "frozen:dx@3", "began@5"],
+    {name: ["cx", "x"] for name in
+     ("wave_silences_of", "wave_deaf_of", "scaled", "waited_ticks", "waited_us", "frozen_late")},
     st.floats(),
 )  # fmt: skip
 STATES = st.dictionaries(NODES, st.sampled_from(["running", "lost", "free", "starting", "odd"]))
@@ -370,7 +385,11 @@ def told(at: float, asked: float, given: float, **seconds: float) -> Told:
 
 
 def frozen(at: float, times: float) -> Told:
-    return "world", round(at / T), {"waited_ticks_cx": 9.0 * times, "waited_us_cx": 1e3, "frozen_late_cx": times}
+    return (
+        "world",
+        round(at / T),
+        Figures({}, {"waited_ticks": {"cx": 9.0 * times}, "waited_us": {"cx": 1e3}, "frozen_late": {"cx": times}}),
+    )
 
 
 def of_force(found: HealthModel) -> PromiseStatus | None:
@@ -438,6 +457,6 @@ def test_a_lack_of_force_is_over_once_the_last_seconds_are_well() -> None:
     row = of_force(found)
     assert row is not None
     assert row.until == 7.0  # in the five seconds before, more than nine tenths were given
-    found.take("dx", 8000, {"began@8000": 1.0})  # a new process counts from 0
+    found.take("dx", 8000, Figures({"began@8000": 1.0}))  # a new process counts from 0
     found.take(*told(8.0, 40.0, 36.0, held_back=0.8))
     assert session_health(found.rows()) is Health.OK

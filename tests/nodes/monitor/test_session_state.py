@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from manyhands.nodes.monitor.health import Health
 from manyhands.nodes.monitor.health_model import HealthModel
 from manyhands.nodes.monitor.session_state import LATE_SHARE, RATE_OVER, About, LinkAbout, NodeAbout, Scene
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.codec import encode
-from manyhands.protocol.messages import Condition, Observation, Role, Stop
+from manyhands.protocol.messages import Condition, Figures, Observation, Role, Stop
 
 STEP = 100_000_000  # ns between two telemetries
 
@@ -38,8 +38,9 @@ class Seen:
         self.scene, self.at = Scene(about()), 0
         self.model = HealthModel(about().terms)
 
-    def tell(self, node: str, tick: int, after: int = STEP, **figures: float) -> None:
+    def tell(self, node: str, tick: int, after: int = STEP, **numbers: float) -> None:
         self.at += after
+        figures = Figures(numbers)
         self.model.take(node, tick, figures)
         self.scene.take(encode(Observation(node, tick, figures, {"x": np.zeros((1, 1))})), Instant(self.at))
 
@@ -170,7 +171,8 @@ def test_the_sessions_rate_is_the_environments() -> None:
 @given(st.lists(st.one_of(
     st.binary(max_size=40),
     st.builds(Observation, st.sampled_from(["d", "c", "environment", "stranger"]), st.integers(0, 2**62),
-              st.dictionaries(st.sampled_from([names.LATE, names.FROZEN, "speed"]), st.floats()), st.just({})),
+              st.builds(Figures, st.dictionaries(st.sampled_from([names.LATE, names.FROZEN, "speed"]), st.floats())),
+              st.just({})),
     st.builds(Condition, st.sampled_from(["running", "over"]), st.floats(0, 1e9),
               st.dictionaries(st.sampled_from(["d", "c", "x"]), st.sampled_from(["running", "lost", "odd"]))),
     st.just(Stop("no word of a broadcast's")),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from manyhands.nodes.monitor.tracks import Decimated, Floats, Track, TrackKey, Tracks
-from manyhands.protocol.messages import Observation
+from manyhands.protocol.messages import Figures, Observation
 
 from ...support.observed_session import ABOUT, UNCERTIFIED
 
@@ -27,7 +27,7 @@ def track_of(tracks: Tracks, name: str) -> Track:
 
 
 def of_left(tick: int, x: Floats) -> Observation:
-    return Observation("left", tick, {}, {"x": x[:, None]})
+    return Observation("left", tick, Figures(), {"x": x[:, None]})
 
 
 def test_a_ring_keeps_the_latest_and_no_more() -> None:
@@ -102,7 +102,7 @@ def test_velocity_of_a_device_in_wall_time_is_by_the_instants_of_its_samples() -
     x = np.array([[0.0], [0.001], [0.002], [0.002]])
     s = np.array([0.2, 1.2, 3.2, 3.2])[:, None] * 1e6  # the third sample came a period late
     for tick, rows in ((2, slice(0, 2)), (4, slice(2, 4))):
-        tracks.take(Observation("left", tick, {}, {"x": x[rows], "instants": s[rows].repeat(3, axis=1)}))
+        tracks.take(Observation("left", tick, Figures(), {"x": x[rows], "instants": s[rows].repeat(3, axis=1)}))
     values = track_of(tracks, "left/velocity").since(0).values[:, 0, 0]
     assert values[1:3].tolist() == pytest.approx([1.0, 0.5])
     assert np.isnan(values[[0, 3]]).all()
@@ -110,8 +110,8 @@ def test_velocity_of_a_device_in_wall_time_is_by_the_instants_of_its_samples() -
 
 def test_a_trace_of_another_shape_is_counted_and_left_out() -> None:
     tracks = Tracks(ABOUT)
-    tracks.take(Observation("left", 100, {}, {"x": np.zeros((100, 3))}))
-    tracks.take(Observation("left", 3, {}, {"x": np.zeros((100, 1))}))  # of ticks before the first
+    tracks.take(Observation("left", 100, Figures(), {"x": np.zeros((100, 3))}))
+    tracks.take(Observation("left", 3, Figures(), {"x": np.zeros((100, 1))}))  # of ticks before the first
     assert tracks.unfit == 2
     assert all(track.end == 0 for _, track in tracks.items())
 

@@ -10,6 +10,7 @@ import pytest
 
 from manyhands.nodes.monitor.health import Health
 from manyhands.nodes.monitor.session_state import About, AboutError, Scene
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Condition, PromiseStatus
@@ -53,7 +54,9 @@ def test_what_is_felt_of_a_link_is_known_once_both_ends_have_reported() -> None:
                "wave_deaf": 0.0}  # fmt: skip
     scene.take(telemetry("cx", 4000, **figures), Instant(0))
     assert scene.felt_links == {}
-    scene.take(telemetry("environment", 1000, **{f"{name}_cx": v for name, v in figures.items()}), Instant(0))
+    scene.take(
+        telemetry("environment", 1000, tables={names.of(name): {"cx": v} for name, v in figures.items()}), Instant(0)
+    )
     assert scene.felt_links.keys() == {"cx"}
     assert scene.felt_links["cx"].round_trip == pytest.approx(2.625e-3)
 
@@ -77,8 +80,8 @@ def test_the_lobby_shows_who_is_in(states: dict[str, str], figures: bool, line: 
     scene = Scene(replace(LINKED, seats={"cx": "d"}))
     if figures:
         scene.take(telemetry("cx", 4000, wave_lag_us=4e3, **CALM), Instant(0))
-        world = {"wave_lag_us_cx": 1e3, **{f"{name}_cx": value for name, value in CALM.items()}}
-        scene.take(telemetry("environment", 1000, **world), Instant(0))
+        world = {names.of(name): {"cx": value} for name, value in {**CALM, "wave_lag_us": 1e3}.items()}
+        scene.take(telemetry("environment", 1000, tables=world), Instant(0))
     stand = {**dict.fromkeys(LINKED.nodes, "running"), **states}
     silent, frozen = (tuple(name for name in [stand.pop(what, "")] if name) for what in ("silent", "frozen"))
     rows = tuple(PromiseStatus("presence", "enforced", (name,), 1.0) for name in frozen)

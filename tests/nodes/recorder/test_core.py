@@ -26,7 +26,7 @@ from manyhands.nodes.recorder.format import Recorded, decode_condition, decode_f
 from manyhands.nodes.recorder.mcap import RecordingFile
 from manyhands.nodes.recorder.node import PlanError, RecordingPlan
 from manyhands.protocol.codec import encode
-from manyhands.protocol.messages import Condition, Observation, PromiseStatus, Role, Stop, Telemetry
+from manyhands.protocol.messages import Condition, Figures, Observation, PromiseStatus, Role, Stop, Telemetry
 
 SENTENCES = ("silent", "notices", "incidents", "faults")
 numbers = st.floats() | st.sampled_from([math.nan, math.inf, -math.inf])
@@ -44,7 +44,7 @@ X = np.arange(1.0, 5.0).reshape(4, 1)
 def observation(node: str, tick: int, rows: int, columns: int, **more: float) -> Observation:
     x = np.arange(float(rows * columns)).reshape(rows, columns) + tick
     names = ("p", "f_v") if node == "c" else ("x", "f_v")
-    return Observation(node, tick, more, dict(zip(names, (x, -x), strict=True)))
+    return Observation(node, tick, Figures(more), dict(zip(names, (x, -x), strict=True)))
 
 
 class Test_rows:
@@ -79,11 +79,30 @@ class Test_rows:
 
 class Test_layout:
     def test_figures_that_json_cannot_say_are_null(self) -> None:
-        told = encode_figures(3, {"a": math.nan, "b": math.inf, "c": 0.1})
+        told = encode_figures(
+            3, Figures({"a": math.nan, "b": math.inf, "c": 0.1}, {"tau_us": {"p99": math.nan, "p50": 2.5}})
+        )
         plain = json.loads(told, parse_constant=pytest.fail)
-        assert plain == {"tick": 3, "figures": {"a": None, "b": None, "c": 0.1}}
+        assert plain == {"tick": 3, "figures": {"a": None, "b": None, "c": 0.1, "tau_us": {"p99": None, "p50": 2.5}}}
         tick, figures = decode_figures(plain)
         assert (tick, figures["c"], math.isnan(figures["a"])) == (3, 0.1, True)
+        assert (figures.table("tau_us")["p50"], math.isnan(figures.table("tau_us")["p99"])) == (2.5, True)
+
+    def test_names_with_prefixes_of_before_protocol_6_are_read_as_tables(self) -> None:
+        former = {"late": 3.0, "tau_us_p99": 9.0, "moved_a/b_c": 1.0, "moved_b_c/a": 2.0, "wave_lag_us_b_c": 4.0,
+                  "rung_a": 1.0, "driver_heat": 40.0, "held_a": 7.0, "held:a@3": 2.0, "unexerted_most": 0.5,
+                  "waited_us_a": 6.0, "frozen_ticks": 5.0}  # fmt: skip
+        _, figures = decode_figures({"tick": 3, "figures": former})
+        assert dict(figures) == {"late": 3.0, "held:a@3": 2.0, "unexerted_most": 0.5, "frozen_ticks": 5.0}
+        assert figures.tables == {
+            "tau_us": {"p99": 9.0},
+            "moved": {"a/b_c": 1.0, "b_c/a": 2.0},
+            "wave_lag_us_of": {"b_c": 4.0},
+            "rung_of": {"a": 1.0},
+            "driver": {"heat": 40.0},
+            "held": {"a": 7.0},
+            "waited_us": {"a": 6.0},
+        }
 
     def test_a_condition_round_trips(self) -> None:
         promises = (PromiseStatus("delay", "kept", since=0.0),
@@ -193,7 +212,7 @@ class Test_core:
             core.take(encode(observation("a", tick, 10, 1, late=1.0)), 5)
             core.take(encode(observation("b", tick, 10, 2)), 5)
             core.take(encode(observation("c", tick, 10, 3, ledger=math.nan)), 5)
-            core.take(encode(Observation("environment", tick, {"ledger": 0.5}, {})), 5)
+            core.take(encode(Observation("environment", tick, Figures({"ledger": 0.5}), {})), 5)
         assert not core.over
         core.take(encode(Stop("over")), 5)
         assert core.over
@@ -210,17 +229,17 @@ class Test_core:
         "frame",
         [
             b"junk",
-            encode(Telemetry(1, {}, {})),
+            encode(Telemetry(1, Figures(), {})),
             encode(observation("stranger", 10, 10, 1)),
             encode(observation("a", 10, 10, 2)),
             encode(observation("a", 10, 11, 1)),  # before tick 0
             encode(observation("environment", 10, 10, 3)),  # whose traces are others
             encode(observation("c", 10, 10, 2)),
-            encode(Observation("a", 10, {}, {"ledger": np.zeros((10, 2))})),  # one number a tick
-            encode(Observation("environment", 10, {}, {"q": np.zeros((10, 0))})),  # it has no masses
-            encode(Observation("a", 2**60, {}, {"x": X, "f_v": X})),  # in the year 36 million
-            encode(Observation("a", 10, {}, {"x": X, "f_v": X[:2]})),
-            encode(Observation("a", 10, {}, {"speed": X})),
+            encode(Observation("a", 10, Figures(), {"ledger": np.zeros((10, 2))})),  # one number a tick
+            encode(Observation("environment", 10, Figures(), {"q": np.zeros((10, 0))})),  # it has no masses
+            encode(Observation("a", 2**60, Figures(), {"x": X, "f_v": X})),  # in the year 36 million
+            encode(Observation("a", 10, Figures(), {"x": X, "f_v": X[:2]})),
+            encode(Observation("a", 10, Figures(), {"speed": X})),
         ],
     )
     def test_what_does_not_fit_is_counted_and_not_written(self, frame: bytes, tmp_path: Path) -> None:

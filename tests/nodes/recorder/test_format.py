@@ -19,7 +19,7 @@ from mcap.summary import Summary
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE, SESSION_FILE, Recorded
 from manyhands.protocol.codec import encode
-from manyhands.protocol.messages import Condition, Observation, Role
+from manyhands.protocol.messages import Condition, Figures, Observation, Role
 
 RECORDED = Recorded(
     "s",
@@ -60,7 +60,7 @@ def written() -> bytes:
         for node in RECORDED.roles:
             traces = {trace: values[end - ROWS : end] for (of, trace), values in TRACES.items() if of == node}
             arrival = FIRST_ARRIVAL + piece * 7_000_000_000  # whatever the clock on the wall does
-            core.take(encode(Observation(node, end, {"late": float(piece), "worst": np.nan}, traces)), arrival)
+            core.take(encode(Observation(node, end, Figures({"late": float(piece), "worst": np.nan}), traces)), arrival)
         if piece == 0:
             core.take(encode(CONDITIONS[1][1]), NOW)
         core.take(encode(Condition("running", 0.3 + piece, {"a": "running"}, ("a",), ("Δt: too long",))), NOW)

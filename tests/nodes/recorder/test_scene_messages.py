@@ -30,7 +30,7 @@ from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import Recorded
 from manyhands.nodes.recorder.scene_messages import DRAWN_RADIUS, SCENE_SCHEMAS, SceneMessages
 from manyhands.protocol.codec import encode
-from manyhands.protocol.messages import Observation, Role
+from manyhands.protocol.messages import Figures, Observation, Role
 
 WHOLE = ContactScene(
     ("b", "a.y", "a.x"),  # not in the order of the environment's columns
@@ -71,7 +71,7 @@ X_E, Q = (np.random.default_rng(5).normal(scale=0.05, size=(TICKS, 3)) for _ in 
 
 
 def observed(begin: int, end: int, x_e: Any = X_E, q: Any = Q) -> bytes:
-    return encode(Observation("environment", end, {}, {"x_e": x_e[begin:end], "q": q[begin:end]}))
+    return encode(Observation("environment", end, Figures(), {"x_e": x_e[begin:end], "q": q[begin:end]}))
 
 
 def recorded(recorded: Recorded = RECORDED, x_e: Any = X_E) -> list[tuple[Any, Any, Any]]:

@@ -28,7 +28,7 @@ from manyhands.launch.run.outcome import Outcome, Progress
 from manyhands.launch.run.states import NodeState, SessionPhase
 from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import load_session
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import from_seconds
 
 from ...support.rows import rows_of

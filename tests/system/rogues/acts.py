@@ -24,7 +24,7 @@ from manyhands.nodes.kernel.bundle import CouplingBundle, DeviceBundle, Environm
 from manyhands.nodes.kernel.lifetime import Life
 from manyhands.nodes.link.process import key_ring, main
 from manyhands.nodes.link.supervisor_line import ControlLine
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
@@ -32,6 +32,7 @@ from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
     Connect,
     Echo,
+    Figures,
     Force,
     LinkHello,
     NodeHello,
@@ -102,7 +103,7 @@ OUT_OF_TURN: Final = (
     encode(Start(0, 1)),
     encode(Stop("enough")),
     encode(Echo(1, 2, 3)),
-    encode(Observation("dx", 1, {"speed": 1.0}, {})),
+    encode(Observation("dx", 1, Figures({"speed": 1.0}), {})),
     encode(Force(1, 1, np.array([1.0]))),
     b"",
     b"junk",
@@ -113,10 +114,10 @@ OUT_OF_TURN: Final = (
 
 _COLUMN: Final = np.zeros((3, 1))
 MISFITS: Final = (
-    Telemetry(3, {}, {names.DISPLACEMENT: np.zeros((3, 2)), names.FORCE: np.zeros((3, 2))}),  # too wide
-    Telemetry(3, {}, {names.DISPLACEMENT: _COLUMN, names.FORCE: np.zeros((2, 1))}),  # of two lengths
-    Telemetry(2, {}, {names.DISPLACEMENT: _COLUMN, names.FORCE: _COLUMN}),  # from before the first tick
-    Telemetry(2**62, {}, {names.DISPLACEMENT: _COLUMN, names.FORCE: _COLUMN}),  # from long after the last
+    Telemetry(3, Figures(), {names.DISPLACEMENT: np.zeros((3, 2)), names.FORCE: np.zeros((3, 2))}),  # too wide
+    Telemetry(3, Figures(), {names.DISPLACEMENT: _COLUMN, names.FORCE: np.zeros((2, 1))}),  # of two lengths
+    Telemetry(2, Figures(), {names.DISPLACEMENT: _COLUMN, names.FORCE: _COLUMN}),  # from before the first tick
+    Telemetry(2**62, Figures(), {names.DISPLACEMENT: _COLUMN, names.FORCE: _COLUMN}),  # from long after the last
 )
 """Telemetry of a device with one port that no recording can take."""
 

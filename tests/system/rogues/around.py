@@ -11,13 +11,14 @@ import numpy as np
 import zmq
 
 from manyhands.launch.run.outcome import Progress
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.codec import encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
     Connect,
     Fault,
+    Figures,
     NodeHello,
     Observation,
     Refusal,
@@ -57,8 +58,8 @@ _ROWS: Final = np.zeros((10, 1))
 WRITES: Final = (
     *OUT_OF_TURN,
     encode(Sample(1, 1, np.array([0.1]))),
-    encode(Telemetry(10, {"speed": 1e9}, {names.DISPLACEMENT: _ROWS, names.FORCE: _ROWS})),
-    encode(Report(1, {}, {}, {})),
+    encode(Telemetry(10, Figures({"speed": 1e9}), {names.DISPLACEMENT: _ROWS, names.FORCE: _ROWS})),
+    encode(Report(1, Figures())),
     encode(Fault("dx: it is all over")),
 )
 """What an observer may not say to the supervisor, nor anybody on a second connection of a member."""

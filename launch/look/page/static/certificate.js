@@ -58,7 +58,7 @@ export class Certificate {
     let [worst, most] = [0, 0];
     for (const { figures } of session.nodes.values()) {
       worst = Math.max(worst, figures.tau_worst_us ?? 0);
-      most = Math.max(most, figures.tau_us_p99 ?? 0);
+      most = Math.max(most, figures.tau_us?.p99 ?? 0);
     }
     const { promises } = session.picture;
     const real = this.about.clock === "realtime";

@@ -28,7 +28,7 @@ from manyhands.launch.look.sessions import Running
 from manyhands.nodes.monitor.given import FIGURES
 from manyhands.nodes.monitor.tracks import BUCKETS
 from manyhands.protocol.clock import Instant, RealtimeClock
-from manyhands.protocol.messages import Grasp, Release
+from manyhands.protocol.messages import Figures, Grasp, Release
 from manyhands.protocol.transport.broadcast import Broadcast
 from manyhands.protocol.transport.pointer import PointerInlet
 
@@ -123,7 +123,12 @@ def test_health_is_never_ok_beside_a_warning() -> None:
         observed("left", 100, {}, clipped=3.0),
         observed("vl", 100, {}, saturated=3.0),
         observed("environment", 100, {}, **{"frozen:vl@90": 1.0}),
-        observed("environment", 100, {}, waited_ticks_vl=53.0, waited_us_vl=117e3, frozen_late_vl=2.0),
+        observed(
+            "environment",
+            100,
+            {},
+            Figures({}, {"waited_ticks": {"vl": 53.0}, "waited_us": {"vl": 117e3}, "frozen_late": {"vl": 2.0}}),
+        ),
         conditioned(silent=("vr",)),
         conditioned(lost=("vr",)),
     ):

@@ -1,0 +1,438 @@
+"""The figures that nodes state in their telemetry and reports: each is declared here, once.
+
+A declaration has the figure's name, its unit and what it says, and where people meet it: the key of the report, the
+columns of tables, the plot, and the promise that it counts for. Report, `top`, page, health, exports, viewers and the
+protocol's document are derived from :data:`FIGURES`. So a new figure is one line here, and the place that counts it.
+
+A figure is a number; or it is a table, with a number for each coupling, percentile, cause or the like
+(:class:`~manyhands.protocol.messages.Figures`). Traces, which have a row for each tick, are topics
+(:data:`manyhands.protocol.channels.TOPICS`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manyhands.nodes.kernel.passivity import Ledger, PassivityController
+from manyhands.nodes.rows.promises import Promise
+from manyhands.protocol.channels import (
+    APPLIED,
+    DISPLACEMENT,
+    FORCE,
+    FREE_POSITION,
+    INSTANTS,
+    INTERFACE,
+    LEDGER,
+    MASS_POSITION,
+    TANK,
+    TAU,
+    TOOL_POSITION,
+    WAVE,
+)
+from manyhands.protocol.messages import Role, Telemetry
+
+__all__ = [
+    "APPLIED",
+    "DISPLACEMENT",
+    "FORCE",
+    "FREE_POSITION",
+    "INSTANTS",
+    "INTERFACE",
+    "LEDGER",
+    "MASS_POSITION",
+    "TANK",
+    "TAU",
+    "TOOL_POSITION",
+    "WAVE",
+]
+
+
+class Unit(StrEnum):
+    """The unit of a figure."""
+
+    TICKS = "ticks"
+    TICK = "tick"
+    TIMES = "times"
+    NUMBER = "1"
+    STATE = "0 or 1"
+    MICROSECONDS = "us"
+    JOULES = "J"
+    METRES = "m"
+    NEWTONS = "N"
+    SPEED = "m/s"
+    IMPULSE = "N s"
+    OWN = ""
+
+    @property
+    def whole(self) -> bool:
+        """Whether a figure of this unit is a whole number."""
+        return self in (Unit.TICKS, Unit.TIMES, Unit.NUMBER)
+
+
+class Key(StrEnum):
+    """What a table of figures has one number for."""
+
+    COUPLING = "coupling"
+    PAIR = "giver/receiver"
+    PERCENTILE = "percentile"
+    CAUSE = "cause"
+    REASON = "reason"
+    RIGHT = "right"
+    OWN = "own name"
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of the tables of nodes.
+
+    Attributes:
+        title: its heading, with the unit.
+        form: its format, as :func:`format` has it; empty for a share that is made of several figures.
+        rank: in a narrow table the columns of the highest rank are left out first.
+        key: of the number in the figure's table; empty for a figure that is a number.
+    """
+
+    title: str
+    form: str
+    rank: int
+    key: str = ""
+
+
+@dataclass(frozen=True)
+class ReportKey:
+    """Where a figure is in a node's part of the report.
+
+    Attributes:
+        path: its key, or the key of a group and its own in that.
+        needed: whether the group is left out without it.
+        positive: whether it is left out where it is 0.
+        scale: what its numbers are multiplied by.
+    """
+
+    path: tuple[str, ...]
+    needed: bool = False
+    positive: bool = False
+    scale: float = 1.0
+
+
+@dataclass(frozen=True)
+class Figure:
+    """The declaration of a figure.
+
+    Attributes:
+        name: as telemetry, reports and recordings have it.
+        unit: of its numbers.
+        says: what it is, to follow its name.
+        key: what its table has one number for; None for a figure that is a number.
+        report: where the report has it; None for nowhere, or where another part of the report is made of it.
+        columns: the columns that show it.
+        plot: the title of its plot in viewers, and the role of the nodes that are drawn.
+        promise: what is not kept whenever a node's own figure grows; a figure in J is the cost of that.
+        promise_of: likewise for a table of the environment, about the coupling.
+    """
+
+    name: str
+    unit: Unit
+    says: str
+    key: Key | None = None
+    report: ReportKey | None = None
+    columns: tuple[Column, ...] = ()
+    plot: tuple[str, Role] | None = None
+    promise: Promise | None = None
+    promise_of: Promise | None = None
+
+
+_DECLARED: Final[dict[str, Figure]] = {}
+
+
+def _figure(declared: Figure) -> str:
+    _DECLARED[declared.name] = declared
+    return declared.name
+
+
+def _at(*path: str, needed: bool = False, positive: bool = False, scale: float = 1.0) -> ReportKey:
+    return ReportKey(path, needed, positive, scale)
+
+
+# fmt: off
+# --- time
+
+LATE = _figure(Figure(
+    "late", Unit.TICKS, "whose force was applied after the next was due; of a world that its clock paces, those that "
+    "had not ended then, or were never done", report=_at("late"), columns=(Column("late", ".0f", 1),)))
+_figure(Figure(
+    TAU, Unit.MICROSECONDS, "from a device's sample to its force", Key.PERCENTILE, report=_at("tau_us"),
+    columns=(Column("τ p50 [µs]", ".0f", 4, "p50"), Column("τ p99 [µs]", ".0f", 2, "p99"))))
+PERIOD = _figure(Figure(
+    "period_us", Unit.MICROSECONDS, "between two samples of a device", Key.PERCENTILE, report=_at("period_us")))
+LATE_CAUSE = _figure(Figure(
+    "late_cause", Unit.TICKS, "that were late, by what took longest: the device itself (own), a processor that was not "
+    "available (descheduled), or its couplings (partner)", Key.CAUSE, report=_at("late_causes")))
+TAU_WORST = _figure(Figure("tau_worst_us", Unit.MICROSECONDS, "the longest delay since the last telemetry"))
+TAU_BREACHES = _figure(Figure(
+    "tau_breaches", Unit.TICKS, "whose force came later after the sample than the certificate assumes",
+    report=_at("tau_breaches"), promise=Promise.DELAY))
+PERIOD_BREACHES = _figure(Figure(
+    "period_breaches", Unit.TICKS, "that came later after the one before than the certificate covers after such a "
+    "delay", report=_at("period_breaches"), promise=Promise.PERIOD))
+STALE = _figure(Figure("stale", Unit.TIMES, "that STALE_TICKS periods had passed without a force"))
+SUSPENDED = _figure(Figure(
+    "suspended", Unit.TIMES, "that its process did not run for 50 ms and STALE_TICKS periods",
+    report=_at("suspended", "times", needed=True, positive=True)))
+SUSPENDED_TIME = _figure(Figure(
+    "suspended_us", Unit.MICROSECONDS, "that its process did not run, in all",
+    report=_at("suspended", "seconds", needed=True, scale=1e-6)))
+SUSPENDED_ENERGY = _figure(Figure(
+    "suspended_energy", Unit.JOULES, "by which its interface account fell meanwhile",
+    report=_at("suspended", "energy", needed=True)))
+REALTIME = _figure(Figure(
+    "realtime", Unit.STATE, "whether the machine granted it", Key.RIGHT, report=_at("realtime")))
+
+# --- what a hand was given
+
+FORCE_ASKED = _figure(Figure(
+    "force_asked", Unit.IMPULSE, "that a device's couplings asked for within its limits",
+    report=_at("interface", "asked")))
+FORCE_GIVEN = _figure(Figure("force_given", Unit.IMPULSE, "that it exerted", report=_at("interface", "given")))
+FORCE_TIME = _figure(Figure(
+    "force_time_us", Unit.MICROSECONDS, "in which a device could be given a force",
+    columns=(Column("given [%]", "", 5),)))
+FORCE_AWAY = _figure(Figure(
+    "force_away_us", Unit.MICROSECONDS, "of these in which it had no valid answer, or its force rose again after that"))
+FORCE_HELD_BACK = _figure(Figure(
+    "force_held_back_us", Unit.MICROSECONDS, "in which the reserve for lateness lowered its force, or ended it early"))
+FORCE_CUT = _figure(Figure("force_cut_us", Unit.MICROSECONDS, "in which a limit cut its force"))
+
+# --- limits and presence
+
+RUNG = _figure(Figure(
+    "rung", Unit.NUMBER, "the present rung of the ladder", report=_at("rung"), columns=(Column("rung", ".0f", 6),),
+    plot=("rungs", Role.COUPLING)))
+CHANGING = _figure(Figure("changing", Unit.NUMBER, "couplings whose clutches open for a change of rung"))
+CLIPPED = _figure(Figure(
+    "clipped", Unit.TICKS, "whose force was clipped at the device: its coupling misbehaves", report=_at("clipped"),
+    promise=Promise.FORCE))
+SATURATED = _figure(Figure(
+    "saturated", Unit.TICKS, "whose force was clipped at the coupling", report=_at("saturated"),
+    promise=Promise.FORCE))
+LET_GO = _figure(Figure(
+    "let_go", Unit.TIMES, "that a device was beyond its displacement or speed, and let go", report=_at("let_go"),
+    promise=Promise.MOTION))
+FROZEN = _figure(Figure(
+    "frozen", Unit.NUMBER, "couplings that are not active now", columns=(Column("frozen", ".0f", 3),),
+    plot=("frozen couplings", Role.ENVIRONMENT)))
+FROZEN_TICKS = _figure(Figure(
+    "frozen_ticks", Unit.TICKS, "in which any coupling was not active",
+    report=_at("incidents", "frozen", positive=True)))
+RELEASED = _figure(Figure(
+    "released", Unit.TICKS, "periods in which a device ran free, without force",
+    report=_at("incidents", "released", positive=True)))
+JUMPS = _figure(Figure(
+    "jumps", Unit.TIMES, "that a force of a later tick said that the session had gone on without the node",
+    report=_at("incidents", "jumps", positive=True)))
+ABSENCES = _figure(Figure("absences", Unit.TIMES, "that any coupling was frozen or lost"))
+SPEED = _figure(Figure(
+    "speed", Unit.SPEED, "the greatest since the last telemetry", columns=(Column("speed [m/s]", ".2e", 9),)))
+PEAK_SPEED = _figure(Figure("peak_speed", Unit.SPEED, "the greatest of the run", report=_at("peak_speed")))
+PEAK_FORCE = _figure(Figure(
+    "peak_force", Unit.NEWTONS, "the greatest that an axis of a device exerted", report=_at("peak_force"),
+    columns=(Column("peak [N]", ".2f", 12),)))
+FINAL_SPEED = _figure(Figure(
+    "final_speed", Unit.SPEED, "the greatest of the last rows of a run", report=_at("final_speed")))
+
+# --- energy of a node
+
+INTERFACE_LEAST = _figure(Figure(
+    "interface_min", Unit.JOULES, "the least of a device's interface account, at most 0",
+    report=_at("interface", "min", needed=True)))
+INTERFACE_MARGIN = _figure(Figure(
+    "interface_margin", Unit.JOULES, "the least distance of that account from its bound -(E_0 + P t)",
+    report=_at("interface", "margin", needed=True)))
+_figure(Figure(
+    INTERFACE, Unit.JOULES, "the account of what lateness puts in", report=_at("interface", "final", needed=True),
+    columns=(Column("account [J]", ".2e", 7),)))
+INTERFACE_TICKS = _figure(Figure(
+    "interface_ticks", Unit.TICKS, "in which a device's interface changed a motion or a force",
+    report=_at("interface", "changed_ticks", needed=True)))
+INTERFACE_KEPT_BACK = _figure(Figure(
+    "interface_kept_back", Unit.JOULES, "that the changed motions kept from being lost",
+    report=_at("interface", "kept_back", needed=True)))
+INTERFACE_OFFSET = _figure(Figure(
+    "interface_offset", Unit.METRES, "the greatest offset between a device and the motion sent",
+    report=_at("interface", "offset")))
+QUICKER = _figure(Figure(
+    "quicker", Unit.STATE, "whether a device moved further than the stated mass and hand allow"))
+LEDGER_MIN = _figure(Figure(
+    "ledger_min", Unit.JOULES, "the least total of the ledger", report=_at("ledger", "min", needed=True)))
+_figure(Figure(
+    LEDGER, Unit.JOULES, "the energy that a party has taken in above its promised level",
+    report=_at("ledger", "final", needed=True), columns=(Column("ledger [J]", ".2e", 8),)))
+LEDGER_MIN_TICK = _figure(Figure(
+    "ledger_min_tick", Unit.TICK, "of the party's own ticks, from 1 on, in which the total was least; 0 where it never "
+    "fell below its beginning", report=_at("ledger", "at")))
+LEDGER_MARGIN = _figure(Figure(
+    "ledger_margin", Unit.JOULES, "by which the least total stayed above the bound", report=_at("ledger", "margin"),
+    columns=(Column("margin [J]", ".2e", 10),)))
+ENFORCED_TICKS = _figure(Figure(
+    "enforced_ticks", Unit.TICKS, "in which a passivity controller kept a force back",
+    report=_at("enforcement", "ticks", needed=True), promise=Promise.LEVEL))
+ENFORCED_ENERGY = _figure(Figure(
+    "enforced_energy", Unit.JOULES, "that it kept back", report=_at("enforcement", "energy", needed=True),
+    promise=Promise.LEVEL))
+
+# --- energy between users, by the environment
+
+GIVEN = _figure(Figure(
+    "given", Unit.JOULES, "that the others have received of the coupling's energy", Key.COUPLING,
+    report=_at("energy", "given"), promise_of=Promise.BUDGET))
+RECEIVED = _figure(Figure(
+    "received", Unit.JOULES, "that the coupling has received of the others' energy", Key.COUPLING,
+    report=_at("energy", "received")))
+MOVED = _figure(Figure(
+    "moved", Unit.JOULES, "that one coupling has given another", Key.PAIR, report=_at("energy", "moved")))
+SCALED = _figure(Figure(
+    "scaled", Unit.TICKS, "in which its ratio was below 1, for its energy budget", Key.COUPLING,
+    report=_at("energy", "scaled"), promise_of=Promise.BUDGET))
+STOPS = _figure(Figure(
+    "stops", Unit.TIMES, "that its energy budget stopped it", Key.COUPLING, report=_at("energy", "stopped")))
+SUPPLIED = _figure(Figure(
+    "supplied", Unit.JOULES, "of its own that the coupling has put into the environment", Key.COUPLING))
+UNOWNED = _figure(Figure(
+    "unowned", Unit.JOULES, "that users received of the environment's own energy", report=_at("energy", "unowned")))
+
+# --- the world
+
+HELD = _figure(Figure(
+    "held", Unit.TICKS, "in which the proxy test held its proxies", Key.COUPLING, report=_at("held")))
+REVERSALS = _figure(Figure(
+    "reversals", Unit.TICKS, "in which the force on its tools reversed", Key.COUPLING, report=_at("reversals")))
+CHATTER = _figure(Figure(
+    "chatter", Unit.TICKS, "of these, the most in a second", Key.COUPLING, report=_at("chatter")))
+UNFINISHED = _figure(Figure(
+    "unfinished", Unit.TICKS, "in which the iteration of a scene's contacts did not end",
+    report=_at("scene", "unfinished", needed=True)))
+PAUSED = _figure(Figure(
+    "paused", Unit.TICKS, "in which the tank of a scene held its driven bodies", report=_at("scene", "paused")))
+DRIVE_TANK = _figure(Figure(
+    "drive_tank", Unit.JOULES, "that the driven bodies of a scene may still give out", report=_at("scene", "tank")))
+
+# --- who was waited for
+
+WAITED_TICKS = _figure(Figure(
+    "waited_ticks", Unit.TICKS, "in which the others waited for the coupling alone", Key.COUPLING))
+WAITED_TIME = _figure(Figure(
+    "waited_us", Unit.MICROSECONDS, "that the others waited in them", Key.COUPLING))
+FROZEN_LATE = _figure(Figure(
+    "frozen_late", Unit.TIMES, "that the coupling was frozen for being silent", Key.COUPLING))
+OVERDUE = _figure(Figure(
+    "overdue", Unit.TICKS, "in which the coupling was held, for its signal had not come", Key.COUPLING))
+WAIVED = _figure(Figure(
+    "waived", Unit.TIMES, "that it was late so often that nobody waited for it any more", Key.COUPLING))
+
+# --- wave links: of a coupling's own end
+
+WAVE_LEDGER = _figure(Figure("wave_ledger", Unit.JOULES, "that entered a wave link at this end"))
+WAVE_TANK = _figure(Figure("wave_tank", Unit.JOULES, "in the tank of this end"))
+WAVE_CLIPPED = _figure(Figure(
+    "wave_clipped", Unit.TICKS, "in which the tank limited a wave", promise=Promise.LINK))
+WAVE_DEAF = _figure(Figure(
+    "wave_deaf", Unit.STATE, "whether no wave has come for so long that this end holds the tool"))
+WAVE_SILENCES = _figure(Figure("wave_silences", Unit.TIMES, "that this began, after the first wave"))
+WAVE_LAG = _figure(Figure(
+    "wave_lag_us", Unit.MICROSECONDS, "whose sum over both ends is the round trip; that of one says nothing"))
+
+# --- drivers and pointers
+
+DRIVER = _figure(Figure("driver", Unit.OWN, "figures of a driver of another package, by its names", Key.OWN))
+UNEXERTED = _figure(Figure("unexerted", Unit.TICKS, "in which a device exerted another force than it was given"))
+UNEXERTED_MOST = _figure(Figure("unexerted_most", Unit.NEWTONS, "the greatest difference of an axis"))
+MEASURED = _figure(Figure(
+    "measured", Unit.TICKS, "in which a driver of another package measured the force that its device exerted"))
+UNTRUE = _figure(Figure("untrue", Unit.TICKS, "of these in which the force was none that it had been given"))
+UNTRUE_MOST = _figure(Figure(
+    "untrue_most", Unit.NEWTONS, "by which it was none of them at most, on any of the driver's axes"))
+GRASPED = _figure(Figure("grasped", Unit.STATE, "whether a person's browser holds the device"))
+GRASPS = _figure(Figure("grasps", Unit.TIMES, "positions that the pointer sent and the device took"))
+GRASPS_CLIPPED = _figure(Figure("grasps_clipped", Unit.TIMES, "of these that were beyond the pointer's reach"))
+GRASPS_REFUSED = _figure(Figure(
+    "grasps_refused", Unit.TIMES, "messages of the pointer that were no position of this device"))
+GRASPS_LAPSED = _figure(Figure("grasps_lapsed", Unit.TIMES, "that a pointer fell silent without letting go"))
+
+# --- messages
+
+NOT_ADMITTED = _figure(Figure(
+    "not_admitted", Unit.NUMBER, "connections and frames that were not admitted, in one sum",
+    columns=(Column("refused", ".0f", 11),)))
+REFUSED = _figure(Figure(
+    "refused", Unit.NUMBER, "connections that the process did not admit", Key.REASON,
+    report=_at("refused", positive=True)))
+DROPPED = _figure(Figure(
+    "dropped", Unit.NUMBER, "frames of its links that were dropped, telemetry that the supervisor did not take fast "
+    "enough, and lines that did not fit into its log", Key.REASON, report=_at("dropped", positive=True)))
+# fmt: on
+
+
+def of(name: str) -> str:
+    """The name of the environment's table, by coupling, of a figure that couplings state of themselves."""
+    return f"{name}_of"
+
+
+def _figure_of(name: str, promise_of: Promise | None = None) -> None:
+    own = _DECLARED[name]
+    says = f"{own.says}: what the environment states"
+    _figure(Figure(of(name), own.unit, says, Key.COUPLING, promise_of=promise_of))
+
+
+_figure_of(RUNG)
+_figure_of(WAVE_LEDGER)
+_figure_of(WAVE_TANK)
+_figure_of(WAVE_CLIPPED, Promise.LINK)
+_figure_of(WAVE_DEAF)
+_figure_of(WAVE_SILENCES, Promise.LINK)
+_figure_of(WAVE_LAG)
+
+WAITED_IN: Final = "waited"
+"""The trace, for the supervisor alone, of the ticks in which the others waited for a coupling: ticks, and the place of
+the coupling among the environment's."""
+
+FIGURES: Final[Mapping[str, Figure]] = MappingProxyType(_DECLARED)
+"""Every figure by its name, in the order in which people meet them."""
+
+
+def ledger_figures(ledger: Ledger | None) -> dict[str, float]:
+    """The ledger's total, its minimum and the tick of that, and its margin; empty where no level is promised."""
+    if ledger is None:
+        return {}
+    return {
+        LEDGER: ledger.total,
+        LEDGER_MIN: ledger.minimum,
+        LEDGER_MIN_TICK: float(ledger.at),
+        LEDGER_MARGIN: ledger.margin,
+    }
+
+
+def ledger_trace(ledger: Ledger | None, totals: Sequence[float]) -> dict[str, NDArray[np.float64]]:
+    """The ledger's ``totals`` by tick, J, as a trace of one column; empty where no level is promised."""
+    return {} if ledger is None else {LEDGER: np.array(totals)[:, None]}
+
+
+def enforcement_figures(controller: PassivityController | None) -> dict[str, float]:
+    """How often a controller acted, and the energy that it kept back; empty where no level is enforced."""
+    if controller is None:
+        return {}
+    return {ENFORCED_TICKS: float(controller.ticks), ENFORCED_ENERGY: controller.energy}
+
+
+def shown(telemetry: Telemetry) -> Telemetry:
+    """A telemetry as observers see it: without the trace of the ticks in which couplings were late."""
+    if WAITED_IN not in telemetry.traces:
+        return telemetry
+    traces = {name: trace for name, trace in telemetry.traces.items() if name != WAITED_IN}
+    return Telemetry(telemetry.tick, telemetry.figures, traces)
