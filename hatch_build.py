@@ -31,6 +31,7 @@ MODULES = [
     "nodes/kernel/energy_budget",
     "nodes/kernel/inertia",
     "nodes/kernel/passivity",
+    "nodes/link/join",
     "nodes/link/peer_link",
     "nodes/rows/distribution",
     "nodes/device/colocated",

@@ -32,7 +32,7 @@ from manyhands.nodes.environment.model import ModelFailure
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle
 from manyhands.nodes.kernel.passivity import Ledger
-from manyhands.nodes.link.peer_link import WaveRow
+from manyhands.nodes.link.join import WaveRow
 from manyhands.nodes.wave_link.ends import turns, user_face, world_face
 from manyhands.nodes.wave_link.faces import UserFace, WorldFace, wave_feedthrough
 from manyhands.nodes.wave_link.rows import WorldRows, wave_traces

@@ -12,7 +12,7 @@ from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import REALTIME, CouplingBundle
 from manyhands.nodes.kernel.lifetime import Life
-from manyhands.nodes.link.peer_link import PeerLink, Received, WaveRow, dropped_frames, stray_frames
+from manyhands.nodes.link.join import Join, Received, WaveRow, dropped_frames, stray_frames
 from manyhands.nodes.link.supervisor_line import ControlLine
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.tick_events import TickEvents
@@ -34,7 +34,7 @@ class Block:
         sent: the tick of the latest p that was sent; -1 before the first.
     """
 
-    def __init__(self, bundle: CouplingBundle, environment: PeerLink) -> None:
+    def __init__(self, bundle: CouplingBundle, environment: Join) -> None:
         """At rest, at rung 0."""
         self._bundle, self._common = bundle, bundle.common
         self.core = self._core_of(0)
@@ -120,14 +120,14 @@ class Block:
             self._waves[row] = wave
         self._filled += 1
 
-    def on_other_tick(self, peer_link: PeerLink, other: int, awaited: int) -> bool:
+    def on_other_tick(self, peer_link: Join, other: int, awaited: int) -> bool:
         """Stop waiting at the force of a later tick: the session has gone on without this block.
 
         It is zero, or in real time the force that holds the block's end (:mod:`manyhands.nodes.environment.clutch`).
         """
         return other > awaited and (peer_link.other_zero or self._common.clock == REALTIME)
 
-    def on_notice(self, peer_link: PeerLink, message: Rung | Absent) -> bool:
+    def on_notice(self, peer_link: Join, message: Rung | Absent) -> bool:
         """Note the environment's change of rung; the zero force that follows is the first of the new rung."""
         if isinstance(message, Rung) and message.rung < len(self._bundle.rungs):
             self._next_rung = message.rung
@@ -138,12 +138,12 @@ class Block:
         if self._life is not None:
             self._life.fail(text)
 
-    def publish(self, control: ControlLine, devices: tuple[PeerLink, ...] = ()) -> None:
+    def publish(self, control: ControlLine, devices: tuple[Join, ...] = ()) -> None:
         """Send telemetry once its rows are full: its encoding costs time once in ``telemetry_ticks`` ticks."""
         if self._filled == self._rows:
             self.publish_rest(control, devices)
 
-    def publish_rest(self, control: ControlLine, devices: tuple[PeerLink, ...] = ()) -> None:
+    def publish_rest(self, control: ControlLine, devices: tuple[Join, ...] = ()) -> None:
         """Send the telemetry of the ticks since the last one, if there are any."""
         rows, self._filled, self._rows = self._filled, 0, self._common.telemetry_ticks
         if rows == 0:
@@ -171,7 +171,7 @@ class Block:
             **self.environment.figures(),
         }
 
-    def report(self, devices: tuple[PeerLink, ...] = ()) -> Report:
+    def report(self, devices: tuple[Join, ...] = ()) -> Report:
         """Ticks, ledger, ticks with a clipped force, and the frames that were not admitted."""
         dropped = dropped_frames([*devices, self.environment])
         return Report(self.ticks, Figures(self._numbers(), {names.DROPPED: dropped}))

@@ -16,7 +16,8 @@ from manyhands.nodes.kernel.bundle import CouplingBundle
 from manyhands.nodes.kernel.lifetime import Life
 from manyhands.nodes.kernel.realtime import way_giver
 from manyhands.nodes.kernel.timeouts import LISTEN_TICKS, timeouts
-from manyhands.nodes.link.peer_link import PeerLink, Received, await_all, bounds_by_peer, establish
+from manyhands.nodes.link.join import Join, Received, await_all
+from manyhands.nodes.link.peer_link import bounds_by_peer, establish
 from manyhands.nodes.link.relink import follow
 from manyhands.nodes.link.supervisor_line import NOT_AT_ALL, ControlLine, Word
 from manyhands.nodes.wave_link.ends import user_ends
@@ -51,8 +52,8 @@ class CouplingNode:
         self._bundle, self._common = bundle, bundle.common
         self._clock: Clock = clock or RealtimeClock()
         self._timeouts = timeouts(bundle.common)
-        self.peer_links: list[PeerLink] = []
-        self._devices: tuple[PeerLink, ...] = ()
+        self.peer_links: list[Join] = []
+        self._devices: tuple[Join, ...] = ()
         self._block: Block | None = None
         self._life: Life | None = None  # until the loop begins
         self._resumes = False  # whether the session ran before this process, whose first tick may be behind or ahead
@@ -137,7 +138,7 @@ class CouplingNode:
         """Ticks, ledger, clipped and refused signals of the block; all 0 before the handshakes."""
         return Report(0, Figures()) if self._block is None else self._block.report(self._devices)
 
-    def on_other_tick(self, peer_link: PeerLink, other: int, awaited: int) -> bool:
+    def on_other_tick(self, peer_link: Join, other: int, awaited: int) -> bool:
         """Handle the sample of a different tick.
 
         A device that is behind receives its last force again, or a zero force that sends it on. A device that is ahead
@@ -151,7 +152,7 @@ class CouplingNode:
             peer_link.send_zero(Force, awaited - 1)
         return False
 
-    def on_notice(self, peer_link: PeerLink, message: Rung | Absent) -> bool:
+    def on_notice(self, peer_link: Join, message: Rung | Absent) -> bool:
         """Follow a device of several blocks to a later tick, where a different block has sent it on."""
         peer_link.new = peer_link.new or isinstance(message, Absent)
         return False
@@ -162,7 +163,7 @@ class CouplingNode:
             self._life.fail(text)
 
     def _await_samples(
-        self, last: PeerLink, received: Received, x: Floats, tick: int, block: Block, life: Life, control: ControlLine
+        self, last: Join, received: Received, x: Floats, tick: int, block: Block, life: Life, control: ControlLine
     ) -> int | None:
         """Wait for the sample of every device, after listening to ``last`` gave ``received`` in place of its sample.
 
@@ -175,7 +176,7 @@ class CouplingNode:
         """
         began = self._clock.now()
 
-        def react(peer_link: PeerLink, received: Received, tick: int) -> int:
+        def react(peer_link: Join, received: Received, tick: int) -> int:
             # the device's tick is the true one: no device will ever send the tick that was awaited
             if received is Received.DECLINED:
                 if block.environment.tick == tick - 1:  # the environment awaits this block's ticks in between
@@ -252,7 +253,7 @@ class CouplingNode:
         for peer_link in self._devices:
             peer_link.forget()
 
-    def _report_absences(self, block: Block, present: Collection[PeerLink]) -> None:
+    def _report_absences(self, block: Block, present: Collection[Join]) -> None:
         """Report to an environment that is back which devices are missing; it would wait for their samples."""
         for peer_link in self._devices:
             if peer_link not in present:

@@ -16,13 +16,14 @@ from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import CouplingBundle, DeviceBundle, Peer, load
 from manyhands.nodes.kernel.lifetime import Life
-from manyhands.nodes.link.peer_link import Listener, PeerLink, Received, establish, hello_to, positions
+from manyhands.nodes.link.join import Join, Listener, Received, positions
+from manyhands.nodes.link.peer_link import establish, hello_to
 from manyhands.nodes.link.process import Node
 from manyhands.nodes.link.relink import follow
 from manyhands.nodes.link.supervisor_line import ControlLine
 from manyhands.nodes.wave_link.ends import user_ends
 from manyhands.protocol.clock import Clock, Duration, RealtimeClock
-from manyhands.protocol.messages import Figures, Force, Reaction, Report, Role, Rung, SignalMessage, Start
+from manyhands.protocol.messages import Figures, Reaction, Report, Role, Rung, SignalMessage, Start
 from manyhands.protocol.transport import Link
 
 
@@ -76,7 +77,7 @@ class CarriedBlock:
         return Report(0, Figures()) if self.block is None else self.block.report()
 
 
-class Within(PeerLink):
+class Within(Join):
     """The device's link to a coupling in the same process: it calls the coupling's block in place of messages."""
 
     def __init__(self, carried: CarriedBlock, device: DeviceBundle, block: Block) -> None:
@@ -84,8 +85,13 @@ class Within(PeerLink):
         common = device.common
         peer = Peer(carried.bundle.common.name, Role.COUPLING, carried.bundle.common.ports, binds=False)
         where = positions(common.ports, peer.ports)
-        super().__init__(hello_to(common, peer, None), peer, None, Force, where, carried.clock)
+        super().__init__(hello_to(common, peer, None), peer, None, where, carried.clock)
         self._carried, self._block = carried, block
+
+    @property
+    def dropped(self) -> Mapping[str, int]:
+        """Nothing: there are no frames."""
+        return {}
 
     @property
     def reachable(self) -> bool:
@@ -121,6 +127,9 @@ class Within(PeerLink):
     def take_other(self, values: Floats, counted: str) -> bool:
         """Do nothing: :meth:`hear` has put the block's force into the values."""
         return True
+
+    def _begin_life(self) -> None:
+        """Do nothing: the block lives as long as its device."""
 
     def settle(self, tick: int) -> None:
         """Step the block once the force is applied, and send its telemetry when the rows are full."""

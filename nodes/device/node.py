@@ -30,7 +30,8 @@ from manyhands.nodes.kernel.lifetime import Life
 from manyhands.nodes.kernel.log import LogEvent
 from manyhands.nodes.kernel.realtime import way_giver
 from manyhands.nodes.kernel.timeouts import LISTEN_TICKS, timeouts
-from manyhands.nodes.link.peer_link import PeerLink, Received, await_all, establish
+from manyhands.nodes.link.join import Join, Received, await_all
+from manyhands.nodes.link.peer_link import establish
 from manyhands.nodes.link.relink import follow
 from manyhands.nodes.link.supervisor_line import NOT_AT_ALL, ControlLine
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, SimulatedClock, from_seconds
@@ -71,7 +72,7 @@ class DeviceNode:
         self._suspension = Duration(max(SUSPENSION, self._stale))
         self._clock: Clock = SimulatedClock() if common.clock == SIMULATED else self._realtime
         self._period = from_seconds(common.period)
-        self.peer_links: list[PeerLink] = []
+        self.peer_links: list[Join] = []
         self._account = DeviceTelemetry(common, bundle.rungs[0], driver.figures, self.device.interface, bundle.timing)
         self._free = False  # it has let go
         self._rung = self._next_rung = 0
@@ -180,14 +181,14 @@ class DeviceNode:
         """Ticks, lateness and its causes, tau and period percentiles, ledger, speeds, clipped forces."""
         return self._account.report(self.device.core, self.device.guard, self.peer_links, self._rung)
 
-    def on_other_tick(self, peer_link: PeerLink, other: int, awaited: int) -> bool:
+    def on_other_tick(self, peer_link: Join, other: int, awaited: int) -> bool:
         """Stop waiting at the force of a later tick: the session has gone on without this device.
 
         It is zero, or in real time the force of a coupling that was held.
         """
         return other > awaited and (peer_link.other_zero or self._stale > 0)
 
-    def on_notice(self, peer_link: PeerLink, message: Rung | Absent) -> bool:
+    def on_notice(self, peer_link: Join, message: Rung | Absent) -> bool:
         """Note the coupling's change of rung; the zero force that follows is the first of the new rung."""
         if isinstance(message, Rung) and message.rung < len(self._rungs):
             self._next_rung = message.rung
@@ -204,7 +205,7 @@ class DeviceNode:
 
     def _await_forces(
         self,
-        last: PeerLink,
+        last: Join,
         result: Received,
         f: Floats,
         x: Floats,
@@ -227,7 +228,7 @@ class DeviceNode:
         asked = self._realtime.now()
         due = None if timeouts.stale is None else Instant(sampled + (self._period if self._free else timeouts.stale))
 
-        def react(peer_link: PeerLink, result: Received, tick: int) -> int:
+        def react(peer_link: Join, result: Received, tick: int) -> int:
             if result is Received.DECLINED:
                 tick = peer_link.tick = peer_link.other_tick
                 peer_link.take_other(f, "future_tick")

@@ -35,7 +35,7 @@ from manyhands.nodes.device.tick import NO_INSTANTS, Instants
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import Common, DeviceRung
 from manyhands.nodes.kernel.driver_statement import NO_DELAY, DeviceTiming
-from manyhands.nodes.link.peer_link import PeerLink, dropped_frames, stray_frames
+from manyhands.nodes.link.join import Join, dropped_frames, stray_frames
 from manyhands.nodes.link.supervisor_line import ControlLine
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.distribution import Distribution
@@ -269,20 +269,18 @@ class DeviceTelemetry:
         self._events.release(tick)
         self._sampled = None
 
-    def jump(self, control: ControlLine, core: DeviceCore, guard: Guard, peer_links: Sequence[PeerLink]) -> None:
+    def jump(self, control: ControlLine, core: DeviceCore, guard: Guard, peer_links: Sequence[Join]) -> None:
         """Count a jump to a later tick; the rows so far are sent first, as the ticks of a telemetry are consecutive."""
         self.publish_rest(control, core, guard, peer_links)
         self.jumps += 1
         self._sampled = None
 
-    def publish(self, control: ControlLine, core: DeviceCore, guard: Guard, peer_links: Sequence[PeerLink]) -> None:
+    def publish(self, control: ControlLine, core: DeviceCore, guard: Guard, peer_links: Sequence[Join]) -> None:
         """Send telemetry once its rows are full: its encoding costs time once in ``telemetry_ticks`` ticks."""
         if self._filled == self._rows:
             self.publish_rest(control, core, guard, peer_links)
 
-    def publish_rest(
-        self, control: ControlLine, core: DeviceCore, guard: Guard, peer_links: Sequence[PeerLink]
-    ) -> None:
+    def publish_rest(self, control: ControlLine, core: DeviceCore, guard: Guard, peer_links: Sequence[Join]) -> None:
         """Send the telemetry of the ticks since the last one, if there are any."""
         rows = self._filled
         if rows == 0:
@@ -348,7 +346,7 @@ class DeviceTelemetry:
             names.INTERFACE_OFFSET: interface.offset,
         }
 
-    def report(self, core: DeviceCore, guard: Guard, peer_links: Sequence[PeerLink], rung: int) -> Report:
+    def report(self, core: DeviceCore, guard: Guard, peer_links: Sequence[Join], rung: int) -> Report:
         """Ticks, lateness and its causes, breaches, ledger, speeds, clipped forces and refused frames of the run."""
         numbers = {
             **self._numbers(core, guard),

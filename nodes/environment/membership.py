@@ -32,7 +32,7 @@ from manyhands.nodes.kernel.arithmetic import Floats, feedthrough_digest
 from manyhands.nodes.kernel.lifetime import Life
 from manyhands.nodes.kernel.log import Log, LogEvent
 from manyhands.nodes.kernel.timeouts import PATIENCE_TICKS
-from manyhands.nodes.link.peer_link import PeerLink, Received
+from manyhands.nodes.link.join import Join, Received
 from manyhands.nodes.link.relink import follow
 from manyhands.nodes.link.supervisor_line import ControlLine, Word
 from manyhands.nodes.rows.tick_events import TickEvents
@@ -224,7 +224,7 @@ class Member:
         "wanted",
     )
 
-    def __init__(self, peer_link: PeerLink, index: int, state: Membership, linked: bool = False) -> None:
+    def __init__(self, peer_link: Join, index: int, state: Membership, linked: bool = False) -> None:
         self.peer_link, self.index, self.membership = peer_link, index, MembershipRecord(state)
         self.linked = linked
         self.rung = self.wanted = 0
@@ -269,7 +269,7 @@ class Members:
 
     def __init__(
         self,
-        peer_links: Sequence[PeerLink],
+        peer_links: Sequence[Join],
         core: Core,
         rungs: Mapping[str, Sequence[Values]],
         life: Life,
@@ -342,7 +342,7 @@ class Members:
             received = Received.NOTHING
             if early[0] < tick:
                 member.peer_link.other_tick, member.peer_link.other_frame = early
-                member.peer_link.gate.dropped["old_tick"] += 1  # it is late now, and is counted where it is of no use
+                member.peer_link.recount("old_tick", 1)  # it is late now, and is counted where it is of no use
                 if self.on_other_tick(member.peer_link, early[0], tick):
                     received = Received.DECLINED
             elif member.peer_link.take(early[1], p, tick):
@@ -491,7 +491,7 @@ class Members:
             core.clutches.engage(member.index)
         self._shifting = any(member.wanted != member.rung for member in self.all)
 
-    def on_other_tick(self, peer_link: PeerLink, other: int, awaited: int) -> bool:
+    def on_other_tick(self, peer_link: Join, other: int, awaited: int) -> bool:
         """A coupling sent the signal of tick ``other``: answer again if it is behind, keep its signal if it is ahead.
 
         A coupling that is behind and may rejoin receives a zero force of a later tick, and goes on after that tick.
@@ -538,7 +538,7 @@ class Members:
         peer_link.send(Reaction, through, peer_link.stamp, self._answer)
         return False
 
-    def on_notice(self, peer_link: PeerLink, message: Rung | Absent) -> bool:
+    def on_notice(self, peer_link: Join, message: Rung | Absent) -> bool:
         """A coupling reports that it has lost a device: it will be silent, and is frozen."""
         if isinstance(message, Absent):
             member = self._of[peer_link.peer.name]
@@ -584,7 +584,7 @@ class Members:
             return False
         self._event(member, MembershipEvent.AHEAD, awaited)
         member.early, member.due = (other, member.peer_link.other_frame), other
-        member.peer_link.gate.dropped["future_tick"] -= 1  # the gate counted it as a stray frame, which it is not
+        member.peer_link.recount("future_tick", -1)  # the gate counted it as a stray frame, which it is not
         if self._resumes:
             self.ahead = max(self.ahead, other)
         return True

@@ -27,16 +27,8 @@ from manyhands.nodes.kernel.bundle import REALTIME, Common, EnvironmentBundle
 from manyhands.nodes.kernel.lifetime import Life
 from manyhands.nodes.kernel.realtime import way_giver
 from manyhands.nodes.kernel.timeouts import LISTEN_TICKS, timeouts
-from manyhands.nodes.link.peer_link import (
-    PeerLink,
-    Received,
-    WaveRow,
-    bounds_by_peer,
-    dropped_frames,
-    establish,
-    peer_link_of,
-    stray_frames,
-)
+from manyhands.nodes.link.join import Join, Received, WaveRow, dropped_frames, peer_link_of, stray_frames
+from manyhands.nodes.link.peer_link import bounds_by_peer, establish
 from manyhands.nodes.link.supervisor_line import NOT_AT_ALL, ControlLine
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.lateness import CouplingLateness, lateness_tables
@@ -190,7 +182,7 @@ class EnvironmentNode:
         self._timeouts = timeouts(bundle.common)
         self._period = from_seconds(bundle.common.period)
         self._due = 0  # when the devices sample the present tick
-        self.peer_links: list[PeerLink] = []
+        self.peer_links: list[Join] = []
         self._parties: tuple[str, ...] = ()
         self._feedthrough: dict[str, Values] = {}
         self.core: Core | None = None

@@ -1,101 +1,38 @@
-"""One link of a node to a peer: the handshake, the signals of the ticks, and what else a peer may send.
+"""A join over ZeroMQ: the handshake, the signals of the ticks, and what else a peer may send.
 
 A peer sends its signal in time, is silent, has fallen behind, is lost, or comes back on a new link. :class:`PeerLink`
-tells these cases apart (:class:`Received`); the node decides what follows from each (:class:`Listener`).
-:func:`await_all` waits until every peer has sent its signal of one tick.
+tells these cases apart (:class:`~manyhands.nodes.link.join.Received`); the node decides what follows from each
+(:class:`~manyhands.nodes.link.join.Listener`).
 
 Before the first tick a node binds its links and shakes hands with its peers, one after the other, in the session's
 order (:func:`establish`). Once the loop runs no handshake may hold it up: a peer that was lost and comes back is
-greeted on a new link, frame by frame, between the ticks (:meth:`PeerLink.greet`).
+greeted on a new link, frame by frame, between the ticks (:meth:`~manyhands.nodes.link.join.Join.greet`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from enum import Enum
-from typing import NamedTuple, Protocol
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import SIMULATED, Common, Peer
-from manyhands.nodes.rows import figures as names
+from manyhands.nodes.link.join import Indices, Join, Listener, Received, positions
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
 from manyhands.protocol.codec import LAYOUTS, SignalWriter, decode, encode, type_of
 from manyhands.protocol.gate import Bounds, Gate
 from manyhands.protocol.handshake import Expected, LinkHandshake, shake_hands
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_STRAY_FRAMES
-from manyhands.protocol.messages import PROTOCOL_VERSION, Absent, LinkHello, Refusal, Role, Rung, SignalMessage, Values
+from manyhands.protocol.messages import PROTOCOL_VERSION, Absent, LinkHello, Role, Rung, SignalMessage, Values
 from manyhands.protocol.transport import Link, Transport
 
-Indices = NDArray[np.int64]
 
-
-class Received(Enum):
-    """The outcome of listening to a peer once."""
-
-    SIGNAL = "the signal of the tick, put into the node's values"
-    NOTHING = "nothing of use in the time allowed"
-    DECLINED = "the listener no longer awaits this tick"
-    RECONNECTED = "the peer is back, and has shaken hands on a new link"
-    FLOODED = "more stray frames than any honest peer sends, so that the link was closed"
-
-
-class Listener(Protocol):
-    """How a node handles a frame that is not the signal of the tick."""
-
-    def on_other_tick(self, peer_link: PeerLink, other: int, awaited: int) -> bool:
-        """Handle a valid signal of tick ``other``, which came in place of ``awaited``; returns whether to stop waiting.
-
-        Where this returns True, :meth:`PeerLink.hear` returns ``Received.DECLINED``.
-        """
-        ...
-
-    def on_notice(self, peer_link: PeerLink, message: Rung | Absent) -> bool:
-        """Handle a message that is no signal; returns whether to stop waiting for ``Received.DECLINED``."""
-        ...
-
-    def flooded(self, text: str) -> None:
-        """End the node, for the reason ``text``: a peer sends more stray frames than any honest peer does."""
-        ...
-
-
-class WaveRow(NamedTuple):
-    """One tick of an end of a wave link, as telemetry reports it.
+class PeerLink(Join):
+    """A join over ZeroMQ: the tick's signals as frames.
 
     Attributes:
-        c: the incoming wave, W^(1/2).
-        tank: the energy in the tank, what it has shipped, and what it has heard, J.
-        p: the free position of the tool at a world's end, m; empty at a user's, whose block reports it.
-        f: the force on it behind its clutch, N; likewise.
-        begins: whether a world's end took its position from the first wave of a life in this tick.
-    """
-
-    c: Floats
-    tank: Floats
-    p: Floats = []  # noqa: RUF012  # never changed
-    f: Floats = []  # noqa: RUF012
-    begins: bool = False
-
-
-class PeerLink:
-    """One link of a node.
-
-    Attributes:
-        own: the hello that this end sends.
-        peer: the peer at the other end.
-        link: the connection; None while the peer is lost.
         gate: admits the peer's signals.
-        indices: where the link's ports are among the node's own; a slice where they follow each other.
-        handshake: the unfinished handshake with a peer that comes back; None otherwise.
-        hello: the hello of a peer that came back; None before that.
-        new: whether the peer came back and no signal of it has been admitted since: it may be at another tick.
-        tick: the tick of the latest signal admitted; -1 before the first.
-        other_tick: the tick of the last signal that was not of the tick awaited.
-        other_zero: whether all values of that signal were zero.
-        other_frame: the frame of that signal.
     """
 
     def __init__(
@@ -119,71 +56,30 @@ class PeerLink:
             clock: a realtime clock, which measures the waits and the time between the signals.
             bounds: the bounds of the peer's values; None for no bounds.
         """
-        self.own, self.peer, self.link, self.indices = own, peer, link, indices
-        self.handshake: LinkHandshake | None = None
-        self.hello: LinkHello | None = None
-        self.new = False
-        self.tick, self.other_tick, self.other_zero, self.other_frame = -1, 0, False, b""
-        self._admits, self._bounds, self._clock = admits, bounds, clock
+        super().__init__(own, peer, link, indices, clock)
+        self._admits, self._bounds = admits, bounds
         self.gate = Gate(admits, len(peer.ports), bounds, clock)
-        self._part = indices if isinstance(indices, slice) else None
-        self._at = () if isinstance(indices, slice) else tuple(indices.tolist())
         self._writer: SignalWriter | None = None  # made with the first signal sent, whose kind is known only then
         self._last: bytes = b""
         self._junk_tick, self._junk = -1, 0  # an awaited tick, and the frames during its wait that were no signals
-
-    @property
-    def reachable(self) -> bool:
-        """Whether there is a link to the peer, with its handshake finished or not."""
-        return self.link is not None
-
-    @property
-    def here(self) -> bool:
-        """Whether signals can be exchanged with the peer."""
-        return self._open is not None
-
-    @property
-    def _open(self) -> Link | None:
-        """The link, once its handshake is finished; None before."""
-        return self.link if self.handshake is None else None
 
     @property
     def dropped(self) -> Mapping[str, int]:
         """The frames that were not admitted, by reason."""
         return self.gate.dropped
 
-    @property
-    def strays(self) -> int:
-        """The number of frames that were not admitted."""
-        return sum(self.gate.dropped.values())
+    def recount(self, reason: str, by: int) -> None:
+        """Add ``by`` to the frames that the gate counts for ``reason``."""
+        self.gate.dropped[reason] += by
 
     @property
     def stamp(self) -> int:
         """The stamp of the latest signal admitted, ns; 0 before the first."""
         return self.gate.stamp
 
-    def resume(self) -> None:
-        """Begin in a session that runs already; a link that carries the tick's signals needs nothing for that."""
-
     def forget(self) -> None:
         """Take the next signal as the first one, whose step has no bound."""
         self.gate.forget()
-
-    def figures(self) -> Mapping[str, float]:
-        """Figures of the link itself, for telemetry and report; a link that carries the tick's signals has none."""
-        return {}
-
-    def share(self, values: Floats) -> Floats:
-        """This link's part of the node's ``values``."""
-        return [values[at] for at in self._at] if self._part is None else values[self._part]
-
-    def put(self, values: Floats, share: Sequence[float]) -> None:
-        """Put this link's ``share`` into the node's ``values``."""
-        if self._part is not None:
-            values[self._part] = share
-            return
-        for at, value in zip(self._at, share, strict=True):
-            values[at] = value
 
     def send(self, kind: type[SignalMessage], tick: int, stamp: int, values: Floats) -> bool:
         """Send this link's share of the node's ``values``.
@@ -264,38 +160,6 @@ class PeerLink:
         self.gate.dropped[counted] -= counted == "old_tick" or not self.other_zero
         return self.take(self.other_frame, values, self.other_tick)
 
-    def settle(self, tick: int) -> None:
-        """Finish ``tick``, once its force is applied; a peer in a process of its own needs nothing more."""
-
-    def finished(self, tick: int) -> WaveRow | None:
-        """Finish ``tick``, and return the :attr:`row`."""
-        self.settle(tick)
-        return self.row
-
-    @property
-    def row(self) -> WaveRow | None:
-        """What telemetry reports of the end of a wave link in the last tick; None for every other link."""
-        return None
-
-    def lose(self) -> None:
-        """Close the link to a peer that is gone."""
-        if self.link is not None:
-            self.link.close()
-        self.link, self.handshake = None, None
-
-    def refuse(self, refusal: Refusal) -> None:
-        """Tell a peer that has shaken hands why it stays absent, and close the link."""
-        if (link := self._open) is not None:
-            link.send(encode(refusal))
-        self.lose()
-
-    def greet(self, link: Link, handshake: LinkHandshake) -> None:
-        """Begin the handshake with a peer that comes back on ``link``; :meth:`hear` continues it."""
-        self.lose()
-        self.link, self.handshake = link, handshake
-        for message in handshake.start():
-            link.send(encode(message))
-
     def _hear_on(self, frame: bytes, values: Floats, tick: int, timeout: Duration, listener: Listener) -> Received:
         """Handle a frame that was not the signal of the tick, and listen on for the rest of the time.
 
@@ -345,85 +209,15 @@ class PeerLink:
                 return Received.DECLINED if listener.on_notice(self, message) else None
         return None
 
-    def _shake(self, frame: bytes, handshake: LinkHandshake) -> Received | None:
-        link = self.link
-        if link is None:
-            return Received.NOTHING
-        for message in handshake.receive(decode(frame, MAX_CONTROL_BYTES)):
-            if not link.send(encode(message)) and not isinstance(message, Refusal):
-                self.lose()  # the peer is gone again; the supervisor will report it
-                return Received.NOTHING
-        if not handshake.finished:
-            return None
-        if handshake.peer is None:  # refused: the peer counts as absent, and the other end has received the reason
-            self.lose()
-            return Received.NOTHING
-        self.handshake, self.hello, self.new = None, handshake.peer, True
-        self._begin_life()
-        return Received.RECONNECTED
-
     def _begin_life(self) -> None:
         """Begin anew with a peer that has shaken hands."""
         before, self.gate = self.gate, Gate(self._admits, len(self.peer.ports), self._bounds, self._clock)
         self.gate.dropped.update(before.dropped)
         self._last, self.tick = b"", -1
 
-    def _flood(self, tick: int) -> str:
-        kinds = ", ".join(f"{reason} {count}" for reason, count in self.dropped.items() if count)
-        return (
-            f"{self.own.name}: {self.peer.name} sent {MAX_STRAY_FRAMES + 1} stray frames while its signal of tick "
-            f"{tick} was awaited (in all: {kinds}); expected at most {MAX_STRAY_FRAMES}; see what runs as "
-            f"{self.peer.name}"
-        )
-
-
-def await_all(
-    peer_links: Sequence[PeerLink],
-    last: PeerLink,
-    values: Floats,
-    tick: int,
-    listener: Listener,
-    react: Callable[[PeerLink, Received, int], int],
-    pause: Callable[[int], Duration | None],
-) -> int | None:
-    """Wait until every peer has sent its signal of one tick; listen in turn to the peers that have not.
-
-    The awaited tick may change during the wait: ``react`` moves a node to the tick of a peer that is further on. Peers
-    whose signal of the earlier tick is there already are then awaited again, so the loop compares with the tick anew.
-
-    Args:
-        peer_links: the links.
-        last: the link that was listened to last; the first round begins with the link after it.
-        values: the node's values, where the signals are put.
-        tick: the tick that is awaited.
-        listener: handles the frames that are not the signal.
-        react: called with a link, the outcome of listening to it and the awaited tick; returns the tick that is awaited
-            from then on.
-        pause: called before every round with the tick that is awaited; returns how long to listen to each peer at
-            most, ns, or None to wait no longer.
-
-    Returns:
-        The tick of which every peer has sent its signal; None where the node waits no longer.
-    """
-    behind = peer_links.index(last) + 1
-    order = (*peer_links[behind:], *peer_links[:behind])
-    while any(peer_link.tick != tick for peer_link in order):
-        left = pause(tick)
-        if left is None:
-            return None
-        for peer_link in order:
-            if peer_link.tick != tick:
-                tick = react(peer_link, peer_link.hear(values, tick, left, listener), tick)
-    return tick
-
 
 _WORDS = {LAYOUTS[kind][0] for kind in (Rung, Absent)}
 _LONGEST_WORD = 128  # bytes
-
-
-def peer_link_of(peer_links: Sequence[PeerLink], peer: str) -> PeerLink | None:
-    """The peer link with ``peer``; None if there is no such peer."""
-    return next((peer_link for peer_link in peer_links if peer_link.peer.name == peer), None)
 
 
 HANDSHAKE_TIME = from_seconds(20.0)
@@ -479,8 +273,8 @@ def establish(
     clock: Clock,
     feedthrough: Values | None = None,
     bounds: Mapping[str, Bounds] | None = None,
-    ends: Mapping[str, Callable[[Peer, Link | None], PeerLink]] | None = None,
-) -> tuple[list[PeerLink], dict[str, LinkHello]]:
+    ends: Mapping[str, Callable[[Peer, Link | None], Join]] | None = None,
+) -> tuple[list[Join], dict[str, LinkHello]]:
     """Shake hands on every link, in the session's order.
 
     All nodes share that order, so no two of them can wait for each other.
@@ -502,13 +296,13 @@ def establish(
         HandshakeRefused: the two ends disagree; each end reports the reason.
         HandshakeTimeout: a peer has not finished its handshake within :data:`HANDSHAKE_TIME`.
     """
-    peer_links: list[PeerLink] = []
+    peer_links: list[Join] = []
     hellos: dict[str, LinkHello] = {}
     deadline = Instant(clock.now() + HANDSHAKE_TIME)
     for peer in common.peers:
         link = links.get(peer.name)
         if ends and peer.name in ends:
-            peer_link = ends[peer.name](peer, link)
+            peer_link: Join = ends[peer.name](peer, link)
         else:
             peer_link = PeerLink(
                 hello_to(common, peer, feedthrough),
@@ -525,7 +319,7 @@ def establish(
     return peer_links, hellos
 
 
-def handshake_of(peer_link: PeerLink) -> LinkHandshake:
+def handshake_of(peer_link: Join) -> LinkHandshake:
     """A new handshake with the peer at the other end of ``peer_link``."""
     peer = peer_link.peer
     return LinkHandshake(peer_link.own, Expected(peer.name, peer.role, peer.ports), opens=not peer.binds)
@@ -543,25 +337,3 @@ def hello_to(common: Common, peer: Peer, feedthrough: Values | None) -> LinkHell
         peer.ports,
         tuple(map(tuple, feedthrough.tolist())) if informed and feedthrough is not None else None,
     )
-
-
-def positions(own: tuple[str, ...], carried: tuple[str, ...]) -> slice | Indices:
-    """Where the ``carried`` ports are among ``own``: a slice where they follow each other, for it costs a tick less."""
-    at = [own.index(port) for port in carried]
-    if at == list(range(at[0], at[0] + len(at))):
-        return slice(at[0], at[0] + len(at))
-    return np.array(at)
-
-
-def stray_frames(peer_links: Iterable[PeerLink]) -> dict[str, float]:
-    """The number of frames that the gates did not admit, as a figure of telemetry."""
-    return {names.NOT_ADMITTED: float(sum(peer_link.strays for peer_link in peer_links))}
-
-
-def dropped_frames(peer_links: Iterable[PeerLink]) -> dict[str, float]:
-    """The numbers of frames that the gates did not admit, by reason, over all links."""
-    out: dict[str, float] = {}
-    for peer_link in peer_links:
-        for reason, count in peer_link.dropped.items():
-            out[reason] = out.get(reason, 0.0) + count
-    return out

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from manyhands.nodes.link.peer_link import PeerLink, handshake_of, peer_link_of
+from manyhands.nodes.link.join import Join, peer_link_of
+from manyhands.nodes.link.peer_link import handshake_of
 from manyhands.nodes.link.supervisor_line import ControlLine, Word
 from manyhands.protocol.messages import Absent, Return
 from manyhands.protocol.transport import TransportError
 
 
-def follow(word: Word, peer_links: Sequence[PeerLink], control: ControlLine) -> PeerLink | None:
+def follow(word: Word, peer_links: Sequence[Join], control: ControlLine) -> Join | None:
     """Follow the supervisor's report of a peer that is lost or back; any other message is ignored here.
 
     Returns:
@@ -29,7 +30,7 @@ def follow(word: Word, peer_links: Sequence[PeerLink], control: ControlLine) -> 
     return None
 
 
-def unlink(absent: Absent, peer_links: Sequence[PeerLink], control: ControlLine) -> PeerLink | None:
+def unlink(absent: Absent, peer_links: Sequence[Join], control: ControlLine) -> Join | None:
     """Close the link to a lost peer; where this node binds it, bind a new one and report its endpoint.
 
     Returns:
@@ -49,7 +50,7 @@ def unlink(absent: Absent, peer_links: Sequence[PeerLink], control: ControlLine)
     return peer_link
 
 
-def relink(back: Return, peer_links: Sequence[PeerLink], control: ControlLine) -> None:
+def relink(back: Return, peer_links: Sequence[Join], control: ControlLine) -> None:
     """Connect to a peer that is back, where the peer binds the link."""
     peer_link = peer_link_of(peer_links, back.peer)
     if peer_link is None or peer_link.peer.binds:

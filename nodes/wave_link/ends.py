@@ -31,7 +31,8 @@ from typing import Final
 
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import SIMULATED, Common, CouplingBundle, EnvironmentBundle, Peer, WaveEnd
-from manyhands.nodes.link.peer_link import Listener, PeerLink, Received, WaveRow, hello_to, positions
+from manyhands.nodes.link.join import Join, Listener, Received, WaveRow, positions
+from manyhands.nodes.link.peer_link import hello_to
 from manyhands.nodes.link.supervisor_line import NOT_AT_ALL
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.wave_link.faces import UserFace, WorldFace, wave_feedthrough
@@ -41,7 +42,7 @@ from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
 from manyhands.protocol.codec import LAYOUTS, WAVE_ID, WaveWriter, decode, encode, type_of
 from manyhands.protocol.gate import MOST_DELAY, WaveBounds, WaveGate
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_STRAY_FRAMES
-from manyhands.protocol.messages import Absent, PathKey, Role, Rung, SignalMessage, Tool, Values, Wave
+from manyhands.protocol.messages import PathKey, Role, SignalMessage, Values, Wave
 from manyhands.protocol.transport import Link, TransportError
 from manyhands.protocol.transport.datagrams import DatagramPath, DatagramSocket
 from manyhands.protocol.transport.zeromq import LOOPBACK, Arrivals
@@ -74,8 +75,11 @@ PATH_KEY_ID: Final = LAYOUTS[PathKey][0]
 Face = UserFace | WorldFace
 
 
-class _End(PeerLink):
+class _End(Join):
     """What both ends share: frames to waves, lives, and the figures.
+
+    Neither end waits for a tick of the other, and the next wave holds all before it. So nothing is sent again, rungs
+    end at the site, and waves have no stamps and no bounds by the wave before.
 
     Attributes:
         face: the face at this end.
@@ -94,7 +98,7 @@ class _End(PeerLink):
             wave: what the bundle says of this end.
         """
         hello = hello_to(common, peer, wave_feedthrough(wave.b, wave.peer_period))
-        super().__init__(hello, peer, link, Tool, positions(common.ports, peer.ports), clock)
+        super().__init__(hello, peer, link, positions(common.ports, peer.ports), clock)
         self._waits = common.clock == SIMULATED
         self._peer_period = from_seconds(wave.peer_period)
         self._period, self._born = from_seconds(common.period), 0  # when this life's first tick was, ns; 0 before it
@@ -129,26 +133,9 @@ class _End(PeerLink):
         dropped = self._gate.dropped
         return sum(dropped.values()) - dropped["old_tick"]
 
-    @property
-    def stamp(self) -> int:
-        """0, for waves have no stamps."""
-        return 0
-
-    def forget(self) -> None:
-        """Do nothing: no bound of a wave depends on the wave before."""
-
     def resume(self) -> None:
         """Begin with an empty tank: this process takes the place of one that was lost, and so is its energy."""
         self.face.tank.level = 0.0
-
-    def send_again(self) -> None:
-        """Do nothing: the next wave holds all before it."""
-
-    def send_zero(self, kind: type[SignalMessage], tick: int) -> None:
-        """Do nothing: neither end waits for a tick of the other."""
-
-    def notify(self, message: Rung | Absent) -> None:
-        """Do nothing: rungs end at the site, and the other end notices itself that waves are missing."""
 
     @property
     def row(self) -> WaveRow:
@@ -485,7 +472,7 @@ class WorldEnds:
             ends[i].arrived(frame)
 
 
-def user_ends(bundle: CouplingBundle, clock: Clock) -> dict[str, Callable[[Peer, Link | None], PeerLink]]:
+def user_ends(bundle: CouplingBundle, clock: Clock) -> dict[str, Callable[[Peer, Link | None], Join]]:
     """What makes a coupling's end of its wave link, for :func:`manyhands.nodes.link.peer_link.establish`."""
     wave = bundle.wave
     if wave is None:
@@ -499,7 +486,7 @@ def user_ends(bundle: CouplingBundle, clock: Clock) -> dict[str, Callable[[Peer,
 
 def world_ends(
     bundle: EnvironmentBundle, clock: Clock, datagrams: DatagramSocket | None = None
-) -> dict[str, Callable[[Peer, Link | None], PeerLink]]:
+) -> dict[str, Callable[[Peer, Link | None], Join]]:
     """What makes the environment's ends of wave links, by coupling, for
     :func:`manyhands.nodes.link.peer_link.establish`; ``datagrams`` is the socket of :func:`datagram_socket`.
     """

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.nodes.link.peer_link import WaveRow
+from manyhands.nodes.link.join import WaveRow
 from manyhands.protocol.channels import FORCE, FREE_POSITION, TANK, WAVE
 
 

@@ -7,7 +7,7 @@ whether it sends telemetry, and when it goes and comes. A strategy is one choice
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
@@ -21,7 +21,7 @@ from manyhands.nodes.kernel.bundle import DeviceBundle, Limits
 from manyhands.protocol.clock import Duration, Instant, from_seconds
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_COUNT
-from manyhands.protocol.messages import Sample
+from manyhands.protocol.messages import Figures, Sample
 from manyhands.protocol.transport import Link, TransportError, Trouble
 
 from .scheduler import Scheduler
@@ -261,9 +261,9 @@ class PushingDriver:
         """Report none."""
         return 0.0
 
-    def figures(self) -> Mapping[str, float]:
+    def figures(self) -> Figures:
         """Report no figures."""
-        return {}
+        return Figures()
 
     def close(self) -> None:
         """Nothing is held."""

@@ -65,6 +65,7 @@ from manyhands.nodes.kernel.intent import intent_from
 from manyhands.nodes.kernel.passivity import Ledger
 from manyhands.nodes.kernel.timeouts import STALE_TICKS
 from manyhands.protocol.clock import Duration, Instant, from_seconds
+from manyhands.protocol.messages import Figures
 from tests.support.scenes import random_scene, scene_session
 
 Tree = dict[str, Any]
@@ -338,7 +339,7 @@ class DelayedDriver:
     def intended_work(self) -> float:
         return self._driver.intended_work()
 
-    def figures(self) -> Mapping[str, float]:
+    def figures(self) -> Figures:
         return self._driver.figures()
 
     def close(self) -> None:

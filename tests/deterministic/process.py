@@ -16,7 +16,8 @@ from manyhands.nodes.environment.node import EnvironmentNode, EnvironmentTelemet
 from manyhands.nodes.kernel.bundle import SIMULATED, Bundle, Common, CouplingBundle, DeviceBundle, EnvironmentBundle
 from manyhands.nodes.kernel.lifetime import Sight, Stopped
 from manyhands.nodes.kernel.log import Log, LogEvent, Value
-from manyhands.nodes.link.peer_link import PeerLink, WaveRow
+from manyhands.nodes.link.join import WaveRow
+from manyhands.nodes.link.peer_link import PeerLink
 from manyhands.nodes.link.process import HostedNode, Node, run_members
 from manyhands.nodes.link.supervisor_line import ControlLine
 from manyhands.protocol.clock import Instant

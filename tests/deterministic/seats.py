@@ -32,7 +32,8 @@ from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.environment.core import environment_core
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import REALTIME, CouplingBundle, EnvironmentBundle
-from manyhands.nodes.link.peer_link import PeerLink, Received
+from manyhands.nodes.link.join import Received
+from manyhands.nodes.link.peer_link import PeerLink
 from manyhands.nodes.wave_link.ends import UserEnd, WorldEnd
 from manyhands.protocol.clock import Duration, Instant
 from manyhands.protocol.codec import encode

@@ -23,7 +23,7 @@ from manyhands.protocol.clock import Instant, RealtimeClock
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.handshake import HandshakeRefused
 from manyhands.protocol.limits import LINK_QUEUE_FRAMES, MAX_CONTROL_BYTES, MAX_STRAY_FRAMES
-from manyhands.protocol.messages import Force, Reaction, Sample, SignalMessage, Start, Tool, Values
+from manyhands.protocol.messages import Figures, Force, Reaction, Sample, SignalMessage, Start, Tool, Values
 from manyhands.protocol.transport import Link, TransportError
 from tests.support.memory_transport import MemoryTransport
 
@@ -121,8 +121,8 @@ class Recorded:
     def intended_work(self) -> float:
         return 0.0
 
-    def figures(self) -> Mapping[str, float]:
-        return {}
+    def figures(self) -> Figures:
+        return Figures()
 
     def close(self) -> None:
         """Nothing is open."""

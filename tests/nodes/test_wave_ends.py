@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from manyhands.nodes.kernel.bundle import REALTIME, SIMULATED, Common, Peer, WaveEnd, own_start
-from manyhands.nodes.link.peer_link import PeerLink, Received, handshake_of
+from manyhands.nodes.link.join import Received
+from manyhands.nodes.link.peer_link import PeerLink, handshake_of
 from manyhands.nodes.wave_link.ends import AT_ONCE, CALM, JOINING, UserEnd, WorldEnd, datagram_socket
 from manyhands.nodes.wave_link.faces import wave_feedthrough
 from manyhands.nodes.wave_link.play_out import DEAF

@@ -59,8 +59,8 @@ class Liar:
     def intended_work(self) -> float:
         return 0.0
 
-    def figures(self) -> dict[str, float]:
-        return {}
+    def figures(self) -> Figures:
+        return Figures()
 
     def close(self) -> None:
         """Nothing is held."""

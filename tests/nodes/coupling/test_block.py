@@ -15,7 +15,8 @@ from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
 from manyhands.nodes.coupling.block import Block
 from manyhands.nodes.kernel.bundle import REALTIME, CouplingBundle
-from manyhands.nodes.link.peer_link import PeerLink, Received, handshake_of, hello_to
+from manyhands.nodes.link.join import Received
+from manyhands.nodes.link.peer_link import PeerLink, handshake_of, hello_to
 from manyhands.protocol.clock import Duration, RealtimeClock
 from manyhands.protocol.limits import MAX_STRAY_FRAMES
 from manyhands.protocol.messages import Absent, LinkHello, Reaction, Rung, Tool

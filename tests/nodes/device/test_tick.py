@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -14,6 +14,7 @@ from manyhands.nodes.device.core import Guard
 from manyhands.nodes.device.tick import NO_INSTANTS, OwnTimeTick, WallTimeTick, tick_of
 from manyhands.nodes.kernel.bundle import REALTIME, SIMULATED, DeviceBundle
 from manyhands.protocol.clock import Instant
+from manyhands.protocol.messages import Figures
 from tests.support.instants import instant
 
 SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
@@ -48,8 +49,8 @@ class Scripted:
     def intended_work(self) -> float:
         return 1e-3 * 2.0**self.turn
 
-    def figures(self) -> Mapping[str, float]:
-        return {}
+    def figures(self) -> Figures:
+        return Figures()
 
     def close(self) -> None:
         pass

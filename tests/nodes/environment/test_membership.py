@@ -22,7 +22,8 @@ from manyhands.nodes.environment.node import EnvironmentNode
 from manyhands.nodes.kernel.arithmetic import feedthrough_digest
 from manyhands.nodes.kernel.bundle import Peer
 from manyhands.nodes.kernel.timeouts import PATIENCE_TICKS, RAMP, Timeouts
-from manyhands.nodes.link.peer_link import PeerLink, Received
+from manyhands.nodes.link.join import Received
+from manyhands.nodes.link.peer_link import PeerLink
 from manyhands.nodes.rows.tick_events import Kind, TickEvent, events_in
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock
 from manyhands.protocol.codec import encode

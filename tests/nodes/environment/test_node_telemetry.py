@@ -15,7 +15,7 @@ from manyhands.launch.session import load_session
 from manyhands.nodes.environment.core import environment_core
 from manyhands.nodes.environment.node import EnvironmentTelemetry, TelemetryLater
 from manyhands.nodes.kernel.bundle import EnvironmentBundle
-from manyhands.nodes.link.peer_link import WaveRow
+from manyhands.nodes.link.join import WaveRow
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.tick_events import TickEvents
 from manyhands.protocol.messages import Figures, Telemetry

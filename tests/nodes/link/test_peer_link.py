@@ -14,7 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manyhands.nodes.kernel.bundle import Peer
-from manyhands.nodes.link.peer_link import PeerLink, Received, await_all, handshake_of, peer_link_of
+from manyhands.nodes.link.join import Received, await_all, peer_link_of
+from manyhands.nodes.link.peer_link import PeerLink, handshake_of
 from manyhands.protocol.clock import Duration, Instant
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_STRAY_FRAMES

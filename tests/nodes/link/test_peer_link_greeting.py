@@ -12,15 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manyhands.nodes.kernel.bundle import Common, Peer
-from manyhands.nodes.link.peer_link import (
-    HANDSHAKE_TIME,
-    Received,
-    bind_links,
-    bounds_by_peer,
-    establish,
-    hello_to,
-    positions,
-)
+from manyhands.nodes.link.join import Received, positions
+from manyhands.nodes.link.peer_link import HANDSHAKE_TIME, bind_links, bounds_by_peer, establish, hello_to
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock
 from manyhands.protocol.codec import encode
 from manyhands.protocol.gate import Bounds

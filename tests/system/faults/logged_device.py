@@ -9,7 +9,7 @@ an earlier end of the force that is exerted, which the interface sets at the sam
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import BinaryIO
 
 from manyhands.nodes.device.drivers import Driver, driver_of
@@ -17,6 +17,7 @@ from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.kernel.bundle import DeviceBundle
 from manyhands.nodes.link.process import main
 from manyhands.protocol.clock import Instant
+from manyhands.protocol.messages import Figures
 
 
 class Logged:
@@ -49,7 +50,7 @@ class Logged:
     def intended_work(self) -> float:
         return self._driver.intended_work()
 
-    def figures(self) -> Mapping[str, float]:
+    def figures(self) -> Figures:
         return self._driver.figures()
 
     def close(self) -> None:

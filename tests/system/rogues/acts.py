@@ -87,7 +87,7 @@ class SteppedDriver:
     def intended_work(self) -> float:
         return self._driver.intended_work()
 
-    def figures(self) -> Mapping[str, float]:
+    def figures(self) -> Figures:
         return self._driver.figures()
 
     def close(self) -> None:

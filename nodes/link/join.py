@@ -1,0 +1,342 @@
+"""How a node is joined to a peer: what every join has, whatever carries the tick's signals.
+
+There are three joins. :class:`~manyhands.nodes.link.peer_link.PeerLink` sends them over ZeroMQ.
+:class:`~manyhands.nodes.device.colocated.Within` calls a coupling in the same process.
+:class:`~manyhands.nodes.wave_link.ends.UserEnd` and :class:`~manyhands.nodes.wave_link.ends.WorldEnd` send waves in
+their place. A node's loop knows :class:`Join` alone.
+"""
+
+# ruff: noqa: B027 -- a hook is no abstract method: most joins need nothing in it
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from enum import Enum
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manyhands.nodes.kernel.arithmetic import Floats
+from manyhands.nodes.kernel.bundle import Peer
+from manyhands.nodes.rows import figures as names
+from manyhands.protocol.clock import Clock, Duration
+from manyhands.protocol.codec import decode, encode
+from manyhands.protocol.handshake import LinkHandshake
+from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_STRAY_FRAMES
+from manyhands.protocol.messages import Absent, LinkHello, Refusal, Rung, SignalMessage
+from manyhands.protocol.transport import Link
+
+Indices = NDArray[np.int64]
+
+
+class Received(Enum):
+    """The outcome of listening to a peer once."""
+
+    SIGNAL = "the signal of the tick, put into the node's values"
+    NOTHING = "nothing of use in the time allowed"
+    DECLINED = "the listener no longer awaits this tick"
+    RECONNECTED = "the peer is back, and has shaken hands on a new link"
+    FLOODED = "more stray frames than any honest peer sends, so that the link was closed"
+
+
+class Listener(Protocol):
+    """How a node handles a frame that is not the signal of the tick."""
+
+    def on_other_tick(self, peer_link: Join, other: int, awaited: int) -> bool:
+        """Handle a valid signal of tick ``other``, which came in place of ``awaited``; returns whether to stop waiting.
+
+        Where this returns True, :meth:`Join.hear` returns ``Received.DECLINED``.
+        """
+        ...
+
+    def on_notice(self, peer_link: Join, message: Rung | Absent) -> bool:
+        """Handle a message that is no signal; returns whether to stop waiting for ``Received.DECLINED``."""
+        ...
+
+    def flooded(self, text: str) -> None:
+        """End the node, for the reason ``text``: a peer sends more stray frames than any honest peer does."""
+        ...
+
+
+class WaveRow(NamedTuple):
+    """One tick of an end of a wave link, as telemetry reports it.
+
+    Attributes:
+        c: the incoming wave, W^(1/2).
+        tank: the energy in the tank, what it has shipped, and what it has heard, J.
+        p: the free position of the tool at a world's end, m; empty at a user's, whose block reports it.
+        f: the force on it behind its clutch, N; likewise.
+        begins: whether a world's end took its position from the first wave of a life in this tick.
+    """
+
+    c: Floats
+    tank: Floats
+    p: Floats = []  # noqa: RUF012  # never changed
+    f: Floats = []  # noqa: RUF012
+    begins: bool = False
+
+
+class Join(ABC):
+    """How a node is joined to one peer.
+
+    Attributes:
+        own: the hello that this end sends.
+        peer: the peer at the other end.
+        link: the connection; None while the peer is lost, and within a process.
+        indices: where the join's ports are among the node's own; a slice where they follow each other.
+        handshake: the unfinished handshake with a peer that comes back; None otherwise.
+        hello: the hello of a peer that came back; None before that.
+        new: whether the peer came back and no signal of it has been admitted since: it may be at another tick.
+        tick: the tick of the latest signal; -1 before the first.
+        other_tick: the tick of the last signal that was not of the tick awaited.
+        other_zero: whether all values of that signal were zero.
+        other_frame: the frame of that signal.
+    """
+
+    def __init__(self, own: LinkHello, peer: Peer, link: Link | None, indices: slice | Indices, clock: Clock) -> None:
+        """Join the node to a peer.
+
+        Args:
+            own: the hello that this end sends.
+            peer: the peer at the other end.
+            link: the connection; None for a peer that is absent, or in the same process.
+            indices: where the peer's values belong among the node's own.
+            clock: a realtime clock, which measures the waits and the time between the signals.
+        """
+        self.own, self.peer, self.link, self.indices = own, peer, link, indices
+        self.handshake: LinkHandshake | None = None
+        self.hello: LinkHello | None = None
+        self.new = False
+        self.tick, self.other_tick, self.other_zero, self.other_frame = -1, 0, False, b""
+        self._clock = clock
+        self._part = indices if isinstance(indices, slice) else None
+        self._at = () if isinstance(indices, slice) else tuple(indices.tolist())
+
+    @property
+    def reachable(self) -> bool:
+        """Whether there is a link to the peer, with its handshake finished or not."""
+        return self.link is not None
+
+    @property
+    def here(self) -> bool:
+        """Whether signals can be exchanged with the peer."""
+        return self._open is not None
+
+    @property
+    def _open(self) -> Link | None:
+        """The link, once its handshake is finished; None before."""
+        return self.link if self.handshake is None else None
+
+    @property
+    @abstractmethod
+    def dropped(self) -> Mapping[str, int]:
+        """The frames that were not admitted, by reason."""
+
+    @property
+    def strays(self) -> int:
+        """The number of frames that were not admitted."""
+        return sum(self.dropped.values())
+
+    def recount(self, reason: str, by: int) -> None:
+        """Add ``by`` to the frames dropped for ``reason``: one was counted that is none, or none that is one."""
+
+    @property
+    def stamp(self) -> int:
+        """The stamp of the latest signal, ns; 0 where signals have none, and before the first."""
+        return 0
+
+    def resume(self) -> None:
+        """Begin in a session that runs already, where the join has something to begin with."""
+
+    def forget(self) -> None:
+        """Take the next signal as the first one, whose step has no bound, where steps have bounds."""
+
+    def figures(self) -> Mapping[str, float]:
+        """Figures of the join itself, for telemetry and report; most have none."""
+        return {}
+
+    def share(self, values: Floats) -> Floats:
+        """This link's part of the node's ``values``."""
+        return [values[at] for at in self._at] if self._part is None else values[self._part]
+
+    def put(self, values: Floats, share: Sequence[float]) -> None:
+        """Put this link's ``share`` into the node's ``values``."""
+        if self._part is not None:
+            values[self._part] = share
+            return
+        for at, value in zip(self._at, share, strict=True):
+            values[at] = value
+
+    @abstractmethod
+    def send(self, kind: type[SignalMessage], tick: int, stamp: int, values: Floats) -> bool:
+        """Send this join's share of the node's ``values``.
+
+        Args:
+            kind: the type of the signal.
+            tick: k.
+            stamp: when the device took the sample that the signal follows from, ns.
+            values: those of all ports of the node.
+
+        Returns:
+            Whether they are on their way; False where the peer is lost, or its queue is full.
+        """
+
+    def send_again(self) -> None:
+        """Send the last signal once more, where it may have been lost and nothing later holds it."""
+
+    def send_zero(self, kind: type[SignalMessage], tick: int) -> None:
+        """Send a zero force of ``tick`` to a peer that waits for that tick: it is over, and the next one comes."""
+
+    def notify(self, message: Rung | Absent) -> None:
+        """Send a message that is no signal, where the peer follows such messages."""
+
+    @abstractmethod
+    def hear(self, values: Floats, tick: int, timeout: Duration, listener: Listener) -> Received:
+        """Listen for the peer's signal of ``tick``, at most ``timeout``, and put it into the node's ``values``."""
+
+    def take(self, frame: bytes, values: Floats, tick: int) -> bool:
+        """Put a signal that came early into the node's ``values`` in its own tick; returns whether it was admitted.
+
+        Raises:
+            NotImplementedError: no signal can come early here.
+        """
+        raise NotImplementedError(f"{type(self).__name__} has no signal that came early")
+
+    def take_other(self, values: Floats, counted: str) -> bool:
+        """Put the signal of :attr:`other_tick` into the node's ``values``; returns whether it was admitted.
+
+        Args:
+            values: the node's.
+            counted: the reason for which it was counted as a stray frame, which it is not.
+        """
+        return self.take(self.other_frame, values, self.other_tick)
+
+    def settle(self, tick: int) -> None:
+        """Finish ``tick``, once its force is applied; a peer in a process of its own needs nothing more."""
+
+    def finished(self, tick: int) -> WaveRow | None:
+        """Finish ``tick``, and return the :attr:`row`."""
+        self.settle(tick)
+        return self.row
+
+    @property
+    def row(self) -> WaveRow | None:
+        """What telemetry reports of the end of a wave link in the last tick; None for every other link."""
+        return None
+
+    def lose(self) -> None:
+        """Close the link to a peer that is gone."""
+        if self.link is not None:
+            self.link.close()
+        self.link, self.handshake = None, None
+
+    def refuse(self, refusal: Refusal) -> None:
+        """Tell a peer that has shaken hands why it stays absent, and close the link."""
+        if (link := self._open) is not None:
+            link.send(encode(refusal))
+        self.lose()
+
+    def greet(self, link: Link, handshake: LinkHandshake) -> None:
+        """Begin the handshake with a peer that comes back on ``link``; :meth:`hear` continues it."""
+        self.lose()
+        self.link, self.handshake = link, handshake
+        for message in handshake.start():
+            link.send(encode(message))
+
+    def _shake(self, frame: bytes, handshake: LinkHandshake) -> Received | None:
+        link = self.link
+        if link is None:
+            return Received.NOTHING
+        for message in handshake.receive(decode(frame, MAX_CONTROL_BYTES)):
+            if not link.send(encode(message)) and not isinstance(message, Refusal):
+                self.lose()  # the peer is gone again; the supervisor will report it
+                return Received.NOTHING
+        if not handshake.finished:
+            return None
+        if handshake.peer is None:  # refused: the peer counts as absent, and the other end has received the reason
+            self.lose()
+            return Received.NOTHING
+        self.handshake, self.hello, self.new = None, handshake.peer, True
+        self._begin_life()
+        return Received.RECONNECTED
+
+    @abstractmethod
+    def _begin_life(self) -> None:
+        """Begin anew with a peer that has shaken hands, or that is lost."""
+
+    def _flood(self, tick: int) -> str:
+        kinds = ", ".join(f"{reason} {count}" for reason, count in self.dropped.items() if count)
+        return (
+            f"{self.own.name}: {self.peer.name} sent {MAX_STRAY_FRAMES + 1} stray frames while its signal of tick "
+            f"{tick} was awaited (in all: {kinds}); expected at most {MAX_STRAY_FRAMES}; see what runs as "
+            f"{self.peer.name}"
+        )
+
+
+def await_all(
+    peer_links: Sequence[Join],
+    last: Join,
+    values: Floats,
+    tick: int,
+    listener: Listener,
+    react: Callable[[Join, Received, int], int],
+    pause: Callable[[int], Duration | None],
+) -> int | None:
+    """Wait until every peer has sent its signal of one tick; listen in turn to the peers that have not.
+
+    The awaited tick may change during the wait: ``react`` moves a node to the tick of a peer that is further on. Peers
+    whose signal of the earlier tick is there already are then awaited again, so the loop compares with the tick anew.
+
+    Args:
+        peer_links: the links.
+        last: the link that was listened to last; the first round begins with the link after it.
+        values: the node's values, where the signals are put.
+        tick: the tick that is awaited.
+        listener: handles the frames that are not the signal.
+        react: called with a link, the outcome of listening to it and the awaited tick; returns the tick that is awaited
+            from then on.
+        pause: called before every round with the tick that is awaited; returns how long to listen to each peer at
+            most, ns, or None to wait no longer.
+
+    Returns:
+        The tick of which every peer has sent its signal; None where the node waits no longer.
+    """
+    behind = peer_links.index(last) + 1
+    order = (*peer_links[behind:], *peer_links[:behind])
+    while any(peer_link.tick != tick for peer_link in order):
+        left = pause(tick)
+        if left is None:
+            return None
+        for peer_link in order:
+            if peer_link.tick != tick:
+                tick = react(peer_link, peer_link.hear(values, tick, left, listener), tick)
+    return tick
+
+
+def peer_link_of(peer_links: Sequence[Join], peer: str) -> Join | None:
+    """The peer link with ``peer``; None if there is no such peer."""
+    return next((peer_link for peer_link in peer_links if peer_link.peer.name == peer), None)
+
+
+def positions(own: tuple[str, ...], carried: tuple[str, ...]) -> slice | Indices:
+    """Where the ``carried`` ports are among ``own``: a slice where they follow each other, for it costs a tick less."""
+    at = [own.index(port) for port in carried]
+    if at == list(range(at[0], at[0] + len(at))):
+        return slice(at[0], at[0] + len(at))
+    return np.array(at)
+
+
+def stray_frames(peer_links: Iterable[Join]) -> dict[str, float]:
+    """The number of frames that the gates did not admit, as a figure of telemetry."""
+    return {names.NOT_ADMITTED: float(sum(peer_link.strays for peer_link in peer_links))}
+
+
+def dropped_frames(peer_links: Iterable[Join]) -> dict[str, float]:
+    """The numbers of frames that the gates did not admit, by reason, over all links."""
+    out: dict[str, float] = {}
+    for peer_link in peer_links:
+        for reason, count in peer_link.dropped.items():
+            out[reason] = out.get(reason, 0.0) + count
+    return out
