@@ -147,6 +147,8 @@ class Walk:
         try:
             self._take(at, opcode, body)
         except _WrongRecord as wrong:
+            if self._awaited and opcode != Opcode.CHUNK and self._plausible(own := at + len(self._awaited[0])):
+                end = own  # so long is the index that was expected here; a length that was changed may reach further
             followed = end == self._limit or self._plausible(end)
             after = end if followed else self._resume(at)
             self._damaged(at, after or self._limit, str(wrong))

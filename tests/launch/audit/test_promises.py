@@ -20,7 +20,7 @@ from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.run import RecordedRun, read_run
 from manyhands.nodes.monitor.health import holds, missed
 from manyhands.protocol.channels import TAU
-from manyhands.protocol.messages import Condition, PromiseStatus
+from manyhands.protocol.messages import Condition, Figures, PromiseStatus
 
 from ...support.simulated_recordings import TICKS, attachments_of, forged, recorded_of, simulated, written
 
@@ -161,7 +161,7 @@ def test_what_the_supervisors_clock_showed_is_what_an_audit_says(prepared: Prepa
     assert told((slow,), (kept,)) == []
     [unknown] = told()
     assert (unknown.promise, unknown.state, unknown.who) == ("pace", "not checked", ("session",))
-    frozen = {**run.figures, "environment": [(TICKS, {"frozen:cx@150": 1.0})]}
+    frozen = {**run.figures, "environment": [(TICKS, Figures({"frozen:cx@150": 1.0}))]}
     [graver] = missed(promises_of(prepared, replace(run, figures=frozen, conditions=[
         (TICKS, Condition("over", 1.0, {}, (), (), (), (), (away,)))
     ]), []))  # fmt: skip

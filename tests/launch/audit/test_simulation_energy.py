@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -178,8 +178,8 @@ def test_the_default_is_the_devices_ability_and_at_most_a_hands() -> None:
 
 
 class TestSentences:
-    def told(self, tick: int, **figures: float) -> Telemetry:
-        return Telemetry(tick, Figures({name.replace("__", "/"): value for name, value in figures.items()}), {})
+    def told(self, tick: int, let_go: float | None = None, **tables: Mapping[str, float]) -> Telemetry:
+        return Telemetry(tick, Figures({} if let_go is None else {"let_go": let_go}, tables), {})
 
     def incidents(self) -> UserIncidents:
         return UserIncidents(topology(load_session(EXAMPLE)), T)
@@ -187,10 +187,8 @@ class TestSentences:
     def test_a_device_that_let_go_is_reported_with_its_mover(self) -> None:
         incidents = self.incidents()
         assert incidents.receive("dy", self.told(100, let_go=1.0)) == []  # the environment has not reported that tick
-        assert incidents.receive("environment", self.told(99, moved_cx__cy=1.0)) == []
-        (sentence,) = incidents.receive(
-            "environment", self.told(199, moved_cx__cy=2.0, moved_cz__cy=0.5, moved_cx__cz=9.0)
-        )
+        assert incidents.receive("environment", self.told(99, moved={"cx/cy": 1.0})) == []
+        (sentence,) = incidents.receive("environment", self.told(199, moved={"cx/cy": 2.0, "cz/cy": 0.5, "cx/cz": 9.0}))
         assert sentence.startswith("dy was beyond its limits")
         assert sentence.endswith("of others it had received 2.5 J, 2 J of it from cx (dx)")
 
@@ -199,28 +197,30 @@ class TestSentences:
         """Such a device had no couplings here: it read "right_seat ()", and "nobody else has moved it" of a victim."""
         graph = topology(load_session(EXAMPLE.with_name("ball.yaml"), [f"colocate={colocate}"]))
         incidents = UserIncidents(graph, T)
-        (sentence,) = incidents.receive("environment", self.told(100, stops_right_seat=1.0, given_right_seat=1.25))
+        (sentence,) = incidents.receive(
+            "environment", self.told(100, stops={"right_seat": 1.0}, given={"right_seat": 1.25})
+        )
         assert sentence.startswith("right_seat (right) was beyond its energy budget")
         incidents.receive("left", self.told(150, let_go=1.0))
-        (sentence,) = incidents.receive("environment", self.told(199, moved_right_seat__left_seat=14.8))
+        (sentence,) = incidents.receive("environment", self.told(199, moved={"right_seat/left_seat": 14.8}))
         assert sentence.startswith("left was beyond its limits")
         assert sentence.endswith("of others it had received 14.8 J, 14.8 J of it from right_seat (right)")
 
     def test_a_device_that_moved_itself_is_reported_so(self) -> None:
         incidents = self.incidents()
         incidents.receive("dy", self.told(100, let_go=1.0))
-        (sentence,) = incidents.receive("environment", self.told(100, moved_cy__cx=3.0))
+        (sentence,) = incidents.receive("environment", self.told(100, moved={"cy/cx": 3.0}))
         assert sentence.endswith("nobody else has moved it")
 
     def test_a_party_beyond_its_budget_is_reported_not_too_often(self) -> None:
         incidents = self.incidents()
-        (sentence,) = incidents.receive("environment", self.told(100, stops_cx=1.0, given_cx=1.25))
+        (sentence,) = incidents.receive("environment", self.told(100, stops={"cx": 1.0}, given={"cx": 1.25}))
         assert sentence.startswith("cx (dx) was beyond its energy budget")
         assert sentence.endswith("it has put 1.25 J into the others so far")
-        assert incidents.receive("environment", self.told(200, stops_cx=2.0)) == []
+        assert incidents.receive("environment", self.told(200, stops={"cx": 2.0})) == []
         later = 100 + round(QUIET / T)
-        assert len(incidents.receive("environment", self.told(later, stops_cx=3.0))) == 1
-        assert incidents.receive("environment", self.told(2 * later, stops_cx=3.0)) == []
+        assert len(incidents.receive("environment", self.told(later, stops={"cx": 3.0}))) == 1
+        assert incidents.receive("environment", self.told(2 * later, stops={"cx": 3.0})) == []
 
     def test_a_user_that_stays_frozen_is_reported_once(self) -> None:
         incidents, running = self.incidents(), ("cx", "cy", "cz")

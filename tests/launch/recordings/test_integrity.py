@@ -76,6 +76,17 @@ def test_every_changed_byte_is_located_to_its_chunk_or_record(tmp_path: Path) ->
             assert any(least <= damage.begin <= place < damage.end <= most for damage in found), told
 
 
+def test_a_length_that_reaches_over_the_next_record_is_located_to_its_own(tmp_path: Path) -> None:
+    whole, path = recording(ticks=4, each=2, recorded=ALONE), tmp_path / "run.mcap"
+    places = records(whole)
+    indexes = [place for place, (begin, _) in enumerate(places) if whole[begin] == INDEX]
+    place = next(place for place in indexes if place + 1 in indexes)
+    (begin, end), (_, after) = places[place], places[place + 1]
+    data = bytearray(whole)
+    data[begin + 1 : begin + 9] = (after - begin - 9).to_bytes(8, "little")
+    assert [(damage.begin, damage.end) for damage in examined(path, bytes(data))] == [(begin, end)]
+
+
 @pytest.mark.parametrize("bit", range(8))
 def test_so_is_a_single_bit_where_it_is_easily_overlooked(tmp_path: Path, bit: int) -> None:
     """Texts of the header and of the metadata, which are neither in a chunk nor in the summary."""

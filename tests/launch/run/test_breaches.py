@@ -579,7 +579,7 @@ def test_without_tick_delays_couplings_only_soften_and_notices_are_few(
     texts = []
     for device, tick, breaches, periods, worst in messages:
         figures = {names.TAU_BREACHES: breaches, names.PERIOD_BREACHES: periods, names.TAU_WORST: worst}
-        for decision in m.policy.judge(device, tick, figures):
+        for decision in m.policy.judge(device, tick, Figures(figures)):
             match decision:
                 case ShiftCoupling(coupling, rung):
                     assert policy is Policy.SOFTEN

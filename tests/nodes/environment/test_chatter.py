@@ -58,9 +58,9 @@ def test_what_is_reported_and_what_to_do() -> None:
     assert chatter_line(figures) == (
         "the model's force chatters: right up to 199 times a second; use a proxy, or a softer model (docs/models.md)"
     )
-    with_proxies = contact_tables([0, 7], counted(f), ("left", "right"))
+    with_proxies = Figures({}, contact_tables([0, 7], counted(f), ("left", "right")))
     assert chatter_line(with_proxies).endswith("its proxies jump, or ticks are late")
-    of_a_scene = chatter_line({"unfinished": 0.0, **figures})
+    of_a_scene = chatter_line(Figures({"unfinished": 0.0}, figures.tables))
     assert of_a_scene == (
         "the scene's force chatters: right up to 199 times a second; ticks are late, or a contact opens and closes"
     )

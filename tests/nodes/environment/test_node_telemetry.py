@@ -52,9 +52,9 @@ def test_the_masses_are_where_newton_has_them(overrides: tuple[str, ...], new_li
         core.settle()
         account.tick(tick, core)
     assert account.due
-    account.publish(line, core, {"frozen": 0.0}, {}, TickEvents())
+    account.publish(line, core, {"frozen": 0.0}, {}, [], TickEvents())
     (told,) = line.telemetry
-    assert (told.tick, told.figures) == (len(p), {"frozen": 0.0, "began@0": 1.0})
+    assert (told.tick, told.figures) == (len(p), Figures({"frozen": 0.0, "began@0": 1.0}))
     x_e, q = told.traces["x_e"], told.traces["q"]
     assert x_e.shape == (len(p), m)
     assert q.shape == (len(p), 1)
@@ -82,8 +82,8 @@ def test_rows_are_consecutive_and_nothing_is_sent_twice(new_line: Callable[[], A
         core.react([0.001 * tick, 0.0, 0.0])
         core.settle()
         account.tick(tick, core)
-    account.publish(line, core, {}, {}, TickEvents())
-    account.publish(line, core, {}, {}, TickEvents())
+    account.publish(line, core, {}, {}, [], TickEvents())
+    account.publish(line, core, {}, {}, [], TickEvents())
     (told,) = line.telemetry
     assert told.tick == 7
     assert told.traces["x_e"].shape == (7, 3)
@@ -119,9 +119,9 @@ def test_the_ends_of_wave_links_have_rows_and_a_life_that_begins_is_an_event(new
         a = WaveRow([1.0 + tick], [0.1, 0.2, 0.3], [2.0], [3.0], begins=tick == 2)
         b = WaveRow([4.0, 5.0], [0.4, 0.5, 0.6], [6.0, 7.0], [8.0, 9.0], begins=tick == 0)
         account.tick(tick, core, [a, b])
-    account.publish(line, core, {}, {}, TickEvents())
+    account.publish(line, core, {}, {}, [], TickEvents())
     (told,) = line.telemetry
-    assert told.figures == {"began@0": 1.0, "linked:cb@0": 1.0, "linked:ca@2": 1.0}
+    assert dict(told.figures) == {"began@0": 1.0, "linked:cb@0": 1.0, "linked:ca@2": 1.0}
     assert told.traces["c"].tolist() == [[1.0 + tick, 4.0, 5.0] for tick in range(4)]
     assert told.traces["p"].tolist() == [[2.0, 6.0, 7.0]] * 4
     assert told.traces["f_v"].tolist() == [[3.0, 8.0, 9.0]] * 4
@@ -134,7 +134,7 @@ def test_without_wave_links_there_are_no_such_rows(new_line: Callable[[], Any]) 
     core.react([0.0] * 3)
     core.settle()
     account.tick(0, core)
-    account.publish(line, core, {}, {}, TickEvents())
+    account.publish(line, core, {}, {}, [], TickEvents())
     (told,) = line.telemetry
     assert told.traces.keys() == {"x_e", "q", "ledger"}
 

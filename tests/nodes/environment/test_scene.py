@@ -19,6 +19,7 @@ from manyhands.launch.look.display import scene_line, world_lines
 from manyhands.nodes.environment.core import EnvironmentCore
 from manyhands.nodes.environment.enforced import EnforcedCore
 from manyhands.nodes.environment.scene import SceneLaw
+from manyhands.protocol.messages import Figures
 
 from ...support.cases import cases
 from ...support.reaction import react
@@ -418,7 +419,7 @@ def test_a_driven_body_pauses_where_its_tank_is_empty_and_goes_on_without_a_load
     assert scene_line(law.figures) == f"driven bodies paused in {law.paused} ticks, {law.tank:.3g} J in the tank"
     assert scene_line({**free.figures, "unfinished": 3.0}) == "contacts not solved to the end in 3 ticks"
     assert free.figures == {"unfinished": 0.0, "paused": 0.0, "drive_tank": 0.0}
-    assert world_lines(free.figures) == []
+    assert world_lines(Figures(free.figures)) == []
     assert free.paused == 0
     assert free.tank == 0.0
 
