@@ -19,7 +19,7 @@ from manyhands.extras import explained, require
 from manyhands.launch.doctor.colocation import Where, settle_colocation
 from manyhands.launch.doctor.delay import settle_delay
 from manyhands.launch.plan.plan import Plan
-from manyhands.launch.plan.prepare import Prepared, design_session, prepare
+from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import ENVIRONMENT, AskedEnvironment, Session
 from manyhands.launch.session.session import whole_ticks
 from manyhands.launch.session.shipped import load_named
@@ -105,13 +105,13 @@ def certify(session: Source, part: str | None = None, *, progress: Progress | No
         >>> certificate.save("example1.cert.json")
     """
     require("design")
+    from manyhands.launch.plan.sites import in_tick, part_names, site, world
+
     loaded = _settled(load(session))
     if not loaded.wave_links:
         if part is not None:
             raise ValueError(f"part: found {part!r}; expected none, since {loaded.name} has no wave links")
-        return design_session(loaded, progress).certificate
-    from manyhands.launch.plan.sites import in_tick, part_names, site, world
-
+        return in_tick(loaded).design(progress).certificate
     names = part_names(loaded)
     if part not in names:
         raise ValueError(

@@ -30,7 +30,7 @@ from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK
 from manyhands.launch.look.display import figure_table, printable, promise_lines, say, status, world_lines
 from manyhands.launch.output import print_json
 from manyhands.launch.plan.loop import haptic_loop
-from manyhands.launch.plan.prepare import design_session
+from manyhands.launch.plan.sites import whole
 from manyhands.launch.run.outcome import given_sentences, lateness_sentence, rows_of, wave_link_sentences
 from manyhands.launch.session import Session
 from manyhands.nodes.monitor.given import shares_cell
@@ -358,7 +358,7 @@ def run_design(
     """
     try:
         with interruptible() as asked, progress_on(err, "designing the coupling") as progress:
-            designed = design_session(session, progress)
+            designed = whole(session).design(progress)
     except KeyboardInterrupt:
         say(err, f"{session.name}: interrupted before a coupling was found")
         return EXIT_INTERRUPTED

@@ -28,7 +28,7 @@ from manyhands.launch.app.design_report import (
 from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK, TargetError, require_target
 from manyhands.launch.look.display import say
 from manyhands.launch.output import print_json
-from manyhands.launch.plan.sites import IN_TICK, in_tick, part_file, part_names, site, world
+from manyhands.launch.plan.sites import IN_TICK, in_tick, part_files, part_names, site, world
 from manyhands.launch.session import ENVIRONMENT, Session
 
 
@@ -43,8 +43,8 @@ def require_parts(session: Session, output: Path | None, only: str | None) -> No
         expected = f"one of {', '.join(names)}" if names else "a session with wave links"
         raise TargetError(f"--part: found {only!r}; expected {expected}")
     if output is not None and only is None:
-        for name in names:
-            require_target(part_file(output, name))
+        for file in part_files(session, output).values():
+            require_target(file)
 
 
 def run_design_parts(
@@ -65,6 +65,7 @@ def run_design_parts(
         The exit code.
     """
     objects: dict[str, Any] = {}
+    files = {} if output is None else {only: output} if only else part_files(session, output)
     for name in part_names(session) if only is None else (only,):
         try:
             with interruptible() as asked, progress_on(err, f"designing {name}") as progress:
@@ -88,7 +89,7 @@ def run_design_parts(
             for way in relax:
                 say(err, f"  could help: {way}")
             return EXIT_NOT_CERTIFIED
-        objects[name] = _keep(made, None if output is None else output if only else part_file(output, name), err)
+        objects[name] = _keep(made, files.get(name), err)
         if not as_json:
             _print(out, made)
         if stopped:

@@ -220,14 +220,14 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         waves=waves,
         tank=prepared.loop.environment.tank if isinstance(prepared.loop.environment, ProxyEnvironment) else 0.0,
     )
-    return bundles if prepared.world is None else _with_part_ids(prepared, bundles)
+    return _with_part_ids(prepared, bundles)
 
 
 def _with_part_ids(prepared: Prepared, bundles: Mapping[str, Bundle]) -> dict[str, Bundle]:
     """The same bundles, of which those of a wave link's site have the id of their part, at either end of the link."""
     out = dict(bundles)
     ids = dict[str, str]()
-    for name in prepared.session.wave_links:
+    for name in [name for name in prepared.session.wave_links if name in prepared.parts]:
         nodes = [*prepared.session.devices_of(name), name]
         ids[name] = part_id(prepared.parts[name].id, [bundles[node] for node in nodes])
         for node in nodes:
@@ -316,11 +316,7 @@ def _environment(prepared: Prepared) -> tuple[StateSpace | None, Matrix | None, 
         level = environment.level if kept else None
         return None, level, prepared.session.foreign_code["environment.model"]
     E = environment.environment(prepared.session.period)
-    if prepared.world is not None:
-        return E, matrix(prepared.world.Phi_E), None
-    if prepared.certificate is None:
-        return E, None, None
-    return E, prepared.certificate.levels.Phi_E if prepared.ladder is None else prepared.ladder.Phi_E, None
+    return E, prepared.Phi_E, None
 
 
 def _stiffness(prepared: Prepared) -> Matrix | None:
