@@ -56,6 +56,7 @@ from manyhands.launch.plan.loop import haptic_loop
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import Prepared, prepare, unproved
 from manyhands.launch.plan.topology import placement, topology
+from manyhands.launch.run import supervised
 from manyhands.launch.run.outcome import Outcome
 from manyhands.launch.run.processes import Interrupt
 from manyhands.launch.session import Session
@@ -355,7 +356,7 @@ def ended(monkeypatch: pytest.MonkeyPatch, code: int, *faults: str) -> Callable[
         def run(self) -> Outcome:
             return Outcome(code, faults, (), {"nodes": {}}, None, {}, {})
 
-    monkeypatch.setattr(probe, "Supervisor", Ended)
+    monkeypatch.setattr(supervised, "Supervisor", Ended)
     rested = unproved(at_rest(load_named("example1")))
     return lambda: measure_ticks(rested, IPC, 50)
 
