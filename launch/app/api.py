@@ -105,21 +105,21 @@ def certify(session: Source, part: str | None = None, *, progress: Progress | No
         >>> certificate.save("example1.cert.json")
     """
     require("design")
-    from manyhands.launch.plan.sites import in_tick, part_names, site, world
+    from manyhands.launch.plan import sites
 
     loaded = _settled(load(session))
+    names = sites.part_names(loaded)
     if not loaded.wave_links:
         if part is not None:
             raise ValueError(f"part: found {part!r}; expected none, since {loaded.name} has no wave links")
-        return in_tick(loaded).design(progress).certificate
-    names = part_names(loaded)
+        part = sites.IN_TICK
     if part not in names:
         raise ValueError(
             f"part: found {part!r}; expected one of {', '.join(names)}, since {loaded.name} has wave links"
         )
     if part == ENVIRONMENT:
-        return world(loaded, progress)
-    return (site(loaded, part) if part in loaded.wave_links else in_tick(loaded)).design(progress).certificate
+        return sites.world(loaded, progress)
+    return sites.part(loaded, part).design(progress).certificate
 
 
 def verify(

@@ -120,6 +120,15 @@ def in_tick(session: Session) -> SessionPart:
     return SessionPart(IN_TICK, loop, request_of(session, names, ports))
 
 
+def part(session: Session, name: str) -> SessionPart:
+    """A part by its name: the site of a coupling with a wave link, or the users in the tick (:data:`IN_TICK`).
+
+    Raises:
+        KeyError, ValueError, Infeasible, NotCertified: as :func:`site` and :func:`in_tick`.
+    """
+    return in_tick(session) if name == IN_TICK else site(session, name)
+
+
 def world(session: Session, progress: Progress | None = None) -> World:
     """The certificate of the session's world, proved.
 

@@ -58,8 +58,7 @@ def design(
     Ctrl-C ends a long search and keeps the best coupling so far, proved like any other (exit code 130).
     """
     with errors("design"):
-        from manyhands.launch.app.design_report import run_design
-        from manyhands.launch.app.site_report import require_parts, run_design_parts
+        from manyhands.launch.app.parts_report import require_parts, run_design
         from manyhands.launch.app.start import SettledForm, settle_delay
 
         if pictures is not None:
@@ -70,12 +69,7 @@ def design(
             require_target(output)
         require_folder(pictures)
         loaded = settle_delay(SettledForm(loaded), StartOptions(SIMULATED), err).session
-        if loaded.wave_links:
-            if pictures is not None:
-                say(err, "no pictures: they show the environment's response, which a site does not know")
-            end(run_design_parts(loaded, out, err, output, part, as_json))
-        else:
-            end(run_design(loaded, out, err, output, pictures, as_json))
+        end(run_design(loaded, out, err, output, pictures, part, as_json))
 
 
 @commands.command(name="verify", epilog="Example: manyhands verify example1.cert.json --session example1.yaml")
@@ -104,7 +98,7 @@ def verify_command(
         from manyhands.design.certificate import read_plain
         from manyhands.design.world import is_world
         from manyhands.launch.app.design_report import run_verify
-        from manyhands.launch.app.site_report import run_verify_world
+        from manyhands.launch.app.parts_report import run_verify_world
 
         loaded = None if session is None else load_named(session, [])
         data = read_plain(certificate)
