@@ -15,7 +15,7 @@ import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
-from manyhands.launch.app import session_run
+from manyhands.launch.app import start
 from manyhands.launch.app.cli import app
 from manyhands.launch.doctor import probe
 from manyhands.launch.doctor.probe import Way
@@ -80,7 +80,7 @@ def machine(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Machine:
     one = Machine()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(probe, "measure_profile", one.measure)
-    monkeypatch.setattr(session_run, "run_session", one.run)
+    monkeypatch.setattr(start, "run_session", one.run)
     return one
 
 
