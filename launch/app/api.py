@@ -16,26 +16,26 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 from manyhands.design.certificate import Certificate, certificate_of, content, read_plain
 from manyhands.design.errors import CertificateError
 from manyhands.extras import explained, require
-from manyhands.launch.doctor.colocation import Where, settle_colocation
-from manyhands.launch.doctor.delay import settle_delay
-from manyhands.launch.plan.plan import Plan
-from manyhands.launch.plan.prepare import Prepared, design_session, prepare
 from manyhands.launch.session import ENVIRONMENT, Session
 from manyhands.launch.session.session import whole_ticks
 from manyhands.launch.session.shipped import load_named
-from manyhands.nodes.kernel.bundle import CLOCKS, REALTIME
+from manyhands.nodes.kernel.bundle import CLOCKS, REALTIME, SIMULATED
 from manyhands.nodes.kernel.factory import is_shipped
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from rich.console import Console
 
     from manyhands.design.proof import Proof
     from manyhands.design.world import World
     from manyhands.launch.app.background import BackgroundRun
     from manyhands.launch.app.budget import DelayBudget
+    from manyhands.launch.app.start import SettledForm
     from manyhands.launch.audit.simulation import Silence
+    from manyhands.launch.plan.prepare import Prepared
     from manyhands.launch.recordings.recording import Recording
     from manyhands.launch.recordings.run import RecordedRun
+    from manyhands.launch.run.options import StartOptions
 
 Source = Session | str | Path | Mapping[str, Any]
 """A session; or its file, the name of a shipped one, or its data as a dict, as :func:`load` takes them."""
@@ -105,21 +105,21 @@ def certify(session: Source, part: str | None = None, *, progress: Progress | No
         >>> certificate.save("example1.cert.json")
     """
     require("design")
+    from manyhands.launch.plan import sites
+
     loaded = _settled(load(session))
+    names = sites.part_names(loaded)
     if not loaded.wave_links:
         if part is not None:
             raise ValueError(f"part: found {part!r}; expected none, since {loaded.name} has no wave links")
-        return design_session(loaded, progress).certificate
-    from manyhands.launch.plan.sites import in_tick, part_names, site, world
-
-    names = part_names(loaded)
+        part = sites.IN_TICK
     if part not in names:
         raise ValueError(
             f"part: found {part!r}; expected one of {', '.join(names)}, since {loaded.name} has wave links"
         )
     if part == ENVIRONMENT:
-        return world(loaded, progress)
-    return (site(loaded, part) if part in loaded.wave_links else in_tick(loaded)).design(progress).certificate
+        return sites.world(loaded, progress)
+    return sites.part(loaded, part).design(progress).certificate
 
 
 def verify(
@@ -241,13 +241,15 @@ def simulate(
         ((2000, 3), 0.144)
     """
     require("design")
+    from manyhands.launch.app.start import SettledForm
     from manyhands.launch.audit.simulation import require_one_period, simulate
+    from manyhands.launch.run.options import StartOptions
 
     loaded = load(session)
     require_one_period(loaded)
     with _about("duration"):
         ticks = whole_ticks(loaded, duration, kept=True)
-    prepared = _prepared(loaded, certificate, uncertified=True)
+    prepared = _prepared(SettledForm(loaded), StartOptions(SIMULATED, certificate=_file(certificate), uncertified=True))
     if not prepared.certified and not uncertified:
         warnings.warn(f"{loaded.name} is not certified; launch refuses it without uncertified=True", stacklevel=2)
     return simulate(prepared, ticks, silences, progress)
@@ -299,11 +301,9 @@ def run(
     """
     require("design")
     from manyhands.launch.app.background import BackgroundRun
-    from manyhands.launch.plan.engine import require_engine
-    from manyhands.launch.plan.reach import reach
-    from manyhands.launch.plan.topology import require_runnable
-    from manyhands.launch.recordings.recording import RUN_SUFFIXES, require_suffix
-    from manyhands.launch.run.directory import SessionDirectory
+    from manyhands.launch.app.start import settle_form
+    from manyhands.launch.run.options import StartOptions
+    from manyhands.launch.run.supervised import require_files
     from manyhands.protocol.transport.zeromq import SCHEMES
 
     for name, value, valid in (("clock", clock, CLOCKS), ("transport", transport, SCHEMES)):
@@ -312,20 +312,22 @@ def run(
     loaded = load(session)
     with _about("duration"):
         ticks = 0 if duration is None else whole_ticks(loaded, duration)
-    file = None if record is None else Path(record)
-    if file is not None:
-        require_suffix(file, RUN_SUFFIXES)
-    loaded, _ = settle_colocation(loaded, Where.of(realtime=clock == REALTIME), transport)
-    plan = Plan(loaded)
-    require_runnable(plan.graph, len(loaded.observers))
-    require_engine(loaded)
-    ways = reach(plan, transport)
-    prepared = _prepared(loaded, certificate, uncertified, realtime=clock == REALTIME, transport=transport)
+    options = StartOptions(
+        clock,
+        ticks,
+        transport,
+        certificate=_file(certificate),
+        uncertified=uncertified,
+        record=None if record is None else Path(record),
+        directory=None if directory is None else Path(directory),
+    )
+    require_files(options)
+    form = settle_form(loaded, options)
+    prepared = _prepared(form, options)
     model = loaded.foreign_code.get("environment.model")
     if model is not None and not is_shipped(model.factory):
         warnings.warn(f"{loaded.name} runs the code of the model {model.factory}", stacklevel=2)
-    kept = None if directory is None else SessionDirectory(Path(directory))
-    return BackgroundRun(prepared, clock=clock, reach=ways, ticks=ticks, record=file, directory=kept)
+    return BackgroundRun(prepared, form.ways, options)
 
 
 def read(path: str | Path) -> RecordedRun | Recording:
@@ -442,28 +444,30 @@ def _plot_budget(budget: DelayBudget, name: str | None, ax: Axes) -> None:
         raise ValueError(f"quantity: found {name!r}; expected one of {', '.join([*devices, *links])}")
 
 
-def _settled(session: Session, *, realtime: bool = False, designed: bool = True, transport: str = "ipc") -> Session:
+def _settled(session: Session) -> Session:
     """The session with the delay that it is designed for, measured on this machine if it asks for that."""
-    options = {"realtime": realtime, "designed": designed}
-    return settle_delay(session, _silent, warnings.warn, **options, transport=transport)[0]
+    from manyhands.launch.app.start import SettledForm, settle_delay
+    from manyhands.launch.run.options import StartOptions
+
+    return settle_delay(SettledForm(session), StartOptions(SIMULATED), _quiet(), warnings.warn).session
 
 
-def _silent(_text: str) -> None:
-    """Show no progress."""
+def _prepared(form: SettledForm, options: StartOptions) -> Prepared:
+    """The session with its delay, its couplings and its certificates."""
+    from manyhands.launch.app.start import prepare_settled, settle_delay
+
+    return prepare_settled(settle_delay(form, options, _quiet(), warnings.warn), options, _quiet())
 
 
-def _prepared(
-    session: Session,
-    certificate: Certificate | str | Path | None,
-    uncertified: bool,
-    *,
-    realtime: bool = False,
-    transport: str = "ipc",
-) -> Prepared:
-    """The session with its delay, its coupling and its certificate."""
-    designed = certificate is None and not (uncertified and session.design.tau is None)
-    settled = _settled(session, realtime=realtime, designed=designed, transport=transport)
-    return prepare(settled, Path(certificate) if isinstance(certificate, str) else certificate, uncertified)
+def _quiet() -> Console:
+    """A console that shows nothing."""
+    from rich.console import Console
+
+    return Console(quiet=True)
+
+
+def _file(certificate: Certificate | str | Path | None) -> Certificate | Path | None:
+    return Path(certificate) if isinstance(certificate, str) else certificate
 
 
 @contextmanager

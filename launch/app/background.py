@@ -9,20 +9,16 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from manyhands.launch.files import claimed
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.reach import Reach
-from manyhands.launch.recordings.recording import RUN_SUFFIXES, STREAMED, require_suffix
-from manyhands.launch.run.directory import SessionDirectory
+from manyhands.launch.run.options import StartOptions
 from manyhands.launch.run.outcome import Outcome, Progress
 from manyhands.launch.run.processes import EndRequest
-from manyhands.launch.run.recorder import RecorderProcess
 from manyhands.launch.run.states import SessionPhase
-from manyhands.launch.run.supervisor import Supervisor
+from manyhands.launch.run.supervised import claimed_files, run_prepared, write_files
 
 
 class RunFailed(Exception):
@@ -51,29 +47,17 @@ class BackgroundRun:
         outcome: how the run went, once it is over; None before.
     """
 
-    def __init__(
-        self,
-        prepared: Prepared,
-        *,
-        clock: str,
-        reach: Reach,
-        ticks: int,
-        record: Path | None = None,
-        directory: SessionDirectory | None = None,
-    ) -> None:
+    def __init__(self, prepared: Prepared, ways: Reach, options: StartOptions) -> None:
         """Plan a run; nothing is started yet.
 
         Args:
             prepared: the session with its coupling and certificate.
-            clock: "realtime" or "simulated".
-            reach: how the processes reach each other.
-            ticks: number of ticks; 0 runs until the block is left.
-            record: the file for every x and f_v; ``.mcap`` has all telemetry and is written while the session runs.
-            directory: a folder that keeps session, certificate, report and logs.
+            ways: how the processes reach each other.
+            options: its clock, its ticks, and what is kept of it.
         """
         self.prepared = prepared
         self.outcome: Outcome | None = None
-        self._clock, self._reach, self._ticks, self._record, self._directory = clock, reach, ticks, record, directory
+        self._ways, self._options = ways, options
         self._progress: Progress | None = None
         self._changed = threading.Condition()
         self._ended = False
@@ -93,11 +77,7 @@ class BackgroundRun:
         if self._request is not None:
             raise RuntimeError("found a run that was entered before; expected a new one for each with block")
         with ExitStack() as files:
-            if self._record is not None:
-                require_suffix(self._record, RUN_SUFFIXES)
-                files.enter_context(claimed(self._record))
-            if self._directory is not None:
-                self._directory.keep_session(self.prepared)
+            files.enter_context(claimed_files(self._options))
             self._files = files.pop_all()
         self._request = EndRequest()
         self._thread.start()
@@ -193,7 +173,7 @@ class BackgroundRun:
         return self.outcome.report
 
     def __repr__(self) -> str:
-        session, clock = self.prepared.session.name, self._clock
+        session, clock = self.prepared.session.name, self._options.clock
         if self.outcome is None:
             state = "not started" if self._progress is None else self._progress.phase.value
         else:
@@ -216,31 +196,12 @@ class BackgroundRun:
     def _run(self) -> None:
         """Run the session; the body of the thread."""
         try:
-            self.outcome = self._supervised()
-            self._write(self.outcome)
+            show, interrupt = self._show, self._request
+            self.outcome = run_prepared(self.prepared, self._ways, self._options, show=show, interrupt=interrupt)
+            write_files(self.outcome, self._options, lambda _text: None)
         except BaseException as error:  # noqa: BLE001  # raised again in the thread that leaves the block
             self._error = error
         finally:
             with self._changed:
                 self._ended = True
                 self._changed.notify_all()
-
-    def _supervised(self) -> Outcome:
-        record, streamed = self._record, self._record is not None and self._record.suffix == STREAMED
-        return Supervisor(
-            self.prepared,
-            clock=self._clock,
-            reach=self._reach,
-            ticks=self._ticks,
-            record=record is not None and not streamed,
-            recorder=RecorderProcess(self.prepared, self._clock, record) if record is not None and streamed else None,
-            logs=None if self._directory is None else self._directory.logs,
-            show=self._show,
-            interrupt=self._request,
-        ).run()
-
-    def _write(self, outcome: Outcome) -> None:
-        if self._record is not None and outcome.recording is not None:
-            outcome.recording.save(self._record)
-        if self._directory is not None:
-            self._directory.keep_report(outcome.report)

@@ -7,7 +7,6 @@ processes, until the limits of its devices end it, and the interface accounts of
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,9 +19,8 @@ from rich.console import Console
 from manyhands.design.certificate import save as save_certificate
 from manyhands.launch.app.design_report import print_certificate, print_report
 from manyhands.launch.app.session_run import run_session
+from manyhands.launch.app.start import announce, drop_outlived, prepare_settled, settle_delay, settle_form
 from manyhands.launch.audit.simulation import Simulation
-from manyhands.launch.doctor.profile import Profile, drop_profile, outlived
-from manyhands.launch.doctor.rates import certified_lines
 from manyhands.launch.files import EXIT_FAILED, EXIT_OK
 from manyhands.launch.look.display import say, status
 from manyhands.launch.look.plots import VELOCITY, draw_panel, picture_of_run
@@ -32,6 +30,7 @@ from manyhands.launch.plan.reach import IPC
 from manyhands.launch.recordings.curves import Array, Curve, Panel
 from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.recordings.run import RecordedRun, read_run, rows_of
+from manyhands.launch.run.options import StartOptions
 from manyhands.launch.run.outcome import Outcome, falling, joules
 from manyhands.launch.session import Session
 from manyhands.nodes.kernel.bundle import REALTIME
@@ -101,6 +100,8 @@ def plot(rows: Sequence[Row], path: Path) -> None:
 UNCOUPLED: Final = "uncoupled-in-real-time"
 """The name of that run's files."""
 
+_QUIET: Final = Console(quiet=True)
+
 SETTLED = 1e-3  # a device is at rest when its speed is below this part of its peak speed
 
 
@@ -111,7 +112,6 @@ def run_demo(
     folder: Path,
     ticks: int,
     clock: str,
-    profile: Profile | None = None,
 ) -> int:
     """Run the demonstration.
 
@@ -123,32 +123,22 @@ def run_demo(
         folder: the folder for certificate, recordings, plots and report; made if absent.
         ticks: number of ticks to run.
         clock: "realtime" or "simulated".
-        profile: this machine's for ``example1``, in real time.
 
     Returns:
         The exit code: 0 when every promise was kept, and every device came to rest.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    with status(err, "designing the decentralised coupling"):
-        decentralised = prepare(sessions["example1"])
-    if decentralised.certificate is not None:
-        print_certificate(out, decentralised.certificate)
-        save_certificate(decentralised.certificate, folder / "certificate.json")
-        if clock == REALTIME:
-            for line in certified_lines(decentralised, decentralised.session, profile, time.time()):
-                say(err, line)
     recorded = folder / "run.mcap"
-    outcome = run_session(
-        decentralised,
-        err,
-        clock=clock,
-        reach=IPC,
-        ticks=ticks,
-        record=recorded,
-        report=folder / "report.json",
-    )
-    if profile is not None and outlived(profile, decentralised.session, outcome.report["nodes"]):
-        drop_profile(profile)  # the next run measures anew
+    options = StartOptions(clock, ticks, record=recorded, report=folder / "report.json")
+    form = settle_form(sessions["example1"], options)
+    settled = settle_delay(form, options, err)
+    folder.mkdir(parents=True, exist_ok=True)
+    decentralised = prepare_settled(settled, options, err)
+    for certificate in decentralised.certificates:
+        print_certificate(out, certificate)
+        save_certificate(certificate, folder / "certificate.json")
+    announce(decentralised, form, settled, options, err)
+    outcome = run_session(decentralised, err, form.ways, options)
+    drop_outlived(form, settled, outcome, options, _QUIET)
     print_report(out, outcome.report, outcome.faults)
     if outcome.code:
         return outcome.code
@@ -194,7 +184,7 @@ def _simulated(session: Session, ticks: int) -> Recording:
 def _uncoupled(session: Session, ticks: int, path: Path) -> Outcome:
     """Run a session that nothing certifies; its incidents are what is to be seen, and the demonstration words them."""
     prepared = prepare(session, uncertified=True)
-    return run_session(prepared, Console(quiet=True), clock=REALTIME, reach=IPC, ticks=ticks, record=path)
+    return run_session(prepared, _QUIET, IPC, StartOptions(REALTIME, ticks, record=path))
 
 
 def how_it_ended(run: RecordedRun, nodes: Mapping[str, Mapping[str, Any]]) -> str:

@@ -17,18 +17,15 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from manyhands.design.certificate import Certificate, asked_text, load, save
-from manyhands.design.errors import CertificateError, DesignError, Infeasible
+from manyhands.design.certificate import Certificate, asked_text, load
+from manyhands.design.errors import CertificateError
 from manyhands.design.models.coupling import SpringDamper
 from manyhands.design.models.statespace import Matrix
-from manyhands.design.models.weights import Filter
 from manyhands.design.problem import HapticLoop
 from manyhands.design.wave_link import FELT_STIFFNESS
 from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK
 from manyhands.launch.look.display import figure_table, printable, promise_lines, say, status, world_lines
 from manyhands.launch.output import print_json
-from manyhands.launch.plan.loop import haptic_loop
-from manyhands.launch.plan.prepare import design_session
 from manyhands.launch.run.outcome import given_sentences, lateness_sentence, rows_of, wave_link_sentences
 from manyhands.launch.session import Session
 from manyhands.nodes.monitor.given import shares_cell
@@ -38,7 +35,6 @@ from manyhands.protocol.messages import Figures
 
 if TYPE_CHECKING:
     from manyhands.design.proof import Finding
-    from manyhands.design.synthesis import Designed
 
 
 CERTIFIED, INFEASIBLE = "certified", "infeasible"
@@ -313,93 +309,6 @@ def _escaped(text: str) -> str:
 
 
 Progress = Callable[[str], None]
-
-
-def run_design(
-    session: Session, out: Console, err: Console, output: Path | None, pictures: Path | None, as_json: bool
-) -> int:
-    """Design, prove, write and show a session's coupling.
-
-    Ctrl-C ends a search and keeps the best coupling so far, proved like any other; a second Ctrl-C ends at once.
-
-    Args:
-        session: the session.
-        out: for results.
-        err: for progress and messages.
-        output: the file for the certificate; None for none.
-        pictures: the folder for plots; None for none.
-        as_json: print one JSON object instead of tables.
-
-    Returns:
-        The exit code.
-    """
-    try:
-        with interruptible() as asked, progress_on(err, "designing the coupling") as progress:
-            designed = design_session(session, progress)
-    except KeyboardInterrupt:
-        say(err, f"{session.name}: interrupted before a coupling was found")
-        return EXIT_INTERRUPTED
-    except DesignError as error:
-        reason = error.condition if isinstance(error, Infeasible) else str(error)
-        relax = error.relax if isinstance(error, Infeasible) else ()
-        if as_json:
-            print_json(infeasible_object(haptic_loop(session), reason, relax))
-        say(err, f"{session.name}: not certified: {reason}")
-        for way in relax:
-            say(err, f"  could help: {way}")
-        return EXIT_NOT_CERTIFIED
-    certificate = designed.certificate
-    if output is not None:
-        save(certificate, output)
-    if as_json:
-        print_json(certificate_object(certificate))
-    else:
-        print_certificate(out, certificate)
-        if output is not None:
-            say(err, f"written to {output}; prove it again with: manyhands verify {output}")
-    if pictures is not None and certificate.loop.environment.declared_level is not None:
-        say(err, "no pictures: they show the environment's response, and of this one only its level is known")
-    elif pictures is not None:
-        with progress_on(err, "drawing") as progress:
-            paths = _draw(designed, pictures, progress)
-        say(err, "pictures: " + ", ".join(str(path) for path in paths))
-    if designed.interrupted or asked:
-        say(err, f"{session.name}: interrupted; this is the best coupling so far, and it is certified")
-        return EXIT_INTERRUPTED
-    return EXIT_OK
-
-
-def _draw(designed: Designed, folder: Path, progress: Progress) -> tuple[Path, ...]:
-    """Draw the four plots of a design; returns their paths."""
-    from manyhands.launch.app.design_plots import plot_design  # matplotlib takes a while to import
-
-    certificate = designed.certificate
-    loop, levels, claim = certificate.loop, certificate.levels, certificate.transparency
-    embed = loop.partition.embed
-    return plot_design(
-        folder,
-        E=loop.cut.environment.environment(loop.period),
-        blocks=certificate.blocks,
-        partition=loop.partition,
-        K=embed(loop.loop_gain(levels.device.kappa)),
-        Delta_V=embed(levels.Delta_V),
-        Phi_E=levels.Phi_E,
-        Delta_G=levels.device.share * embed(levels.Delta_D),
-        T=loop.period,
-        ports=loop.ports,
-        W1=None if claim is None else _at_points(claim.aim.W1),
-        W2=None if claim is None else _at_points(claim.aim.W2),
-        objective=None if claim is None else claim.aim.objective,
-        gamma=None if claim is None else claim.gamma,
-        counted=(loop.environment.environment(loop.period), loop.counted) if loop.series else None,
-        history=designed.history,
-        history_label=designed.watched,
-        progress=progress,
-    )
-
-
-def _at_points(weight: Filter) -> Callable[[complex], complex]:
-    return lambda z: complex(weight.response(np.array([z]))[0])
 
 
 def run_verify(file: Path, session: Session | None, out: Console, err: Console, as_json: bool) -> int:

@@ -36,7 +36,7 @@ from manyhands.design.files import naming, replacing
 from manyhands.design.models.brief import brief_names
 from manyhands.launch.app.api import Source, load
 from manyhands.launch.files import TargetError, claimed, require_target
-from manyhands.launch.plan.prepare import design_session
+from manyhands.launch.plan.sites import whole
 from manyhands.launch.recordings.recording import data_frame, require_format
 from manyhands.launch.session import Session
 
@@ -61,7 +61,7 @@ def designed(session: Session) -> Row:
         transparency aim, and the ``certificate`` by its id; or the ``reason`` why there is none.
     """
     try:
-        found = design_session(session).certificate
+        found = whole(session).design().certificate
     except DesignError as error:
         return {"certified": False, "reason": str(error)}
     return {

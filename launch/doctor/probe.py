@@ -23,11 +23,11 @@ from manyhands.launch.plan.prepare import Prepared, unproved
 from manyhands.launch.plan.reach import reach
 from manyhands.launch.plan.topology import Topology, placement, usual_placement
 from manyhands.launch.run.directory import run_directory
+from manyhands.launch.run.options import StartOptions
 from manyhands.launch.run.processes import Interrupt, Processes
 from manyhands.launch.run.recorder import Recorder
-from manyhands.launch.run.supervisor import Supervisor
+from manyhands.launch.run.supervised import run_prepared
 from manyhands.launch.session import Session
-from manyhands.nodes.kernel.bundle import REALTIME
 from manyhands.nodes.kernel.realtime import FIFO_PRIORITY
 from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds
@@ -364,15 +364,8 @@ def measure_ticks(rested: Prepared, way: Way, ticks: int) -> Ticking:
         ProbeFailed: the session failed, or none of its devices ever got a force.
     """
     delays = DelayRecorder()
-    outcome = Supervisor(
-        rested,
-        clock=REALTIME,
-        reach=reach(rested, way.transport, insecure=way.transport == "tcp" and not way.encrypted),
-        ticks=ticks,
-        record=False,
-        recorder=delays,
-        places=way.places,
-    ).run()
+    ways = reach(rested, way.transport, insecure=way.transport == "tcp" and not way.encrypted)
+    outcome = run_prepared(rested, ways, StartOptions(ticks=ticks), recorder=delays, places=way.places)
     if outcome.code > 128:
         raise ProbeInterrupted(signal.Signals(outcome.code - 128))
     if outcome.faults:

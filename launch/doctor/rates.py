@@ -154,10 +154,8 @@ def certified_lines(prepared: Prepared, session: Session, profile: Profile | Non
     alike: dict[tuple[str, ...], list[str]] = {}
     for part, certificate in prepared.parts.items():
         alike.setdefault(tuple(_certified(certificate, session, profile, now)), []).append(part)
-    if prepared.certificate is not None:
-        alike[tuple(_certified(prepared.certificate, session, profile, now))] = []
     for lines, parts in alike.items():
-        who = f"{session.name}, {listed(parts)}" if parts else session.name
+        who = session.name if prepared.world is None else f"{session.name}, {listed(parts)}"
         for line in lines:
             yield f"{who}: {line}"
 

@@ -215,14 +215,14 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         waves=waves,
         tank=running.tank,
     )
-    return bundles if prepared.world is None else _with_part_ids(prepared, bundles)
+    return _with_part_ids(prepared, bundles)
 
 
 def _with_part_ids(prepared: Prepared, bundles: Mapping[str, Bundle]) -> dict[str, Bundle]:
     """The same bundles, of which those of a wave link's site have the id of their part, at either end of the link."""
     out = dict(bundles)
     ids = dict[str, str]()
-    for name in prepared.session.wave_links:
+    for name in [name for name in prepared.session.wave_links if name in prepared.parts]:
         nodes = [*prepared.session.devices_of(name), name]
         ids[name] = part_id(prepared.parts[name].id, [bundles[node] for node in nodes])
         for node in nodes:
@@ -295,13 +295,7 @@ def _level(prepared: Prepared, running: Running) -> Matrix | None:
 
     That of a model and of a scene is *declared*, certified or not.
     """
-    if running.E is None:
-        return running.level
-    if prepared.world is not None:
-        return matrix(prepared.world.Phi_E)
-    if prepared.certificate is None:
-        return None
-    return prepared.certificate.levels.Phi_E if prepared.ladder is None else prepared.ladder.Phi_E
+    return running.level if running.E is None else prepared.Phi_E
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Final
 
 from manyhands.launch.plan.plan import Plan
@@ -15,7 +15,7 @@ _HOST: Final = re.compile(r"[A-Za-z0-9_.:%@\[\]][A-Za-z0-9_.:%@\[\]-]*")
 """A name as ssh takes it: of a machine, with a user before it or not, or of an entry of its configuration."""
 
 
-def hosts_of(words: Sequence[str], plan: Plan, remote: Sequence[str] = ()) -> dict[str, str]:
+def hosts_of(words: Sequence[str], plan: Plan, remote: Collection[str] = ()) -> dict[str, str]:
     """The machine of each node that is to be started by ssh, in the session's order.
 
     Args:

@@ -1,6 +1,9 @@
-"""From a session to the coupling of its run and the certificate that proves it.
+"""From a session to the couplings of its run and the certificates that prove them.
 
-A run needs a certificate, which is designed now or read from a file and proved again. Without a certificate the run is
+Every session is parts, each with a certificate of its own. A session without wave links has one, *in the tick*. With
+wave links there is one for each site, one for the users in the tick, and a world that the parts meet.
+
+A run needs its certificates, which are designed now or read from files and proved again. Without them the run is
 refused, unless the user asks for an uncertified run.
 """
 
@@ -18,7 +21,7 @@ import numpy as np
 from manyhands.design.certificate import Certificate, content, to_json
 from manyhands.design.errors import CertificateError, DesignError, Infeasible
 from manyhands.design.models.brief import brief_repr
-from manyhands.design.models.statespace import StateSpace
+from manyhands.design.models.statespace import Matrix, StateSpace, matrix
 from manyhands.design.problem import (
     CouplingRequest,
     HapticLoop,
@@ -31,13 +34,12 @@ from manyhands.launch.plan import sites
 from manyhands.launch.plan.certificates import proved, read_certificate, with_delay_of
 from manyhands.launch.plan.loop import NotCertified, Progress, coupling_request, haptic_loop
 from manyhands.launch.plan.plan import Plan
-from manyhands.launch.session import Session
+from manyhands.launch.session import ENVIRONMENT, Session
 from manyhands.launch.session.design import AUTO
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
 
 if TYPE_CHECKING:
     from manyhands.design.ladder import Ladder
-    from manyhands.design.synthesis import Designed
     from manyhands.design.world import World
 
 UNCERTIFIED = "uncertified-"
@@ -51,58 +53,56 @@ class Prepared(Plan):
         loop: the session's haptic loop as it is run; where compliance of the world is counted in series, it is cut
             inside the world's links (:attr:`.HapticLoop.cut`).
         blocks: the realisation of each block of V, in the session's order.
-        certificate: the certificate of the loop's stability; None for an uncertified run.
-        id: the certificate's id, or one of the uncertified session; all processes of the run must agree on it.
+        id: of the certificates together, or of the uncertified session; all processes of the run must agree on it.
+        parts: the certificate of each part: of a coupling with a wave link, and of the users in the tick
+            (:data:`.sites.IN_TICK`), who are all where there is no wave link; empty for an uncertified run.
+        world: the certificate of the world that the parts meet over wave links; None where there are none.
         ladder: the certificate of the users in the tick, and those for longer delays; None where there are none.
         notes: one sentence for each delay of the ladder without a certificate: why it has none.
-        world: the certificate of the world of a session with wave links; None for every other run. Then
-            ``certificate`` is None, and every party has one of its own.
-        parts: the certificates of the parties of such a world, by part: a coupling with a wave link, or the users in
-            the tick (:data:`.sites.IN_TICK`).
     """
 
     loop: HapticLoop
     blocks: tuple[StateSpace, ...]
-    certificate: Certificate | None
     id: str
+    parts: Mapping[str, Certificate] = field(default_factory=dict)
+    world: World | None = None
     ladder: Ladder | None = None
     notes: tuple[str, ...] = ()
-    world: World | None = None
-    parts: Mapping[str, Certificate] = field(default_factory=dict)
 
     __repr__ = brief_repr
 
     @property
     def certified(self) -> bool:
         """Whether the run is proved stable."""
-        return self.certificate is not None or self.world is not None
+        return bool(self.parts)
+
+    @property
+    def certificate(self) -> Certificate | None:
+        """The one certificate of a run without wave links; None for an uncertified run, or where each party has one."""
+        return self.parts.get(sites.IN_TICK) if self.world is None else None
 
     def certificate_of(self, node: str) -> Certificate | None:
         """The certificate that a device or a coupling runs under; None for an uncertified run."""
-        if self.world is None:
-            return self.certificate
-        return self.parts[self.session.sites.get(node, sites.IN_TICK)]
+        return self.parts.get(self.session.sites.get(node, sites.IN_TICK))
+
+    @property
+    def Phi_E(self) -> Matrix | None:
+        """The level that the environment is proved to have, N·s/m, at every rung; None for an uncertified run."""
+        if self.world is not None:
+            return matrix(self.world.Phi_E)
+        if self.ladder is not None:
+            return self.ladder.Phi_E
+        return None if self.certificate is None else self.certificate.levels.Phi_E
 
     @property
     def certificates(self) -> tuple[Certificate, ...]:
-        """All certificates of the run's parties: one, or with wave links one for each part; none if uncertified."""
-        return tuple(self.parts.values()) if self.certificate is None else (self.certificate,)
+        """The certificates of all parts; none for an uncertified run."""
+        return tuple(self.parts.values())
 
     @property
     def rungs(self) -> tuple[Certificate, ...]:
         """The certificates, and then those of the ladder for longer delays, growing."""
         return (*self.certificates, *(() if self.ladder is None else self.ladder.rungs[1:]))
-
-
-def design_session(session: Session, progress: Progress | None = None) -> Designed:
-    """Design the session's coupling, or take the given one, and prove it.
-
-    Raises:
-        DesignError: the session cannot be certified.
-    """
-    from manyhands.design.synthesis import design  # the solver takes a second to import; a proof does not need it
-
-    return design(haptic_loop(session), coupling_request(session), progress)
 
 
 def must_measure(session: Session, *, realtime: bool) -> bool:
@@ -140,53 +140,39 @@ def prepare(
         CertificateError: the certificate cannot be read, or is not the file of a world where the session needs one.
         NotCertified: no certificate was found and ``uncertified`` is false, or there is no coupling to run.
     """
+    if certificate is not None:
+        return _of_parts(*_read(session, certificate), progress)
+    session = _settled(session)
+    try:
+        parts = {part.name: part.design(progress).certificate for part in sites.parts(session)}
+        world = sites.world(session, progress) if session.wave_links else None
+    except DesignError as error:
+        if not uncertified:
+            raise NotCertified(f"{session.name} is not certified: {error}") from error
+        return unproved(session, error)
+    return _of_parts(session, world, parts, progress)
+
+
+def _read(session: Session, certificate: Path | Certificate) -> tuple[Session, World | None, Mapping[str, Certificate]]:
+    """The session with the delay of a certificate that is given, the world where there is one, and the parts.
+
+    Raises:
+        CertificateError, NotCertified: as :func:`prepare`.
+    """
     if session.wave_links:
         if isinstance(certificate, Certificate):
             expected = "the file of its world, with those of its parts beside it"
             raise CertificateError(
                 f"{session.name}: found one certificate for a session with wave links; expected {expected}"
             )
-        return _prepare_parts(_settled(session), certificate, uncertified, progress)
-    if certificate is not None:
-        if isinstance(certificate, Certificate):
-            plain = {"id": certificate.id, **content(certificate)}
-            proof = proved(certificate, plain, f"certificate {certificate.id[:16]}", session)
-        else:
-            proof = read_certificate(certificate, session)
-        session = with_delay_of(proof, session)
-    else:
         session = _settled(session)
-        try:
-            proof = design_session(session, progress).certificate
-        except DesignError as error:
-            return _uncertified(session, error, uncertified)
-    ladder, notes = _ladder(session, proof, coupling_request(session), progress)
-    return Prepared(session, haptic_loop(session).cut, proof.blocks, proof, proof.id, ladder, notes)
-
-
-def _prepare_parts(
-    session: Session, certificate: Path | None, uncertified: bool, progress: Progress | None
-) -> Prepared:
-    """Settle each part of a session with wave links: the world, the sites, and the users in the tick.
-
-    Args:
-        session: the session, with its delay.
-        certificate: the file of the world, with those of the parts beside it; None to design them.
-        uncertified: as for :func:`prepare`.
-        progress: called with each step of the design, as a text.
-
-    Raises:
-        CertificateError, NotCertified: as :func:`prepare`.
-    """
-    if certificate is not None:
-        world, parts = sites.read_parts(certificate, session)
+        return session, *sites.read_parts(certificate, session)
+    if isinstance(certificate, Certificate):
+        plain = {"id": certificate.id, **content(certificate)}
+        proof = proved(certificate, plain, f"certificate {certificate.id[:16]}", session)
     else:
-        try:
-            parts = {part.name: part.design(progress).certificate for part in sites.parts(session)}
-            world = sites.world(session, progress)
-        except DesignError as error:
-            return _uncertified(session, error, uncertified)
-    return _of_parts(session, world, parts, progress)
+        proof = read_certificate(certificate, session)
+    return with_delay_of(proof, session), None, {sites.IN_TICK: proof}
 
 
 def prepare_again(
@@ -216,26 +202,27 @@ def prepare_again(
     return _of_parts(session, world, parts, progress), renewed
 
 
-def _of_parts(session: Session, world: World, parts: Mapping[str, Certificate], progress: Progress | None) -> Prepared:
-    """The session under the certificates of its world and its parts; the users in the tick have a ladder."""
+def _of_parts(
+    session: Session, world: World | None, parts: Mapping[str, Certificate], progress: Progress | None
+) -> Prepared:
+    """The session under the certificates of its parts, and of its world where there is one.
+
+    The users in the tick have a ladder.
+    """
     of_parts = {
         name: block
         for part in parts.values()
         for name, block in zip(part.loop.partition.names, part.blocks, strict=True)
     }
-    blocks = tuple(of_parts[name] for name in session.couplings)
-    every = json.dumps([world.id, *(part.id for part in parts.values())])
-    id = hashlib.sha256(every.encode()).hexdigest()
-    found: tuple[Ladder | None, tuple[str, ...]] = None, ()
+    loop, blocks = haptic_loop(session), tuple(of_parts[name] for name in session.couplings)
+    ladder: Ladder | None = None
+    notes: tuple[str, ...] = ()
     if sites.IN_TICK in parts:
-        found = _ladder(session, parts[sites.IN_TICK], sites.in_tick(session).request, progress)
-    return Prepared(session, haptic_loop(session), blocks, None, id, *found, world, parts)
-
-
-def _uncertified(session: Session, why: DesignError, allowed: bool) -> Prepared:
-    if not allowed:
-        raise NotCertified(f"{session.name} is not certified: {why}") from why
-    return unproved(session, why)
+        ladder, notes = _ladder(session, parts[sites.IN_TICK], sites.in_tick(session).request, progress)
+    if world is None:
+        return Prepared(session, loop.cut, blocks, parts[sites.IN_TICK].id, parts, None, ladder, notes)
+    every = json.dumps([world.id, *(part.id for part in parts.values())])
+    return Prepared(session, loop, blocks, hashlib.sha256(every.encode()).hexdigest(), parts, world, ladder, notes)
 
 
 def _settled(session: Session) -> Session:
@@ -271,7 +258,7 @@ def unproved(session: Session, why: DesignError | None = None) -> Prepared:
     """
     session = _settled(session)
     loop = haptic_loop(session)
-    return Prepared(session, loop, _unproved_blocks(session, loop, why), None, _uncertified_id(session))
+    return Prepared(session, loop, _unproved_blocks(session, loop, why), _uncertified_id(session))
 
 
 def _unproved_blocks(session: Session, loop: HapticLoop, why: DesignError | None) -> tuple[StateSpace, ...]:
@@ -298,12 +285,7 @@ def _uncertified_id(session: Session) -> str:
 
 
 def certificate_files(prepared: Prepared) -> dict[str, bytes]:
-    """The files of a run's certificates, contents by name; of a world's parts as :func:`read_parts` reads them."""
-    out: dict[str, bytes] = {}
-    if prepared.certificate is not None:
-        out[CERTIFICATE_FILE] = to_json(prepared.certificate).encode()
-    if prepared.world is not None:
-        out[CERTIFICATE_FILE] = world_json(prepared.world).encode()
-        for name, part in prepared.parts.items():
-            out[sites.part_file(Path(CERTIFICATE_FILE), name).name] = to_json(part).encode()
-    return out
+    """The files of a run's certificates, contents by name; :func:`prepare` reads them."""
+    files = sites.part_files(prepared.session, Path(CERTIFICATE_FILE))
+    out = {} if prepared.world is None else {files[ENVIRONMENT].name: world_json(prepared.world).encode()}
+    return out | {files[name].name: to_json(part).encode() for name, part in prepared.parts.items()}

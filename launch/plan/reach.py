@@ -49,6 +49,9 @@ class Listen:
             raise ReachError(f"--listen: found {host}; expected the one address that others reach this machine at")
         return cls(host, int(port))
 
+    def __str__(self) -> str:
+        return f"{self.host}:{self.port}"
+
 
 ANYWHERE: Final = Listen()
 """Any free ports of the loopback address."""

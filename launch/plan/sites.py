@@ -1,4 +1,6 @@
-"""From a session with wave links to its sites, its users in the tick and its world, each with what it alone needs.
+"""From a session to its parts: its sites, its users in the tick and its world, each with what it alone needs.
+
+Without wave links all users are in the tick, and that part is the session's whole loop.
 
 A site's loop is made of one coupling, its devices and its wave link, and of nothing else in the session. So its
 certificate is the same, byte for byte, whoever else takes part (docs/decisions/0034-sites-and-worlds.md).
@@ -40,7 +42,7 @@ if TYPE_CHECKING:
     from manyhands.design.world import World, WorldTerms
 
 IN_TICK: Final = "in-tick"
-"""The name of the part of all users without a wave link; no coupling may have it."""
+"""The name of the part of all users without a wave link, who may be all; no coupling may have it."""
 
 
 class SessionPart(NamedTuple):
@@ -67,6 +69,15 @@ class SessionPart(NamedTuple):
         return design(self.loop, self.request, progress)
 
 
+def whole(session: Session) -> SessionPart:
+    """All users of a session in one loop that closes inside the tick, wave links or not.
+
+    Raises:
+        NotCertified: the delay is to be measured, and has not been.
+    """
+    return SessionPart(IN_TICK, haptic_loop(session), coupling_request(session))
+
+
 def site(session: Session, coupling: str) -> SessionPart:
     """The site of a coupling with a wave link.
 
@@ -78,13 +89,15 @@ def site(session: Session, coupling: str) -> SessionPart:
 
 
 def in_tick(session: Session) -> SessionPart:
-    """The users without a wave link, together.
+    """The users without a wave link, together; in a session without wave links, its whole loop.
 
     Raises:
         ValueError: every coupling has a wave link.
         Infeasible: the level that the world promises them does not exist.
         NotCertified: the delay is to be measured, and has not been.
     """
+    if not session.wave_links:
+        return whole(session)
     names = tuple(name for name in session.couplings if name not in session.wave_links)
     if not names:
         raise ValueError(f"{session.name}: found a wave link at every coupling; expected users in the tick")
@@ -105,6 +118,15 @@ def in_tick(session: Session) -> SessionPart:
         period_tolerance=session.period_tolerance,
     )
     return SessionPart(IN_TICK, loop, request_of(session, names, ports))
+
+
+def part(session: Session, name: str) -> SessionPart:
+    """A part by its name: the site of a coupling with a wave link, or the users in the tick (:data:`IN_TICK`).
+
+    Raises:
+        KeyError, ValueError, Infeasible, NotCertified: as :func:`site` and :func:`in_tick`.
+    """
+    return in_tick(session) if name == IN_TICK else site(session, name)
 
 
 def world(session: Session, progress: Progress | None = None) -> World:
@@ -139,17 +161,16 @@ def parts(session: Session) -> tuple[SessionPart, ...]:
 
 
 def part_names(session: Session) -> tuple[str, ...]:
-    """The parts of a session with wave links, by name: its sites, the users in the tick, the world."""
+    """The parts of a session, by name: its sites, the users in the tick, and the world where there are wave links."""
     others = (IN_TICK,) if len(session.wave_links) < len(session.couplings) else ()
-    return (*session.wave_links, *others, ENVIRONMENT)
+    return (*session.wave_links, *others, *([ENVIRONMENT] if session.wave_links else []))
 
 
-def part_file(output: Path, name: str) -> Path:
-    """The file of a part beside that of the world: its name before the suffixes, ``two.cx.cert.json``."""
-    if name == ENVIRONMENT:
-        return output
+def part_files(session: Session, output: Path) -> dict[str, Path]:
+    """The file of each part: ``output`` of the world, or of the only part; of the others, ``two.cx.cert.json``."""
+    *others, whole = part_names(session)
     stem, dot, suffixes = output.name.partition(".")
-    return output.with_name(f"{stem}.{name}{dot}{suffixes}")
+    return {name: output.with_name(f"{stem}.{name}{dot}{suffixes}") for name in others} | {whole: output}
 
 
 def read_parts(path: Path, session: Session) -> tuple[World, dict[str, Certificate]]:
@@ -163,8 +184,9 @@ def read_parts(path: Path, session: Session) -> tuple[World, dict[str, Certifica
     if isinstance(proved, str):
         raise NotCertified(f"{path}: a world of another session: {proved}; design this session anew")
     parts: dict[str, Certificate] = {}
-    for name in part_names(session)[:-1]:
-        file = part_file(path, name)
+    for name, file in part_files(session, path).items():
+        if name == ENVIRONMENT:
+            continue
         certificate = parts[name] = read_certificate(file)
         if found := differences_from(certificate, session):
             raise NotCertified(f"{file}: a certificate of another session: {found[0]}; design this session anew")
@@ -186,8 +208,9 @@ def kept_parts(
     """
     renewed: list[str] = []
     certified: dict[str, Certificate] = {}
+    files = part_files(session, path)
     for part in parts(session):
-        file = part_file(path, part.name)
+        file = files[part.name]
         own = read_certificate(file) if file.exists() else None
         if own is None or differences_from(own, session):
             renewed.append(part.name)
@@ -213,7 +236,7 @@ def with_kept_delay(path: Path, session: Session) -> Session:
         CertificateError: the file of the users in the tick is no certificate.
         NotCertified: that certificate does not hold.
     """
-    file = part_file(path, IN_TICK)
+    file = part_files(session, path)[IN_TICK]
     if not file.exists():
         return session
     kept = read_certificate(file)
@@ -256,14 +279,13 @@ def differences_from(certificate: Certificate, session: Session) -> list[str]:
     """A sentence for each difference between a certificate and the part of the session that it is of."""
     environment = certificate.loop.environment
     name = certificate.loop.partition.names[0]
-    own: SessionPart | None = None  # the two kinds are those that this module itself gives to a part
+    # the two kinds are those that this module itself gives to a part
+    in_the_tick = isinstance(environment, WorldPromise) and len(session.wave_links) < len(session.couplings)
     if isinstance(environment, WaveLinkFace) and name in session.wave_links:
         own = site(session, name)
-    elif isinstance(environment, WorldPromise) and 0 < len(session.wave_links) < len(session.couplings):
+    elif in_the_tick or not session.wave_links:
         own = in_tick(session)
-    elif not session.wave_links:
-        return differences(certificate, haptic_loop(session), coupling_request(session))
-    if own is None:
+    else:
         return [f"the session has the wave links {', '.join(session.wave_links)}, and no part like this one"]
     return differences(certificate, own.loop, own.request)
 

@@ -132,7 +132,7 @@ def _certificate(prepared: Prepared) -> CertificateAbout:
     transparency = None if certificate is None else certificate.transparency
     return CertificateAbout(
         tau=min(proof.tau for proof in proofs.values()),
-        margins=dict(certificate.margins) if certificate is not None else _margins(prepared),
+        margins=_margins(prepared),
         gamma=None if transparency is None else transparency.gamma,
         delta_D={name: float(np.linalg.eigvalsh(session.osp_level(name))[0]) for name in session.devices},
         ladder=() if prepared.ladder is None else tuple(prepared.ladder.taus[1:]),
@@ -145,11 +145,13 @@ def _certificate(prepared: Prepared) -> CertificateAbout:
 
 
 def _margins(prepared: Prepared) -> dict[str, float]:
-    """The margins of a world, and of its parts, with the name of the part before each."""
+    """The margins of the only part; or of a world, and of its parts with the name of the part before each."""
+    if prepared.world is None:
+        return {what: value for part in prepared.certificates for what, value in part.margins.items()}
     of_parts = {
         f"{name}: {what}": value for name, part in prepared.parts.items() for what, value in part.margins.items()
     }
-    return of_parts if prepared.world is None else {**prepared.world.margins, **of_parts}
+    return {**prepared.world.margins, **of_parts}
 
 
 class Showing:

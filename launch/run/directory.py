@@ -11,18 +11,17 @@ import fcntl
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import yaml
 
 from manyhands.design.files import naming, replacing
 from manyhands.launch.files import TargetError
 from manyhands.launch.plan.prepare import certificate_files
-from manyhands.launch.run.outcome import save_json
 from manyhands.nodes.kernel.log import LOG_FOLDER
 from manyhands.nodes.recorder.format import SESSION_FILE
 
@@ -183,14 +182,6 @@ class SessionDirectory:
         for name, data in kept_files(prepared).items():
             with replacing(self.path / name) as file:
                 file.write(data)
-
-    def keep_report(self, report: Mapping[str, Any]) -> None:
-        """Write the report.
-
-        Raises:
-            OSError: the file cannot be written.
-        """
-        save_json(report, self.path / REPORT)
 
 
 def is_bare(file: Path) -> bool:

@@ -182,7 +182,7 @@ class Supervisor:
             interrupt: what ends the run early; by default the signals of the terminal, in a main thread.
         """
         session = prepared.session
-        self._prepared, self._session, self._certificate = prepared, session, prepared.certificate
+        self._prepared, self._session = prepared, session
         self._clock_name, self._reach, self._record = clock, reach, record
         self._recorder, self._logs, self._interrupt = recorder or Recorder(), logs, interrupt
         self._about = describe(prepared, clock, reach.transport, ticks, reach.remote, reach.seats)

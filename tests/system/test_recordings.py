@@ -28,8 +28,8 @@ from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.recordings.run import read_run
 from manyhands.launch.recordings.tables import read_recording
 from manyhands.launch.run import recorder as recorder_process
-from manyhands.launch.run.directory import SessionDirectory
-from manyhands.launch.run.outcome import Outcome, Progress
+from manyhands.launch.run.directory import REPORT, SessionDirectory
+from manyhands.launch.run.outcome import Outcome, Progress, save_json
 from manyhands.launch.run.recorder import RecorderProcess
 from manyhands.launch.run.states import SessionPhase
 from manyhands.launch.run.supervisor import Supervisor
@@ -269,7 +269,7 @@ def test_no_key_is_in_what_is_kept(prepared: Prepared, tmp_path: Path) -> None:
         logs=directory.logs,
     ).run()
     assert outcome.code == 0, outcome.faults
-    directory.keep_report(outcome.report)
+    save_json(outcome.report, directory.path / REPORT)
     kept = {path: path.read_bytes() for path in directory.path.rglob("*") if path.is_file()}
     assert directory.logs / "supervisor.jsonl" in kept
     assert [path for path, content in kept.items() if any(secret in content for secret in secrets)] == []

@@ -6,19 +6,17 @@ files, and no session is contacted. Where a file cannot be read, there is no com
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import Annotated, NoReturn
 
 import typer
 from rich.console import Console
 
 from manyhands.design.errors import CertificateError, DesignError
 from manyhands.extras import MissingExtra, explained, require
-from manyhands.launch.doctor import delay
 from manyhands.launch.doctor.profile import ProbeFailed, ProbeInterrupted
 from manyhands.launch.files import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, TargetError
 from manyhands.launch.look.display import say
@@ -26,7 +24,6 @@ from manyhands.launch.look.page.security import ViewError
 from manyhands.launch.look.sessions import NoSession, find_session, running_sessions
 from manyhands.launch.look.topics import NoTopic, named_topics, session_of
 from manyhands.launch.plan.loop import NotCertified
-from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.reach import ReachError
 from manyhands.launch.plan.sites import IN_TICK
 from manyhands.launch.plan.topology import LinkTooWide
@@ -37,12 +34,9 @@ from manyhands.launch.session.shipped import load_named, shipped_sessions
 from manyhands.nodes.device.plugin import DriverFailure
 from manyhands.nodes.environment.model import ModelFailure
 from manyhands.nodes.kernel.bundle import CLOCKS
-from manyhands.nodes.kernel.factory import FactoryError, is_shipped, place_of
+from manyhands.nodes.kernel.factory import FactoryError
 from manyhands.protocol.keys import KeyFileError
 from manyhands.protocol.transport import TransportError
-
-if TYPE_CHECKING:
-    from manyhands.launch.doctor.profile import Profile
 
 _MOST = 500  # completions
 
@@ -195,6 +189,10 @@ RunningName = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 Duration = Annotated[float, typer.Option("--duration", metavar="S", help="How long to run, in s.")]
+MostDuration = Annotated[
+    float | None, typer.Option("--duration", metavar="S", help="How long to run, in s; without it, until Ctrl-C.")
+]
+ReportFile = Annotated[Path | None, typer.Option("--report", metavar="FILE", help="Write the report (JSON).")]
 Clock = Annotated[
     str,
     typer.Option(
@@ -222,39 +220,6 @@ def unwind(signum: int, _frame: FrameType | None) -> None:
     """Handle Ctrl-C: note the signal, and unwind the stack."""
     ctrl_c.append(signum)
     raise SystemExit(EXIT_INTERRUPTED)
-
-
-def prepare_session(session: Session, certificate: Path | None, uncertified: bool) -> Prepared:
-    """Settle the coupling of a run, and show the design's progress."""
-    from manyhands.launch.app.design_report import progress_on
-
-    with progress_on(err, "designing the coupling") as progress:
-        return prepare(session, certificate, uncertified, progress)
-
-
-def settle_delay(
-    session: Session, *, realtime: bool, designed: bool = True, transport: str = "ipc", encrypted: bool = True
-) -> tuple[Session, Profile | None]:
-    """As :func:`manyhands.launch.doctor.delay.settle_delay`, which reports to the terminal.
-
-    Raises:
-        typer.Exit: nothing could be measured.
-    """
-    try:
-        return delay.settle_delay(
-            session,
-            partial(say, err),
-            lambda text: say(err, f"warning: {text}"),
-            realtime=realtime,
-            designed=designed,
-            transport=transport,
-            encrypted=encrypted,
-        )
-    except ProbeInterrupted as error:
-        raise typer.Exit(128 + error.signal) from error
-    except ProbeFailed as error:
-        say(err, f"error: the delay of a tick could not be measured: {error}; state one, such as design.tau=0.0005")
-        raise typer.Exit(EXIT_FAILED) from error
 
 
 def ticks_of(session: Session, duration: float, *, kept: bool = False) -> int:
@@ -287,36 +252,6 @@ def refuse(text: str) -> NoReturn:
     """End the command with this error message and exit code 2."""
     say(err, f"error: {text}")
     raise typer.Exit(EXIT_BAD_INPUT)
-
-
-def warn_of_code(console: Console, session: Session, elsewhere: Collection[str] = ()) -> None:
-    """State, before it happens, that a run imports and executes code of other packages, and where it is from.
-
-    Args:
-        console: where to.
-        session: the session.
-        elsewhere: the nodes whose code this command does not run.
-    """
-    for key, name in session.foreign_code.items():
-        what = "driver" if key.startswith("devices.") else "model"
-        node = key.split(".")[1] if what == "driver" else ENVIRONMENT
-        if node not in elsewhere and not is_shipped(name.factory):
-            say(
-                console,
-                f"{session.name}: runs the code of the {what} {name.factory}, which is not confined ({key}); it is "
-                f"from {place_of(name)}; run only {what}s from people you trust",
-            )
-
-
-def warn_insecure(console: Console) -> None:
-    """Warn in red that a run is open to everybody on the network."""
-    console.print(
-        "warning: --insecure: nothing is encrypted and nobody proves who they are; anybody who can reach these ports "
-        "can read every motion and push every hand",
-        style="bold red",
-        markup=False,
-        soft_wrap=True,
-    )
 
 
 _BAD_INPUT = (
@@ -357,6 +292,11 @@ def errors(*needed: str) -> Iterator[None]:
     except (NotCertified, DesignError) as error:
         say(err, f"error: {error}")
         raise typer.Exit(EXIT_NOT_CERTIFIED) from error
+    except ProbeInterrupted as error:
+        raise typer.Exit(128 + error.signal) from error
+    except ProbeFailed as error:
+        say(err, f"error: the delay of a tick could not be measured: {error}; state one, such as design.tau=0.0005")
+        raise typer.Exit(EXIT_FAILED) from error
     except (DriverFailure, ModelFailure) as error:
         say(err, f"error: {error}")
         raise typer.Exit(EXIT_FAILED) from error

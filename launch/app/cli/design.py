@@ -21,11 +21,12 @@ from manyhands.launch.app.cli.common import (
     require_folder,
     session_files,
     session_keys,
-    settle_delay,
 )
 from manyhands.launch.files import EXIT_FAILED, require_target
 from manyhands.launch.look.display import say
+from manyhands.launch.run.options import StartOptions
 from manyhands.launch.session.shipped import load_named
+from manyhands.nodes.kernel.bundle import SIMULATED
 
 commands = typer.Typer()
 
@@ -57,8 +58,8 @@ def design(
     Ctrl-C ends a long search and keeps the best coupling so far, proved like any other (exit code 130).
     """
     with errors("design"):
-        from manyhands.launch.app.design_report import run_design
-        from manyhands.launch.app.site_report import require_parts, run_design_parts
+        from manyhands.launch.app.parts_report import require_parts, run_design
+        from manyhands.launch.app.start import SettledForm, settle_delay
 
         if pictures is not None:
             require("plot")
@@ -67,13 +68,8 @@ def design(
         if output is not None:
             require_target(output)
         require_folder(pictures)
-        loaded, _ = settle_delay(loaded, realtime=False)
-        if loaded.wave_links:
-            if pictures is not None:
-                say(err, "no pictures: they show the environment's response, which a site does not know")
-            end(run_design_parts(loaded, out, err, output, part, as_json))
-        else:
-            end(run_design(loaded, out, err, output, pictures, as_json))
+        loaded = settle_delay(SettledForm(loaded), StartOptions(SIMULATED), err).session
+        end(run_design(loaded, out, err, output, pictures, part, as_json))
 
 
 @commands.command(name="verify", epilog="Example: manyhands verify example1.cert.json --session example1.yaml")
@@ -102,7 +98,7 @@ def verify_command(
         from manyhands.design.certificate import read_plain
         from manyhands.design.world import is_world
         from manyhands.launch.app.design_report import run_verify
-        from manyhands.launch.app.site_report import run_verify_world
+        from manyhands.launch.app.parts_report import run_verify_world
 
         loaded = None if session is None else load_named(session, [])
         data = read_plain(certificate)
@@ -133,11 +129,12 @@ def budget(
     with errors("design"):
         from manyhands.launch.app.budget import require_picture
         from manyhands.launch.app.design_report import run_budget
+        from manyhands.launch.app.start import SettledForm, settle_delay
 
         loaded = load_named(session, overrides)
         if picture is not None:
             require_picture(picture)
-        loaded, _ = settle_delay(loaded, realtime=False)
+        loaded = settle_delay(SettledForm(loaded), StartOptions(SIMULATED), err).session
         end(run_budget(loaded, out, err, picture, as_json))
 
 

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-import time
 from collections.abc import Sequence
-from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -18,7 +15,9 @@ from manyhands.launch.app.cli.common import (
     Clock,
     Insecure,
     Json,
+    MostDuration,
     Overrides,
+    ReportFile,
     RunningName,
     SessionPath,
     Uncertified,
@@ -29,25 +28,19 @@ from manyhands.launch.app.cli.common import (
     node_names,
     one_word_of,
     out,
-    prepare_session,
     refuse,
     require_one_of,
     session_files,
-    settle_delay,
     ticks_of,
-    warn_of_code,
 )
 from manyhands.launch.app.design_report import print_report
-from manyhands.launch.files import claimed, require_target
 from manyhands.launch.look.display import say
 from manyhands.launch.output import pipe_may_close
-from manyhands.launch.recordings.recording import STREAMED, require_suffix
+from manyhands.launch.recordings.recording import STREAMED
 from manyhands.launch.session import Session
-from manyhands.launch.session.design import AUTO
 from manyhands.launch.session.shipped import load_named
 from manyhands.nodes.guest.invitation import is_guest_address
 from manyhands.nodes.kernel.bundle import CLOCKS, REALTIME
-from manyhands.nodes.recorder.format import CERTIFICATE_FILE
 
 commands = typer.Typer()
 
@@ -171,9 +164,11 @@ def invite(
     """
     with errors():
         from manyhands.launch.app.keys import run_keys
+        from manyhands.launch.app.start import SettledDelay, prepare_settled
         from manyhands.launch.doctor.colocation import Where, settle_colocation
         from manyhands.launch.plan.bundles import invite as cut_bundle
         from manyhands.launch.plan.keys import load_folder, make_keys
+        from manyhands.launch.run.options import StartOptions
 
         wanted = nodes or []
         require_one_of("--clock", clock, CLOCKS)
@@ -192,7 +187,8 @@ def invite(
         if certificate is None and not uncertified:
             refuse("found no --certificate; expected the file that the session will be launched with")
         files = bundle_files_of(loaded, wanted, output)
-        prepared = prepare_session(loaded, certificate, uncertified)
+        options = StartOptions(clock, certificate=certificate, uncertified=uncertified)
+        prepared = prepare_settled(SettledDelay(loaded), options, err)
         folder = None
         if keys is not None:
             if renew or not keys.exists():
@@ -269,14 +265,12 @@ def host(
         Path | None,
         typer.Option("-o", metavar="DIR", help="Keys, certificates and invitations; by default the session's name."),
     ] = None,
-    duration: Annotated[
-        float | None, typer.Option("--duration", metavar="S", help="How long to run, in s; without it, until Ctrl-C.")
-    ] = None,
+    duration: MostDuration = None,
     record: Annotated[
         Path | None,
         typer.Option("--record", metavar="FILE", help=f"Record the session while it runs ({STREAMED})."),
     ] = None,
-    report: Annotated[Path | None, typer.Option("--report", metavar="FILE", help="Write the report (JSON).")] = None,
+    report: ReportFile = None,
     overrides: Overrides = [],  # noqa: B006
 ) -> None:
     """Serve a session whose users behind wave links come and go, each with an invitation (manyhands join).
@@ -287,29 +281,12 @@ def host(
     Designs, keys and invitations are made once and kept in DIR. Where the session has changed since, only what the
     change concerns is made anew: the invitations of the other seats stay good.
     """
-    with errors("design"), ExitStack() as claims:
-        from manyhands.launch.app.design_report import progress_on
-        from manyhands.launch.app.session_run import run_session
-        from manyhands.launch.doctor.colocation import Where, settle_colocation
-        from manyhands.launch.doctor.profile import drop_profile, outlived
-        from manyhands.launch.doctor.rates import certified_lines
-        from manyhands.launch.plan.engine import require_engine
-        from manyhands.launch.plan.keys import load_folder, make_keys
-        from manyhands.launch.plan.plan import Plan
-        from manyhands.launch.plan.prepare import must_measure, prepare_again
-        from manyhands.launch.plan.reach import Listen, reach
-        from manyhands.launch.plan.seats import (
-            KEYS,
-            invitations,
-            keep_certificates,
-            require_folder,
-            seat_nodes,
-        )
-        from manyhands.launch.plan.sites import with_kept_delay
-        from manyhands.launch.plan.topology import require_runnable
+    with errors("design"):
+        from manyhands.launch.app.start import start
+        from manyhands.launch.plan.reach import Listen
+        from manyhands.launch.run.options import Hosting, StartOptions
 
-        loaded, _ = settle_colocation(load_named(session, overrides), Where.HOSTED, "tcp")
-        seats = seat_nodes(loaded)
+        loaded = load_named(session, overrides)
         ticks = 0 if duration is None else ticks_of(loaded, duration)
         place = Listen.parse(listen)
         if address is None:
@@ -318,69 +295,11 @@ def host(
             address = f"{address}:{place.port}"
         if not is_guest_address(address):
             refuse(f"--address: found {address!r:.100}; expected HOST or HOST:PORT, such as ball.example.org")
-        if record is not None:
-            require_suffix(record, (STREAMED,))
-            claims.enter_context(claimed(record))
-        if report is not None:
-            require_target(report)
-            claims.enter_context(claimed(report))
-        plan = Plan(loaded)
-        require_runnable(plan.graph, len(loaded.observers))
-        require_engine(loaded)
-        directory = Path(loaded.name) if folder is None else folder
-        require_folder(directory)
-        certificate = directory / CERTIFICATE_FILE
-        kept = certificate.exists()
-        unknown = [name for name, link in loaded.wave_links.items() if link.tau is None]
-        if loaded.design.tau == AUTO and unknown:
-            refuse(
-                f"{loaded.name}: found design.tau: auto, which measures this machine alone, with the seat "
-                f"{unknown[0]!r}; expected couplings.{unknown[0]}.wave_link.tau, the delay that the guest keeps to"
-            )
-        profile, local = None, len(loaded.wave_links) < len(loaded.couplings)
-        if local and not unknown and must_measure(loaded, realtime=True):
-            loaded, profile = settle_delay(loaded, realtime=True, transport="tcp")
-            loaded = with_kept_delay(certificate, loaded)
-        elif loaded.design.tau == AUTO:
-            loaded = loaded.with_delay(loaded.latency)  # every user has a seat, whose delay is stated
-        if kept:
-            with progress_on(err, "designing what has changed") as progress:
-                prepared, renewed = prepare_again(loaded, certificate, progress)
-            if renewed:
-                say(err, f"{directory}: designed anew, for the session has changed: {', '.join(renewed)}")
-        else:
-            prepared, renewed = prepare_session(loaded, None, uncertified=False), (loaded.name,)
-        if renewed:
-            keep_certificates(prepared, directory)
-        for line in certified_lines(prepared, loaded, profile, time.time()) if local else ():
-            say(err, line)
-        if local and unknown and loaded.design.tau is None:
-            say(
-                err,
-                f"{loaded.name}: the delay of the users here is not measured, for {unknown[0]} states no "
-                f"wave_link.tau; state couplings.{unknown[0]}.wave_link.tau, or design.tau",
-            )
-        made = make_keys(loaded, directory / KEYS)
-        folder_keys = load_folder(loaded, directory / KEYS)
-        ways = replace(reach(plan, "tcp", keys=folder_keys, listen=place, remote=seats), seats=seats)
-        for seat, invitation in invitations(prepared, folder_keys, address).items():
-            path = directory / f"{seat}.invitation"
-            invitation.save(path)
-            if err.is_terminal:  # where it is kept in a log, an invitation may not be
-                say(err, f"waiting for {seat}: send this line over a secure channel; there: manyhands join")
-                err.print(invitation.line, markup=False, emoji=False, soft_wrap=True)  # in one piece, to be copied
-            else:
-                say(err, f"waiting for {seat}: send {path} over a secure channel; there: manyhands join {path.name}")
-        last = place.port + len(plan.graph.links) + len(loaded.observers)
-        say(err, f"listening at {listen}; guests need its ports {place.port} to {last}, of TCP and of UDP")
-        if made.stale:
-            say(err, f"{directory / KEYS}: has keys that the session no longer has: {', '.join(made.stale)}")
-        warn_of_code(err, loaded, seats)
-        outcome = run_session(prepared, err, clock=REALTIME, reach=ways, ticks=ticks, record=record, report=report)
-        local_nodes = {name: node for name, node in outcome.report["nodes"].items() if name not in seats}
-        if profile is not None and outlived(profile, loaded, local_nodes):
-            drop_profile(profile)
-            say(err, f"{loaded.name}: the delays were not those measured before; the next host measures them anew")
+        hosting = Hosting(Path(loaded.name) if folder is None else folder, address)
+        options = StartOptions(
+            ticks=ticks, transport="tcp", listen=place, hosting=hosting, record=record, report=report
+        )
+        outcome = start(loaded, options, err)
         print_report(out, outcome.report, outcome.faults)
         end(outcome.code)
 

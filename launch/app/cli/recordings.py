@@ -21,7 +21,6 @@ from manyhands.launch.app.cli.common import (
     out,
     refuse,
     require_one_of,
-    warn_of_code,
 )
 from manyhands.launch.files import EXIT_FAILED, EXIT_OK, claimed, require_target
 from manyhands.launch.look.display import printable, say, status
@@ -275,6 +274,7 @@ def replay(
 
         from manyhands.launch.app.audit_report import print_damage, print_replayed
         from manyhands.launch.app.design_report import progress_on
+        from manyhands.launch.app.risks import warn_of_code
         from manyhands.launch.audit.prepared import prepared_of
         from manyhands.launch.audit.replay import replay as replayed
         from manyhands.launch.audit.replay import require_simulated

@@ -15,7 +15,9 @@ from manyhands.launch.files import TargetError
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.plan.reach import IPC
 from manyhands.launch.recordings.recording import Recording
-from manyhands.launch.run.directory import REPORT, SessionDirectory
+from manyhands.launch.run import supervised
+from manyhands.launch.run.directory import REPORT
+from manyhands.launch.run.options import StartOptions
 from manyhands.launch.run.outcome import Outcome
 from manyhands.launch.session import load_session
 
@@ -40,17 +42,13 @@ def write_files_of_a_run(record: Path, report: Path, kept: Path, console: Consol
     session_run.run_session(
         prepare(load_session(SESSIONS / "example1-uncoupled.yaml"), uncertified=True),
         console,
-        clock="simulated",
-        reach=IPC,
-        ticks=1,
-        record=record,
-        report=report,
-        directory=SessionDirectory(kept),
+        IPC,
+        StartOptions("simulated", 1, record=record, report=report, directory=kept),
     )
 
 
 def test_a_recording_that_cannot_be_saved_leaves_the_reports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(session_run, "Supervisor", EndedSession)
+    monkeypatch.setattr(supervised, "Supervisor", EndedSession)
     report, kept, shown = tmp_path / "report.json", tmp_path / "kept", StringIO()
     with pytest.raises(TargetError, match=r"r\.npz: found no folder"):
         write_files_of_a_run(tmp_path / "none" / "r.npz", report, kept, Console(file=shown))
@@ -60,7 +58,7 @@ def test_a_recording_that_cannot_be_saved_leaves_the_reports(tmp_path: Path, mon
 
 
 def test_every_file_that_cannot_be_written_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(session_run, "Supervisor", EndedSession)
+    monkeypatch.setattr(supervised, "Supervisor", EndedSession)
     shown = StringIO()
     with pytest.raises(TargetError, match=r"r\.npz"):
         write_files_of_a_run(

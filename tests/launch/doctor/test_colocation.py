@@ -13,7 +13,8 @@ from manyhands.launch.doctor.colocation import Where, choose, process_counts, se
 from manyhands.launch.doctor.probe import Way
 from manyhands.launch.doctor.profile import Lateness, Profile, keep_profile
 from manyhands.launch.plan.plan import Plan
-from manyhands.launch.plan.prepare import design_session, prepare, unproved
+from manyhands.launch.plan.prepare import prepare, unproved
+from manyhands.launch.plan.sites import in_tick
 from manyhands.launch.plan.topology import topology
 from manyhands.launch.session import SessionError
 from manyhands.launch.session.shipped import load_named
@@ -186,7 +187,7 @@ def test_a_certificate_of_one_machine_is_good_on_any_other() -> None:
     """Designed where couplings are apart, and run where they are not, and the other way about."""
     auto = load_named("example1")
     forms = [auto, auto.with_colocation(False), auto.with_colocation(True)]
-    designed = [design_session(form).certificate for form in forms]
+    designed = [in_tick(form).design().certificate for form in forms]
     assert len({certificate.id for certificate in designed}) == 1
     for certificate in designed:
         for form in forms:

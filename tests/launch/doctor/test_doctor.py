@@ -57,6 +57,7 @@ from manyhands.launch.plan.loop import haptic_loop
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import Prepared, prepare, unproved
 from manyhands.launch.plan.topology import placement, topology
+from manyhands.launch.run import supervised
 from manyhands.launch.run.outcome import Outcome
 from manyhands.launch.run.processes import Interrupt
 from manyhands.launch.session import Session
@@ -370,7 +371,7 @@ def ended(
             nodes = {node: {"late": 0, "period_us": {"p99": p99}} for node, p99 in periods.items()}
             return Outcome(code, faults, (), {"nodes": nodes}, None, {}, {})
 
-    monkeypatch.setattr(probe, "Supervisor", Ended)
+    monkeypatch.setattr(supervised, "Supervisor", Ended)
     session = rested or unproved(at_rest(load_named("example1")))
     return lambda: measure_ticks(session, IPC, 50)
 

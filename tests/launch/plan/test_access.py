@@ -130,7 +130,7 @@ def dense_blocks(draw: st.DrawFn, session: Session) -> Prepared:
     for ports in session.blocks:
         n, m = draw(st.integers(1, 3)), len(ports)
         blocks.append(StateSpace(*(numbers.uniform(0.1, 1.0, shape) for shape in ((n, n), (n, m), (m, n), (m, m)))))
-    return Prepared(session, haptic_loop(session), tuple(blocks), None, "uncertified-drawn")
+    return Prepared(session, haptic_loop(session), tuple(blocks), "uncertified-drawn")
 
 
 @settings(max_examples=80)

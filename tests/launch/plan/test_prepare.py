@@ -7,12 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from manyhands.design.certificate import from_content, identity, save
+from manyhands.design.certificate import from_content, identity, save, to_json
 from manyhands.design.errors import CertificateError
 from manyhands.launch.plan.certificates import read_certificate
 from manyhands.launch.plan.loop import NotCertified
-from manyhands.launch.plan.prepare import prepare
+from manyhands.launch.plan.prepare import certificate_files, prepare
+from manyhands.launch.plan.sites import IN_TICK
 from manyhands.launch.session import load_session
+from manyhands.nodes.recorder.format import CERTIFICATE_FILE
 
 SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 GIVEN = ["design.coupling=given", "design.stiffness=705", "design.damping=0.037"]
@@ -81,6 +83,15 @@ def test_a_file_that_only_the_proof_refuses_is_no_certificate(tmp_path: Path) ->
         read_certificate(tmp_path / "odd.json")
 
 
+def test_a_session_without_wave_links_is_the_one_part_in_the_tick() -> None:
+    prepared = prepare(load_session(SESSIONS / "example1.yaml", GIVEN))
+    assert prepared.parts.keys() == {IN_TICK}
+    assert prepared.world is None
+    assert prepared.certificate is prepared.parts[IN_TICK] is prepared.certificate_of("dx")
+    assert prepared.id == prepared.parts[IN_TICK].id
+    assert certificate_files(prepared) == {CERTIFICATE_FILE: to_json(prepared.parts[IN_TICK]).encode()}
+
+
 def test_a_run_may_be_designed_with_a_delay() -> None:
     session = load_session(SESSIONS / "example1.yaml", [*GIVEN, "design.tau=0.0002"])
     prepared = prepare(session)
@@ -95,6 +106,7 @@ def test_uncertified_runs_the_coupling_that_the_session_states() -> None:
         prepare(stiff)
     prepared = prepare(stiff, uncertified=True)
     assert prepared.certificate is None
+    assert (prepared.certified, dict(prepared.parts), certificate_files(prepared)) == (False, {}, {})
     assert prepared.id.startswith("uncertified-")
     assert prepared.blocks[0].response(1.0).real[0, 0] == pytest.approx(1 / 3000, rel=1e-9)
     uncoupled = prepare(load_session(SESSIONS / "example1-uncoupled.yaml"), uncertified=True)

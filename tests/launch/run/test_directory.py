@@ -20,6 +20,7 @@ from manyhands.design.certificate import load
 from manyhands.launch.files import TargetError
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.run.directory import (
+    REPORT,
     SessionDirectory,
     is_bare,
     require_new,
@@ -27,6 +28,7 @@ from manyhands.launch.run.directory import (
     run_directory,
     sweep_directories,
 )
+from manyhands.launch.run.outcome import save_json
 from manyhands.launch.session import load_session
 
 SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
@@ -87,7 +89,7 @@ def test_the_session_as_it_is_run_the_certificate_and_the_report(tmp_path: Path)
     prepared = prepare(session)
     kept = SessionDirectory(tmp_path / "run")
     kept.keep_session(prepared)
-    kept.keep_report({"session": "example-1"})
+    save_json({"session": "example-1"}, kept.path / REPORT)
     assert sorted(path.name for path in kept.path.iterdir()) == [
         "certificate.json",
         "log",

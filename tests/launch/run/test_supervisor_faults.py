@@ -196,7 +196,7 @@ class Test_a_slow_device:
 
     def test_ends_the_session_where_that_is_wished(self, prepared: Prepared) -> None:
         session = load_session(SESSIONS / "example1.yaml", ["faults.breach=stop"])
-        stopped = Faulty(Prepared(session, prepared.loop, prepared.blocks, prepared.certificate, prepared.id))
+        stopped = Faulty(Prepared(session, prepared.loop, prepared.blocks, prepared.id, prepared.parts))
         stopped.breaches("dx")
         assert stopped.conductor.phase is SessionPhase.ENDING
         assert stopped.processes.sent == [signal.SIGTERM]

@@ -14,7 +14,7 @@ from manyhands.design.errors import DesignError
 from manyhands.design.models.environment import DelayedNetwork, NetworkBox
 from manyhands.launch.audit.simulation import Silence, Simulation
 from manyhands.launch.plan.bundles import RunPlan, cut
-from manyhands.launch.plan.loop import NotCertified, session_environment
+from manyhands.launch.plan.loop import NotCertified
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import Session, SessionError
 from manyhands.nodes.device.colocated import ColocatedNode
@@ -265,7 +265,8 @@ def series_compliance(course: Course) -> None:
     assert certificate is not None
     assert len(certificate.loop.series) == 2
     assert min(certificate.loop.series) > 0.0
-    stated = session_environment(course.prepared.session)
+    session = course.prepared.session
+    stated = session.environment.for_design(session.ports)
     assert course.world.E is not None
     assert not np.array_equal(course.world.E.C, stated.environment(1e-3).C)
 

@@ -14,8 +14,7 @@ import pytest
 from manyhands.design.certificate import differences
 from manyhands.launch.plan.certificates import with_delay_of
 from manyhands.launch.plan.loop import NotCertified, coupling_request, haptic_loop, stated_delay
-from manyhands.launch.plan.prepare import design_session
-from manyhands.launch.plan.sites import site_loop
+from manyhands.launch.plan.sites import in_tick, site_loop
 from manyhands.launch.session import Session, SessionError, load_session
 from manyhands.nodes.kernel.driver_statement import DeviceTiming
 
@@ -126,7 +125,7 @@ def test_the_latency_is_a_part_of_what_is_to_be_certified(tmp_path: Path) -> Non
 
 
 def test_a_certificate_for_less_than_the_latency_is_not_the_sessions(tmp_path: Path) -> None:
-    prompt = design_session(loaded(tmp_path, tree())).certificate
+    prompt = in_tick(loaded(tmp_path, tree())).design().certificate
     late = with_delay_of(prompt, loaded(tmp_path, tree(actuation_delay=1e-4)))
     assert haptic_loop(late).tau == 1e-4
     assert "the delay inside the tick differs" in differences(prompt, haptic_loop(late), coupling_request(late))[0]

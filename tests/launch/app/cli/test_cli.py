@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import manyhands
-from manyhands.launch.app import cli, design_report
-from manyhands.launch.plan import prepare
+from manyhands.launch.app import cli
+from manyhands.launch.plan.sites import SessionPart
 
 from ....support.commands import manyhands_command
 
@@ -194,7 +194,7 @@ def test_ctrl_c_is_130_even_when_an_import_catches_it(
     command: list[str], becomes: Exception | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Extension modules may turn what is raised while they load into an error of theirs, or swallow it."""
-    honest = prepare.design_session
+    honest = SessionPart.design
 
     def importing(*arguments: Any) -> Any:
         try:
@@ -204,8 +204,7 @@ def test_ctrl_c_is_130_even_when_an_import_catches_it(
                 raise becomes from None
         return honest(*arguments)
 
-    for module in (design_report, prepare):
-        monkeypatch.setattr(module, "design_session", importing)
+    monkeypatch.setattr(SessionPart, "design", importing)
     monkeypatch.setattr(cli.common, "ctrl_c", [])
     result = manyhands_command(*command, "example1.yaml", "--set", "design.tau=0")
     assert result.exit_code == 130

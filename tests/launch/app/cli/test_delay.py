@@ -15,13 +15,14 @@ import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
-from manyhands.launch.app import session_run
+from manyhands.launch.app import start
 from manyhands.launch.app.cli import app
 from manyhands.launch.doctor import probe
 from manyhands.launch.doctor.probe import Way
 from manyhands.launch.doctor.profile import Lateness, ProbeFailed, ProbeInterrupted, Profile, keep_profile, kept_profile
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import Prepared
+from manyhands.launch.plan.reach import Reach
 from manyhands.launch.run.outcome import Outcome
 from manyhands.launch.session.shipped import load_named
 
@@ -37,6 +38,7 @@ class Machine:
     Attributes:
         p995: of the slowest device, us.
         p99: of each device in a run, us.
+        guests_p99: of each device that is not on this machine, us; longer than any design covers.
         measured: the ways that were measured.
         ran: the sessions that were run.
         fails: what the probe raises.
@@ -44,6 +46,7 @@ class Machine:
 
     p995: float = 680.0
     p99: float = 500.0
+    guests_p99: float = 1e6
     measured: list[Way] = field(default_factory=list)
     ran: list[Prepared] = field(default_factory=list)
     fails: Exception | None = None
@@ -58,10 +61,13 @@ class Machine:
             raise self.fails
         return self.profile(plan, way, time.time())
 
-    def run(self, prepared: Prepared, *_: object, **__: object) -> Outcome:
+    def run(self, prepared: Prepared, _console: object, ways: Reach, _options: object) -> Outcome:
         self.ran.append(prepared)
-        tau = {"p50": 300.0, "p99": self.p99, "p999": 2000.0, "max": 3000.0}
-        nodes: dict[str, Any] = {"dx": {"role": "device", "ticks": 1000, "tau_us": tau}}
+        nodes: dict[str, Any] = {}
+        for name in prepared.session.devices:
+            p99 = self.guests_p99 if name in ways.remote else self.p99
+            tau = {"p50": 300.0, "p99": p99, "p999": 2000.0, "max": 3000.0}
+            nodes[name] = {"role": "device", "ticks": 1000, "tau_us": tau}
         report = {"session": prepared.session.name, "duration": 1.0, "clock": "realtime", "nodes": nodes}
         return Outcome(0, (), (), report, None, {}, {})
 
@@ -80,7 +86,7 @@ def machine(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Machine:
     one = Machine()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(probe, "measure_profile", one.measure)
-    monkeypatch.setattr(session_run, "run_session", one.run)
+    monkeypatch.setattr(start, "run_session", one.run)
     return one
 
 

@@ -8,13 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rich.console import Console
 
-from manyhands.launch.app.cli.common import settle_delay
+from manyhands.launch.app.start import SettledDelay, SettledForm, settle_delay
 from manyhands.launch.doctor.profile import Lateness, Profile, allowance
 from manyhands.launch.plan.loop import NotCertified, haptic_loop
 from manyhands.launch.plan.sites import site_loop
+from manyhands.launch.run.options import StartOptions
 from manyhands.launch.session import Session, load_session
 from manyhands.launch.session.shipped import load_named
+from manyhands.nodes.kernel.bundle import REALTIME, SIMULATED
 
 T = 1e-3
 
@@ -32,6 +35,10 @@ def session_of(folder: Path, **device: Any) -> Session:
     return load_session(folder / "session.yaml")
 
 
+def settled(session: Session, clock: str = REALTIME) -> SettledDelay:
+    return settle_delay(SettledForm(session), StartOptions(clock), Console(quiet=True))
+
+
 @pytest.fixture(autouse=True)
 def profile(monkeypatch: pytest.MonkeyPatch) -> Profile:
     """This machine's, as if it had been measured before."""
@@ -42,20 +49,22 @@ def profile(monkeypatch: pytest.MonkeyPatch) -> Profile:
 
 def test_a_stated_latency_is_added_to_the_measured_delay(tmp_path: Path, profile: Profile) -> None:
     chosen = allowance(profile, T)
-    prompt, _ = settle_delay(session_of(tmp_path), realtime=True)
+    prompt = settled(session_of(tmp_path)).session
     assert haptic_loop(prompt).tau == chosen.tau
-    late, found = settle_delay(session_of(tmp_path, sample_age=2e-4, actuation_delay=1e-4), realtime=True)
-    assert found is profile
+    found = settled(session_of(tmp_path, sample_age=2e-4, actuation_delay=1e-4))
+    late = found.session
+    assert found.profile is profile
+    assert found.measured
     assert haptic_loop(late).tau == pytest.approx(chosen.tau + 3e-4, abs=1e-12)
     assert haptic_loop(late).period_tolerance == pytest.approx(chosen.period_tolerance + 0.2)
-    steady, _ = settle_delay(session_of(tmp_path, sample_age=2e-4, age_jitter=0.0), realtime=True)
+    steady = settled(session_of(tmp_path, sample_age=2e-4, age_jitter=0.0)).session
     assert haptic_loop(steady).period_tolerance == chosen.period_tolerance
 
 
 def test_more_than_a_period_together_is_refused(tmp_path: Path) -> None:
     with pytest.raises(NotCertified, match=r"0\.4 ms measured here, and 0\.7 ms of sample_age and actuation_delay"):
-        settle_delay(session_of(tmp_path, actuation_delay=7e-4), realtime=True)
-    settle_delay(session_of(tmp_path, actuation_delay=6e-4), realtime=True)
+        settled(session_of(tmp_path, actuation_delay=7e-4))
+    settled(session_of(tmp_path, actuation_delay=6e-4))
 
 
 def test_a_site_with_another_period_has_its_own_delay(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -65,15 +74,16 @@ def test_a_site_with_another_period_has_its_own_delay(monkeypatch: pytest.Monkey
     plugged = "devices.dy={{dof: 1, osp: 1.37, driver: some.package:factory, actuation_delay: {}}}".format
     links = [f"couplings.{name}.wave_link={{b: 10, period: {T}}}" for name, T in (("cx", 25e-5), ("cy", 1e-3))]
     session = load_named("example1", [plugged(0.0001), *links, "couplings.cz.wave_link={b: 10}"])
-    settled, _ = settle_delay(session, realtime=True)
-    delays = {name: site_loop(settled, name).tau for name in settled.wave_links}
+    found = settled(session).session
+    delays = {name: site_loop(found, name).tau for name in found.wave_links}
     # a device's own delay counts for its own site, and for the design's, which any device may have
     assert delays == pytest.approx({"cx": 2.125e-4, "cy": 5e-4, "cz": 4e-4}, abs=1e-12)
     late = load_named("example1", [plugged(0.0002), *links, "couplings.cz.wave_link={b: 10}"])
     with pytest.raises(NotCertified, match=r"expected at most the period of"):
-        settle_delay(late, realtime=True)
+        settled(late)
 
 
 def test_without_a_measurement_the_latency_alone_is_certified(tmp_path: Path) -> None:
-    session, _ = settle_delay(session_of(tmp_path, actuation_delay=7e-4), realtime=False)
-    assert haptic_loop(session).tau == 7e-4
+    found = settled(session_of(tmp_path, actuation_delay=7e-4), SIMULATED)
+    assert haptic_loop(found.session).tau == 7e-4
+    assert not found.measured

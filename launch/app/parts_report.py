@@ -1,25 +1,29 @@
-"""`manyhands design` and `verify` for a session with wave links: its sites, its users in the tick, and its world.
+"""`manyhands design`, part by part, and `verify` for a world and its parts.
 
-Each part is designed, proved and written by itself. A site's file depends on nothing but the site.
+Each part of a session is designed, proved and written by itself: the users in the tick, who are all where there is no
+wave link; each site; and the world. A site's file depends on nothing but the site.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from manyhands.design.certificate import Certificate, certificate_of, read_plain, save
 from manyhands.design.environments import environment_of
 from manyhands.design.errors import CertificateError, DesignError, Infeasible
+from manyhands.design.models.weights import Filter
 from manyhands.design.world import CONDITION_A, World, save_world
 from manyhands.launch.app.design_report import (
     CERTIFIED,
     INFEASIBLE,
     certificate_object,
+    infeasible_object,
     interruptible,
     print_certificate,
     print_findings,
@@ -29,8 +33,12 @@ from manyhands.launch.app.design_report import (
 from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK, TargetError, require_target
 from manyhands.launch.look.display import say
 from manyhands.launch.output import print_json
-from manyhands.launch.plan.sites import IN_TICK, in_tick, part_file, part_names, site, world
+from manyhands.launch.plan.loop import haptic_loop
+from manyhands.launch.plan.sites import IN_TICK, part, part_files, part_names, world
 from manyhands.launch.session import ENVIRONMENT, Session
+
+if TYPE_CHECKING:
+    from manyhands.design.synthesis import Designed
 
 
 def require_parts(session: Session, output: Path | None, only: str | None) -> None:
@@ -44,69 +52,88 @@ def require_parts(session: Session, output: Path | None, only: str | None) -> No
         expected = f"one of {', '.join(names)}" if names else "a session with wave links"
         raise TargetError(f"--part: found {only!r}; expected {expected}")
     if output is not None and only is None:
-        for name in names:
-            require_target(part_file(output, name))
+        for file in part_files(session, output).values():
+            require_target(file)
 
 
-def run_design_parts(
-    session: Session, out: Console, err: Console, output: Path | None, only: str | None, as_json: bool
+def run_design(
+    session: Session,
+    out: Console,
+    err: Console,
+    output: Path | None,
+    pictures: Path | None,
+    only: str | None,
+    as_json: bool,
 ) -> int:
-    """Design, prove, write and show the parts of a session with wave links, or one of them.
+    """Design, prove, write and show the parts of a session, or one of them.
+
+    Ctrl-C ends a search and keeps the best coupling so far, proved like any other; a second Ctrl-C ends at once.
 
     Args:
         session: the session.
         out: for results.
         err: for progress and messages.
-        output: the file for the world's certificate, beside which those of the other parts are written; with ``only``,
-            the file for that part. None for no files.
+        output: the file for the certificate of the world, or of the only part; those of the other parts are written
+            beside it. With ``only``, the file for that part. None for no files.
+        pictures: the folder for plots of a session without wave links; None for none.
         only: name of the only part to design; None for all.
         as_json: print one JSON object instead of tables.
 
     Returns:
         The exit code.
     """
-    objects: dict[str, Any] = {}
+    files = {} if output is None else {only: output} if only else part_files(session, output)
+    several, objects = bool(session.wave_links), dict[str, Any]()
+    if several and pictures is not None:
+        say(err, "no pictures: they show the environment's response, which a site does not know")
+    code = EXIT_OK
     for name in part_names(session) if only is None else (only,):
+        subject, what = (f"{session.name}: {name}", name) if several else (session.name, "the coupling")
         try:
-            with interruptible() as asked, progress_on(err, f"designing {name}") as progress:
-                if name == ENVIRONMENT:
-                    made: World | Certificate = world(session, progress)
-                    stopped = bool(asked)
-                else:
-                    part = in_tick(session) if name == IN_TICK else site(session, name)
-                    designed = part.design(progress)
-                    made, stopped = designed.certificate, designed.interrupted or bool(asked)
+            with interruptible() as asked, progress_on(err, f"designing {what}") as progress:
+                designed = world(session, progress) if name == ENVIRONMENT else part(session, name).design(progress)
         except KeyboardInterrupt:
-            say(err, f"{session.name}: interrupted before {name} was certified")
+            before = f"{name} was certified" if several else "a coupling was found"
+            say(err, f"{session.name}: interrupted before {before}")
             return EXIT_INTERRUPTED
         except DesignError as error:
-            reason = error.condition if isinstance(error, Infeasible) else str(error)
-            relax = error.relax if isinstance(error, Infeasible) else ()
-            objects[name] = {"status": INFEASIBLE, "reason": reason, "relax": list(relax)}
-            if as_json:
-                print_json(objects)
-            say(err, f"{session.name}: {name}: not certified: {reason}")
-            for way in relax:
+            objects[name] = _infeasible(session, error)
+            say(err, f"{subject}: not certified: {objects[name]['reason']}")
+            for way in objects[name]["relax"]:
                 say(err, f"  could help: {way}")
-            return EXIT_NOT_CERTIFIED
-        objects[name] = _keep(made, None if output is None else output if only else part_file(output, name), err)
-        if not as_json:
-            _print(out, made)
-        if stopped:
-            say(err, f"{session.name}: interrupted; {name} has the best coupling so far, and it is certified")
-            return EXIT_INTERRUPTED
+            code = EXIT_NOT_CERTIFIED
+            break
+        objects[name] = _keep(designed, files.get(name), out, err, as_json)
+        if pictures is not None and not isinstance(designed, World) and not several:
+            _draw(designed, pictures, err)
+        if asked or (not isinstance(designed, World) and designed.interrupted):
+            say(err, f"{subject}: interrupted; this is the best coupling so far, and it is certified")
+            code = EXIT_INTERRUPTED
+            break
     if as_json:
-        print_json(objects)
-    return EXIT_OK
+        print_json(objects if several else objects[IN_TICK])
+    return code
 
 
-def _keep(made: World | Certificate, path: Path | None, err: Console) -> dict[str, Any]:
-    """Write a part's certificate if it has a file; returns its object for ``--json``."""
+def _infeasible(session: Session, error: DesignError) -> dict[str, Any]:
+    """The object that ``--json`` prints for a part that cannot be certified."""
+    reason, relax = (error.condition, error.relax) if isinstance(error, Infeasible) else (str(error), ())
+    if not session.wave_links:
+        return infeasible_object(haptic_loop(session), reason, relax)
+    return {"status": INFEASIBLE, "reason": reason, "relax": list(relax)}
+
+
+def _keep(designed: World | Designed, path: Path | None, out: Console, err: Console, as_json: bool) -> dict[str, Any]:
+    """Write a part's certificate if it has a file, and print it; returns its object for ``--json``."""
+    made = designed if isinstance(designed, World) else designed.certificate
     if path is not None:
         if isinstance(made, World):
             save_world(made, path)
         else:
             save(made, path)
+    if not as_json:
+        _print(out, made)
+    if path is not None:
         say(err, f"written to {path}; prove it again with: manyhands verify {path}")
     return world_object(made) if isinstance(made, World) else certificate_object(made)
 
@@ -143,6 +170,44 @@ def world_object(made: World) -> dict[str, Any]:
         },
         "in_tick": None if made.in_tick is None else {"id": made.in_tick.id, "ports": list(made.in_tick.ports)},
     }
+
+
+def _draw(designed: Designed, folder: Path, err: Console) -> None:
+    """Draw the four plots of a design, and say where they are."""
+    from manyhands.launch.app.design_plots import plot_design  # matplotlib takes a while to import
+
+    certificate = designed.certificate
+    if certificate.loop.environment.declared_level is not None:
+        say(err, "no pictures: they show the environment's response, and of this one only its level is known")
+        return
+    loop, levels, claim = certificate.loop, certificate.levels, certificate.transparency
+    embed = loop.partition.embed
+    with progress_on(err, "drawing") as progress:
+        paths = plot_design(
+            folder,
+            E=loop.cut.environment.environment(loop.period),
+            blocks=certificate.blocks,
+            partition=loop.partition,
+            K=embed(loop.loop_gain(levels.device.kappa)),
+            Delta_V=embed(levels.Delta_V),
+            Phi_E=levels.Phi_E,
+            Delta_G=levels.device.share * embed(levels.Delta_D),
+            T=loop.period,
+            ports=loop.ports,
+            W1=None if claim is None else _at_points(claim.aim.W1),
+            W2=None if claim is None else _at_points(claim.aim.W2),
+            objective=None if claim is None else claim.aim.objective,
+            gamma=None if claim is None else claim.gamma,
+            counted=(loop.environment.environment(loop.period), loop.counted) if loop.series else None,
+            history=designed.history,
+            history_label=designed.watched,
+            progress=progress,
+        )
+    say(err, "pictures: " + ", ".join(str(path) for path in paths))
+
+
+def _at_points(weight: Filter) -> Callable[[complex], complex]:
+    return lambda z: complex(weight.response(np.array([z]))[0])
 
 
 def run_verify_world(
