@@ -26,7 +26,7 @@ from manyhands.nodes.environment.scene import SceneLaw
 from manyhands.nodes.kernel.allowance import LatenessAllowance
 from manyhands.nodes.kernel.bundle import REALTIME, DeviceBundle, EnvironmentBundle, SimulatedHand
 from manyhands.nodes.kernel.factory import FactoryError
-from manyhands.nodes.rows import telemetry as names
+from manyhands.nodes.rows import figures as names
 from tests.deterministic.recorded import WatchedSession
 
 from ...support.combinations import (
@@ -110,10 +110,10 @@ class Course:
         return bundle
 
     def told(self, node: str) -> dict[str, float]:
-        """The figures and counts of a node's report."""
+        """The numbers of a node's report."""
         assert self.watched is not None
         report = self.watched.conductor.reports[node]
-        return {**report.figures, **report.counts}
+        return dict(report.figures)
 
     @property
     def law(self) -> Any:
