@@ -20,7 +20,7 @@ import numpy as np
 from manyhands.design.errors import Infeasible
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.integrators import Split
-from manyhands.design.models.kind import Environment, Running
+from manyhands.design.models.kind import Environment, WhatRuns
 from manyhands.design.models.scene import MOST_DRIVE, ContactScene
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix
 
@@ -77,9 +77,9 @@ class DeclaredEnvironment(Environment):
         """The level that a design counts on; raises Infeasible if nothing keeps it."""
         return {"type": "declared", "level": self.promised().tolist()}
 
-    def running(self, T: float) -> Running:
+    def running(self, T: float) -> WhatRuns:
         """The level that is kept."""
-        return Running(level=self.level if self.enforced else None)
+        return WhatRuns(level=self.level if self.enforced else None)
 
     @property
     def kept(self) -> str:
@@ -147,9 +147,9 @@ class DeclaredScene(DeclaredEnvironment):
         """Those of the scene."""
         return self.scene.terms()
 
-    def running(self, T: float) -> Running:
+    def running(self, T: float) -> WhatRuns:
         """The scene, at the level 0."""
-        return Running(level=self.level, scene=self.scene)
+        return WhatRuns(level=self.level, scene=self.scene)
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,9 +192,9 @@ class ProxyEnvironment(DeclaredEnvironment):
         tank = {"tank": self.tank} if self.tank else {}
         return {"type": "proxy", "level": self.level.tolist(), "stiffness": self.stiffness.tolist(), **content, **tank}
 
-    def running(self, T: float) -> Running:
+    def running(self, T: float) -> WhatRuns:
         """The springs to the proxies."""
-        return Running(level=self.level, stiffness=self.stiffness, tank=self.tank)
+        return WhatRuns(level=self.level, stiffness=self.stiffness, tank=self.tank)
 
     @property
     def kept(self) -> str:

@@ -62,7 +62,7 @@ class _Discretised(Environment):
         return delayed_split(replace(split_system(self.discrete(T), T), units=self.units(T)), self.delay, T)
 
 
-class _Given(_Discretised):
+class _WithoutLinks(_Discretised):
     """An environment without links, of which plain springs may be counted in series as long as it has no delay."""
 
     @property
@@ -210,7 +210,7 @@ class DelayedNetwork(Environment):
 
 
 @dataclass(frozen=True, eq=False)
-class StateSpaceEnvironment(_Given):
+class StateSpaceEnvironment(_WithoutLinks):
     """An environment given by its matrices.
 
     Attributes:
@@ -264,7 +264,7 @@ class StateSpaceEnvironment(_Given):
 
 
 @dataclass(frozen=True)
-class TransferEnvironment(_Given):
+class TransferEnvironment(_WithoutLinks):
     """An environment given by rational functions of s, such as k + b s + M s^2.
 
     Attributes:
@@ -320,7 +320,7 @@ class StiffenedEnvironment(_Discretised):
         compliance: c_i by port, m/N.
     """
 
-    world: _Given
+    world: _WithoutLinks
     compliance: tuple[float, ...]
     delay: int = field(init=False, default=0)
 

@@ -33,7 +33,7 @@ A part of the compliance of a port's own link, 0 ... 1, or the compliance of a p
 
 
 @dataclass(frozen=True, eq=False)
-class Running:
+class WhatRuns:
     """What an environment's process runs: matrices, a scene, or a model that the session names.
 
     Attributes:
@@ -80,9 +80,9 @@ class Environment(ABC):
     def terms(self) -> dict[str, Any]:
         """The physical data as JSON values, by the keys of a certificate's ``environment``."""
 
-    def running(self, T: float) -> Running:
+    def running(self, T: float) -> WhatRuns:
         """What its process runs with period T (s)."""
-        return Running(E=self.environment(T))
+        return WhatRuns(E=self.environment(T))
 
     @property
     def passive_network(self) -> Network | None:

@@ -39,7 +39,7 @@ from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.contacts import GROUND as GROUND
 from manyhands.design.models.device import zero_order_hold
 from manyhands.design.models.integrators import Split
-from manyhands.design.models.kind import Counts, Environment, Running
+from manyhands.design.models.kind import Counts, Environment, WhatRuns
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix, symmetric_part
 
 _RANK_TOLERANCE = 1e-12  # relative pivot below which a direction of K stores no energy (double precision: 2e-16 * size)
@@ -207,9 +207,9 @@ class Network(Environment):
         P[:joined, :joined], P[joined:, joined:] = self.stiffness_matrix(), self.mass_matrix()
         return P
 
-    def running(self, T: float) -> Running:
+    def running(self, T: float) -> WhatRuns:
         """E, and its mechanical energy."""
-        return Running(E=self.environment(T), storage=self.energy_matrix())
+        return WhatRuns(E=self.environment(T), storage=self.energy_matrix())
 
     @property
     def passive_network(self) -> Network:

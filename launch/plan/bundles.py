@@ -22,7 +22,7 @@ import numpy as np
 
 from manyhands.design.files import replacing
 from manyhands.design.levels.contract import DeviceShare
-from manyhands.design.models.kind import Running
+from manyhands.design.models.kind import WhatRuns
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix
 from manyhands.design.peak_gain import output_bounds
 from manyhands.launch.files import require_target
@@ -290,7 +290,7 @@ def _wave_end(session: Session, name: str, link: WaveLink, bounds: SiteBounds, a
     )  # fmt: skip
 
 
-def _level(prepared: Prepared, running: Running) -> Matrix | None:
+def _level(prepared: Prepared, running: WhatRuns) -> Matrix | None:
     """The level that the environment promises; None where it promises none.
 
     That of a model and of a scene is *declared*, certified or not.
