@@ -164,216 +164,216 @@ def _at(*path: str, needed: bool = False, positive: bool = False, scale: float =
 # fmt: off
 # --- time
 
-LATE = _figure(Figure(
+LATE: str = _figure(Figure(
     "late", Unit.TICKS, "whose force was applied after the next was due; of a world that its clock paces, those that "
     "had not ended then, or were never done", report=_at("late"), columns=(Column("late", ".0f", 1),)))
 _figure(Figure(
     TAU, Unit.MICROSECONDS, "from a device's sample to its force", Key.PERCENTILE, report=_at("tau_us"),
     columns=(Column("τ p50 [µs]", ".0f", 4, "p50"), Column("τ p99 [µs]", ".0f", 2, "p99"))))
-PERIOD = _figure(Figure(
+PERIOD: str = _figure(Figure(
     "period_us", Unit.MICROSECONDS, "between two samples of a device", Key.PERCENTILE, report=_at("period_us")))
-LATE_CAUSE = _figure(Figure(
+LATE_CAUSE: str = _figure(Figure(
     "late_cause", Unit.TICKS, "that were late, by what took longest: the device itself (own), a processor that was not "
     "available (descheduled), or its couplings (partner)", Key.CAUSE, report=_at("late_causes")))
-TAU_WORST = _figure(Figure("tau_worst_us", Unit.MICROSECONDS, "the longest delay since the last telemetry"))
-TAU_BREACHES = _figure(Figure(
+TAU_WORST: str = _figure(Figure("tau_worst_us", Unit.MICROSECONDS, "the longest delay since the last telemetry"))
+TAU_BREACHES: str = _figure(Figure(
     "tau_breaches", Unit.TICKS, "whose force came later after the sample than the certificate assumes",
     report=_at("tau_breaches"), promise=Promise.DELAY))
-PERIOD_BREACHES = _figure(Figure(
+PERIOD_BREACHES: str = _figure(Figure(
     "period_breaches", Unit.TICKS, "that came later after the one before than the certificate covers after such a "
     "delay", report=_at("period_breaches"), promise=Promise.PERIOD))
-STALE = _figure(Figure("stale", Unit.TIMES, "that STALE_TICKS periods had passed without a force"))
-SUSPENDED = _figure(Figure(
+STALE: str = _figure(Figure("stale", Unit.TIMES, "that STALE_TICKS periods had passed without a force"))
+SUSPENDED: str = _figure(Figure(
     "suspended", Unit.TIMES, "that its process did not run for 50 ms and STALE_TICKS periods",
     report=_at("suspended", "times", needed=True, positive=True)))
-SUSPENDED_TIME = _figure(Figure(
+SUSPENDED_TIME: str = _figure(Figure(
     "suspended_us", Unit.MICROSECONDS, "that its process did not run, in all",
     report=_at("suspended", "seconds", needed=True, scale=1e-6)))
-SUSPENDED_ENERGY = _figure(Figure(
+SUSPENDED_ENERGY: str = _figure(Figure(
     "suspended_energy", Unit.JOULES, "by which its interface account fell meanwhile",
     report=_at("suspended", "energy", needed=True)))
-REALTIME = _figure(Figure(
+REALTIME: str = _figure(Figure(
     "realtime", Unit.STATE, "whether the machine granted it", Key.RIGHT, report=_at("realtime")))
 
 # --- what a hand was given
 
-FORCE_ASKED = _figure(Figure(
+FORCE_ASKED: str = _figure(Figure(
     "force_asked", Unit.IMPULSE, "that a device's couplings asked for within its limits",
     report=_at("interface", "asked")))
-FORCE_GIVEN = _figure(Figure("force_given", Unit.IMPULSE, "that it exerted", report=_at("interface", "given")))
-FORCE_TIME = _figure(Figure(
+FORCE_GIVEN: str = _figure(Figure("force_given", Unit.IMPULSE, "that it exerted", report=_at("interface", "given")))
+FORCE_TIME: str = _figure(Figure(
     "force_time_us", Unit.MICROSECONDS, "in which a device could be given a force",
     columns=(Column("given [%]", "", 5),)))
-FORCE_AWAY = _figure(Figure(
+FORCE_AWAY: str = _figure(Figure(
     "force_away_us", Unit.MICROSECONDS, "of these in which it had no valid answer, or its force rose again after that"))
-FORCE_HELD_BACK = _figure(Figure(
+FORCE_HELD_BACK: str = _figure(Figure(
     "force_held_back_us", Unit.MICROSECONDS, "in which the reserve for lateness lowered its force, or ended it early"))
-FORCE_CUT = _figure(Figure("force_cut_us", Unit.MICROSECONDS, "in which a limit cut its force"))
+FORCE_CUT: str = _figure(Figure("force_cut_us", Unit.MICROSECONDS, "in which a limit cut its force"))
 
 # --- limits and presence
 
-RUNG = _figure(Figure(
+RUNG: str = _figure(Figure(
     "rung", Unit.NUMBER, "the present rung of the ladder", report=_at("rung"), columns=(Column("rung", ".0f", 6),),
     plot=("rungs", Role.COUPLING)))
-CHANGING = _figure(Figure("changing", Unit.NUMBER, "couplings whose clutches open for a change of rung"))
-CLIPPED = _figure(Figure(
+CHANGING: str = _figure(Figure("changing", Unit.NUMBER, "couplings whose clutches open for a change of rung"))
+CLIPPED: str = _figure(Figure(
     "clipped", Unit.TICKS, "whose force was clipped at the device: its coupling misbehaves", report=_at("clipped"),
     promise=Promise.FORCE))
-SATURATED = _figure(Figure(
+SATURATED: str = _figure(Figure(
     "saturated", Unit.TICKS, "whose force was clipped at the coupling", report=_at("saturated"),
     promise=Promise.FORCE))
-LET_GO = _figure(Figure(
+LET_GO: str = _figure(Figure(
     "let_go", Unit.TIMES, "that a device was beyond its displacement or speed, and let go", report=_at("let_go"),
     promise=Promise.MOTION))
-FROZEN = _figure(Figure(
+FROZEN: str = _figure(Figure(
     "frozen", Unit.NUMBER, "couplings that are not active now", columns=(Column("frozen", ".0f", 3),),
     plot=("frozen couplings", Role.ENVIRONMENT)))
-FROZEN_TICKS = _figure(Figure(
+FROZEN_TICKS: str = _figure(Figure(
     "frozen_ticks", Unit.TICKS, "in which any coupling was not active",
     report=_at("incidents", "frozen", positive=True)))
-RELEASED = _figure(Figure(
+RELEASED: str = _figure(Figure(
     "released", Unit.TICKS, "periods in which a device ran free, without force",
     report=_at("incidents", "released", positive=True)))
-JUMPS = _figure(Figure(
+JUMPS: str = _figure(Figure(
     "jumps", Unit.TIMES, "that a force of a later tick said that the session had gone on without the node",
     report=_at("incidents", "jumps", positive=True)))
-ABSENCES = _figure(Figure("absences", Unit.TIMES, "that any coupling was frozen or lost"))
-SPEED = _figure(Figure(
+ABSENCES: str = _figure(Figure("absences", Unit.TIMES, "that any coupling was frozen or lost"))
+SPEED: str = _figure(Figure(
     "speed", Unit.SPEED, "the greatest since the last telemetry", columns=(Column("speed [m/s]", ".2e", 9),)))
-PEAK_SPEED = _figure(Figure("peak_speed", Unit.SPEED, "the greatest of the run", report=_at("peak_speed")))
-PEAK_FORCE = _figure(Figure(
+PEAK_SPEED: str = _figure(Figure("peak_speed", Unit.SPEED, "the greatest of the run", report=_at("peak_speed")))
+PEAK_FORCE: str = _figure(Figure(
     "peak_force", Unit.NEWTONS, "the greatest that an axis of a device exerted", report=_at("peak_force"),
     columns=(Column("peak [N]", ".2f", 12),)))
-FINAL_SPEED = _figure(Figure(
+FINAL_SPEED: str = _figure(Figure(
     "final_speed", Unit.SPEED, "the greatest of the last rows of a run", report=_at("final_speed")))
 
 # --- energy of a node
 
-INTERFACE_LEAST = _figure(Figure(
+INTERFACE_LEAST: str = _figure(Figure(
     "interface_min", Unit.JOULES, "the least of a device's interface account, at most 0",
     report=_at("interface", "min", needed=True)))
-INTERFACE_MARGIN = _figure(Figure(
+INTERFACE_MARGIN: str = _figure(Figure(
     "interface_margin", Unit.JOULES, "the least distance of that account from its bound -(E_0 + P t)",
     report=_at("interface", "margin", needed=True)))
 _figure(Figure(
     INTERFACE, Unit.JOULES, "the account of what lateness puts in", report=_at("interface", "final", needed=True),
     columns=(Column("account [J]", ".2e", 7),)))
-INTERFACE_TICKS = _figure(Figure(
+INTERFACE_TICKS: str = _figure(Figure(
     "interface_ticks", Unit.TICKS, "in which a device's interface changed a motion or a force",
     report=_at("interface", "changed_ticks", needed=True)))
-INTERFACE_KEPT_BACK = _figure(Figure(
+INTERFACE_KEPT_BACK: str = _figure(Figure(
     "interface_kept_back", Unit.JOULES, "that the changed motions kept from being lost",
     report=_at("interface", "kept_back", needed=True)))
-INTERFACE_OFFSET = _figure(Figure(
+INTERFACE_OFFSET: str = _figure(Figure(
     "interface_offset", Unit.METRES, "the greatest offset between a device and the motion sent",
     report=_at("interface", "offset")))
-QUICKER = _figure(Figure(
+QUICKER: str = _figure(Figure(
     "quicker", Unit.STATE, "whether a device moved further than the stated mass and hand allow"))
-LEDGER_MIN = _figure(Figure(
+LEDGER_MIN: str = _figure(Figure(
     "ledger_min", Unit.JOULES, "the least total of the ledger", report=_at("ledger", "min", needed=True)))
 _figure(Figure(
     LEDGER, Unit.JOULES, "the energy that a party has taken in above its promised level",
     report=_at("ledger", "final", needed=True), columns=(Column("ledger [J]", ".2e", 8),)))
-LEDGER_MIN_TICK = _figure(Figure(
+LEDGER_MIN_TICK: str = _figure(Figure(
     "ledger_min_tick", Unit.TICK, "of the party's own ticks, from 1 on, in which the total was least; 0 where it never "
     "fell below its beginning", report=_at("ledger", "at")))
-LEDGER_MARGIN = _figure(Figure(
+LEDGER_MARGIN: str = _figure(Figure(
     "ledger_margin", Unit.JOULES, "by which the least total stayed above the bound", report=_at("ledger", "margin"),
     columns=(Column("margin [J]", ".2e", 10),)))
-ENFORCED_TICKS = _figure(Figure(
+ENFORCED_TICKS: str = _figure(Figure(
     "enforced_ticks", Unit.TICKS, "in which a passivity controller kept a force back",
     report=_at("enforcement", "ticks", needed=True), promise=Promise.LEVEL))
-ENFORCED_ENERGY = _figure(Figure(
+ENFORCED_ENERGY: str = _figure(Figure(
     "enforced_energy", Unit.JOULES, "that it kept back", report=_at("enforcement", "energy", needed=True),
     promise=Promise.LEVEL))
 
 # --- energy between users, by the environment
 
-GIVEN = _figure(Figure(
+GIVEN: str = _figure(Figure(
     "given", Unit.JOULES, "that the others have received of the coupling's energy", Key.COUPLING,
     report=_at("energy", "given"), promise_of=Promise.BUDGET))
-RECEIVED = _figure(Figure(
+RECEIVED: str = _figure(Figure(
     "received", Unit.JOULES, "that the coupling has received of the others' energy", Key.COUPLING,
     report=_at("energy", "received")))
-MOVED = _figure(Figure(
+MOVED: str = _figure(Figure(
     "moved", Unit.JOULES, "that one coupling has given another", Key.PAIR, report=_at("energy", "moved")))
-SCALED = _figure(Figure(
+SCALED: str = _figure(Figure(
     "scaled", Unit.TICKS, "in which its ratio was below 1, for its energy budget", Key.COUPLING,
     report=_at("energy", "scaled"), promise_of=Promise.BUDGET))
-STOPS = _figure(Figure(
+STOPS: str = _figure(Figure(
     "stops", Unit.TIMES, "that its energy budget stopped it", Key.COUPLING, report=_at("energy", "stopped")))
-SUPPLIED = _figure(Figure(
+SUPPLIED: str = _figure(Figure(
     "supplied", Unit.JOULES, "of its own that the coupling has put into the environment", Key.COUPLING))
-UNOWNED = _figure(Figure(
+UNOWNED: str = _figure(Figure(
     "unowned", Unit.JOULES, "that users received of the environment's own energy", report=_at("energy", "unowned")))
 
 # --- the world
 
-HELD = _figure(Figure(
+HELD: str = _figure(Figure(
     "held", Unit.TICKS, "in which the proxy test held its proxies", Key.COUPLING, report=_at("held")))
-REVERSALS = _figure(Figure(
+REVERSALS: str = _figure(Figure(
     "reversals", Unit.TICKS, "in which the force on its tools reversed", Key.COUPLING, report=_at("reversals")))
-CHATTER = _figure(Figure(
+CHATTER: str = _figure(Figure(
     "chatter", Unit.TICKS, "of these, the most in a second", Key.COUPLING, report=_at("chatter")))
-UNFINISHED = _figure(Figure(
+UNFINISHED: str = _figure(Figure(
     "unfinished", Unit.TICKS, "in which the iteration of a scene's contacts did not end",
     report=_at("scene", "unfinished", needed=True)))
-PAUSED = _figure(Figure(
+PAUSED: str = _figure(Figure(
     "paused", Unit.TICKS, "in which the tank of a scene held its driven bodies", report=_at("scene", "paused")))
-DRIVE_TANK = _figure(Figure(
+DRIVE_TANK: str = _figure(Figure(
     "drive_tank", Unit.JOULES, "that the driven bodies of a scene may still give out", report=_at("scene", "tank")))
 
 # --- who was waited for
 
-WAITED_TICKS = _figure(Figure(
+WAITED_TICKS: str = _figure(Figure(
     "waited_ticks", Unit.TICKS, "in which the others waited for the coupling alone", Key.COUPLING))
-WAITED_TIME = _figure(Figure(
+WAITED_TIME: str = _figure(Figure(
     "waited_us", Unit.MICROSECONDS, "that the others waited in them", Key.COUPLING))
-FROZEN_LATE = _figure(Figure(
+FROZEN_LATE: str = _figure(Figure(
     "frozen_late", Unit.TIMES, "that the coupling was frozen for being silent", Key.COUPLING))
-OVERDUE = _figure(Figure(
+OVERDUE: str = _figure(Figure(
     "overdue", Unit.TICKS, "in which the coupling was held, for its signal had not come", Key.COUPLING))
-WAIVED = _figure(Figure(
+WAIVED: str = _figure(Figure(
     "waived", Unit.TIMES, "that it was late so often that nobody waited for it any more", Key.COUPLING))
 
 # --- wave links: of a coupling's own end
 
-WAVE_LEDGER = _figure(Figure("wave_ledger", Unit.JOULES, "that entered a wave link at this end"))
-WAVE_TANK = _figure(Figure("wave_tank", Unit.JOULES, "in the tank of this end"))
-WAVE_CLIPPED = _figure(Figure(
+WAVE_LEDGER: str = _figure(Figure("wave_ledger", Unit.JOULES, "that entered a wave link at this end"))
+WAVE_TANK: str = _figure(Figure("wave_tank", Unit.JOULES, "in the tank of this end"))
+WAVE_CLIPPED: str = _figure(Figure(
     "wave_clipped", Unit.TICKS, "in which the tank limited a wave", promise=Promise.LINK))
-WAVE_DEAF = _figure(Figure(
+WAVE_DEAF: str = _figure(Figure(
     "wave_deaf", Unit.STATE, "whether no wave has come for so long that this end holds the tool"))
-WAVE_SILENCES = _figure(Figure("wave_silences", Unit.TIMES, "that this began, after the first wave"))
-WAVE_LAG = _figure(Figure(
+WAVE_SILENCES: str = _figure(Figure("wave_silences", Unit.TIMES, "that this began, after the first wave"))
+WAVE_LAG: str = _figure(Figure(
     "wave_lag_us", Unit.MICROSECONDS, "whose sum over both ends is the round trip; that of one says nothing"))
 
 # --- drivers and pointers
 
-DRIVER = _figure(Figure("driver", Unit.OWN, "figures of a driver of another package, by its names", Key.OWN))
-UNEXERTED = _figure(Figure("unexerted", Unit.TICKS, "in which a device exerted another force than it was given"))
-UNEXERTED_MOST = _figure(Figure("unexerted_most", Unit.NEWTONS, "the greatest difference of an axis"))
-MEASURED = _figure(Figure(
+DRIVER: str = _figure(Figure("driver", Unit.OWN, "figures of a driver of another package, by its names", Key.OWN))
+UNEXERTED: str = _figure(Figure("unexerted", Unit.TICKS, "in which a device exerted another force than it was given"))
+UNEXERTED_MOST: str = _figure(Figure("unexerted_most", Unit.NEWTONS, "the greatest difference of an axis"))
+MEASURED: str = _figure(Figure(
     "measured", Unit.TICKS, "in which a driver of another package measured the force that its device exerted"))
-UNTRUE = _figure(Figure("untrue", Unit.TICKS, "of these in which the force was none that it had been given"))
-UNTRUE_MOST = _figure(Figure(
+UNTRUE: str = _figure(Figure("untrue", Unit.TICKS, "of these in which the force was none that it had been given"))
+UNTRUE_MOST: str = _figure(Figure(
     "untrue_most", Unit.NEWTONS, "by which it was none of them at most, on any of the driver's axes"))
-GRASPED = _figure(Figure("grasped", Unit.STATE, "whether a person's browser holds the device"))
-GRASPS = _figure(Figure("grasps", Unit.TIMES, "positions that the pointer sent and the device took"))
-GRASPS_CLIPPED = _figure(Figure("grasps_clipped", Unit.TIMES, "of these that were beyond the pointer's reach"))
-GRASPS_REFUSED = _figure(Figure(
+GRASPED: str = _figure(Figure("grasped", Unit.STATE, "whether a person's browser holds the device"))
+GRASPS: str = _figure(Figure("grasps", Unit.TIMES, "positions that the pointer sent and the device took"))
+GRASPS_CLIPPED: str = _figure(Figure("grasps_clipped", Unit.TIMES, "of these that were beyond the pointer's reach"))
+GRASPS_REFUSED: str = _figure(Figure(
     "grasps_refused", Unit.TIMES, "messages of the pointer that were no position of this device"))
-GRASPS_LAPSED = _figure(Figure("grasps_lapsed", Unit.TIMES, "that a pointer fell silent without letting go"))
+GRASPS_LAPSED: str = _figure(Figure("grasps_lapsed", Unit.TIMES, "that a pointer fell silent without letting go"))
 
 # --- messages
 
-NOT_ADMITTED = _figure(Figure(
+NOT_ADMITTED: str = _figure(Figure(
     "not_admitted", Unit.NUMBER, "connections and frames that were not admitted, in one sum",
     columns=(Column("refused", ".0f", 11),)))
-REFUSED = _figure(Figure(
+REFUSED: str = _figure(Figure(
     "refused", Unit.NUMBER, "connections that the process did not admit", Key.REASON,
     report=_at("refused", positive=True)))
-DROPPED = _figure(Figure(
+DROPPED: str = _figure(Figure(
     "dropped", Unit.NUMBER, "frames of its links that were dropped, telemetry that the supervisor did not take fast "
     "enough, and lines that did not fit into its log", Key.REASON, report=_at("dropped", positive=True)))
 # fmt: on
