@@ -82,17 +82,7 @@ class PeerLink(Join):
         self.gate.forget()
 
     def send(self, kind: type[SignalMessage], tick: int, stamp: int, values: Floats) -> bool:
-        """Send this link's share of the node's ``values``.
-
-        Args:
-            kind: the type of the signal.
-            tick: k.
-            stamp: when the device took the sample that the signal follows from, ns.
-            values: those of all ports of the node.
-
-        Returns:
-            Whether the frame is on its way; False where the peer is lost, or its queue is full.
-        """
+        """Send this link's share of the node's ``values`` in one frame; see :meth:`.Join.send`."""
         link = self.link
         if link is None or self.handshake is not None:
             return False
