@@ -135,6 +135,13 @@ def test_what_a_node_withstood_and_where_its_ledger_was_least() -> None:
     }
 
 
+def test_how_long_a_process_did_not_run_is_in_seconds() -> None:
+    told = {names.SUSPENDED: 2.0, names.SUSPENDED_TIME: 250e3, names.SUSPENDED_ENERGY: 0.5}
+    entry = node_entry(Role.DEVICE, Report(9, Figures(told)))
+    assert entry["suspended"] == {"times": 2, "seconds": pytest.approx(0.25), "energy": 0.5}
+    assert "suspended" not in node_entry(Role.DEVICE, Report(9, Figures({**told, names.SUSPENDED: 0.0})))
+
+
 @pytest.mark.parametrize("tick", [math.nan, -1.0, 1e300])
 def test_a_tick_that_is_none_is_left_out(tick: float) -> None:
     entry = node_entry(
