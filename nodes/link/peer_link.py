@@ -147,8 +147,8 @@ class PeerLink(Join):
         ``counted`` is the reason for which the gate counted it as a stray frame, which it is not, unless it is the zero
         force of a later tick.
         """
-        self.gate.dropped[counted] -= counted == "old_tick" or not self.other_zero
-        return self.take(self.other_frame, values, self.other_tick)
+        self.recount(counted, -int(counted == "old_tick" or not self.other_zero))
+        return super().take_other(values, counted)
 
     def _hear_on(self, frame: bytes, values: Floats, tick: int, timeout: Duration, listener: Listener) -> Received:
         """Handle a frame that was not the signal of the tick, and listen on for the rest of the time.

@@ -123,11 +123,11 @@ class Causes:
     def _received_of(self, receivers: Collection[str], since: float, until: float) -> dict[str, float]:
         """By supplier, J that the receivers took of its energy; of many parties only what each gave in all is known."""
         by: dict[str, float] = {}
-        pairs = self._all_grown(names.MOVED, since, until)
-        for pair, energy in pairs.items():
+        pairs = self._keys(names.MOVED)
+        for pair in pairs:
             supplier, _, receiver = pair.partition("/")
             if receiver in receivers and supplier not in receivers:
-                by[supplier] = by.get(supplier, 0.0) + energy
+                by[supplier] = by.get(supplier, 0.0) + self._grown(names.MOVED, pair, since, until)
         if not pairs:
             received = sum(self._grown(names.RECEIVED, name, since, until) for name in receivers)
             given = self._all_grown(names.GIVEN, since, until)
@@ -136,8 +136,10 @@ class Causes:
 
     def _all_grown(self, table: str, since: float, until: float) -> dict[str, float]:
         """How much each sum of a table has grown, as :meth:`_grown`."""
-        latest = self._rows[-1][1] if self._rows else {}
-        return {key: self._grown(table, key, since, until) for key in latest.get(table, ())}
+        return {key: self._grown(table, key, since, until) for key in self._keys(table)}
+
+    def _keys(self, table: str) -> Collection[str]:
+        return self._rows[-1][1][table].keys() if self._rows else ()
 
     def _grown(self, table: str, key: str, since: float, until: float) -> float:
         """How much a sum has grown from the last message before ``since`` to the first one from ``until`` on."""

@@ -132,9 +132,13 @@ def decode_figures(plain: Any) -> tuple[int, Figures]:
     """
     match plain:
         case {"tick": int(tick), "figures": dict(found)} if 0 <= tick < 2**63:
-            pass
+            return tick, _figures_of(found)
         case _:
             raise ValueError("found another object; expected tick and figures")
+
+
+def _figures_of(found: Mapping[str, Any]) -> Figures:
+    """Numbers and tables in an object; names of before protocol 6 are read as those of tables."""
     numbers, tables = dict[str, float](), dict[str, dict[str, float]]()
     for name, value in found.items():
         if isinstance(value, dict):
@@ -144,12 +148,10 @@ def decode_figures(plain: Any) -> tuple[int, Figures]:
             tables.setdefault(table, {})[name.removeprefix(former[0])] = _finding(value)
         else:
             numbers[str(name)] = _finding(value)
-    return tick, Figures(numbers, tables)
+    return Figures(numbers, tables)
 
 
-_TABLES: Final = {
-    **{name.removesuffix("_of"): name for name, figure in DECLARED.items() if figure.key is not None},
-}
+_TABLES: Final = {name.removesuffix("_of"): name for name, figure in DECLARED.items() if figure.key is not None}
 """Before protocol 6 a number of a table was a figure with a prefix, such as ``moved_cx/cy``: the tables by prefix."""
 
 _FORMER: Final = re.compile(f"({'|'.join(sorted(_TABLES, key=len, reverse=True))})_")

@@ -129,7 +129,7 @@ class Figure:
     Attributes:
         name: as telemetry, reports and recordings have it.
         unit: of its numbers.
-        says: what it is, to follow its name.
+        says: what it counts or measures, to follow its unit.
         key: what its table has one number for; None for a figure that is a number.
         report: where the report has it; None for nowhere, or where another part of the report is made of it.
         columns: the columns that show it.
