@@ -39,6 +39,7 @@ from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.recordings.run import RecordedRun, read_run
 from manyhands.launch.session import load_session
 from manyhands.nodes.rows.figures import DISPLACEMENT, FORCE, INSTANTS, WAVE, WAVE_LEDGER
+from manyhands.nodes.rows.figures import of as stated_of
 from manyhands.nodes.wave_link.ends import JOINING, OUTLIERS
 from manyhands.nodes.wave_link.faces import UserFace, WorldFace
 
@@ -285,12 +286,14 @@ def bounds(run: RecordedRun, rows: Rows, report: Mapping[str, Any], tank: float)
             lines.append(
                 _at_least(f"{name}: least interface account", account["min"], account["min"] - account["margin"])
             )
+    at_cx = [(tick, of.get(WAVE_LEDGER)) for tick, of in run.figures["cx"]]
+    at_environment = [(tick, of.table(stated_of(WAVE_LEDGER)).get("cx")) for tick, of in run.figures["environment"]]
     (t, at_user), (t_world, at_world) = (
         (
-            _at(rows, node, [tick for tick, of in run.figures[node] if key in of]),
-            [of[key] for _, of in run.figures[node] if key in of],
+            _at(rows, node, [tick for tick, energy in told if energy is not None]),
+            [energy for _, energy in told if energy is not None],
         )
-        for node, key in (("cx", WAVE_LEDGER), ("environment", f"{WAVE_LEDGER}_cx"))
+        for node, told in (("cx", at_cx), ("environment", at_environment))
     )
     both = np.array(at_user) + np.interp(t, t_world, at_world)
     lines.append(_at_least("wave link: least energy that has entered it", float(both.min()), -2.0 * tank))
