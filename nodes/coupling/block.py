@@ -22,7 +22,7 @@ from manyhands.protocol.messages import Absent, Figures, Report, Rung, Telemetry
 
 
 class Block:
-    """The block in its loop, and the :class:`manyhands.nodes.link.peer_link.Listener` on its link to the environment.
+    """The block in its loop, and the :class:`manyhands.nodes.link.join.Listener` on its link to the environment.
 
     Attributes:
         core: the block at its present rung.
@@ -120,14 +120,14 @@ class Block:
             self._waves[row] = wave
         self._filled += 1
 
-    def on_other_tick(self, peer_link: Join, other: int, awaited: int) -> bool:
+    def on_other_tick(self, join: Join, other: int, awaited: int) -> bool:
         """Stop waiting at the force of a later tick: the session has gone on without this block.
 
         It is zero, or in real time the force that holds the block's end (:mod:`manyhands.nodes.environment.clutch`).
         """
-        return other > awaited and (peer_link.other_zero or self._common.clock == REALTIME)
+        return other > awaited and (join.other_zero or self._common.clock == REALTIME)
 
-    def on_notice(self, peer_link: Join, message: Rung | Absent) -> bool:
+    def on_notice(self, join: Join, message: Rung | Absent) -> bool:
         """Note the environment's change of rung; the zero force that follows is the first of the new rung."""
         if isinstance(message, Rung) and message.rung < len(self._bundle.rungs):
             self._next_rung = message.rung

@@ -41,7 +41,7 @@ class CouplingNode:
     """A :class:`manyhands.nodes.link.process.Node` for one block of V, and the :class:`Listener` on its devices' links.
 
     Attributes:
-        peer_links: the links to the devices and the environment, once every handshake is done.
+        joins: the links to the devices and the environment, once every handshake is done.
     """
 
     def __init__(self, bundle: CouplingBundle, clock: Clock | None = None) -> None:
@@ -52,7 +52,7 @@ class CouplingNode:
         self._bundle, self._common = bundle, bundle.common
         self._clock: Clock = clock or RealtimeClock()
         self._timeouts = timeouts(bundle.common)
-        self.peer_links: list[Join] = []
+        self.joins: list[Join] = []
         self._devices: tuple[Join, ...] = ()
         self._block: Block | None = None
         self._life: Life | None = None  # until the loop begins
@@ -68,9 +68,9 @@ class CouplingNode:
         step = [self._common.period * speed for speed in limits.speed]
         bounds = bounds_by_peer(self._common, Role.DEVICE, limits.displacement, step)
         ends = user_ends(self._bundle, self._clock)
-        self.peer_links, _ = establish(self._common, links, admits, self._clock, self._bundle.block.D, bounds, ends)
-        self._devices = tuple(j for j in self.peer_links if j.peer.role is Role.DEVICE)
-        (environment,) = (j for j in self.peer_links if j.peer.role is Role.ENVIRONMENT)
+        self.joins, _ = establish(self._common, links, admits, self._clock, self._bundle.block.D, bounds, ends)
+        self._devices = tuple(j for j in self.joins if j.peer.role is Role.DEVICE)
+        (environment,) = (j for j in self.joins if j.peer.role is Role.ENVIRONMENT)
         self._block = Block(self._bundle, environment)
 
     def loop(self, start: Start, life: Life, control: ControlLine) -> None:
@@ -100,10 +100,10 @@ class CouplingNode:
             if tick % LISTEN_TICKS == 0 and (word := control.listen()) is not None:
                 self._obey(word, block, control)
             sampled: int | None = tick
-            for peer_link in devices:
-                received = peer_link.hear(x, tick, turn, self)
+            for join in devices:
+                received = join.hear(x, tick, turn, self)
                 if received is not Received.SIGNAL:
-                    sampled = self._await_samples(peer_link, received, x, tick, block, life, control)
+                    sampled = self._await_samples(join, received, x, tick, block, life, control)
                     break
             if sampled is None:
                 break
@@ -120,16 +120,16 @@ class CouplingNode:
                     block.publish_rest(control, devices)  # rows follow each other
                     tick = answered
             rung = block.climb(tick)
-            for peer_link in devices:
+            for join in devices:
                 if rung is not None:
-                    peer_link.notify(Rung(rung))
-                peer_link.send(Force, tick, stamp, block.applied)
+                    join.notify(Rung(rung))
+                join.send(Force, tick, stamp, block.applied)
             give_way()
             block.settle(tick)
             self._resumes = False
-            for peer_link in devices:
+            for join in devices:
                 # a device that came back after its sample was read has sent no signal on the new link yet
-                peer_link.new = peer_link.new and peer_link.tick < 0
+                join.new = join.new and join.tick < 0
             tick += 1
             block.publish(control, devices)
         block.publish_rest(control, devices)
@@ -138,23 +138,23 @@ class CouplingNode:
         """Ticks, ledger, clipped and refused signals of the block; all 0 before the handshakes."""
         return Report(0, Figures()) if self._block is None else self._block.report(self._devices)
 
-    def on_other_tick(self, peer_link: Join, other: int, awaited: int) -> bool:
+    def on_other_tick(self, join: Join, other: int, awaited: int) -> bool:
         """Handle the sample of a different tick.
 
         A device that is behind receives its last force again, or a zero force that sends it on. A device that is ahead
         is followed only where this coupling resumes or the device came back: then the device's tick is the true one.
         """
         if other > awaited:
-            return self._resumes or peer_link.new
-        if other == awaited - 1 and peer_link.tick == other:  # this process has answered it, and the answer was lost
-            peer_link.send_again()
+            return self._resumes or join.new
+        if other == awaited - 1 and join.tick == other:  # this process has answered it, and the answer was lost
+            join.send_again()
         else:
-            peer_link.send_zero(Force, awaited - 1)
+            join.send_zero(Force, awaited - 1)
         return False
 
-    def on_notice(self, peer_link: Join, message: Rung | Absent) -> bool:
+    def on_notice(self, join: Join, message: Rung | Absent) -> bool:
         """Follow a device of several blocks to a later tick, where a different block has sent it on."""
-        peer_link.new = peer_link.new or isinstance(message, Absent)
+        join.new = join.new or isinstance(message, Absent)
         return False
 
     def flooded(self, text: str) -> None:
@@ -176,29 +176,29 @@ class CouplingNode:
         """
         began = self._clock.now()
 
-        def react(peer_link: Join, received: Received, tick: int) -> int:
+        def react(join: Join, received: Received, tick: int) -> int:
             # the device's tick is the true one: no device will ever send the tick that was awaited
             if received is Received.DECLINED:
                 if block.environment.tick == tick - 1:  # the environment awaits this block's ticks in between
-                    block.environment.notify(Absent(peer_link.peer.name))
+                    block.environment.notify(Absent(join.peer.name))
                 self._forget()
                 block.publish_rest(control, self._devices)  # rows follow each other
                 for other in self._devices:
                     if other.tick == tick:
-                        other.send_zero(Force, peer_link.other_tick - 1)
-                tick = peer_link.other_tick
-                peer_link.take(peer_link.other_frame, x, tick)
+                        other.send_zero(Force, join.other_tick - 1)
+                tick = join.other_tick
+                join.take(join.other_frame, x, tick)
             elif received is Received.RECONNECTED:
-                peer_link.send_zero(Force, tick - 1)
+                join.send_zero(Force, tick - 1)
             return tick
 
         def pause(tick: int) -> Duration | None:
             self._forget_after(began)
-            self._pause(block, life, control, idle=not any(peer_link.link for peer_link in self._devices))
+            self._pause(block, life, control, idle=not any(join.link for join in self._devices))
             if block.environment.handshake is not None and block.hear(tick, NOT_AT_ALL) is Received.RECONNECTED:
                 # report every device without a sample as absent, even one that is connected: it may wait for a
                 # different block, which waits for this environment in turn, and no sample would ever come
-                self._report_absences(block, [peer_link for peer_link in self._devices if peer_link.tick == tick])
+                self._report_absences(block, [join for join in self._devices if join.tick == tick])
             return None if life.stopping else self._timeouts.look
 
         found = await_all(self._devices, last, x, react(last, received, tick), self, react, pause)
@@ -230,10 +230,10 @@ class CouplingNode:
             if received is Received.DECLINED:
                 return block.environment.other_tick
             if received is Received.RECONNECTED:
-                self._report_absences(block, [peer_link for peer_link in self._devices if peer_link.here])
-            for peer_link in self._devices:
-                if peer_link.handshake is not None:
-                    peer_link.hear(self._nothing, tick, NOT_AT_ALL, self)
+                self._report_absences(block, [join for join in self._devices if join.here])
+            for join in self._devices:
+                if join.handshake is not None:
+                    join.hear(self._nothing, tick, NOT_AT_ALL, self)
             self._pause(block, life, control, idle=block.environment.link is None)
             if life.stopping:
                 return None
@@ -250,14 +250,14 @@ class CouplingNode:
 
     def _forget(self) -> None:
         """Take the next samples as first ones, without a bound on their step: the block joins from there by a ramp."""
-        for peer_link in self._devices:
-            peer_link.forget()
+        for join in self._devices:
+            join.forget()
 
     def _report_absences(self, block: Block, present: Collection[Join]) -> None:
         """Report to an environment that is back which devices are missing; it would wait for their samples."""
-        for peer_link in self._devices:
-            if peer_link not in present:
-                block.environment.notify(Absent(peer_link.peer.name))
+        for join in self._devices:
+            if join not in present:
+                block.environment.notify(Absent(join.peer.name))
 
     def _pause(self, block: Block, life: Life, control: ControlLine, idle: bool) -> None:
         """After a wait without a signal: check the node's life and follow the supervisor's messages.

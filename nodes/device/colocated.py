@@ -153,7 +153,7 @@ class ColocatedNode(DeviceNode):
         super().establish(links)
         for carried in self._carried:
             if carried.block is not None:
-                self.peer_links.append(Within(carried, self._bundle, carried.block))
+                self.joins.append(Within(carried, self._bundle, carried.block))
 
     def loop(self, start: Start, life: Life, control: ControlLine) -> None:
         """Run the device's loop, and send the couplings' last telemetry after it."""

@@ -55,7 +55,7 @@ class DeviceNode:
 
     Attributes:
         device: the device with its driver, its limits and its accounts.
-        peer_links: the links to the couplings, once every handshake is done.
+        joins: the links to the couplings, once every handshake is done.
     """
 
     def __init__(self, bundle: DeviceBundle, driver: Driver, clock: Clock | None = None) -> None:
@@ -72,7 +72,7 @@ class DeviceNode:
         self._suspension = Duration(max(SUSPENSION, self._stale))
         self._clock: Clock = SimulatedClock() if common.clock == SIMULATED else self._realtime
         self._period = from_seconds(common.period)
-        self.peer_links: list[Join] = []
+        self.joins: list[Join] = []
         self._account = DeviceTelemetry(common, bundle.rungs[0], driver.figures, self.device.interface, bundle.timing)
         self._free = False  # it has let go
         self._rung = self._next_rung = 0
@@ -83,7 +83,7 @@ class DeviceNode:
     def establish(self, links: Mapping[str, Link]) -> None:
         """Shake hands with the couplings that hold this device's ports."""
         admits = {peer.name: Force for peer in self._common.peers}
-        self.peer_links, _ = establish(self._common, links, admits, self._realtime)
+        self.joins, _ = establish(self._common, links, admits, self._realtime)
 
     def loop(self, start: Start, life: Life, control: ControlLine) -> None:
         """Run the ticks; however they end, the device exerts no force afterwards.
@@ -97,13 +97,13 @@ class DeviceNode:
             self._run(start, life, control)
         finally:
             self.device.driver.release(self._now())
-        self._account.publish_rest(control, self.device.core, self.device.guard, self.peer_links)
+        self._account.publish_rest(control, self.device.core, self.device.guard, self.joins)
         self.device.conclude(self._now())  # for the report alone: telemetry ends with its last row
 
     def _run(self, start: Start, life: Life, control: ControlLine) -> None:
         clock, device, period = self._clock, self.device, self._period
         driver, core, guard, in_wall_time = device.driver, device.core, device.guard, device.interface is not None
-        account, peer_links = self._account, self.peer_links
+        account, joins = self._account, self.joins
         self._life, give_way = life, way_giver()
         epoch = self._epoch = Instant(start.epoch) if clock is self._realtime else Instant(0)
         f = self._zero.copy()
@@ -131,17 +131,17 @@ class DeviceNode:
             sent_tick = tick
             if guard.let_go != let_go:
                 control.log.note(LogEvent.BREACH, tick=tick, reason=guard.why)
-            for peer_link in peer_links:
-                if peer_link.tick != tick:
-                    peer_link.send(Sample, tick, sampled, x)
+            for join in joins:
+                if join.tick != tick:
+                    join.send(Sample, tick, sampled, x)
             sent = clock.now()
             turns += 1
             answered: int | None = tick
-            for peer_link in peer_links:
+            for join in joins:
                 # a device that runs free waits once, to the end of the period
-                result = peer_link.hear(f, tick, NOT_AT_ALL if self._free else turn, self)
+                result = join.hear(f, tick, NOT_AT_ALL if self._free else turn, self)
                 if result is not Received.SIGNAL:
-                    answered = self._await_forces(peer_link, result, f, x, tick, sampled, life, control)
+                    answered = self._await_forces(join, result, f, x, tick, sampled, life, control)
                     break
             if life.stopping:
                 return
@@ -163,8 +163,8 @@ class DeviceNode:
             applied = received if in_wall_time else clock.now()  # in wall time the instant that the driver was given
             give_way()
             device.book()
-            for peer_link in peer_links:
-                peer_link.settle(tick)
+            for join in joins:
+                join.settle(tick)
             driver.idle(Instant((slot + 1) * period))
             if self._next_rung != self._rung:
                 self._change_rung(tick)
@@ -175,20 +175,20 @@ class DeviceNode:
             slot = -((epoch - applied) // period) if applied > epoch + (slot + 1) * period else slot + 1
             self._free = False
             tick += 1
-            account.publish(control, core, guard, peer_links)
+            account.publish(control, core, guard, joins)
 
     def report(self) -> Report:
         """Ticks, lateness and its causes, tau and period percentiles, ledger, speeds, clipped forces."""
-        return self._account.report(self.device.core, self.device.guard, self.peer_links, self._rung)
+        return self._account.report(self.device.core, self.device.guard, self.joins, self._rung)
 
-    def on_other_tick(self, peer_link: Join, other: int, awaited: int) -> bool:
+    def on_other_tick(self, join: Join, other: int, awaited: int) -> bool:
         """Stop waiting at the force of a later tick: the session has gone on without this device.
 
         It is zero, or in real time the force of a coupling that was held.
         """
-        return other > awaited and (peer_link.other_zero or self._stale > 0)
+        return other > awaited and (join.other_zero or self._stale > 0)
 
-    def on_notice(self, peer_link: Join, message: Rung | Absent) -> bool:
+    def on_notice(self, join: Join, message: Rung | Absent) -> bool:
         """Note the coupling's change of rung; the zero force that follows is the first of the new rung."""
         if isinstance(message, Rung) and message.rung < len(self._rungs):
             self._next_rung = message.rung
@@ -224,20 +224,20 @@ class DeviceNode:
             The tick that the couplings answer: ``tick``, or a later one. None where no force came in
             time and the device has let go, and where the node should end.
         """
-        timeouts, peer_links = self._timeouts, self.peer_links
+        timeouts, joins = self._timeouts, self.joins
         asked = self._realtime.now()
         due = None if timeouts.stale is None else Instant(sampled + (self._period if self._free else timeouts.stale))
 
-        def react(peer_link: Join, result: Received, tick: int) -> int:
+        def react(join: Join, result: Received, tick: int) -> int:
             if result is Received.DECLINED:
-                tick = peer_link.tick = peer_link.other_tick
-                peer_link.take_other(f, "future_tick")
-                for other in peer_links:  # a coupling that answered the earlier tick must answer this one as well
+                tick = join.tick = join.other_tick
+                join.take_other(f, "future_tick")
+                for other in joins:  # a coupling that answered the earlier tick must answer this one as well
                     if other.tick != tick:
                         other.notify(Absent(self._common.name))  # no sample comes for the ticks in between
                         other.send(Sample, tick, sampled, x)
             elif result is Received.RECONNECTED:
-                peer_link.send(Sample, tick, sampled, x)
+                join.send(Sample, tick, sampled, x)
             return tick
 
         def pause(tick: int) -> Duration | None:
@@ -252,17 +252,17 @@ class DeviceNode:
                 return None
             if due is None and now - asked >= timeouts.again:
                 asked = now
-                for peer_link in peer_links:
-                    if peer_link.tick != tick:
-                        peer_link.send_again()
+                for join in joins:
+                    if join.tick != tick:
+                        join.send_again()
             return timeouts.look if due is None else min(Duration(due - now), timeouts.look)
 
-        return await_all(peer_links, last, f, react(last, result, tick), self, react, pause)
+        return await_all(joins, last, f, react(last, result, tick), self, react, pause)
 
     @property
     def _anybody(self) -> bool:
         """Whether there is a peer to wait for."""
-        return any(peer_link.reachable for peer_link in self.peer_links)
+        return any(join.reachable for join in self.joins)
 
     def _now(self) -> Instant:
         """The present instant, since tick 0's."""
@@ -283,13 +283,13 @@ class DeviceNode:
         """Follow the supervisor's messages; where ``idle``, wait a moment for one."""
         word = control.listen(self._timeouts.look) if idle else control.listen()
         while word is not None:
-            follow(word, self.peer_links, control)
+            follow(word, self.joins, control)
             word = control.listen()
 
     def _jump(self, control: ControlLine) -> None:
         """Send the telemetry so far: the session is at a later tick."""
         self.device.skipped()
-        self._account.jump(control, self.device.core, self.device.guard, self.peer_links)
+        self._account.jump(control, self.device.core, self.device.guard, self.joins)
 
     def _change_rung(self, tick: int) -> None:
         """Take the level and K of the next rung; the force is zero in this tick, so the ledger stays valid."""

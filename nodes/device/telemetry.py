@@ -269,18 +269,18 @@ class DeviceTelemetry:
         self._events.release(tick)
         self._sampled = None
 
-    def jump(self, control: ControlLine, core: DeviceCore, guard: Guard, peer_links: Sequence[Join]) -> None:
+    def jump(self, control: ControlLine, core: DeviceCore, guard: Guard, joins: Sequence[Join]) -> None:
         """Count a jump to a later tick; the rows so far are sent first, as the ticks of a telemetry are consecutive."""
-        self.publish_rest(control, core, guard, peer_links)
+        self.publish_rest(control, core, guard, joins)
         self.jumps += 1
         self._sampled = None
 
-    def publish(self, control: ControlLine, core: DeviceCore, guard: Guard, peer_links: Sequence[Join]) -> None:
+    def publish(self, control: ControlLine, core: DeviceCore, guard: Guard, joins: Sequence[Join]) -> None:
         """Send telemetry once its rows are full: its encoding costs time once in ``telemetry_ticks`` ticks."""
         if self._filled == self._rows:
-            self.publish_rest(control, core, guard, peer_links)
+            self.publish_rest(control, core, guard, joins)
 
-    def publish_rest(self, control: ControlLine, core: DeviceCore, guard: Guard, peer_links: Sequence[Join]) -> None:
+    def publish_rest(self, control: ControlLine, core: DeviceCore, guard: Guard, joins: Sequence[Join]) -> None:
         """Send the telemetry of the ticks since the last one, if there are any."""
         rows = self._filled
         if rows == 0:
@@ -292,7 +292,7 @@ class DeviceTelemetry:
             names.SPEED: max(self._speeds[:rows]),
             names.TAU_WORST: self._tau_worst / 1e3,
             **self._numbers(core, guard),
-            **stray_frames(peer_links),
+            **stray_frames(joins),
             **self._events.take(self.ticks - rows, self.ticks),
             **of_driver,
         }
@@ -346,7 +346,7 @@ class DeviceTelemetry:
             names.INTERFACE_OFFSET: interface.offset,
         }
 
-    def report(self, core: DeviceCore, guard: Guard, peer_links: Sequence[Join], rung: int) -> Report:
+    def report(self, core: DeviceCore, guard: Guard, joins: Sequence[Join], rung: int) -> Report:
         """Ticks, lateness and its causes, breaches, ledger, speeds, clipped forces and refused frames of the run."""
         numbers = {
             **self._numbers(core, guard),
@@ -361,6 +361,6 @@ class DeviceTelemetry:
             names.TAU: self._tau.percentiles(),
             names.PERIOD: self._true_period.percentiles(),
             names.LATE_CAUSE: self._lateness.table(),
-            names.DROPPED: dropped_frames(peer_links),
+            names.DROPPED: dropped_frames(joins),
         }
         return Report(self.ticks, Figures(numbers, tables))

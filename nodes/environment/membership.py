@@ -189,7 +189,7 @@ class Member:
     """One coupling: its link, its membership and its rung.
 
     Attributes:
-        peer_link: the link to the coupling.
+        join: the link to the coupling.
         index: the coupling's block in the core.
         membership: its state in the session.
         rung: the rung of the ladder that it runs.
@@ -213,9 +213,9 @@ class Member:
         "frozen_late",
         "held",
         "index",
+        "join",
         "linked",
         "membership",
-        "peer_link",
         "rung",
         "silent",
         "streak",
@@ -224,8 +224,8 @@ class Member:
         "wanted",
     )
 
-    def __init__(self, peer_link: Join, index: int, state: Membership, linked: bool = False) -> None:
-        self.peer_link, self.index, self.membership = peer_link, index, MembershipRecord(state)
+    def __init__(self, join: Join, index: int, state: Membership, linked: bool = False) -> None:
+        self.join, self.index, self.membership = join, index, MembershipRecord(state)
         self.linked = linked
         self.rung = self.wanted = 0
         self.due = 0
@@ -236,7 +236,7 @@ class Member:
 
     def missing(self, tick: int) -> bool:
         """Whether the environment waits for its signal of ``tick``."""
-        if self.peer_link.tick == tick or self.linked:
+        if self.join.tick == tick or self.linked:
             return False
         if self.membership.state in _THERE and self.waived:
             return False
@@ -250,7 +250,7 @@ def _never() -> bool:
 
 
 class Members:
-    """All couplings of an environment; the :class:`manyhands.nodes.link.peer_link.Listener` on their links.
+    """All couplings of an environment; the :class:`manyhands.nodes.link.join.Listener` on their links.
 
     Attributes:
         all: one member for each coupling.
@@ -269,7 +269,7 @@ class Members:
 
     def __init__(
         self,
-        peer_links: Sequence[Join],
+        joins: Sequence[Join],
         core: Core,
         rungs: Mapping[str, Sequence[Values]],
         life: Life,
@@ -282,7 +282,7 @@ class Members:
         So do members that are there by wave links in real time, once their waves have come.
 
         Args:
-            peer_links: the links to the couplings, in the order of the core's blocks.
+            joins: the links to the couplings, in the order of the core's blocks.
             core: the environment.
             rungs: by coupling, D_V of its rungs from 1 on, m_i x m_i, m/N.
             life: fails when a coupling floods its link.
@@ -294,15 +294,15 @@ class Members:
         self._digests: dict[str, str] = {}
         self.all = [
             Member(
-                peer_link,
+                join,
                 i,
-                Membership.REJOINING if resumes or peer_link.peer.name in linked else Membership.ACTIVE,
-                peer_link.peer.name in linked,
+                Membership.REJOINING if resumes or join.peer.name in linked else Membership.ACTIVE,
+                join.peer.name in linked,
             )
-            for i, peer_link in enumerate(peer_links)
+            for i, join in enumerate(joins)
         ]
         self.order = list(self.all)
-        self._of = {member.peer_link.peer.name: member for member in self.all}
+        self._of = {member.join.peer.name: member for member in self.all}
         self._resumes, self._tick = resumes, 0
         self._p: Floats = []  # of all ports, of the call of hear
         self._answer: Floats = []
@@ -341,18 +341,18 @@ class Members:
             member.early = None
             received = Received.NOTHING
             if early[0] < tick:
-                member.peer_link.other_tick, member.peer_link.other_frame = early
-                member.peer_link.recount("old_tick", 1)  # it is late now, and is counted where it is of no use
-                if self.on_other_tick(member.peer_link, early[0], tick):
+                member.join.other_tick, member.join.other_frame = early
+                member.join.recount("old_tick", 1)  # it is late now, and is counted where it is of no use
+                if self.on_other_tick(member.join, early[0], tick):
                     received = Received.DECLINED
-            elif member.peer_link.take(early[1], p, tick):
+            elif member.join.take(early[1], p, tick):
                 received = Received.SIGNAL
         else:
-            received = member.peer_link.hear(p, tick, timeout, self)
+            received = member.join.hear(p, tick, timeout, self)
         if received is Received.SIGNAL:
             if member.membership.state is not Membership.ACTIVE and not self._activated(member, tick):
                 received = Received.NOTHING
-        elif received is Received.DECLINED and member.peer_link.tick == tick:  # it came for an earlier tick
+        elif received is Received.DECLINED and member.join.tick == tick:  # it came for an earlier tick
             received = Received.SIGNAL
             self._activated(member, tick)
         elif received is Received.RECONNECTED:
@@ -397,7 +397,7 @@ class Members:
         for member in self.all:
             if member.linked:
                 continue
-            if member.membership.state is Membership.ACTIVE and member.peer_link.tick != tick:
+            if member.membership.state is Membership.ACTIVE and member.join.tick != tick:
                 self.overdue(member, tick)
             if member.membership.state is not Membership.HELD:
                 continue
@@ -408,7 +408,7 @@ class Members:
                 self.give_up(member, tick)
             else:
                 self._core.clutches.hold(member.index)
-                self.events.hold(tick, member.peer_link.peer.name)
+                self.events.hold(tick, member.join.peer.name)
 
     def read_last(self, member: Member) -> None:
         """Read ``member`` last from now on: as long as the node waits for it first, other late members go unseen."""
@@ -423,7 +423,7 @@ class Members:
     def forget(self) -> None:
         """Take the next signals as first ones: the devices have let go meanwhile, and have moved without signals."""
         for member in self.all:
-            member.peer_link.forget()
+            member.join.forget()
 
     def let_in_again(self, tick: int) -> None:
         """Raise every force by the ramp again: the devices have waited too long, and exert no force by now.
@@ -447,7 +447,7 @@ class Members:
                 if member.wanted == member.rung and member.membership.state is Membership.ACTIVE:
                     self._core.clutches.engage(member.index)  # its ratio may be falling for a change now withdrawn
             return
-        lost = follow(word, [member.peer_link for member in self.all], control)
+        lost = follow(word, [member.join for member in self.all], control)
         if lost is not None:
             member = self._of[lost.peer.name]
             member.early = None
@@ -481,37 +481,37 @@ class Members:
         if not self._independent and (resting != changing or len({member.wanted for member in self.all}) > 1):
             return
         for member in resting:
-            name = member.peer_link.peer.name
+            name = member.join.peer.name
             core.clutches.freeze(member.index)  # it may have been about to join; only a frozen block is exchanged
             core.exchange(member.index, self._rungs[name][member.wanted - 1] if member.wanted else self._first(member))
-            member.peer_link.notify(Rung(member.wanted))
+            member.join.notify(Rung(member.wanted))
             if self.log is not None:
                 self.log.note(LogEvent.RUNG, peer=name, rung=member.wanted, tick=self._tick)
             member.rung = member.wanted
             core.clutches.engage(member.index)
         self._shifting = any(member.wanted != member.rung for member in self.all)
 
-    def on_other_tick(self, peer_link: Join, other: int, awaited: int) -> bool:
+    def on_other_tick(self, join: Join, other: int, awaited: int) -> bool:
         """A coupling sent the signal of tick ``other``: answer again if it is behind, keep its signal if it is ahead.
 
         A coupling that is behind and may rejoin receives a zero force of a later tick, and goes on after that tick.
         """
-        member = self._of[peer_link.peer.name]
+        member = self._of[join.peer.name]
         if other > awaited:
             return self._keep_ahead(member, other, awaited)
         held = member.membership.state is Membership.HELD
-        if peer_link.tick == other and (held or other == awaited - 1):
-            peer_link.send_again()  # the answer was sent, and lost on its way
+        if join.tick == other and (held or other == awaited - 1):
+            join.send_again()  # the answer was sent, and lost on its way
             return False
         if held:
-            return other > peer_link.tick and self._go_on(member, awaited)  # an honest coupling's ticks rise
+            return other > join.tick and self._go_on(member, awaited)  # an honest coupling's ticks rise
         if not self.active:
             member.membership.pardon()
         if self._event(member, MembershipEvent.BEHIND, awaited):
             # not beyond the last tick: an active coupling may wait for a device that waits for this coupling
             member.due = min(awaited + LEAD, self.last - 1) if self.last else awaited + LEAD
         if member.membership.state is Membership.REJOINING:
-            peer_link.send_zero(Reaction, max(member.due, awaited) - 1)
+            join.send_zero(Reaction, max(member.due, awaited) - 1)
         return False
 
     def _go_on(self, member: Member, awaited: int) -> bool:
@@ -524,28 +524,28 @@ class Members:
         Returns:
             Whether its signal counts for ``awaited``.
         """
-        peer_link = member.peer_link
-        if not peer_link.take_other(self._p, "old_tick"):
+        join = member.join
+        if not join.take_other(self._p, "old_tick"):
             return False
         if member.streak >= STREAK:
-            member.due, peer_link.tick = awaited, awaited
+            member.due, join.tick = awaited, awaited
             return True
         through = awaited if self.over() else awaited - 1
         member.due, member.silent = through + 1, 0
         if not self._answer:
             self._answer = [0.0] * len(self._p)
-        peer_link.put(self._answer, self._core.holding_force(member.index, peer_link.share(self._p)))
-        peer_link.send(Reaction, through, peer_link.stamp, self._answer)
+        join.put(self._answer, self._core.holding_force(member.index, join.share(self._p)))
+        join.send(Reaction, through, join.stamp, self._answer)
         return False
 
-    def on_notice(self, peer_link: Join, message: Rung | Absent) -> bool:
+    def on_notice(self, join: Join, message: Rung | Absent) -> bool:
         """A coupling reports that it has lost a device: it will be silent, and is frozen."""
         if isinstance(message, Absent):
-            member = self._of[peer_link.peer.name]
+            member = self._of[join.peer.name]
             self._event(member, MembershipEvent.PAUSES, self._tick)
             # its device is gone, so nothing follows the signal that is kept: release the coupling from that tick now
             if member.early is not None:
-                peer_link.send_zero(Reaction, member.early[0])
+                join.send_zero(Reaction, member.early[0])
                 member.early = None
             return True
         return False
@@ -570,8 +570,8 @@ class Members:
     def catch_up(self, tick: int) -> None:
         """A resumed environment goes on at ``tick``: send every coupling that is behind a zero force up to there."""
         for member in self.all:
-            if 0 <= member.peer_link.tick < tick:
-                member.peer_link.send_zero(Reaction, tick - 1)
+            if 0 <= member.join.tick < tick:
+                member.join.send_zero(Reaction, tick - 1)
 
     def resumed(self) -> None:
         """The first tick of a resumed environment is complete: from now on it counts the ticks itself."""
@@ -583,8 +583,8 @@ class Members:
         if membership.state is Membership.ACTIVE or membership.pauses(awaited) or other - awaited > MOST_AHEAD:
             return False
         self._event(member, MembershipEvent.AHEAD, awaited)
-        member.early, member.due = (other, member.peer_link.other_frame), other
-        member.peer_link.recount("future_tick", -1)  # the gate counted it as a stray frame, which it is not
+        member.early, member.due = (other, member.join.other_frame), other
+        member.join.recount("future_tick", -1)  # the gate counted it as a stray frame, which it is not
         if self._resumes:
             self.ahead = max(self.ahead, other)
         return True
@@ -595,10 +595,10 @@ class Members:
         sent_on = state is Membership.REJOINING or (state is Membership.HELD and member.due < _UNTIL_HEARD)
         if sent_on and tick < member.due:
             # sent before the coupling received the force that sends it on to a later tick
-            member.peer_link.tick = -1
+            member.join.tick = -1
             return False
         if member.membership.pauses(tick):
-            member.peer_link.tick = -1  # ignored; the coupling sends it again, also after the pause
+            member.join.tick = -1  # ignored; the coupling sends it again, also after the pause
             return False
         member.silent = member.streak = 0
         # where another rung is wanted the clutch stays open: the rung is changed first
@@ -608,15 +608,15 @@ class Members:
 
     def _welcome_back(self, member: Member, tick: int) -> None:
         """A coupling has shaken hands again: it begins at rung 0, whether its process is a new one or the old one."""
-        hello = member.peer_link.hello
-        name = member.peer_link.peer.name
+        hello = member.join.hello
+        name = member.join.peer.name
         found, expected = "" if hello is None else feedthrough_digest(hello.feedthrough or ()), self._digests.get(name)
         if hello is None or found != expected:
             text = (
                 f"the environment refused {name}: found a feedthrough D_V with the digest {found[:16]}; expected "
                 f"{(expected or '')[:16]}, that of this session; start {name} with the bundle that was cut for it"
             )
-            member.peer_link.refuse(Refusal(RefusalCode.FEEDTHROUGH, text))
+            member.join.refuse(Refusal(RefusalCode.FEEDTHROUGH, text))
             return
         self._event(member, MembershipEvent.RECONNECTED, tick)
         self._core.clutches.freeze(member.index)
@@ -625,11 +625,11 @@ class Members:
             self._core.exchange(member.index, self._feedthrough[name])
             member.rung = 0
             self._shifting = member.wanted != 0 or self._shifting
-        member.peer_link.send_zero(Reaction, tick - 1)
+        member.join.send_zero(Reaction, tick - 1)
 
     def _first(self, member: Member) -> Values:
         """D_V of rung 0."""
-        return self._feedthrough[member.peer_link.peer.name]
+        return self._feedthrough[member.join.peer.name]
 
     def know(self, feedthrough: Mapping[str, Values], digests: Mapping[str, str]) -> None:
         """Take what the handshakes and the bundle say of rung 0.
@@ -649,14 +649,14 @@ class Members:
             self._sort()
             return True
         if is_there:
-            self.events.activate(tick, member.peer_link.peer.name)
+            self.events.activate(tick, member.join.peer.name)
         elif was_there:
-            self.events.freeze(tick, member.peer_link.peer.name)
+            self.events.freeze(tick, member.join.peer.name)
         if self.log is not None and (noted := _NOTED.get(member.membership.state)) is not None:
-            self.log.note(noted, peer=member.peer_link.peer.name, tick=tick, heard=event.value)
+            self.log.note(noted, peer=member.join.peer.name, tick=tick, heard=event.value)
         if member.membership.state is not Membership.ACTIVE:
             self._core.clutches.freeze(member.index)
-            member.peer_link.forget()  # it joins from wherever it is then, so its next signal has no step bound
+            member.join.forget()  # it joins from wherever it is then, so its next signal has no step bound
         self._sort()
         return True
 

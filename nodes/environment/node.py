@@ -27,7 +27,7 @@ from manyhands.nodes.kernel.bundle import REALTIME, Common, EnvironmentBundle
 from manyhands.nodes.kernel.lifetime import Life
 from manyhands.nodes.kernel.realtime import way_giver
 from manyhands.nodes.kernel.timeouts import LISTEN_TICKS, timeouts
-from manyhands.nodes.link.join import Join, Received, WaveRow, dropped_frames, peer_link_of, stray_frames
+from manyhands.nodes.link.join import Join, Received, WaveRow, dropped_frames, join_of, stray_frames
 from manyhands.nodes.link.peer_link import bounds_by_peer, establish
 from manyhands.nodes.link.supervisor_line import NOT_AT_ALL, ControlLine
 from manyhands.nodes.rows import figures as names
@@ -158,7 +158,7 @@ class EnvironmentNode:
     """A :class:`manyhands.nodes.link.process.Node` for the shared environment.
 
     Attributes:
-        peer_links: the links to the couplings, once every handshake is done.
+        joins: the links to the couplings, once every handshake is done.
         core: the environment's loop; None until every feedthrough D_V is known.
         members: the couplings with their membership; None until then.
     """
@@ -182,7 +182,7 @@ class EnvironmentNode:
         self._timeouts = timeouts(bundle.common)
         self._period = from_seconds(bundle.common.period)
         self._due = 0  # when the devices sample the present tick
-        self.peer_links: list[Join] = []
+        self.joins: list[Join] = []
         self._parties: tuple[str, ...] = ()
         self._feedthrough: dict[str, Values] = {}
         self.core: Core | None = None
@@ -210,18 +210,18 @@ class EnvironmentNode:
         bounds = bounds_by_peer(self._common, Role.COUPLING, self._bundle.tool_magnitude, self._bundle.tool_step)
         self._datagrams = datagram_socket(self._bundle, self._clock)
         ends = world_ends(self._bundle, self._clock, self._datagrams)
-        self.peer_links, hellos = establish(self._common, links, admits, self._clock, bounds=bounds, ends=ends)
-        self._parties = tuple(peer_link.peer.name for peer_link in self.peer_links)
+        self.joins, hellos = establish(self._common, links, admits, self._clock, bounds=bounds, ends=ends)
+        self._parties = tuple(join.peer.name for join in self.joins)
         m = len(self._common.ports)
         D_V = np.zeros((m, m))
-        for peer_link in self.peer_links:
-            if peer_link.link is None:  # absent; its hello brings D_V when it comes
+        for join in self.joins:
+            if join.link is None:  # absent; its hello brings D_V when it comes
                 continue
-            self._require_feedthrough(hellos[peer_link.peer.name])
-            ports = np.arange(m)[peer_link.indices]
-            own = self._feedthrough[peer_link.peer.name] = np.array(hellos[peer_link.peer.name].feedthrough)
+            self._require_feedthrough(hellos[join.peer.name])
+            ports = np.arange(m)[join.indices]
+            own = self._feedthrough[join.peer.name] = np.array(hellos[join.peer.name].feedthrough)
             D_V[np.ix_(ports, ports)] = own
-        blocks = [peer_link.indices for peer_link in self.peer_links]
+        blocks = [join.indices for join in self.joins]
         self.core = environment_core(self._bundle, D_V, blocks)
 
     def _require_feedthrough(self, hello: LinkHello) -> None:
@@ -251,13 +251,13 @@ class EnvironmentNode:
         rungs, independent = bundle.feedthrough_rungs, bundle.independent
         realtime, resumes = self._common.clock == REALTIME, start.tick > 0
         linked = frozenset(bundle.waves) if realtime else frozenset()
-        members = self.members = Members(self.peer_links, core, rungs, life, resumes, independent, linked)
+        members = self.members = Members(self.joins, core, rungs, life, resumes, independent, linked)
         if resumes:
-            for peer_link in self.peer_links:
-                peer_link.resume()
+            for join in self.joins:
+                join.resume()
         members.last, members.log = start.ticks, control.log
         members.know(self._feedthrough, bundle.feedthrough)
-        ends = [one for name in bundle.waves if (one := peer_link_of(self.peer_links, name)) is not None]
+        ends = [one for name in bundle.waves if (one := join_of(self.joins, name)) is not None]
         world = WorldEnds([end for end in ends if isinstance(end, WorldEnd)]) if self._clocked else None
         later = self._later = TelemetryLater(control) if self._clocked else None
         clock, account, late = self._clock, self._account, self._late
@@ -311,7 +311,7 @@ class EnvironmentNode:
                 life.fail(f"{self._common.name}: {core.failure}")
             members.shift()
             for member in members.active:
-                member.peer_link.send(Reaction, tick, member.peer_link.stamp, f)
+                member.join.send(Reaction, tick, member.join.stamp, f)
             answered = now
             self._due = now + (epoch - now) % period  # the next multiple of T, at which devices sample
             give_way()  # ZeroMQ's thread sends the forces first; what does not depend on them is done after
@@ -339,16 +339,14 @@ class EnvironmentNode:
         """
         end = self._clock.now() + _GOODBYE
         behind = [
-            member
-            for member in members.all
-            if member.membership.state is not Membership.ACTIVE and member.peer_link.here
+            member for member in members.all if member.membership.state is not Membership.ACTIVE and member.join.here
         ]
         for member in behind:
-            member.peer_link.send_zero(Reaction, tick - 1)
+            member.join.send_zero(Reaction, tick - 1)
         while behind and self._clock.now() < end:
             for member in behind:
                 members.hear(member, p, tick, _TURN)
-                member.peer_link.send_zero(Reaction, tick - 1)
+                member.join.send_zero(Reaction, tick - 1)
 
     def _all_heard(self, members: Members, p: Floats, tick: int) -> bool:
         """Read the signals of an ordinary tick, one after the other; returns False at the first that does not come."""
@@ -386,7 +384,7 @@ class EnvironmentNode:
         arrivals = [
             (member.arrived, member.index)
             for member in members.order
-            if member.membership.state is Membership.ACTIVE and not member.linked and member.peer_link.tick == tick
+            if member.membership.state is Membership.ACTIVE and not member.linked and member.join.tick == tick
         ]
         if not arrivals:
             return
@@ -424,10 +422,10 @@ class EnvironmentNode:
         awaited = set(self._passed)  # every member that this tick has waited for, those lost since included
         while not life.stopping:
             missing = [member for member in members.order if member.missing(tick)]
-            present = any(member.peer_link.tick == tick for member in members.all)
+            present = any(member.join.tick == tick for member in members.all)
             awaited.update(missing)
             if deadline.complete(present, bool(missing)):
-                self._late.gone(tick, [member.index for member in awaited if member.peer_link.tick != tick])
+                self._late.gone(tick, [member.index for member in awaited if member.join.tick != tick])
                 members.resumed()
                 return tick
             now = self._clock.now()
@@ -482,12 +480,12 @@ class EnvironmentNode:
         turn, anybody = _TURN if missing or since is None else NOT_AT_ALL, False
         if turn and self._await_links is not None:
             # a coupling that is held is answered as soon as its signal is there, whoever is waited for
-            open_ = [member.peer_link.link for member in members.all if member.peer_link.tick != tick]
+            open_ = [member.join.link for member in members.all if member.join.tick != tick]
             self._await_links([link for link in open_ if link is not None], turn)
             turn = NOT_AT_ALL
         for member in (*missing, *members.all):
-            peer_link = member.peer_link
-            if not peer_link.reachable or (peer_link.tick == tick and peer_link.here):
+            join = member.join
+            if not join.reachable or (join.tick == tick and join.here):
                 continue  # nothing to read; but a coupling that was lost after its signal may be shaking hands anew
             if members.hear(member, p, tick, turn) is Received.SIGNAL:
                 # a signal read after the wait for a different coupling counts as there since that wait began
@@ -506,7 +504,7 @@ class EnvironmentNode:
             **self._late_ticks(),
             **self._numbers(),
         }
-        tables = {**self._tables(members), names.DROPPED: dropped_frames(self.peer_links)}
+        tables = {**self._tables(members), names.DROPPED: dropped_frames(self.joins)}
         return Report(self._account.ticks, Figures(numbers, tables))
 
     def _late_ticks(self) -> dict[str, float]:
@@ -517,7 +515,7 @@ class EnvironmentNode:
         """The lateness of each coupling that made the others wait, by its name."""
         late, all_ = self._late, () if members is None else members.all
         return {
-            member.peer_link.peer.name: CouplingLateness(
+            member.join.peer.name: CouplingLateness(
                 late.ticks[member.index],
                 late.waited[member.index] / 1e3,
                 member.frozen_late,
@@ -540,9 +538,9 @@ class EnvironmentNode:
     def _tables(self, members: Members | None) -> dict[str, dict[str, float]]:
         """Likewise, what has a number for each coupling; tables without any are left out."""
         found: dict[str, dict[str, float]] = lateness_tables(self._lateness(members))
-        for peer_link in self.peer_links:
-            for name, value in peer_link.figures().items():
-                found.setdefault(names.of(name), {})[peer_link.peer.name] = value
+        for join in self.joins:
+            for name, value in join.figures().items():
+                found.setdefault(names.of(name), {})[join.peer.name] = value
         if (core := self.core) is not None:
             found |= contact_tables(core.held, core.chatter, self._parties)
             found |= energy_tables(core.energy, self._parties)
@@ -555,9 +553,9 @@ class EnvironmentNode:
             **self._late_ticks(),
             **({names.CHANGING: float(members.changing)} if members.changing else {}),
             **self._numbers(),
-            **stray_frames(self.peer_links),
+            **stray_frames(self.joins),
         }
-        rungs = {member.peer_link.peer.name: float(member.rung) for member in members.all if member.rung}
+        rungs = {member.join.peer.name: float(member.rung) for member in members.all if member.rung}
         tables = {**self._tables(members), **({names.of(names.RUNG): rungs} if rungs else {})}
         late = [(tick, member.index) for member in members.all for tick in self._late.lately[member.index]]
         if self._account.publish(self._later or control, core, numbers, tables, late, members.events):

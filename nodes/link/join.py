@@ -44,14 +44,14 @@ class Received(Enum):
 class Listener(Protocol):
     """How a node handles a frame that is not the signal of the tick."""
 
-    def on_other_tick(self, peer_link: Join, other: int, awaited: int) -> bool:
+    def on_other_tick(self, join: Join, other: int, awaited: int) -> bool:
         """Handle a valid signal of tick ``other``, which came in place of ``awaited``; returns whether to stop waiting.
 
         Where this returns True, :meth:`Join.hear` returns ``Received.DECLINED``.
         """
         ...
 
-    def on_notice(self, peer_link: Join, message: Rung | Absent) -> bool:
+    def on_notice(self, join: Join, message: Rung | Absent) -> bool:
         """Handle a message that is no signal; returns whether to stop waiting for ``Received.DECLINED``."""
         ...
 
@@ -275,7 +275,7 @@ class Join(ABC):
 
 
 def await_all(
-    peer_links: Sequence[Join],
+    joins: Sequence[Join],
     last: Join,
     values: Floats,
     tick: int,
@@ -289,7 +289,7 @@ def await_all(
     whose signal of the earlier tick is there already are then awaited again, so the loop compares with the tick anew.
 
     Args:
-        peer_links: the links.
+        joins: the links.
         last: the link that was listened to last; the first round begins with the link after it.
         values: the node's values, where the signals are put.
         tick: the tick that is awaited.
@@ -302,21 +302,21 @@ def await_all(
     Returns:
         The tick of which every peer has sent its signal; None where the node waits no longer.
     """
-    behind = peer_links.index(last) + 1
-    order = (*peer_links[behind:], *peer_links[:behind])
-    while any(peer_link.tick != tick for peer_link in order):
+    behind = joins.index(last) + 1
+    order = (*joins[behind:], *joins[:behind])
+    while any(join.tick != tick for join in order):
         left = pause(tick)
         if left is None:
             return None
-        for peer_link in order:
-            if peer_link.tick != tick:
-                tick = react(peer_link, peer_link.hear(values, tick, left, listener), tick)
+        for join in order:
+            if join.tick != tick:
+                tick = react(join, join.hear(values, tick, left, listener), tick)
     return tick
 
 
-def peer_link_of(peer_links: Sequence[Join], peer: str) -> Join | None:
-    """The peer link with ``peer``; None if there is no such peer."""
-    return next((peer_link for peer_link in peer_links if peer_link.peer.name == peer), None)
+def join_of(joins: Sequence[Join], peer: str) -> Join | None:
+    """The join with ``peer``; None if there is no such peer."""
+    return next((join for join in joins if join.peer.name == peer), None)
 
 
 def positions(own: tuple[str, ...], carried: tuple[str, ...]) -> slice | Indices:
@@ -327,15 +327,15 @@ def positions(own: tuple[str, ...], carried: tuple[str, ...]) -> slice | Indices
     return np.array(at)
 
 
-def stray_frames(peer_links: Iterable[Join]) -> dict[str, float]:
+def stray_frames(joins: Iterable[Join]) -> dict[str, float]:
     """The number of frames that the gates did not admit, as a figure of telemetry."""
-    return {names.NOT_ADMITTED: float(sum(peer_link.strays for peer_link in peer_links))}
+    return {names.NOT_ADMITTED: float(sum(join.strays for join in joins))}
 
 
-def dropped_frames(peer_links: Iterable[Join]) -> dict[str, float]:
+def dropped_frames(joins: Iterable[Join]) -> dict[str, float]:
     """The numbers of frames that the gates did not admit, by reason, over all links."""
     out: dict[str, float] = {}
-    for peer_link in peer_links:
-        for reason, count in peer_link.dropped.items():
+    for join in joins:
+        for reason, count in join.dropped.items():
             out[reason] = out.get(reason, 0.0) + count
     return out

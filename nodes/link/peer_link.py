@@ -280,21 +280,21 @@ def establish(
         ends: what makes the ends of wave links, by peer; a peer without an entry exchanges the signals of the tick.
 
     Returns:
-        The peer links in the order of the peers, and by peer the hellos of the peers that are present.
+        The joins in the order of the peers, and by peer the hellos of the peers that are present.
 
     Raises:
         HandshakeRefused: the two ends disagree; each end reports the reason.
         HandshakeTimeout: a peer has not finished its handshake within :data:`HANDSHAKE_TIME`.
     """
-    peer_links: list[Join] = []
+    joins: list[Join] = []
     hellos: dict[str, LinkHello] = {}
     deadline = Instant(clock.now() + HANDSHAKE_TIME)
     for peer in common.peers:
         link = links.get(peer.name)
         if ends and peer.name in ends:
-            peer_link: Join = ends[peer.name](peer, link)
+            join: Join = ends[peer.name](peer, link)
         else:
-            peer_link = PeerLink(
+            join = PeerLink(
                 hello_to(common, peer, feedthrough),
                 peer,
                 link,
@@ -303,16 +303,16 @@ def establish(
                 clock,
                 (bounds or {}).get(peer.name),
             )
-        peer_links.append(peer_link)
+        joins.append(join)
         if link is not None:
-            hellos[peer.name] = shake_hands(link, handshake_of(peer_link), clock, deadline)
-    return peer_links, hellos
+            hellos[peer.name] = shake_hands(link, handshake_of(join), clock, deadline)
+    return joins, hellos
 
 
-def handshake_of(peer_link: Join) -> LinkHandshake:
-    """A new handshake with the peer at the other end of ``peer_link``."""
-    peer = peer_link.peer
-    return LinkHandshake(peer_link.own, Expected(peer.name, peer.role, peer.ports), opens=not peer.binds)
+def handshake_of(join: Join) -> LinkHandshake:
+    """A new handshake with the peer at the other end of ``join``."""
+    peer = join.peer
+    return LinkHandshake(join.own, Expected(peer.name, peer.role, peer.ports), opens=not peer.binds)
 
 
 def hello_to(common: Common, peer: Peer, feedthrough: Values | None) -> LinkHello:

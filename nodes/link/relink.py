@@ -9,54 +9,54 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from manyhands.nodes.link.join import Join, peer_link_of
+from manyhands.nodes.link.join import Join, join_of
 from manyhands.nodes.link.peer_link import handshake_of
 from manyhands.nodes.link.supervisor_line import ControlLine, Word
 from manyhands.protocol.messages import Absent, Return
 from manyhands.protocol.transport import TransportError
 
 
-def follow(word: Word, peer_links: Sequence[Join], control: ControlLine) -> Join | None:
+def follow(word: Word, joins: Sequence[Join], control: ControlLine) -> Join | None:
     """Follow the supervisor's report of a peer that is lost or back; any other message is ignored here.
 
     Returns:
-        The peer link to the lost peer; None where the message reports no lost peer of this node.
+        The join to the lost peer; None where the message reports no lost peer of this node.
     """
     match word:
         case Absent():
-            return unlink(word, peer_links, control)
+            return unlink(word, joins, control)
         case Return():
-            relink(word, peer_links, control)
+            relink(word, joins, control)
     return None
 
 
-def unlink(absent: Absent, peer_links: Sequence[Join], control: ControlLine) -> Join | None:
+def unlink(absent: Absent, joins: Sequence[Join], control: ControlLine) -> Join | None:
     """Close the link to a lost peer; where this node binds it, bind a new one and report its endpoint.
 
     Returns:
-        The peer link to that peer; None where this node has no such peer.
+        The join to that peer; None where this node has no such peer.
     """
-    peer_link = peer_link_of(peer_links, absent.peer)
-    if peer_link is None:
+    join = join_of(joins, absent.peer)
+    if join is None:
         return None
-    peer_link.lose()
-    if peer_link.peer.binds:
+    join.lose()
+    if join.peer.binds:
         try:
-            link, endpoint = control.bind_anew(peer_link.peer)
+            link, endpoint = control.bind_anew(join.peer)
         except TransportError:  # without a socket the peer cannot come back, and the session goes on without it
-            return peer_link
-        peer_link.greet(link, handshake_of(peer_link))
-        control.offer(peer_link.peer.name, endpoint)
-    return peer_link
+            return join
+        join.greet(link, handshake_of(join))
+        control.offer(join.peer.name, endpoint)
+    return join
 
 
-def relink(back: Return, peer_links: Sequence[Join], control: ControlLine) -> None:
+def relink(back: Return, joins: Sequence[Join], control: ControlLine) -> None:
     """Connect to a peer that is back, where the peer binds the link."""
-    peer_link = peer_link_of(peer_links, back.peer)
-    if peer_link is None or peer_link.peer.binds:
+    join = join_of(joins, back.peer)
+    if join is None or join.peer.binds:
         return
     try:
-        link = control.connect(back.endpoint, peer_link.peer)
+        link = control.connect(back.endpoint, join.peer)
     except TransportError:  # the endpoint is none of this transport: the session goes on without the peer
         return
-    peer_link.greet(link, handshake_of(peer_link))
+    join.greet(link, handshake_of(join))

@@ -1,4 +1,4 @@
-"""The ends of a wave link in their nodes: peer links on which waves travel in place of the tick's signals.
+"""The ends of a wave link in their nodes: joins that send waves in place of the tick's signals.
 
 A coupling's loop sends p(k) to its peer and listens for f_v(k). With a wave link the peer is a :class:`UserEnd`: its
 face answers at once, from the waves that have come, and the environment's process is not waited for. The environment's

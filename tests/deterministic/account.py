@@ -25,7 +25,7 @@ def account(world: SimulatedSession, everything: bool = False) -> str:
             due = f", due {member.due}" if state is Membership.REJOINING else ""
             early = f", early {member.early[0]}" if member.early else ""
             lines.append(
-                f"  member {member.peer_link.peer.name}: {state.value}{due}{early}, from {member.membership._until}"
+                f"  member {member.join.peer.name}: {state.value}{due}{early}, from {member.membership._until}"
             )
         lines.append(f"  resumes {members._resumes}, ahead {members.ahead}, ticks {world.tick}")
     links = world.conductor._recovery._links._states.items()
@@ -40,13 +40,13 @@ def _where(process: SimulatedProcess, world: SimulatedSession) -> str:
     turn = process.turn
     stack = [] if turn is None else turn.stack()
     where = " < ".join(f"{function}@{tick}" for function, tick in stack) or "not in its loop"
-    peer_links = ", ".join(
-        f"{peer_link.peer.name}:{peer_link.tick}"
-        + ("" if peer_link.link is not None else " absent")
-        + ("" if peer_link.handshake is None else f" shaking hands ({peer_link.handshake.state})")
-        + (" new" if peer_link.new else "")
-        + (f" told {peer_link.other_tick}" if peer_link.other_tick > peer_link.tick else "")
-        for peer_link in process.peer_links
+    joins = ", ".join(
+        f"{join.peer.name}:{join.tick}"
+        + ("" if join.link is not None else " absent")
+        + ("" if join.handshake is None else f" shaking hands ({join.handshake.state})")
+        + (" new" if join.new else "")
+        + (f" told {join.other_tick}" if join.other_tick > join.tick else "")
+        for join in process.joins
     )
     stopped = f", stopped until {process.held / 1e6:.3f} ms" if process.held > world.scheduler.now else ""
-    return f"{where}; heard {peer_links or 'nobody'}{stopped}"
+    return f"{where}; heard {joins or 'nobody'}{stopped}"

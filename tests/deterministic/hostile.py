@@ -209,8 +209,8 @@ def run(one: HostileCase, ticks: int = TICKS, frames: bool = False) -> HostileOu
 
 def refused(world: SimulatedSession) -> bool:
     """Whether a sample of the guest was refused: under the simulated clock the others then wait for it for ever."""
-    peer_links = [peer_link for process in world.processes.values() for peer_link in process.peer_links]
-    return any(peer_link.peer.name == GUEST and peer_link.gate.dropped["out_of_range"] for peer_link in peer_links)
+    joins = [join for process in world.processes.values() for join in process.joins]
+    return any(join.peer.name == GUEST and join.gate.dropped["out_of_range"] for join in joins)
 
 
 def slow_start(world: SimulatedSession, random: Random) -> None:

@@ -13,7 +13,7 @@ from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.topology import topology
 from manyhands.nodes.environment.late_arrivals import BURST, SHARE
 from manyhands.nodes.environment.node import EnvironmentNode
-from manyhands.nodes.link import peer_link as peer_link_module
+from manyhands.nodes.link import join as peer_link_module
 from manyhands.nodes.monitor.health import missed
 from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import from_seconds
@@ -151,9 +151,7 @@ class Innocence:
         members = world.members
         acted = False
         absent = (
-            sum(p.membership.absences for p in members.all if p.peer_link.peer.name not in self.honest)
-            if members
-            else 0
+            sum(p.membership.absences for p in members.all if p.join.peer.name not in self.honest) if members else 0
         )
         allowed = len(self._guests) * (TRANSIENT + SHARE * world.tick) + AGAIN * max(absent, returns)
         for device, count in self.late.items():
@@ -162,7 +160,7 @@ class Innocence:
                     (Wrong.LATE, f"{device} was late in {count} ticks of {allowed:.0f}, last in {self.last_late}")
                 )
         for member in [] if members is None else members.all:
-            name, absences = member.peer_link.peer.name, member.membership.absences
+            name, absences = member.join.peer.name, member.membership.absences
             if name in self.honest and absences:
                 found.append((Wrong.FROZEN, f"{name} was frozen {absences} times"))
             acted = acted or (name not in self.honest and absences > 0)

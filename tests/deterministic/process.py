@@ -227,9 +227,9 @@ class SimulatedProcess:
             transport.die(chance)
 
     @property
-    def peer_links(self) -> Sequence[PeerLink]:
+    def joins(self) -> Sequence[PeerLink]:
         """Its links, once it has shaken hands."""
-        return [] if self.node is None else self.node.peer_links
+        return [] if self.node is None else self.node.joins
 
     def _led(self, link: WireLink) -> Link:
         """A link to a peer, under the guest's control if a guest leads the process."""

@@ -186,7 +186,7 @@ class SimulatedSession:
         if members is None or not members.all_active or len(self.processes) + len(self.graph.carriers) < len(states):
             return False
         for process in self.processes.values():
-            if process.held > self.scheduler.now or not all(peer_link.here for peer_link in process.peer_links):
+            if process.held > self.scheduler.now or not all(join.here for join in process.joins):
                 return False
             if isinstance(process.node, DeviceNode) and process.node._free:
                 return False

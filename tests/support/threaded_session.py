@@ -282,7 +282,7 @@ class ThreadedSession:
         members = environment.members
         if members is None:
             return None
-        return next(member.membership.state for member in members.all if member.peer_link.peer.name == coupling)
+        return next(member.membership.state for member in members.all if member.join.peer.name == coupling)
 
     def await_state(self, coupling: str, *states: Membership) -> None:
         """Wait until the environment gives ``coupling`` one of these states; it looks at its line repeatedly."""

@@ -183,12 +183,10 @@ def test_a_block_ignores_a_misdirected_absence(block: Block, world: MessageLink)
 
 
 def meet_environment(block: Block, tick: int) -> MessageLink:
-    peer_link, fresh = block.environment, MessageLink()
-    peer_link.greet(fresh, handshake_of(peer_link))  # type: ignore[arg-type]
-    own = peer_link.own
-    hello = LinkHello(
-        own.version, own.certificate, own.session, peer_link.peer.name, peer_link.peer.role, peer_link.peer.ports
-    )
+    join, fresh = block.environment, MessageLink()
+    join.greet(fresh, handshake_of(join))  # type: ignore[arg-type]
+    own = join.own
+    hello = LinkHello(own.version, own.certificate, own.session, join.peer.name, join.peer.role, join.peer.ports)
     fresh.say(hello)
     assert block.hear(tick, NOW) is Received.RECONNECTED
     return fresh

@@ -131,7 +131,7 @@ class Alone:
         node = self.node = DeviceNode(bundle, self.hand, self.time)  # type: ignore[arg-type]
         (peer,) = bundle.common.peers
         own = hello_to(bundle.common, peer, None)
-        node.peer_links = [PeerLink(own, peer, self.coupling, Force, slice(0, 1), self.time)]  # type: ignore[arg-type]
+        node.joins = [PeerLink(own, peer, self.coupling, Force, slice(0, 1), self.time)]  # type: ignore[arg-type]
         node.loop(Start(0, 0), life, line)
 
 

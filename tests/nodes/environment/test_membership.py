@@ -65,11 +65,11 @@ class TwoCouplings:
         self.life, self.line, self.tick, self.p = life, BindingLine(), tick, np.zeros(2)
         self.ends = {name: MessageLink() for name in NAMES}
         own = LinkHello(PROTOCOL_VERSION, "c", "s", "environment", Role.ENVIRONMENT, ("p",))
-        peer_links = [
+        joins = [
             PeerLink(own, Peer(name, Role.COUPLING, ("p",), True), end, Tool, slice(i, i + 1), RealtimeClock())  # type: ignore[arg-type]
             for i, (name, end) in enumerate(self.ends.items())
         ]
-        self.members = Members(peer_links, self.core, RUNGS, life, resumes, independent)
+        self.members = Members(joins, self.core, RUNGS, life, resumes, independent)
         self.members.know(
             {name: np.array([[D_V]]) for name in NAMES}, dict.fromkeys(NAMES, feedthrough_digest([[D_V]]))
         )
@@ -87,7 +87,7 @@ class TwoCouplings:
         f = react(self.core, self.p)
         self.members.shift()
         for member in self.members.active:
-            member.peer_link.send(Reaction, self.tick, 0, f)
+            member.join.send(Reaction, self.tick, 0, f)
         self.core.settle()
         self.tick += 1
         return f
@@ -96,8 +96,8 @@ class TwoCouplings:
         """Run ticks in which all couplings except ``but`` send, are received and are answered."""
         for _ in range(ticks):
             for member in self.members.all:
-                if member.peer_link.peer.name != but:
-                    self.say(member.peer_link.peer.name)
+                if member.join.peer.name != but:
+                    self.say(member.join.peer.name)
                     assert self.hear(member) is Received.SIGNAL
             self.finish()
 
@@ -200,10 +200,10 @@ def test_the_signal_of_its_due_tick_may_come_early(world: TwoCouplings) -> None:
     world.say("cy", behind)
     world.hear(world.cy)
     due = world.cy.due
-    dropped = dict(world.cy.peer_link.gate.dropped)
+    dropped = dict(world.cy.join.gate.dropped)
     world.say("cy", due, 0.02)
     assert world.hear(world.cy) is Received.DECLINED
-    assert world.cy.peer_link.gate.dropped == dropped  # it is no stray
+    assert world.cy.join.gate.dropped == dropped  # it is no stray
     while world.tick < due:
         world.together(but="cy")
         assert world.p[1] == 0.01
@@ -218,7 +218,7 @@ def test_who_is_ahead_is_expected_at_its_own_tick(world: TwoCouplings) -> None:
     world.say("cy", due, 0.02)
     assert world.hear(world.cy) is Received.DECLINED
     assert (world.cy.membership.state, world.cy.due) == (Membership.REJOINING, due)
-    assert world.cy.peer_link.gate.dropped["future_tick"] == 0  # it is no stray
+    assert world.cy.join.gate.dropped["future_tick"] == 0  # it is no stray
     world.say("cy", due + 1, 0.03)  # it knows better still
     world.hear(world.cy)
     while world.tick < due + 1:
@@ -260,7 +260,7 @@ def test_a_signal_of_a_tick_far_ahead_is_a_stray(world: TwoCouplings, ahead: int
     world.say("cy", world.tick + ahead)
     assert world.hear(world.cy) is Received.NOTHING
     assert (world.cy.early, world.cy.membership.state) == (None, Membership.FROZEN)
-    assert world.cy.peer_link.gate.dropped["future_tick"] == 1
+    assert world.cy.join.gate.dropped["future_tick"] == 1
 
 
 def test_an_active_members_signal_of_a_later_tick_is_a_stray(world: TwoCouplings) -> None:
@@ -268,7 +268,7 @@ def test_an_active_members_signal_of_a_later_tick_is_a_stray(world: TwoCouplings
     world.say("cy", world.tick + 1)
     assert world.hear(world.cy) is Received.NOTHING
     assert (world.cy.early, world.cy.membership.state) == (None, Membership.ACTIVE)
-    assert world.cy.peer_link.gate.dropped["future_tick"] == 1
+    assert world.cy.join.gate.dropped["future_tick"] == 1
 
 
 def test_a_coupling_without_its_device_is_answered_at_its_early_tick(world: TwoCouplings) -> None:
@@ -391,7 +391,7 @@ class Test_a_coupling_that_was_lost:
         world.together(200)
         world.lose("cy")
         world.come_back("cy", 2 * D_V)
-        assert (world.cy.membership.state, world.cy.peer_link.reachable) == (Membership.GONE, False)
+        assert (world.cy.membership.state, world.cy.join.reachable) == (Membership.GONE, False)
         world.together(3, but="cy")
         assert world.core.clutches.all[1].ratio == 0.0
 
@@ -438,7 +438,7 @@ class Test_a_change_of_rung:
         assert world.core.clutches.all[0].ratio == 1.0
         for _ in range(3 * RAMP):
             for member in world.members.all:
-                world.say(member.peer_link.peer.name, value=0.0)
+                world.say(member.join.peer.name, value=0.0)
                 world.hear(member)
             world.finish()
         assert (world.cx.rung, world.cy.rung) == (1, 1)
@@ -620,22 +620,22 @@ def test_whatever_happens(happening: list[tuple[Any, Any, Any]], new_life: Calla
         elif what == "give up":
             world.members.give_up(world.members.all[NAMES.index(one)], world.tick)
         elif what == "come back":
-            if world.members.all[NAMES.index(one)].peer_link.handshake is not None:
+            if world.members.all[NAMES.index(one)].join.handshake is not None:
                 world.come_back(one)
         elif what == "let go":
             world.members.let_in_again(world.tick)
         else:
             for _ in range(one):
                 for member in world.members.all:
-                    if member.peer_link.peer.name != other and member.peer_link.here:
-                        world.say(member.peer_link.peer.name)
+                    if member.join.peer.name != other and member.join.here:
+                        world.say(member.join.peer.name)
                         world.hear(member)
                     if member.missing(world.tick):
                         world.members.give_up(member, world.tick)
                 before = {name: len(world.ends[name].said) for name in NAMES}
                 world.finish()
                 for member in world.members.all:
-                    name = member.peer_link.peer.name
+                    name = member.join.peer.name
                     told = world.ends[name].said[before[name] :]
                     assert (member in world.members.active) == any(isinstance(one, Reaction) for one in told)
                     if member.rung != rungs[name]:
@@ -648,11 +648,11 @@ def test_whatever_happens(happening: list[tuple[Any, Any, Any]], new_life: Calla
             active = member.membership.state is Membership.ACTIVE
             assert active == (member in world.members.active)
             assert active or world.core.clutches.all[member.index].ratio == 0.0
-            rungs[member.peer_link.peer.name] = member.rung
+            rungs[member.join.peer.name] = member.rung
         assert world.members.all_active == (world.members.frozen == 0)
         assert world.members.absences >= absences
         absences = world.members.absences
-        assert all(count >= 0 for member in world.members.all for count in member.peer_link.gate.dropped.values())
+        assert all(count >= 0 for member in world.members.all for count in member.join.gate.dropped.values())
     assert world.life.failure == ""
 
 
@@ -714,7 +714,7 @@ def test_who_is_a_little_late_in_every_tick_moves_its_tool_now_and_then_and_nobo
         behind, (end, _) = late(world), ends(world)
         world.say("cy", behind, 0.01 + 1e-5 * tick)
         if world.hear(world.cy) is Received.SIGNAL:  # it counts for the tick that is awaited
-            assert world.cy.peer_link.tick == world.tick
+            assert world.cy.join.tick == world.tick
             world.say("cx")
             world.hear(world.cx)
             world.finish()
@@ -772,7 +772,7 @@ def test_a_signal_that_came_early_and_is_late_now_counts_for_the_tick_that_is_aw
     world.hear(world.cy)
     late(world, 3)
     assert world.hear(world.cy) is Received.SIGNAL
-    assert (world.cy.membership.state, world.cy.peer_link.tick) == (Membership.ACTIVE, world.tick)
+    assert (world.cy.membership.state, world.cy.join.tick) == (Membership.ACTIVE, world.tick)
 
 
 def test_a_lost_answer_to_a_held_member_is_sent_again(world: TwoCouplings) -> None:
@@ -881,7 +881,7 @@ def test_who_was_given_up_need_not_pause_while_nobody_comes(world: TwoCouplings)
     def say(_times: int, heard: list[Any]) -> Tool:
         return tool(due if heard and heard[-1] == Reaction(due - 1, 0, [0.0]) else behind)
 
-    world.cy.peer_link.link = Coming(say)
+    world.cy.join.link = Coming(say)
     assert waiting(world) == due
     assert world.cy.membership.state is Membership.ACTIVE
 
@@ -890,10 +890,10 @@ def test_who_was_given_up_need_not_pause_while_nobody_comes(world: TwoCouplings)
 def test_only_after_long_a_signal_may_be_far_from_the_last(world: TwoCouplings, silent: int, active: bool) -> None:
     """Their devices have let go by then, and have moved on unheard."""
     for member in world.members.all:
-        member.peer_link.gate = Gate(Tool, 1, Bounds((1.0,), (0.001,)))
+        member.join.gate = Gate(Tool, 1, Bounds((1.0,), (0.001,)))
     world.together(3)
-    world.cx.peer_link.link = Coming(lambda times, _: tool(world.tick, 0.5) if times > silent else None)
-    world.cy.peer_link.link = Coming(lambda times, _: tool(world.tick) if times > silent else None)
+    world.cx.join.link = Coming(lambda times, _: tool(world.tick, 0.5) if times > silent else None)
+    world.cy.join.link = Coming(lambda times, _: tool(world.tick) if times > silent else None)
     assert waiting(world) == world.tick
     assert (world.cx.membership.state is Membership.ACTIVE) == active
     assert world.cy.membership.state is Membership.ACTIVE

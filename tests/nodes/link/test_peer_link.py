@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manyhands.nodes.kernel.bundle import Peer
-from manyhands.nodes.link.join import Received, await_all, peer_link_of
+from manyhands.nodes.link.join import Received, await_all, join_of
 from manyhands.nodes.link.peer_link import PeerLink, handshake_of
 from manyhands.protocol.clock import Duration, Instant
 from manyhands.protocol.codec import decode, encode
@@ -112,8 +112,8 @@ def waiting(
     link, ears, values = Arriving(time, frames), Ears(turns), np.zeros(1)
     peer = Peer("dx", Role.DEVICE, ("dx",), binds=True)
     own = LinkHello(PROTOCOL_VERSION, "c", "s", "cx", Role.COUPLING, ("dx",))
-    peer_link = PeerLink(own, peer, link, Sample, slice(0, 1), time)  # type: ignore[arg-type]
-    return lambda: peer_link.hear(values, TICK, PATIENCE, ears), link, ears, values, time
+    join = PeerLink(own, peer, link, Sample, slice(0, 1), time)  # type: ignore[arg-type]
+    return lambda: join.hear(values, TICK, PATIENCE, ears), link, ears, values, time
 
 
 def test_the_signal_is_found_behind_as_many_strays_as_are_allowed() -> None:
@@ -223,58 +223,58 @@ def joined(link: FrameLink | None, binds: bool = True) -> PeerLink:
     return PeerLink(OWN, replace(DEVICE, binds=binds), link, Sample, slice(0, 1), LinkClock())  # type: ignore[arg-type]
 
 
-def heard_by(peer_link: PeerLink, ears: Ears, values: np.ndarray, tick: int = TICK) -> Received:
-    return peer_link.hear(values, tick, Duration(0), ears)
+def heard_by(join: PeerLink, ears: Ears, values: np.ndarray, tick: int = TICK) -> Received:
+    return join.hear(values, tick, Duration(0), ears)
 
 
 class Test_a_peer_that_comes_back:
     @pytest.mark.parametrize("binds", [True, False])
     def test_reconnects_and_is_then_received(self, binds: bool) -> None:
-        peer_link, ears, values = joined(FrameLink(HONEST), binds), Ears(), np.zeros(1)
-        assert heard_by(peer_link, ears, values) is Received.SIGNAL
-        peer_link.lose()
+        join, ears, values = joined(FrameLink(HONEST), binds), Ears(), np.zeros(1)
+        assert heard_by(join, ears, values) is Received.SIGNAL
+        join.lose()
         answer = [encode(HIS), encode(Welcome())] if binds else [encode(HIS)]
         fresh = FrameLink(*answer, encode(Sample(9, 0, np.array([0.25]))))
-        peer_link.greet(fresh, handshake_of(peer_link))  # type: ignore[arg-type]
-        assert (peer_link.reachable, peer_link.here, peer_link.new) == (True, False, False)
-        assert heard_by(peer_link, ears, values, 9) is Received.RECONNECTED
-        assert (peer_link.reachable, peer_link.here, peer_link.new) == (True, True, True)
-        assert peer_link.hello == HIS
+        join.greet(fresh, handshake_of(join))  # type: ignore[arg-type]
+        assert (join.reachable, join.here, join.new) == (True, False, False)
+        assert heard_by(join, ears, values, 9) is Received.RECONNECTED
+        assert (join.reachable, join.here, join.new) == (True, True, True)
+        assert join.hello == HIS
         said = [decode(frame, MAX_CONTROL_BYTES) for frame in fresh.said]
         assert said == ([OWN] if binds else [OWN, Welcome()])
-        assert heard_by(peer_link, ears, values, 9) is Received.SIGNAL
-        assert (values[0], peer_link.tick) == (0.25, 9)
+        assert heard_by(join, ears, values, 9) is Received.SIGNAL
+        assert (values[0], join.tick) == (0.25, 9)
 
     def test_receives_nothing_before_its_handshake(self) -> None:
-        peer_link = joined(FrameLink())
-        peer_link.send(Sample, TICK, 0, np.zeros(1))
+        join = joined(FrameLink())
+        join.send(Sample, TICK, 0, np.zeros(1))
         fresh = FrameLink()
-        peer_link.greet(fresh, handshake_of(peer_link))  # type: ignore[arg-type]
-        assert not peer_link.send(Sample, TICK, 0, np.zeros(1))
-        peer_link.send_again()
-        peer_link.send_zero(Force, TICK)
-        peer_link.notify(Rung(1))
+        join.greet(fresh, handshake_of(join))  # type: ignore[arg-type]
+        assert not join.send(Sample, TICK, 0, np.zeros(1))
+        join.send_again()
+        join.send_zero(Force, TICK)
+        join.notify(Rung(1))
         assert fresh.said == []
 
     def test_is_not_answered_for_the_one_before(self) -> None:
         """The last signal on the old link is not repeated on the new one."""
-        peer_link = joined(FrameLink())
-        peer_link.send(Sample, TICK, 0, np.zeros(1))
+        join = joined(FrameLink())
+        join.send(Sample, TICK, 0, np.zeros(1))
         fresh = FrameLink(encode(HIS), encode(Welcome()))
-        peer_link.greet(fresh, handshake_of(peer_link))  # type: ignore[arg-type]
-        assert heard_by(peer_link, Ears(), np.zeros(1)) is Received.RECONNECTED
+        join.greet(fresh, handshake_of(join))  # type: ignore[arg-type]
+        assert heard_by(join, Ears(), np.zeros(1)) is Received.RECONNECTED
         before = list(fresh.said)
-        peer_link.send_again()
+        join.send_again()
         assert fresh.said == before
 
     def test_is_another_for_the_gate_which_goes_on_counting(self) -> None:
-        peer_link, ears = joined(FrameLink(JUNK, STALE)), Ears()
-        heard_by(peer_link, ears, np.zeros(1))
-        peer_link.greet(FrameLink(encode(HIS), encode(Welcome())), handshake_of(peer_link))  # type: ignore[arg-type]
-        gate = peer_link.gate
-        assert heard_by(peer_link, ears, np.zeros(1)) is Received.RECONNECTED
-        assert peer_link.gate is not gate  # a step from the last signal of the one before would be no step
-        assert (peer_link.gate.dropped["malformed"], peer_link.gate.dropped["old_tick"]) == (1, 1)
+        join, ears = joined(FrameLink(JUNK, STALE)), Ears()
+        heard_by(join, ears, np.zeros(1))
+        join.greet(FrameLink(encode(HIS), encode(Welcome())), handshake_of(join))  # type: ignore[arg-type]
+        gate = join.gate
+        assert heard_by(join, ears, np.zeros(1)) is Received.RECONNECTED
+        assert join.gate is not gate  # a step from the last signal of the one before would be no step
+        assert (join.gate.dropped["malformed"], join.gate.dropped["old_tick"]) == (1, 1)
 
     @pytest.mark.parametrize(
         "wrong",
@@ -283,88 +283,88 @@ class Test_a_peer_that_comes_back:
     )
     def test_is_absent_if_it_is_not_the_one(self, wrong: Message | None) -> None:
         wrong = replace(HIS, certificate="other") if wrong is HIS else wrong
-        peer_link, fresh = joined(FrameLink()), FrameLink(JUNK if wrong is None else encode(wrong), HONEST)
-        peer_link.greet(fresh, handshake_of(peer_link))  # type: ignore[arg-type]
-        assert heard_by(peer_link, Ears(), np.zeros(1)) is Received.NOTHING
-        assert not peer_link.reachable
+        join, fresh = joined(FrameLink()), FrameLink(JUNK if wrong is None else encode(wrong), HONEST)
+        join.greet(fresh, handshake_of(join))  # type: ignore[arg-type]
+        assert heard_by(join, Ears(), np.zeros(1)) is Received.NOTHING
+        assert not join.reachable
         assert fresh.closed
         refused = [isinstance(decode(frame, MAX_CONTROL_BYTES), Refusal) for frame in fresh.said]
         assert any(refused) == (not isinstance(wrong, Refusal))
 
     def test_is_absent_if_it_goes_in_the_middle_of_it(self) -> None:
-        peer_link, fresh = joined(FrameLink()), FrameLink(encode(HIS), room=0)
-        peer_link.greet(fresh, handshake_of(peer_link))  # type: ignore[arg-type]
-        assert heard_by(peer_link, Ears(), np.zeros(1)) is Received.NOTHING
-        assert not peer_link.reachable
+        join, fresh = joined(FrameLink()), FrameLink(encode(HIS), room=0)
+        join.greet(fresh, handshake_of(join))  # type: ignore[arg-type]
+        assert heard_by(join, Ears(), np.zeros(1)) is Received.NOTHING
+        assert not join.reachable
 
     def test_closes_the_waiting_link_if_the_peer_is_lost_again(self) -> None:
-        peer_link, first, second = joined(FrameLink()), FrameLink(), FrameLink()
-        peer_link.greet(first, handshake_of(peer_link))  # type: ignore[arg-type]
-        peer_link.greet(second, handshake_of(peer_link))  # type: ignore[arg-type]
+        join, first, second = joined(FrameLink()), FrameLink(), FrameLink()
+        join.greet(first, handshake_of(join))  # type: ignore[arg-type]
+        join.greet(second, handshake_of(join))  # type: ignore[arg-type]
         assert (first.closed, second.closed) == (True, False)
 
 
 def test_a_lost_peer_is_nobody_to_hear_or_to_tell() -> None:
     link = FrameLink(HONEST)
-    peer_link = joined(link)
-    peer_link.lose()
-    peer_link.lose()
+    join = joined(link)
+    join.lose()
+    join.lose()
     assert link.closed
-    assert (peer_link.reachable, peer_link.here) == (False, False)
-    assert heard_by(peer_link, Ears(), np.zeros(1)) is Received.NOTHING
-    assert not peer_link.send(Sample, TICK, 0, np.zeros(1))
-    peer_link.send_again()
-    peer_link.send_zero(Force, TICK)
-    peer_link.notify(Absent("dx"))
+    assert (join.reachable, join.here) == (False, False)
+    assert heard_by(join, Ears(), np.zeros(1)) is Received.NOTHING
+    assert not join.send(Sample, TICK, 0, np.zeros(1))
+    join.send_again()
+    join.send_zero(Force, TICK)
+    join.notify(Absent("dx"))
 
 
 def test_the_last_signal_is_sent_again_unchanged() -> None:
     link = FrameLink()
-    peer_link = joined(link)
-    peer_link.send_again()  # no signal was sent yet
-    peer_link.send(Sample, TICK, 7, np.array([0.5]))
-    peer_link.notify(Rung(1))
-    peer_link.send_zero(Force, TICK + 3)
-    peer_link.send_again()
+    join = joined(link)
+    join.send_again()  # no signal was sent yet
+    join.send(Sample, TICK, 7, np.array([0.5]))
+    join.notify(Rung(1))
+    join.send_zero(Force, TICK + 3)
+    join.send_again()
     assert [decode(frame, MAX_CONTROL_BYTES) for frame in (link.said[0], link.said[3])] == [Sample(TICK, 7, [0.5])] * 2
 
 
 def test_a_zero_force_carries_the_finished_tick_and_no_stamp() -> None:
     link = FrameLink()
-    peer_link = joined(link)
-    peer_link.send_zero(Force, -1)  # before the first tick nothing is over
-    peer_link.send_zero(Force, 4)
+    join = joined(link)
+    join.send_zero(Force, -1)  # before the first tick nothing is over
+    join.send_zero(Force, 4)
     assert [decode(frame, MAX_CONTROL_BYTES) for frame in link.said] == [Force(4, 0, [0.0])]
 
 
 @pytest.mark.parametrize(("values", "zero"), [([0.0], True), ([-0.0], True), ([5e-324], False)])
 def test_whether_a_signal_of_another_tick_is_a_zero_force(values: list[float], zero: bool) -> None:
-    peer_link = joined(FrameLink(encode(Sample(TICK + 2, 0, np.array(values)))))
-    heard_by(peer_link, Ears(), np.zeros(1))
-    assert (peer_link.other_tick, peer_link.other_zero) == (TICK + 2, zero)
+    join = joined(FrameLink(encode(Sample(TICK + 2, 0, np.array(values)))))
+    heard_by(join, Ears(), np.zeros(1))
+    assert (join.other_tick, join.other_zero) == (TICK + 2, zero)
 
 
 def test_a_peer_behind_may_say_the_same_again_and_again() -> None:
     """Tick by tick this is no flood; junk of one tick adds up over several waits, until the tick is there."""
-    peer_link, ears = joined(FrameLink(*[STALE] * (3 * MAX_STRAY_FRAMES))), Ears()
-    heard_by(peer_link, ears, np.zeros(1))
+    join, ears = joined(FrameLink(*[STALE] * (3 * MAX_STRAY_FRAMES))), Ears()
+    heard_by(join, ears, np.zeros(1))
     assert "sent 513 stray frames" in ears.failure  # in one wait it does
     link, ears = FrameLink(), Ears()
-    peer_link = joined(link)
+    join = joined(link)
     for _ in range(3):
         link.coming.extend([STALE] * MAX_STRAY_FRAMES)
-        assert heard_by(peer_link, ears, np.zeros(1)) is Received.NOTHING
+        assert heard_by(join, ears, np.zeros(1)) is Received.NOTHING
     assert ears.failure == ""
     for _ in range(2):
         link.coming.extend([JUNK] * (MAX_STRAY_FRAMES // 2 + 1))
-        heard_by(peer_link, ears, np.zeros(1))
+        heard_by(join, ears, np.zeros(1))
     assert "sent 513 stray frames" in ears.failure
 
 
 def test_peer_links_are_found_by_their_peers() -> None:
-    peer_link = joined(None)
-    assert peer_link_of([peer_link], "dx") is peer_link
-    assert peer_link_of([peer_link], "dz") is None
+    join = joined(None)
+    assert join_of([join], "dx") is join
+    assert join_of([join], "dz") is None
 
 
 frames = st.one_of(
@@ -380,24 +380,24 @@ frames = st.one_of(
 
 @given(coming=st.lists(frames, max_size=20), turns=st.booleans(), greets=st.booleans())
 def test_no_frame_raises_and_only_the_ticks_signal_is_admitted(coming: list[bytes], turns: bool, greets: bool) -> None:
-    peer_link, ears, values = joined(FrameLink()), Ears(turns), np.array([7.0])
+    join, ears, values = joined(FrameLink()), Ears(turns), np.array([7.0])
     link = FrameLink(*coming)
     if greets:
-        peer_link.greet(link, handshake_of(peer_link))  # type: ignore[arg-type]
+        join.greet(link, handshake_of(join))  # type: ignore[arg-type]
     else:
-        peer_link.link = link  # type: ignore[assignment]
-    while link.coming and peer_link.reachable:
+        join.link = link  # type: ignore[assignment]
+    while link.coming and join.reachable:
         before, left = values.copy(), len(link.coming)
-        shaking = peer_link.handshake is not None
-        heard = heard_by(peer_link, ears, values)
+        shaking = join.handshake is not None
+        heard = heard_by(join, ears, values)
         assert len(link.coming) < left
         if heard is Received.SIGNAL:
-            assert (values[0], peer_link.tick) == (0.5, TICK)
+            assert (values[0], join.tick) == (0.5, TICK)
         else:
             assert values[0] == before[0]
-        assert heard is not Received.RECONNECTED or (shaking and peer_link.hello == HIS)
+        assert heard is not Received.RECONNECTED or (shaking and join.hello == HIS)
         assert heard is not Received.SIGNAL or not shaking
-    assert all(count >= 0 for count in peer_link.gate.dropped.values())
+    assert all(count >= 0 for count in join.gate.dropped.values())
 
 
 @pytest.mark.parametrize("indices", [slice(1, 3), np.array([2, 0])], ids=["a slice", "scattered"])
@@ -407,13 +407,13 @@ def test_a_links_ports_are_where_they_belong_among_the_nodes(indices: slice | np
     link = Arriving(time, iter([(0, encode(Sample(TICK, 7, np.array([0.5, -1.0]))))]))
     sent: list[bytes] = []
     link.send = lambda frame: sent.append(frame) or True  # type: ignore[method-assign, func-returns-value]
-    peer_link = PeerLink(own, Peer("d", Role.DEVICE, ("a", "b"), binds=True), link, Sample, indices, time)  # type: ignore[arg-type]
+    join = PeerLink(own, Peer("d", Role.DEVICE, ("a", "b"), binds=True), link, Sample, indices, time)  # type: ignore[arg-type]
     values, expected = [10.0, 11.0, 12.0, 13.0], np.array([10.0, 11.0, 12.0, 13.0])
     expected[indices] = [0.5, -1.0]
-    assert peer_link.hear(values, TICK, PATIENCE, Ears()) is Received.SIGNAL
+    assert join.hear(values, TICK, PATIENCE, Ears()) is Received.SIGNAL
     assert values == expected.tolist()
     forces = [20.0, 21.0, 22.0, 23.0]
-    assert peer_link.send(Force, TICK, 7, forces)
+    assert join.send(Force, TICK, 7, forces)
     assert sent == [encode(Force(TICK, 7, np.array(forces)[indices]))]
 
 

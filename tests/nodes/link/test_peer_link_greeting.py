@@ -105,12 +105,12 @@ def test_an_absent_peer_is_not_awaited_and_keeps_its_peer_link(transport: Memory
     links, endpoints = bind_links(common(LEFT, RIGHT), transport)
     del links["left"]
     answering(transport.connect(endpoints["right"], "c"), hello(RIGHT), Welcome(), Sample(0, 0, np.array([0.5])))
-    peer_links, hellos = establish(common(LEFT, RIGHT), links, ADMITS, RealtimeClock(), D_V)
-    assert [peer_link.peer for peer_link in peer_links] == [LEFT, RIGHT]
-    assert [peer_link.here for peer_link in peer_links] == [False, True]
+    joins, hellos = establish(common(LEFT, RIGHT), links, ADMITS, RealtimeClock(), D_V)
+    assert [join.peer for join in joins] == [LEFT, RIGHT]
+    assert [join.here for join in joins] == [False, True]
     assert hellos == {"right": hello(RIGHT)}
     x = np.zeros(3)
-    assert peer_links[1].hear(x, 0, Duration(0), None) is Received.SIGNAL  # type: ignore[arg-type]
+    assert joins[1].hear(x, 0, Duration(0), None) is Received.SIGNAL  # type: ignore[arg-type]
     assert list(x) == [0.0, 0.5, 0.0]
 
 

@@ -57,7 +57,7 @@ def line(transport: MemoryTransport) -> OfferingLine:
 
 
 @pytest.fixture
-def peer_links(transport: MemoryTransport) -> list[PeerLink]:
+def joins(transport: MemoryTransport) -> list[PeerLink]:
     links = [transport.bind("cx-dx", "dx")[0], transport.connect(transport.bind("environment-cx", "cx")[1], "e")]
     return [
         PeerLink(OWN, peer, link, Sample, slice(0, 1), RealtimeClock())
@@ -65,12 +65,12 @@ def peer_links(transport: MemoryTransport) -> list[PeerLink]:
     ]
 
 
-def test_who_binds_the_link_makes_a_new_place_and_offers_it(peer_links: list[PeerLink], line: OfferingLine) -> None:
-    before = peer_links[0].link
-    assert unlink(Absent("dx"), peer_links, line) is peer_links[0]  # type: ignore[arg-type]
-    assert peer_links[0].link is line.bound[0] is not before
-    assert peer_links[0].reachable
-    assert not peer_links[0].here  # not before hands are shaken
+def test_who_binds_the_link_makes_a_new_place_and_offers_it(joins: list[PeerLink], line: OfferingLine) -> None:
+    before = joins[0].link
+    assert unlink(Absent("dx"), joins, line) is joins[0]  # type: ignore[arg-type]
+    assert joins[0].link is line.bound[0] is not before
+    assert joins[0].reachable
+    assert not joins[0].here  # not before hands are shaken
     ((peer, endpoint),) = line.offers
     returned = line.transport.connect(endpoint, "dx")
     assert peer == "dx"
@@ -79,42 +79,42 @@ def test_who_binds_the_link_makes_a_new_place_and_offers_it(peer_links: list[Pee
         before.recv(NOT_AT_ALL)  # type: ignore[union-attr]
 
 
-def test_a_connecting_node_waits_for_the_endpoint(peer_links: list[PeerLink], line: OfferingLine) -> None:
-    assert unlink(Absent("environment"), peer_links, line) is peer_links[1]  # type: ignore[arg-type]
-    assert not peer_links[1].reachable
+def test_a_connecting_node_waits_for_the_endpoint(joins: list[PeerLink], line: OfferingLine) -> None:
+    assert unlink(Absent("environment"), joins, line) is joins[1]  # type: ignore[arg-type]
+    assert not joins[1].reachable
     assert not line.offers
     bound, endpoint = line.transport.bind("environment-cx.1", "cx")
-    relink(Return("environment", endpoint), peer_links, line)  # type: ignore[arg-type]
-    assert peer_links[1].reachable
-    assert not peer_links[1].here
+    relink(Return("environment", endpoint), joins, line)  # type: ignore[arg-type]
+    assert joins[1].reachable
+    assert not joins[1].here
     frame = bound.recv(NOT_AT_ALL)
     assert frame is not None
     assert decode(frame, MAX_CONTROL_BYTES) == OWN  # the connecting side sends its hello first
 
 
-def test_every_absence_of_one_peer_has_its_own_endpoint(peer_links: list[PeerLink], line: OfferingLine) -> None:
+def test_every_absence_of_one_peer_has_its_own_endpoint(joins: list[PeerLink], line: OfferingLine) -> None:
     for _ in range(3):
-        unlink(Absent("dx"), peer_links, line)  # type: ignore[arg-type]
+        unlink(Absent("dx"), joins, line)  # type: ignore[arg-type]
     assert len({endpoint for _, endpoint in line.offers}) == 3
-    assert peer_links[0].link is line.bound[-1]
+    assert joins[0].link is line.bound[-1]
     for old in line.bound[:-1]:
         with pytest.raises(TransportError):
             old.recv(NOT_AT_ALL)
 
 
-def test_a_peer_for_whom_there_is_no_place_stays_away(peer_links: list[PeerLink], line: OfferingLine) -> None:
+def test_a_peer_for_whom_there_is_no_place_stays_away(joins: list[PeerLink], line: OfferingLine) -> None:
     line.full = True
-    assert unlink(Absent("dx"), peer_links, line) is peer_links[0]  # type: ignore[arg-type]
-    assert not peer_links[0].reachable
+    assert unlink(Absent("dx"), joins, line) is joins[0]  # type: ignore[arg-type]
+    assert not joins[0].reachable
     assert not line.offers
 
 
-def test_strangers_and_wrong_ends_are_nobodys_business(peer_links: list[PeerLink], line: OfferingLine) -> None:
-    before = [peer_link.link for peer_link in peer_links]
-    assert unlink(Absent("dz"), peer_links, line) is None  # type: ignore[arg-type]
-    relink(Return("dz", "memory://nowhere"), peer_links, line)  # type: ignore[arg-type]
-    relink(Return("dx", "memory://nowhere"), peer_links, line)  # type: ignore[arg-type] -- its own to bind
-    relink(Return("environment", "carrier pigeon"), peer_links, line)  # type: ignore[arg-type]
-    assert [peer_link.link for peer_link in peer_links] == before
-    assert all(peer_link.here for peer_link in peer_links)
+def test_strangers_and_wrong_ends_are_nobodys_business(joins: list[PeerLink], line: OfferingLine) -> None:
+    before = [join.link for join in joins]
+    assert unlink(Absent("dz"), joins, line) is None  # type: ignore[arg-type]
+    relink(Return("dz", "memory://nowhere"), joins, line)  # type: ignore[arg-type]
+    relink(Return("dx", "memory://nowhere"), joins, line)  # type: ignore[arg-type] -- its own to bind
+    relink(Return("environment", "carrier pigeon"), joins, line)  # type: ignore[arg-type]
+    assert [join.link for join in joins] == before
+    assert all(join.here for join in joins)
     assert not line.offers
