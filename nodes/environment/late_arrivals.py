@@ -126,16 +126,22 @@ class LateArrivals:
     def gone(self, tick: int, who: Sequence[int]) -> None:
         """Note that the wait of ``tick`` was for the couplings ``who``, which could not come in time: no charge."""
         for index in who:
-            self.lately[index].append(tick)
+            self._note(index, tick)
 
     def full(self, index: int, tick: int) -> bool:
         """Whether the coupling's bucket has leaked too little by ``tick`` to wait for it again."""
         return self._level[index] - SHARE * (tick - self._at[index]) > BURST
 
+    def _note(self, index: int, tick: int) -> None:
+        """Note once that the others waited for the coupling in ``tick``, however often they gave it up in it."""
+        lately = self.lately[index]
+        if not lately or lately[-1] != tick:
+            lately.append(tick)
+
     def _charge(self, index: int, tick: int, waited: int) -> bool:
         """Charge one late tick; returns whether the bucket is full."""
         self.ticks[index] += 1
-        self.lately[index].append(tick)
+        self._note(index, tick)
         self.waited[index] += waited
         self._all[index] += 1
         level = max(0.0, self._level[index] - SHARE * (tick - self._at[index])) + 1.0

@@ -15,6 +15,7 @@ from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes.environment.clutch import SLOWEST
 from manyhands.nodes.environment.membership import Membership
 from manyhands.nodes.kernel.bundle import REALTIME
+from manyhands.nodes.rows.figures import WAITED_IN
 from manyhands.protocol.messages import Absent, Report, Shift
 
 from ..support.threaded_session import ThreadedSession
@@ -62,8 +63,11 @@ def check_rows(stage: ThreadedSession) -> None:
     for line in stage.all_lines:
         before = 0
         for telemetry in line.told:
-            for trace in telemetry.traces.values():
-                assert telemetry.tick - len(trace) >= before
+            for name, trace in telemetry.traces.items():
+                if name != WAITED_IN:
+                    assert telemetry.tick - len(trace) >= before
+            waits = [tuple(row) for row in telemetry.traces.get(WAITED_IN, np.empty((0, 2))).tolist()]
+            assert len(set(waits)) == len(waits)  # a coupling once a tick
             before = telemetry.tick
 
 

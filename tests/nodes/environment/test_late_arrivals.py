@@ -173,3 +173,11 @@ def test_a_wait_for_a_gone_member_is_charged_to_nobody() -> None:
     late.gone(5, [1])
     assert late.lately == [[], [5]]
     assert late.ticks == late.waited == [0, 0]
+
+
+def test_a_tick_is_noted_once_however_often_a_member_was_waited_for_in_it() -> None:
+    late = LateArrivals(2, T, HALF)
+    late.missed(5, [1], T)
+    late.gone(5, [1])
+    late.gone(6, [1])
+    assert late.lately == [[], [5, 6]]
