@@ -4,9 +4,9 @@ A frame is one MessagePack array, ``[type id, field, ...]``. Incoming bytes are 
 :func:`decode` returns a message, or a :class:`Malformed` with the reason. :func:`encode` reads an outgoing message back
 through the same checks before it leaves, so the two sides cannot disagree about what is allowed.
 
-**Fields.** A :class:`Field` turns a value into plain MessagePack data, and checks plain data on the way back. A reader
-accepts exactly the type that it expects (a bool is not an int, an int is not a float) within the bounds of
-:mod:`manyhands.protocol.limits`. It raises :class:`Unfit` otherwise, which :func:`decode` turns into a value.
+**Fields.** The :class:`.PlainForm` of a field turns a value into plain MessagePack data, and checks plain data on the
+way back. It accepts exactly the type that it expects (a bool is not an int, an int is not a float) within the bounds of
+:mod:`manyhands.protocol.limits`. It raises :class:`.Unfit` otherwise, which :func:`decode` turns into a value.
 
 **Signals** take a direct path in both directions, for a tick consists of them. Their first 23 bytes have a fixed
 layout, :data:`USUAL`, which is still plain MessagePack. A frame that a different encoder wrote with shorter integers
@@ -93,6 +93,7 @@ from manyhands.protocol.messages import (
     Welcome,
     is_presentable,
 )
+from manyhands.protocol.plain import NotFinite, PlainForm, Unfit, form_of, same, shown
 
 _WIRE_FLOAT: Final = np.dtype("<f8")
 
@@ -101,32 +102,6 @@ CONNECTION_BYTES: Final = 8
 
 SECRET_BYTES: Final = 32
 """The length of the key of a datagram path, bytes."""
-
-
-class Unfit(Exception):
-    """A field cannot be read; the message states what was found and what was expected. It stays within the codec."""
-
-
-class NotFinite(Unfit):
-    """A number that must be finite is infinite or not a number."""
-
-
-class Field(NamedTuple):
-    """One field: ``pack`` makes plain data of a value; ``read`` makes a value of plain data, or raises ``Unfit``."""
-
-    pack: Callable[[Any], object]
-    read: Callable[[object], Any]
-
-
-def _describe(value: object) -> str:
-    """A short and printable text for a value from outside."""
-    if isinstance(value, (str, bytes, list, dict, tuple)) and len(value) > 40:
-        return f"{type(value).__name__} of length {len(value)}"
-    return f"{value!r:.120}"
-
-
-def _same(value: object) -> object:
-    return value
 
 
 # --- numbers
@@ -142,20 +117,20 @@ def _plain_number(value: object) -> object:
     return value
 
 
-def integer(low: int, high: int) -> Field:
+def integer(low: int, high: int) -> PlainForm:
     """A field of an int from ``low`` to ``high``."""
 
     def read(value: object) -> int:
         if type(value) is not int or not low <= value <= high:
-            raise Unfit(f"found {_describe(value)}; expected an integer from {low} to {high}")
+            raise Unfit(f"found {shown(value)}; expected an integer from {low} to {high}")
         return value
 
-    return Field(_plain_integer, read)
+    return PlainForm(_plain_integer, read)
 
 
 def _read_number(value: object) -> float:
     if type(value) is not float:
-        raise Unfit(f"found {_describe(value)}; expected a float")
+        raise Unfit(f"found {shown(value)}; expected a float")
     return value
 
 
@@ -171,14 +146,14 @@ def _read_finite(value: object) -> float:
 
 def _read_text(value: object) -> str:
     if type(value) is not str or len(value) > MAX_TEXT or not is_presentable(value):
-        raise Unfit(f"found {_describe(value)}; expected printable text of at most {MAX_TEXT} characters")
+        raise Unfit(f"found {shown(value)}; expected printable text of at most {MAX_TEXT} characters")
     return value
 
 
 def _word(limit: int) -> Callable[[object], str]:
     def read(value: object) -> str:
         if type(value) is not str or not 1 <= len(value) <= limit or not value.isprintable():
-            raise Unfit(f"found {_describe(value)}; expected a printable name of 1 to {limit} characters")
+            raise Unfit(f"found {shown(value)}; expected a printable name of 1 to {limit} characters")
         return value
 
     return read
@@ -187,30 +162,19 @@ def _word(limit: int) -> Callable[[object], str]:
 _read_name = _word(MAX_NAME)
 
 
-def _choice(kind: type[StrEnum]) -> Field:
-    members = {str(member): member for member in kind}
-
-    def read(value: object) -> StrEnum:
-        if type(value) is not str or value not in members:
-            raise Unfit(f"found {_describe(value)}; expected one of {', '.join(members)}")
-        return members[value]
-
-    return Field(lambda value: str(value) if isinstance(value, StrEnum) else value, read)
-
-
 # --- collections
 
 
-def _mapping(pack: Callable[[Any], object], read: Callable[[object], Any]) -> Field:
+def _mapping(pack: Callable[[Any], object], read: Callable[[object], Any]) -> PlainForm:
     def pack_all(value: Mapping[str, Any]) -> object:
         return {key: pack(item) for key, item in value.items()}
 
     def read_all(value: object) -> dict[str, Any]:
         if type(value) is not dict or len(value) > MAX_ENTRIES:
-            raise Unfit(f"found {_describe(value)}; expected a map of at most {MAX_ENTRIES} entries")
+            raise Unfit(f"found {shown(value)}; expected a map of at most {MAX_ENTRIES} entries")
         return {_read_name(key): read(item) for key, item in value.items()}
 
-    return Field(pack_all, read_all)
+    return PlainForm(pack_all, read_all)
 
 
 def _pack_numbers(value: Mapping[str, Any]) -> object:
@@ -229,13 +193,13 @@ def _read_numbers(value: object) -> dict[str, float]:
 
 def _pack_figures(value: Any) -> object:
     if not isinstance(value, Figures):
-        raise Unfit(f"found {_describe(value)}; expected figures")
+        raise Unfit(f"found {shown(value)}; expected figures")
     return [_pack_numbers(value), {name: _pack_numbers(table) for name, table in value.tables.items()}]
 
 
 def _read_figures(value: object) -> Figures:
     if type(value) is not list or len(value) != 2:
-        raise Unfit(f"found {_describe(value)}; expected [numbers, tables]")
+        raise Unfit(f"found {shown(value)}; expected [numbers, tables]")
     numbers, tables = value
     return Figures(_read_numbers(numbers), TABLES.read(tables))
 
@@ -257,10 +221,10 @@ _each_number: Final = _mapping(_plain_number, _read_number).read
 
 def _read_ports(value: object) -> tuple[str, ...]:
     if type(value) is not list or not 1 <= len(value) <= MAX_PORTS:
-        raise Unfit(f"found {_describe(value)}; expected an array of 1 to {MAX_PORTS} ports")
+        raise Unfit(f"found {shown(value)}; expected an array of 1 to {MAX_PORTS} ports")
     ports = tuple(_read_name(port) for port in value)
     if len(set(ports)) != len(ports):
-        raise Unfit(f"found {_describe(list(ports))}; expected every port once")
+        raise Unfit(f"found {shown(list(ports))}; expected every port once")
     return ports
 
 
@@ -268,28 +232,28 @@ def _pack_tuple(value: Any) -> object:
     return list(value) if isinstance(value, tuple) else value
 
 
-def _list_of(what: str, most: int, read: Callable[[object], Any], pack: Callable[[Any], object] = _same) -> Field:
+def _list_of(what: str, most: int, read: Callable[[object], Any], pack: Callable[[Any], object] = same) -> PlainForm:
     def pack_all(value: Any) -> object:
         return [pack(item) for item in value] if isinstance(value, tuple) else value
 
     def read_all(value: object) -> tuple[Any, ...]:
         if type(value) is not list or len(value) > most:
-            raise Unfit(f"found {_describe(value)}; expected an array of at most {most} {what}")
+            raise Unfit(f"found {shown(value)}; expected an array of at most {most} {what}")
         return tuple(read(item) for item in value)
 
-    return Field(pack_all, read_all)
+    return PlainForm(pack_all, read_all)
 
 
 def _pack_status(value: Any) -> object:
     if not isinstance(value, PromiseStatus):
-        raise Unfit(f"found {_describe(value)}; expected the status of a promise")
+        raise Unfit(f"found {shown(value)}; expected the status of a promise")
     since, until = (None if at is None else _plain_number(at) for at in (value.since, value.until))
-    return [value.promise, value.state, list(value.who), since, until, NUMBERS.pack(value.cost), value.remark]
+    return [value.promise, value.state, list(value.who), since, until, NUMBERS.write(value.cost), value.remark]
 
 
 def _read_status(value: object) -> PromiseStatus:
     if type(value) is not list or len(value) != 7:
-        raise Unfit(f"found {_describe(value)}; expected [promise, state, who, since, until, cost, remark]")
+        raise Unfit(f"found {shown(value)}; expected [promise, state, who, since, until, cost, remark]")
     promise, state, who, *times, cost, remark = value
     since, until = (None if at is None else _read_finite(at) for at in times)
     return PromiseStatus(
@@ -306,10 +270,10 @@ def _read_feedthrough(value: object) -> tuple[tuple[float, ...], ...] | None:
     if value is None:
         return None
     if type(value) is not list or len(value) > MAX_PORTS:
-        raise Unfit(f"found {_describe(value)}; expected nil or at most {MAX_PORTS} rows")
+        raise Unfit(f"found {shown(value)}; expected nil or at most {MAX_PORTS} rows")
     for row in value:
         if type(row) is not list or len(row) > MAX_PORTS:
-            raise Unfit(f"found {_describe(row)}; expected a row of at most {MAX_PORTS} numbers")
+            raise Unfit(f"found {shown(row)}; expected a row of at most {MAX_PORTS} numbers")
     return tuple(tuple(_read_finite(entry) for entry in row) for row in value)
 
 
@@ -349,7 +313,7 @@ def read_values(data: object) -> Values:
         NotFinite: a value is infinite or not a number.
     """
     if type(data) is not bytes or len(data) % 8 or not 8 <= len(data) <= 8 * MAX_PORTS:
-        raise Unfit(f"found {_describe(data)}; expected 8 bytes each for 1 to {MAX_PORTS} values")
+        raise Unfit(f"found {shown(data)}; expected 8 bytes each for 1 to {MAX_PORTS} values")
     values = _doubles(data)
     if not all_finite(values.tolist()):
         raise NotFinite("found a value that is not finite; expected finite values")
@@ -366,7 +330,7 @@ def _read_sums(value: object) -> tuple[float, ...]:
     return tuple(read_values(value).tolist())
 
 
-def _raw(size: int) -> Field:
+def _raw(size: int) -> PlainForm:
     """A field of ``size`` bytes, which no message quotes: they may be secret."""
 
     def read(value: object) -> bytes:
@@ -375,7 +339,7 @@ def _raw(size: int) -> Field:
             raise Unfit(f"found {found}; expected {size} bytes")
         return value
 
-    return Field(_same, read)
+    return PlainForm(same, read)
 
 
 def _read_piece(value: object) -> bytes:
@@ -394,43 +358,43 @@ def _pack_trace(value: Any) -> object:
 
 def _read_trace(value: object) -> Values:
     if type(value) is not list or len(value) != 3:
-        raise Unfit(f"found {_describe(value)}; expected [rows, columns, bytes]")
+        raise Unfit(f"found {shown(value)}; expected [rows, columns, bytes]")
     rows, columns, data = value
     for side in (rows, columns):
         if type(side) is not int or not 0 <= side <= MAX_TRACE_SIDE:
-            raise Unfit(f"found {_describe(side)} rows or columns; expected 0 to {MAX_TRACE_SIDE}")
+            raise Unfit(f"found {shown(side)} rows or columns; expected 0 to {MAX_TRACE_SIDE}")
     if type(data) is not bytes or len(data) != 8 * rows * columns:
-        raise Unfit(f"found {_describe(data)}; expected {8 * rows * columns} bytes ({rows} x {columns})")
+        raise Unfit(f"found {shown(data)}; expected {8 * rows * columns} bytes ({rows} x {columns})")
     return _doubles(data).reshape(rows, columns)
 
 
-NAME: Final = Field(_same, _read_name)
-TEXT: Final = Field(_same, _read_text)
-ROLE: Final = _choice(Role)
-REFUSAL_CODE: Final = _choice(RefusalCode)
+NAME: Final = PlainForm(same, _read_name)
+TEXT: Final = PlainForm(same, _read_text)
+ROLE: Final = form_of(Role)
+REFUSAL_CODE: Final = form_of(RefusalCode)
 COUNT: Final = integer(0, MAX_COUNT)
 PID: Final = integer(1, MAX_PID)
 PORT_NUMBER: Final = integer(1, 65535)
-PORTS: Final = Field(_pack_tuple, _read_ports)
-FEEDTHROUGH: Final = Field(_pack_feedthrough, _read_feedthrough)
-ENDPOINT: Final = Field(_same, _word(MAX_ENDPOINT))
-ENDPOINTS: Final = _mapping(_same, ENDPOINT.read)
+PORTS: Final = PlainForm(_pack_tuple, _read_ports)
+FEEDTHROUGH: Final = PlainForm(_pack_feedthrough, _read_feedthrough)
+ENDPOINT: Final = PlainForm(same, _word(MAX_ENDPOINT))
+ENDPOINTS: Final = _mapping(same, ENDPOINT.read)
 NAMES: Final = _list_of("names", MAX_ENTRIES, _read_name)
 SENTENCES: Final = _list_of("sentences", MAX_SENTENCES, _read_text)
-STATES: Final = _mapping(_same, _read_name)
-ELAPSED: Final = Field(_plain_number, _read_finite)
+STATES: Final = _mapping(same, _read_name)
+ELAPSED: Final = PlainForm(_plain_number, _read_finite)
 RUNG: Final = integer(0, MAX_RUNG)
-VALUES: Final = Field(pack_values, read_values)
-SUMS: Final = Field(_pack_sums, _read_sums)
-ENERGY: Final = Field(_plain_number, _read_finite)
+VALUES: Final = PlainForm(pack_values, read_values)
+SUMS: Final = PlainForm(_pack_sums, _read_sums)
+ENERGY: Final = PlainForm(_plain_number, _read_finite)
 CONNECTION: Final = _raw(CONNECTION_BYTES)
 SECRET: Final = _raw(SECRET_BYTES)
 PLACE: Final = integer(0, MAX_PART_BYTES - 1)
 LENGTH: Final = integer(1, MAX_PART_BYTES)
-PIECE: Final = Field(_same, _read_piece)
-NUMBERS: Final = Field(_pack_numbers, _read_numbers)
+PIECE: Final = PlainForm(same, _read_piece)
+NUMBERS: Final = PlainForm(_pack_numbers, _read_numbers)
 TABLES: Final = _mapping(_pack_numbers, _read_numbers)
-FIGURES: Final = Field(_pack_figures, _read_figures)
+FIGURES: Final = PlainForm(_pack_figures, _read_figures)
 PROMISES: Final = _list_of("promises", MAX_SENTENCES, _read_status, _pack_status)
 TRACES: Final = _mapping(_pack_trace, _read_trace)
 
@@ -598,7 +562,7 @@ WAVE_ID: Final = 20
 _SIGNAL_IDS: Final[dict[type[Signal], int]] = {kind: number for number, kind in _SIGNALS.items()}
 
 
-_Layout: TypeAlias = tuple[int, tuple[Field, ...]]
+_Layout: TypeAlias = tuple[int, tuple[PlainForm, ...]]
 
 # type id and fields, in the order in which the dataclass declares them; an id is never used for a second type
 _HELLO_START: Final = (integer(0, MAX_VERSION), NAME, NAME, NAME, ROLE)
@@ -767,7 +731,7 @@ def _encode_any(message: Message) -> bytes:
     plain: list[object] = [number]
     for name, field in zip(_FIELD_NAMES[kind], layout, strict=True):
         try:
-            packed = field.pack(getattr(message, name))
+            packed = field.write(getattr(message, name))
             field.read(packed)
         except (Unfit, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise ValueError(f"{kind.__name__}.{name}: {error}") from None

@@ -66,6 +66,7 @@ from manyhands.nodes.wave_link.faces import wave_feedthrough
 from manyhands.protocol.channels import links_at, topics_of
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Role
+from manyhands.protocol.plain import written
 
 PortBounds = tuple[float | None, ...]
 """One bound for each port of the session; None where a port has no bound."""
@@ -245,7 +246,7 @@ def part_id(certificate: str, bundles: Sequence[Bundle]) -> str:
     """
     content: list[Any] = [certificate]
     for bundle in bundles:
-        members = json.loads(bundle_files.encoded(bundle))
+        members = written(bundle)
         common = members.pop("common")
         links = [[peer["name"], peer["ports"], peer["binds"]] for peer in common["peers"]]
         content.append([members, links, {key: common[key] for key in _OF_A_PART}])

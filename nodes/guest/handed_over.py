@@ -19,7 +19,8 @@ from tempfile import TemporaryDirectory
 from typing import Final
 
 from manyhands.design.files import open_new
-from manyhands.nodes.kernel.bundle import MAX_FILE_BYTES, Bundle, BundleError, elsewhere, encoded
+from manyhands.nodes.kernel.bundle import MAX_FILE_BYTES, Bundle, BundleError, elsewhere
+from manyhands.protocol.plain import written
 
 STDIN: Final = Path("-")
 """In place of a bundle's file."""
@@ -33,7 +34,7 @@ def handed_over(bundle: Bundle, key: bytes) -> bytes:
         key: the content of the file of its private key.
     """
     bundle = replace(bundle, common=replace(bundle.common, directory="", private=""))
-    return json.dumps({"bundle": json.loads(encoded(elsewhere(bundle))), "key": json.loads(key)}).encode() + b"\n"
+    return json.dumps({"bundle": written(elsewhere(bundle)), "key": json.loads(key)}, allow_nan=False).encode() + b"\n"
 
 
 @contextmanager

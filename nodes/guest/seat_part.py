@@ -21,10 +21,10 @@ from manyhands.nodes.kernel.bundle import (
     DeviceBundle,
     decoded,
     elsewhere,
-    encoded,
 )
 from manyhands.protocol.keys import KeyPair, KeyRing
 from manyhands.protocol.limits import MAX_PART_BYTES
+from manyhands.protocol.plain import written
 
 SHORTEST_PERIOD: Final = 1e-5
 """The shortest period that a guest agrees to, s: no machine runs the loop faster than some tens of thousands of times a
@@ -60,8 +60,8 @@ class SeatPart:
         """
         pair = self.pairs[self.coupling.common.name]
         members = {
-            "device": json.loads(encoded(elsewhere(self.device))),
-            "coupling": json.loads(encoded(self.coupling)),
+            "device": written(elsewhere(self.device)),
+            "coupling": written(self.coupling),
             "keys": {"public": pair.public, "secret": pair.secret},
         }
         content = json.dumps(members, allow_nan=False).encode()

@@ -6,8 +6,8 @@ rung 0 comes with the handshakes, and the bundle has only the D_V of the ladder'
 
 A bundle names the node, its peers and its limits (:class:`Common`, :class:`Peer`, :class:`Limits`), and the rungs of
 the ladder. A device's bundle also has the source of its motion (:data:`Source`): a simulated hand, a recorded motion,
-a person at a browser, or the driver of another package. Arrays are written with their shape (:func:`plain`,
-:func:`array`).
+a person at a browser, or the driver of another package. A field is declared once, with its annotation: the form that it
+has in the file, and what is refused there, follow from it (:mod:`manyhands.protocol.plain`).
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeAlias, TypeVar
+from typing import Annotated, Any, Final, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from manyhands.design.files import open_new, read_regular
 from manyhands.design.levels.contract import DeviceShare
 from manyhands.design.models.coupling import loop_gain
 from manyhands.design.models.scene import ContactScene, scene_of
-from manyhands.design.models.statespace import Matrix, StateSpace, matrix
+from manyhands.design.models.statespace import Matrix, StateSpace
 from manyhands.nodes.kernel.allowance import LatenessAllowance
 from manyhands.nodes.kernel.driver_statement import NO_DELAY, DeviceTiming
 from manyhands.nodes.kernel.energy_budget import EnergyBudget
@@ -37,9 +37,32 @@ from manyhands.nodes.kernel.inertia import Inertia
 from manyhands.nodes.kernel.site_bounds import SiteBounds
 from manyhands.protocol.clock import from_seconds
 from manyhands.protocol.messages import Role, Start
+from manyhands.protocol.plain import Added, PlainForm, Requirement, Unfit, by_kind, read, written
 
 MOST_RUNGS = 8
 """The most rungs of a ladder besides rung 0, as many as a session file may state."""
+
+MAX_FILE_BYTES = 256 * 2**20
+
+SIMULATED = "simulated"
+REALTIME = "realtime"
+CLOCKS = (REALTIME, SIMULATED)
+
+WALL = "wall"
+"""The time of a device that goes on by the wall clock, as a real device does."""
+
+OWN = "own"
+"""The time of a device that goes on by one period from sample to sample, however long that took."""
+
+TIMES = (WALL, OWN)
+
+MAX_TELEMETRY_TICKS = 1000
+"""The most ticks between two telemetry messages: a node keeps the traces of all of them."""
+
+_TIME: Final = Requirement(lambda t: 0.0 <= t < 1e9, "0 s to 1e9 s")
+_SPAN: Final = Requirement(lambda t: 0.0 < t < 1e9, "more than 0, and less than 1e9")
+_TICKS: Final = Requirement(lambda ticks: 0 < ticks <= MAX_TELEMETRY_TICKS, f"1 to {MAX_TELEMETRY_TICKS}")
+_CLOCK: Final = Requirement(CLOCKS.__contains__, f"one of {', '.join(CLOCKS)}")
 
 
 @dataclass(frozen=True)
@@ -97,8 +120,8 @@ class Common:
     name: str
     role: Role
     certificate: str
-    period: float
-    clock: str
+    period: Annotated[float, _SPAN]
+    clock: Annotated[str, _CLOCK]
     transport: str
     public: Mapping[str, str]
     private: str
@@ -106,10 +129,10 @@ class Common:
     control: str
     ports: tuple[str, ...]
     peers: tuple[Peer, ...]
-    telemetry_ticks: int
-    telemetry_first: int
-    rate: float = 1.0
-    phase: float = 0.0
+    telemetry_ticks: Annotated[int, _TICKS]
+    telemetry_first: Annotated[int, _TICKS]
+    rate: Annotated[Added[float], _SPAN] = 1.0
+    phase: Annotated[Added[float], _TIME] = 0.0
 
     def __post_init__(self) -> None:
         if self.telemetry_first > self.telemetry_ticks:
@@ -161,7 +184,7 @@ class DeviceRung:
         ValueError: a number is out of its range.
     """
 
-    tau: float
+    tau: Annotated[float, _TIME]
     period_tolerance: float
     share: DeviceShare
 
@@ -202,34 +225,6 @@ class CouplingRung:
 def _require_few_rungs(rungs: Sequence[object]) -> None:
     if len(rungs) > 1 + MOST_RUNGS:
         raise ValueError(f"found {len(rungs)} rungs; expected at most {1 + MOST_RUNGS}")
-
-
-def plain(value: Any) -> Any:
-    """A value in the form that JSON writes: data classes by their fields, arrays with their shape."""
-    if dataclasses.is_dataclass(value):
-        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
-    if isinstance(value, np.ndarray):
-        return {"shape": value.shape, "entries": value.ravel().tolist()}
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, tuple | list):
-        return [plain(item) for item in value]
-    return value
-
-
-def array(data: Any) -> Matrix:
-    """The matrix of ``data``; other data raise one of the errors that :func:`load` turns into a BundleError."""
-    return matrix(np.array(data["entries"], dtype=np.float64).reshape(data["shape"]))
-
-
-def system(data: Any) -> StateSpace:
-    """The system of ``data``, by its matrices A, B, C, D; other data raise as in :func:`array`."""
-    return StateSpace(*(array(data[name]) for name in "ABCD"))
-
-
-def floats(data: Any) -> tuple[float, ...]:
-    """The numbers of ``data``; other data raise as in :func:`array`."""
-    return tuple(float(value) for value in data)
 
 
 @dataclass(frozen=True, eq=False)
@@ -331,7 +326,10 @@ class PluginDevice:
     timing: DeviceTiming = NO_DELAY
 
 
-Source: TypeAlias = SimulatedHand | BrowserHand | RecordedMotion | PluginDevice
+Source: TypeAlias = Annotated[
+    SimulatedHand | BrowserHand | RecordedMotion | PluginDevice,
+    by_kind(simulated=SimulatedHand, browser=BrowserHand, trace=RecordedMotion, plugin=PluginDevice),
+]
 """The source of a device's motion."""
 
 
@@ -340,81 +338,7 @@ def _require_one_number(numbers: set[int]) -> None:
         raise ValueError(f"found entries of {sorted(numbers)} axes in a device's source; expected one number of axes")
 
 
-def plain_source(source: Source) -> dict[str, Any]:
-    """The source in the form of a bundle's file."""
-    kind = next(kind for kind, (of, _) in _KINDS.items() if isinstance(source, of))
-    return {"kind": kind, **{field.name: plain(getattr(source, field.name)) for field in dataclasses.fields(source)}}
-
-
-def source_from(data: Any) -> Source:
-    """The source in a bundle's file; the inverse of :func:`plain_source`.
-
-    Raises:
-        ValueError: the kind is unknown, or the numbers do not fit each other.
-        KeyError: an entry is missing.
-        TypeError: an entry has the wrong type.
-    """
-    kind = data["kind"]
-    if not isinstance(kind, str) or kind not in _KINDS:
-        raise ValueError(f"found a device moved by {kind!r:.40}; expected one of {', '.join(_KINDS)}")
-    return _KINDS[kind][1](data)
-
-
-def _hand(data: Any) -> SimulatedHand:
-    vectors = {name: floats(data[name]) for name in ("mass", "damping", "hand_damping", "hand_stiffness")}
-    intentions = {name: tuple(data[name]) for name in ("force", "motion")}
-    return SimulatedHand(operator=system(data["operator"]), **vectors, **intentions)
-
-
-def _motion(data: Any) -> RecordedMotion:
-    times, values = floats(data["times"]), tuple(floats(axis) for axis in data["values"])
-    if not all(map(math.isfinite, (*times, *(value for axis in values for value in axis)))):
-        raise ValueError("found a motion with a number that is not finite; expected finite numbers")
-    return RecordedMotion(array(data["damping"]), times, values)
-
-
-def _plugin(data: Any) -> PluginDevice:
-    timing = data["timing"]
-    jitter = None if timing["age_jitter"] is None else float(timing["age_jitter"])
-    return PluginDevice(
-        _factory(data["driver"]),
-        int(data["axes"]),
-        tuple(str(name) for name in data["axis_map"]),
-        float(data["scale"]),
-        DeviceTiming(float(timing["sample_age"]), jitter, float(timing["actuation_delay"])),
-    )
-
-
-def _factory(data: Any) -> FactoryName:
-    return FactoryName(data["factory"], dict(data["parameters"]), str(data.get("folder", "")))
-
-
-_KINDS: Final[Mapping[str, tuple[type[Any], Callable[[Any], Source]]]] = {
-    "simulated": (SimulatedHand, _hand),
-    "browser": (BrowserHand, lambda data: BrowserHand(_hand(data["physics"]))),
-    "trace": (RecordedMotion, _motion),
-    "plugin": (PluginDevice, _plugin),
-}
-
-
-MAX_FILE_BYTES = 256 * 2**20
-
 NOTHING = LatenessAllowance(0.0)
-
-SIMULATED = "simulated"
-REALTIME = "realtime"
-CLOCKS = (REALTIME, SIMULATED)
-
-WALL = "wall"
-"""The time of a device that goes on by the wall clock, as a real device does."""
-
-OWN = "own"
-"""The time of a device that goes on by one period from sample to sample, however long that took."""
-
-TIMES = (WALL, OWN)
-
-MAX_TELEMETRY_TICKS = 1000
-"""The most ticks between two telemetry messages: a node keeps the traces of all of them."""
 
 
 class BundleError(Exception):
@@ -447,8 +371,8 @@ class DeviceBundle:
     source: Source
     limits: Limits
     time: str = OWN
-    allowance: LatenessAllowance | None = None
-    inertia: Inertia | None = None
+    allowance: Added[LatenessAllowance | None] = None
+    inertia: Added[Inertia | None] = None
 
     def __post_init__(self) -> None:
         m = len(self.common.ports)
@@ -586,6 +510,13 @@ class CouplingBundle:
         return (CouplingRung(self.block, self.K, self.level), *self.softer)
 
 
+_SCENE: Final = PlainForm(
+    lambda scene: {"ports": list(scene.ports), "terms": scene.terms()},
+    lambda data: scene_of(data["terms"], tuple(data["ports"])),
+)
+"""A scene in the form that a certificate has it, with its ports."""
+
+
 @dataclass(frozen=True, eq=False)
 class EnvironmentBundle:
     """The environment's part of the session.
@@ -629,14 +560,14 @@ class EnvironmentBundle:
     independent: bool = True
     enforce: bool = False
     model: FactoryName | None = None
-    scene: ContactScene | None = None
+    scene: Annotated[ContactScene, _SCENE] | None = None
     stiffness: Matrix | None = None
     masses: tuple[str, ...] = ()
-    longest_tau: float = 0.0
+    longest_tau: Annotated[float, _TIME] = 0.0
     budgets: tuple[EnergyBudget, ...] = ()
     storage: Matrix | None = None
     waves: Mapping[str, WaveEnd] = field(default_factory=dict)
-    tank: float = 0.0
+    tank: Added[float] = 0.0
 
     @property
     def energy_at_start(self) -> float:
@@ -716,9 +647,7 @@ def save(bundle: Bundle, path: Path) -> None:
 
 def encoded(bundle: Bundle) -> bytes:
     """The content of a bundle's file."""
-    fields = {field.name: getattr(bundle, field.name) for field in dataclasses.fields(bundle)}
-    written = {name: _WRITTEN.get(name, plain)(value) for name, value in fields.items()}
-    return json.dumps(written, allow_nan=False).encode()
+    return json.dumps(written(bundle), allow_nan=False).encode()
 
 
 def role_of(path: Path) -> Role:
@@ -727,7 +656,8 @@ def role_of(path: Path) -> Role:
     Raises:
         BundleError: as :func:`load`.
     """
-    return load(path, ObserverBundle).common.role
+    data = _object_in(path)
+    return decoded({"common": data.get("common")}, ObserverBundle, path).common.role
 
 
 def load(path: Path, kind: type[_B]) -> _B:
@@ -736,13 +666,7 @@ def load(path: Path, kind: type[_B]) -> _B:
     Raises:
         BundleError: the file cannot be read, or is no bundle of that kind.
     """
-    try:
-        data = json.loads(read_regular(path, MAX_FILE_BYTES))
-    except OSError as error:
-        raise BundleError(f"{path}: cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
-        raise _no_bundle(path, kind, error) from error
-    return decoded(data, kind, path)
+    return decoded(_object_in(path), kind, path)
 
 
 def decoded(data: Any, kind: type[_B], path: Path) -> _B:
@@ -752,138 +676,27 @@ def decoded(data: Any, kind: type[_B], path: Path) -> _B:
         BundleError: the object is no bundle of that kind.
     """
     try:
-        given = {**_BEFORE[kind](data), **data} if kind in _BEFORE else data
-        return kind(**{field.name: _READ[field.name](given[field.name]) for field in dataclasses.fields(kind)})
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-        raise _no_bundle(path, kind, error) from error
+        return read(kind, _of_now(data) if kind is DeviceBundle else data)
+    except Unfit as error:
+        raise BundleError(f"{path}: not a bundle for a {kind.__name__}: {error}") from error
 
 
-def _no_bundle(path: Path, kind: type[Any], error: Exception) -> BundleError:
-    # the error's text and not its repr, which may quote the whole file
-    return BundleError(f"{path}: not a bundle for a {kind.__name__}: {type(error).__name__}: {error}")
+def _of_now(device: Any) -> Any:
+    """A device's bundle from before lateness had a power: it has the energy alone, as its tank."""
+    if not isinstance(device, dict) or "tank" not in device:
+        return device
+    tank = device["tank"]
+    own = {key: value for key, value in device.items() if key != "tank"}
+    return {"allowance": None if tank is None else {"energy": tank, "power": 0.0}, **own}
 
 
-def _optional_array(data: Any) -> Matrix | None:
-    return None if data is None else array(data)
-
-
-def _common(data: Any) -> Common:
-    peers = tuple(
-        Peer(p["name"], Role(p["role"]), tuple(p["ports"]), p["binds"], p["address"], p["certificate"])
-        for p in data["peers"]
-    )
-    common = Common(**{**data, "role": Role(data["role"]), "ports": tuple(data["ports"]), "peers": peers})
-    for name, fits in _FITS.items():
-        if not fits(getattr(common, name)):
-            raise ValueError(f"found {getattr(common, name)!r:.40} as {name}; expected it as manyhands writes it")
-    return common
-
-
-def _limits(data: Any) -> Limits:
-    return Limits(**{name: floats(data[name]) for name in data})
-
-
-def _bounds(data: Any) -> tuple[float | None, ...]:
-    return tuple(None if bound is None else float(bound) for bound in data)
-
-
-def _flag(data: Any) -> bool:
-    if type(data) is not bool:
-        raise ValueError(f"found {data!r:.40} as enforce; expected true or false")
+def _object_in(path: Path) -> dict[str, Any]:
+    try:
+        data = json.loads(read_regular(path, MAX_FILE_BYTES))
+    except OSError as error:
+        raise BundleError(f"{path}: cannot be read: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:  # whose text does not quote the file
+        raise BundleError(f"{path}: not a bundle: {error}") from error
+    if not isinstance(data, dict):
+        raise BundleError(f"{path}: not a bundle: found {type(data).__name__}; expected an object")
     return data
-
-
-def _tau(data: Any) -> float:
-    if not _is_time(data):
-        raise ValueError(f"found {data!r:.40} as a tau; expected a number of seconds")
-    return float(data)
-
-
-def _device_rung(data: Any) -> DeviceRung:
-    share = DeviceShare(*floats(data["share"][name] for name in ("kappa", "share", "c")))
-    return DeviceRung(_tau(data["tau"]), float(data["period_tolerance"]), share)
-
-
-def _wave_end(data: Any) -> WaveEnd:
-    depth = None if data["depth"] is None else float(data["depth"])
-    theta = _optional_array(data["theta"])
-    thinning = (int(data["every"]), int(data["peer_every"]), int(data["turn"]))
-    found = data["bounds"]
-    bounds = None if found is None else SiteBounds(floats(found["wave"]), floats(found["place"]))
-    return WaveEnd(array(data["b"]), theta, float(data["tank"]), float(data["peer_period"]), depth, *thinning, bounds)
-
-
-def _is_time(value: Any) -> bool:
-    return type(value) in (float, int) and 0.0 <= value < 1e9
-
-
-def _is_peer(peer: Peer) -> bool:
-    return _are_texts((peer.name, peer.address, peer.certificate, *peer.ports)) and type(peer.binds) is bool
-
-
-def _are_texts(values: Any) -> bool:
-    return all(type(value) is str for value in values)
-
-
-_FITS: dict[str, Callable[[Any], bool]] = {
-    **dict.fromkeys(
-        ("session", "name", "certificate", "private", "directory", "control"), lambda text: _are_texts([text])
-    ),
-    "period": lambda period: _is_time(period) and period > 0.0,
-    "clock": lambda clock: clock in CLOCKS,
-    "public": lambda keys: type(keys) is dict and _are_texts(keys.values()),
-    "ports": _are_texts,
-    "peers": lambda peers: all(map(_is_peer, peers)),
-    "telemetry_ticks": lambda ticks: type(ticks) is int and 0 < ticks <= MAX_TELEMETRY_TICKS,
-    "telemetry_first": lambda ticks: type(ticks) is int and 0 < ticks <= MAX_TELEMETRY_TICKS,
-    "rate": lambda rate: _is_time(rate) and rate > 0.0,
-    "phase": lambda phase: _is_time(phase),
-}
-"""The checks of :class:`Common`'s entries, which a node then uses without further checks."""
-
-_WRITTEN: dict[str, Callable[[Any], Any]] = {
-    "source": plain_source,
-    "scene": lambda scene: None if scene is None else {"ports": list(scene.ports), "terms": scene.terms()},
-}
-
-_READ: dict[str, Any] = {
-    "common": _common,
-    "level": _optional_array,
-    "source": source_from,
-    "block": system,
-    "K": array,
-    "E": lambda data: None if data is None else system(data),
-    "Phi_E": _optional_array,
-    "enforce": _flag,
-    "independent": _flag,
-    "model": lambda data: None if data is None else _factory(data),
-    "scene": lambda data: None if data is None else scene_of(data["terms"], tuple(data["ports"])),
-    "stiffness": _optional_array,
-    "masses": lambda data: tuple(str(name) for name in data),
-    "longest_tau": _tau,
-    "budgets": lambda all_: tuple(EnergyBudget(float(b["power"]), float(b["energy"]), float(b["store"])) for b in all_),
-    "storage": _optional_array,
-    "limits": _limits,
-    "tool_magnitude": _bounds,
-    "tool_step": _bounds,
-    "feedthrough": dict,
-    "osp": array,
-    "tank": float,
-    "allowance": lambda data: None if data is None else LatenessAllowance(float(data["energy"]), float(data["power"])),
-    "inertia": lambda data: None if data is None else Inertia(*(floats(data[key]) for key in ("mass", "hand", "step"))),
-    "rungs": lambda rungs: tuple(map(_device_rung, rungs)),
-    "time": lambda time: time,
-    "softer": lambda rungs: tuple(CouplingRung(system(r["block"]), array(r["K"]), array(r["level"])) for r in rungs),
-    "wave": lambda data: None if data is None else _wave_end(data),
-    "waves": lambda all_: {str(name): _wave_end(data) for name, data in all_.items()},
-    "feedthrough_rungs": lambda all_: {name: tuple(array(D) for D in rungs) for name, rungs in all_.items()},
-}
-
-_BEFORE: dict[type, Callable[[Any], dict[str, Any]]] = {
-    EnvironmentBundle: lambda _: {"tank": 0.0},
-    DeviceBundle: lambda data: {
-        "inertia": None,
-        "allowance": None if data.get("tank") is None else {"energy": data["tank"], "power": 0.0},
-    },
-}
-"""What bundles of recordings have that were written before an entry was there."""

@@ -354,9 +354,9 @@ class _Face(ABC):
 
     def _possible(self, c: Floats, bounds: SiteBounds) -> Floats:
         """c(k) itself, or the longest wave in its direction within the bounds of the site."""
-        beyond = 1.0
+        beyond, most = 1.0, bounds.wave
         for i in range(len(c)):
-            beyond = max(beyond, abs(c[i]) / bounds.wave[i])
+            beyond = max(beyond, abs(c[i]) / most[i])
         return c if beyond == 1.0 else [along / beyond for along in c]
 
     def _go_deaf(self) -> None:

@@ -9,14 +9,20 @@ import subprocess
 import sys
 import sysconfig
 import zipfile
+from collections.abc import Iterator
+from dataclasses import is_dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import pytest
 from hatchling.builders.wheel import WheelBuilder
 from packaging.utils import parse_wheel_filename
+
+from manyhands.nodes.kernel.bundle import Bundle
+from manyhands.nodes.monitor.session_state import About
+from manyhands.nodes.recorder.node import RecordingPlan
 
 from ..support.installed import PURE as PURE_WHEEL
 from ..support.installed import run
@@ -111,6 +117,24 @@ def test_an_editable_installation_is_never_compiled() -> None:
 
 def test_every_module_of_the_list_exists() -> None:
     assert [module for module in HOOK.MODULES if not (ROOT / f"{module}.py").is_file()] == []
+
+
+def classes_in(annotation: Any) -> Iterator[type[Any]]:
+    """The data classes that an annotation names, and those that their fields name."""
+    if is_dataclass(annotation) and isinstance(annotation, type):
+        yield annotation
+        for hint in get_type_hints(annotation).values():
+            yield from classes_in(hint)
+    for part in get_args(annotation):
+        yield from classes_in(part)
+
+
+def test_no_class_that_is_written_as_plain_data_is_compiled() -> None:
+    """A compiled class keeps no parameters of its annotations: ``tuple[float, ...]`` becomes ``tuple``."""
+    written = {one for kind in (*get_args(Bundle), About, RecordingPlan) for one in classes_in(kind)}
+    assert {"EnergyBudget", "Inertia", "SiteBounds", "SimulatedHand", "StateSpace"} <= {one.__name__ for one in written}
+    homes = {one.__module__.removeprefix("manyhands.").replace(".", "/") for one in written}
+    assert homes.isdisjoint(HOOK.MODULES)
 
 
 @pytest.mark.long
