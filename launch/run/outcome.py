@@ -28,6 +28,7 @@ from manyhands.nodes.rows.promises import Promise
 from manyhands.nodes.wave_link.felt import FeltLink, felt_link
 from manyhands.protocol.limits import MAX_COUNT
 from manyhands.protocol.messages import Figures, PromiseStatus, Report, Role, Telemetry
+from manyhands.protocol.plain import read
 
 
 @dataclass(frozen=True)
@@ -260,7 +261,7 @@ def felt_links(session: Session, figures: Mapping[str, Figures]) -> dict[str, Fe
 def wave_link_sentences(report: Mapping[str, Any]) -> list[str]:
     """A sentence about each wave link of a whole report."""
     entries: Mapping[str, Mapping[str, Any]] = report.get("wave_links", {})
-    return [FeltLink.from_plain(entry).sentence(name, over=True) for name, entry in entries.items()]
+    return [read(FeltLink, entry).sentence(name, over=True) for name, entry in entries.items()]
 
 
 def rows_of(report: Mapping[str, Any]) -> list[PromiseStatus]:

@@ -10,13 +10,11 @@ sockets.
 
 from __future__ import annotations
 
-import dataclasses
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 from manyhands.design.files import read_regular, replacing
 from manyhands.design.models.contacts import coordinates
@@ -42,6 +40,7 @@ from manyhands.protocol.clock import Instant, from_seconds
 from manyhands.protocol.codec import decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Condition, Figures, Observation, PromiseStatus, Role
+from manyhands.protocol.plain import Added, PlainForm, Requirement, read, shown, written
 
 ABOUT: Final = "about.json"
 """The file's name in the run's directory."""
@@ -49,6 +48,11 @@ ABOUT: Final = "about.json"
 MAX_ABOUT_BYTES: Final = 16 * 2**20
 
 _LATEST: Final = 2.5e11  # seconds since 1970, in the year 9892: calendars can show no later one
+_INSTANT: Final = Requirement(lambda t: 0.0 <= t < _LATEST, "seconds since 1970")
+PERIOD: Final = Requirement(lambda T: T > 0.0, "a time greater than 0")
+_PID: Final = Requirement(lambda pid: pid > 0, "a process id")
+_COUNT: Final = Requirement(lambda count: count >= 0, "a number of at least 0")
+_GEOMETRY: Final = PlainForm(ContactScene.geometry_terms, geometry_of)
 
 
 class AboutError(Exception):
@@ -73,9 +77,9 @@ class NodeAbout:
     ports: tuple[str, ...]
     process: str | None = None
     wall: bool = False
-    period: float | None = None
+    period: Annotated[float, PERIOD] | None = None
     impedance: tuple[float, float] | None = None
-    driver: DriverWord | None = None
+    driver: Added[DriverWord | None] = None
 
 
 @dataclass(frozen=True)
@@ -122,7 +126,7 @@ class CertificateAbout:
     tank: float
     bounded: bool
     taus: Mapping[str, float] = field(default_factory=dict)
-    power: float = 0.0
+    power: Added[float] = 0.0
 
 
 @dataclass(frozen=True)
@@ -154,12 +158,12 @@ class About:
 
     session: str
     id: str
-    pid: int
+    pid: Annotated[int, _PID]
     clock: str
     transport: str
-    period: float
-    ticks: int
-    started: float
+    period: Annotated[float, PERIOD]
+    ticks: Annotated[int, _COUNT]
+    started: Annotated[float, _INSTANT]
     nodes: Mapping[str, NodeAbout]
     links: tuple[LinkAbout, ...]
     masses: Mapping[str, float]
@@ -170,7 +174,7 @@ class About:
     environment: str
     observers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     seats: Mapping[str, str] = field(default_factory=dict)
-    scene: ContactScene | None = None
+    scene: Annotated[ContactScene, _GEOMETRY] | None = None
 
     @property
     def terms(self) -> Terms:
@@ -232,8 +236,8 @@ class About:
 
     def as_plain(self) -> dict[str, Any]:
         """As a JSON object."""
-        geometry = None if self.scene is None else self.scene.geometry_terms()
-        return {**dataclasses.asdict(replace(self, scene=None)), "scene": geometry}
+        plain: dict[str, Any] = written(self)
+        return plain
 
     def save(self, directory: Path) -> None:
         """Write it into the run's directory, for its user alone (mode 0600), whole or not at all.
@@ -253,146 +257,31 @@ class About:
         """
         path = directory / ABOUT
         try:
-            return _about(json.loads(read_regular(path, MAX_ABOUT_BYTES)))
+            about = read(cls, json.loads(read_regular(path, MAX_ABOUT_BYTES)))
+            about.require_known_names()
         except OSError as error:
             raise AboutError(f"{path}: cannot be read: {error.strerror}") from error
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError) as error:
-            raise AboutError(
-                f"{path}: found no session's description ({type(error).__name__}); expected one of this version"
-            ) from error
+        except (ValueError, RecursionError) as error:
+            raise AboutError(f"{path}: found no session's description of this version: {error}") from error
+        return about
 
+    def require_known_names(self) -> None:
+        """Refuse a description that names what it does not describe.
 
-_SCALARS: Final[Mapping[str, type | tuple[type, ...]]] = {
-    "session": str,
-    "id": str,
-    "pid": int,
-    "clock": str,
-    "transport": str,
-    "period": (int, float),
-    "ticks": int,
-    "started": (int, float),
-    "environment": str,
-}
-"""The keys that hold neither a list nor a map, with their types."""
-
-
-def _about(data: Any) -> About:
-    certificate = data["certificate"]
-    nodes = {
-        _text(name): NodeAbout(
-            Role(node["role"]),
-            _texts(node["ports"]),
-            _known(node["process"], data["nodes"]),
-            _flag(node["wall"]),
-            None if node["period"] is None else _number(node["period"]),
-            None if node["impedance"] is None else _pair(node["impedance"]),
-            None if (driver := node.get("driver")) is None else _driver(driver),
-        )
-        for name, node in data["nodes"].items()
-    }
-    about = About(
-        **{
-            **data,
-            "nodes": nodes,
-            "links": tuple(LinkAbout(_two(link["ends"]), _texts(link["ports"])) for link in data["links"]),
-            "masses": _numbers(data["masses"]),
-            "springs": tuple(
-                SpringAbout(_two(spring["ends"]), _number(spring["stiffness"]), _number(spring["damping"]))
-                for spring in data["springs"]
-            ),
-            "grips": _texts(data["grips"]),
-            "reach": _numbers(data["reach"]),
-            "certificate": None if certificate is None else _certificate(certificate),
-            "observers": {_text(name): _texts(reads) for name, reads in data["observers"].items()},
-            "seats": {_known(name, nodes): _known(device, nodes) for name, device in data["seats"].items()},
-            "scene": None if data["scene"] is None else geometry_of(data["scene"]),
-        }
-    )
-    for name, kind in _SCALARS.items():
-        if not isinstance(data[name], kind) or isinstance(data[name], bool):
-            raise TypeError(f"{name}: found {data[name]!r}")
-    periods = [about.period_of(name) for name in about.nodes]
-    if not all(0.0 < period < math.inf for period in (about.period, *periods)):
-        raise ValueError("found a period out of range")
-    if not (0 <= about.started < _LATEST and about.pid > 0 and about.ticks >= 0):
-        raise ValueError("found an instant, a process id or a number of ticks out of range")
-    for link in about.links:
-        for name in link.ends:
-            _known(name, nodes)
-    if about.scene is not None:
-        bodies = {name for body in about.scene.bodies for name in coordinates(body.name)}
-        ports = {port for node in nodes.values() if node.role is Role.ENVIRONMENT for port in node.ports}
-        if not (bodies <= about.masses.keys() and {*about.scene.ports} <= ports):
-            raise ValueError("found a scene of other ports or bodies than the environment's")
-    return about
-
-
-def _certificate(data: Any) -> CertificateAbout:
-    gamma = data["gamma"]
-    return CertificateAbout(
-        **{
-            **data,
-            "tau": _number(data["tau"]),
-            "margins": _numbers(data["margins"]),
-            "gamma": None if gamma is None else _number(gamma),
-            "delta_D": _numbers(data["delta_D"]),
-            "ladder": tuple(map(_number, data["ladder"])),
-            "enforced": _texts(data["enforced"]),
-            "tank": _number(data["tank"]),
-            "bounded": _flag(data["bounded"]),
-            "taus": _numbers(data["taus"]),
-            "power": _number(data.get("power", 0.0)),
-        }
-    )
-
-
-def _driver(data: Any) -> DriverWord:
-    return DriverWord(_text(data["factory"]), _number(data["sample_age"]), _number(data["actuation_delay"]))
-
-
-def _text(value: Any) -> str:
-    if not isinstance(value, str):
-        raise TypeError(f"found {value!r}; expected a text")
-    return value
-
-
-def _texts(values: Any) -> tuple[str, ...]:
-    if not isinstance(values, list):
-        raise TypeError(f"found {values!r}; expected a list")
-    return tuple(map(_text, values))
-
-
-def _number(value: Any) -> float:
-    if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
-        raise TypeError(f"found {value!r}; expected a number")
-    return value
-
-
-def _flag(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise TypeError(f"found {value!r}; expected true or false")
-    return value
-
-
-def _numbers(values: Any) -> dict[str, float]:
-    return {_text(name): _number(value) for name, value in values.items()}
-
-
-def _known(name: Any, nodes: Mapping[str, Any]) -> Any:
-    """Check that a name is a node's; None, no node, passes."""
-    if name is not None and name not in nodes:
-        raise ValueError(f"found {name!r}; expected a node")
-    return name
-
-
-def _pair(values: Any) -> tuple[float, float]:
-    least, greatest = map(_number, values)
-    return least, greatest
-
-
-def _two(ends: Any) -> tuple[str, str]:
-    first, second = _texts(ends)
-    return first, second
+        Raises:
+            ValueError: a link, a process or a seat is of no node, or the scene has other ports or bodies than the
+                environment.
+        """
+        named = [(f"links[{i}].ends", name) for i, link in enumerate(self.links) for name in link.ends]
+        named += [("seats", name) for seat in self.seats.items() for name in seat]
+        for place, name in (*named, *((f"nodes.{own}.process", node.process) for own, node in self.nodes.items())):
+            if name is not None and name not in self.nodes:
+                raise ValueError(f"{place}: found {shown(name)}; expected a node")
+        if self.scene is not None:
+            bodies = {name for body in self.scene.bodies for name in coordinates(body.name)}
+            ports = {port for node in self.nodes.values() if node.role is Role.ENVIRONMENT for port in node.ports}
+            if not (bodies <= self.masses.keys() and {*self.scene.ports} <= ports):
+                raise ValueError("scene: found other ports or bodies; expected the environment's")
 
 
 RATE_OVER: Final = from_seconds(0.5)

@@ -6,24 +6,26 @@ and the topic's row. Writer and readers both use this module; docs/files.md desc
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import chain
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 from manyhands import __version__
 from manyhands.design.models.scene import ContactScene, geometry_of
 from manyhands.nodes.kernel.bundle import REALTIME
 from manyhands.nodes.kernel.json_number import json_figures
 from manyhands.nodes.monitor.health import as_plain
-from manyhands.nodes.monitor.session_state import About
+from manyhands.nodes.monitor.session_state import PERIOD, About
 from manyhands.nodes.recorder.scene_messages import SCENE_SCHEMAS, SceneMessages
 from manyhands.nodes.rows.figures import FIGURES as DECLARED
 from manyhands.protocol.channels import CONDITION, TELEMETRY, Columns, Topic, links_at, topic_name, topics_of
 from manyhands.protocol.messages import Condition, Figures, PromiseStatus, Role
+from manyhands.protocol.plain import Added, PlainForm, read, written
 
 FORMAT: Final = "manyhands-recording"
 VERSION: Final = "2"
@@ -251,6 +253,23 @@ class ChannelAbout:
     metadata: Mapping[str, str]
 
 
+_KEYS: Final[Mapping[str, str]] = {"version": "manyhands", "linked": "wave_links"}
+"""The keys of a recording's metadata that are not named as the fields of :class:`Recorded`."""
+
+_MAY_BE_EMPTY: Final = ("periods", "linked", "scene")
+"""The fields of which metadata have nothing where they are empty."""
+
+
+def _scene(data: Any) -> ContactScene:
+    try:
+        return geometry_of(data)
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError, OverflowError) as error:
+        raise ValueError(f"found a scene that is none ({error}); expected tools and bodies") from error
+
+
+_SCENE: Final = PlainForm(lambda scene: None if scene is None else scene.geometry_terms(), _scene)
+
+
 @dataclass(frozen=True)
 class Recorded:
     """The session of a recording.
@@ -271,15 +290,15 @@ class Recorded:
 
     session: str
     certificate: str
-    period: float
+    period: Annotated[float, PERIOD]
     clock: str
     roles: Mapping[str, Role]
     ports: Mapping[str, tuple[str, ...]]
     masses: tuple[str, ...] = ()
     version: str = __version__
-    periods: Mapping[str, float] = field(default_factory=dict)
-    linked: tuple[str, ...] = ()
-    scene: ContactScene | None = None
+    periods: Added[Mapping[str, Annotated[float, PERIOD]]] = field(default_factory=dict)
+    linked: Added[tuple[str, ...]] = ()
+    scene: Added[Annotated[ContactScene | None, _SCENE]] = None
 
     @property
     def devices(self) -> dict[str, tuple[str, ...]]:
@@ -345,21 +364,9 @@ class Recorded:
 
     def as_metadata(self) -> dict[str, str]:
         """As the metadata of a file: texts by name, structure as JSON."""
-        return {
-            "format": FORMAT,
-            "version": VERSION,
-            "manyhands": self.version,
-            "session": self.session,
-            "certificate": self.certificate,
-            "period": repr(self.period),
-            "clock": self.clock,
-            "roles": json.dumps(dict(self.roles)),
-            "ports": json.dumps(dict(self.ports)),
-            "masses": json.dumps(self.masses),
-            **({"periods": json.dumps(dict(self.periods))} if self.periods else {}),
-            **({"wave_links": json.dumps(self.linked)} if self.linked else {}),
-            **({} if self.scene is None else {"scene": json.dumps(self.scene.geometry_terms())}),
-        }
+        plain = {name: value for name, value in written(self).items() if value or name not in _MAY_BE_EMPTY}
+        texts = {name: value if isinstance(value, str) else json.dumps(value) for name, value in plain.items()}
+        return {"format": FORMAT, "version": VERSION, **{_KEYS.get(name, name): texts[name] for name in texts}}
 
     @classmethod
     def from_metadata(cls, texts: Mapping[str, str]) -> Recorded:
@@ -371,35 +378,19 @@ class Recorded:
         found = f"{texts.get('format', '')!r:.40} version {texts.get('version', '')!r:.40}"
         if (texts.get("format"), texts.get("version")) != (FORMAT, VERSION):
             raise ValueError(f"found {found}; expected {FORMAT!r} version {VERSION!r}")
+        fields = {_KEYS.get(one.name, one.name): one for one in dataclasses.fields(cls)}
+        known = [(fields[key], text) for key, text in texts.items() if key in fields]
         try:
-            ports: dict[str, Any] = json.loads(texts["ports"])
-            out = cls(
-                texts["session"],
-                texts["certificate"],
-                float(texts["period"]),
-                texts["clock"],
-                {name: Role(role) for name, role in json.loads(texts["roles"]).items()},
-                {name: tuple(own) for name, own in ports.items()},
-                tuple(json.loads(texts["masses"])),
-                texts["manyhands"],
-                {name: _number(own) for name, own in json.loads(texts.get("periods", "{}")).items()},
-                tuple(json.loads(texts.get("wave_links", "[]"))),
-                _scene_in(texts),
-            )
-        except (KeyError, TypeError, AttributeError, RecursionError) as error:
-            raise ValueError(f"found metadata without {error}; expected that of a recording") from error
-        if not (0.0 < out.period < math.inf and out.roles.keys() == out.ports.keys() and out.devices):
-            raise ValueError("found metadata without a period, or without the ports of every node; expected both")
-        if not (out.periods.keys() <= out.roles.keys() and all(0.0 < own < math.inf for own in out.periods.values())):
-            raise ValueError("found the period of an unknown node, or one that is not positive, in the metadata")
-        if not all(type(name) is str and out.roles.get(name) is Role.COUPLING for name in out.linked):
+            out = read(cls, {one.name: text if one.type == "str" else json.loads(text) for one, text in known})
+        except (ValueError, RecursionError) as error:
+            raise ValueError(f"found metadata that make no sense ({error}); expected those of a recording") from error
+        if not (out.roles.keys() == out.ports.keys() >= out.periods.keys() and out.devices):
+            raise ValueError("found metadata without a device, or of unknown nodes; expected the ports of every node")
+        if not all(out.roles.get(name) is Role.COUPLING for name in out.linked):
             raise ValueError("found a wave link of another node than a coupling in the metadata; expected couplings")
-        if any(type(name) is not str for names in (*out.ports.values(), out.masses) for name in names):
-            raise ValueError("found a port or a mass that is no text in the metadata; expected names")
         things = () if out.scene is None else (*out.scene.things, *out.scene.obstacles)
         own = (thing.name for thing in things)
-        names = (out.session, *out.roles, *out.masses, *chain.from_iterable(out.ports.values()), *own)
-        for name in names:
+        for name in (out.session, *out.roles, *out.masses, *chain.from_iterable(out.ports.values()), *own):
             if not _NAME.fullmatch(name):
                 raise ValueError(
                     f"found the name {name!r:.60} in the metadata; expected letters, digits, '_', '.', '-'"
@@ -412,20 +403,6 @@ class Recorded:
         except (ValueError, OverflowError) as error:
             raise ValueError("found a scene of other ports or bodies in the metadata; expected its own") from error
         return out
-
-
-def _scene_in(texts: Mapping[str, str]) -> ContactScene | None:
-    """The scene of a file's metadata; None without one.
-
-    Raises:
-        ValueError: it makes no sense.
-    """
-    if "scene" not in texts:
-        return None
-    try:
-        return geometry_of(json.loads(texts["scene"]))
-    except (KeyError, TypeError, ValueError, AttributeError, RecursionError, OverflowError) as error:
-        raise ValueError(f"found a scene that is none in the metadata ({error}); expected tools and bodies") from error
 
 
 def recorded_of(about: About) -> Recorded:

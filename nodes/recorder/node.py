@@ -8,10 +8,10 @@ was taken before. If the recorder is killed, less than a second is lost.
 :class:`RecordingPlan` is what a recorder starts from: the file, the session, and the folder of its socket. Its statuses
 go to the supervisor on a pipe of their own, one line of JSON each:
 
-    {"ready": ENDPOINT}               the file is begun; observations are expected at this endpoint
-    {"taken": N}                      N frames in all have been taken, so there is room for others
-    {"stopped": TEXT, "tick": K}      nothing more can be written; the file is readable up to tick K
-    {"closed": {...}, "tick": K}      the file is complete; missing ticks by device
+    {"kind": "ready", "endpoint": ENDPOINT}             the file is begun; observations are expected at this endpoint
+    {"kind": "taken", "frames": N}                      N frames in all have been taken: there is room for others
+    {"kind": "stopped", "text": TEXT, "tick": K}        nothing more can be written; readable up to tick K
+    {"kind": "closed", "missing": {...}, "tick": K}     the file is complete; missing ticks by device
 
 A recorder and its supervisor are of one version on one machine: these lines are no part of the protocol.
 """
@@ -25,7 +25,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Final, TypeAlias
 
 from manyhands.design.files import open_new
 from manyhands.nodes.kernel.lifetime import Life
@@ -33,12 +33,16 @@ from manyhands.nodes.link.process import EXIT_FAILED, EXIT_OK
 from manyhands.nodes.recorder.format import Recorded
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
 from manyhands.protocol.messages import presentable
+from manyhands.protocol.plain import PlainForm, by_kind, read, written
 from manyhands.protocol.transport import Link, TransportError
 from manyhands.protocol.transport.zeromq import HUB, ZmqTransport
 
 if TYPE_CHECKING:  # a supervisor that records nothing needs neither them nor their libraries
     from manyhands.nodes.recorder.core import RecorderCore
     from manyhands.nodes.recorder.mcap import RecordingFile
+
+
+_PATH: Final = PlainForm(str, Path)
 
 
 class PlanError(Exception):
@@ -57,10 +61,10 @@ class RecordingPlan:
         started: start of the recording, ns since 1970.
     """
 
-    file: Path
-    directory: Path
-    recorded: Recorded
-    attachments: Mapping[str, bytes] = field(default_factory=dict)
+    file: Annotated[Path, _PATH]
+    directory: Annotated[Path, _PATH]
+    recorded: Annotated[Recorded, PlainForm(Recorded.as_metadata, Recorded.from_metadata)]
+    attachments: Mapping[str, Annotated[bytes, PlainForm(bytes.decode, str.encode)]] = field(default_factory=dict)
     started: int = 0
 
     def save(self, path: Path) -> None:
@@ -69,15 +73,8 @@ class RecordingPlan:
         Raises:
             OSError: the file cannot be written.
         """
-        plain = {
-            "file": str(self.file),
-            "directory": str(self.directory),
-            "recorded": self.recorded.as_metadata(),
-            "attachments": {name: data.decode() for name, data in self.attachments.items()},
-            "started": self.started,
-        }
         with open_new(path, mode=0o600) as file:
-            file.write(json.dumps(plain).encode())
+            file.write(json.dumps(written(self)).encode())
 
     @classmethod
     def load(cls, path: Path) -> RecordingPlan:
@@ -87,18 +84,11 @@ class RecordingPlan:
             PlanError: the file cannot be read, or holds no plan.
         """
         try:
-            data = json.loads(path.read_text())
-            return cls(
-                Path(data["file"]),
-                Path(data["directory"]),
-                Recorded.from_metadata(data["recorded"]),
-                {name: text.encode() for name, text in data["attachments"].items()},
-                int(data["started"]),
-            )
+            return read(cls, json.loads(path.read_text()))
         except OSError as error:
             raise PlanError(f"{path}: cannot be read: {error.strerror}") from error
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise PlanError(f"{path}: not a recorder's plan: {type(error).__name__}: {error}") from error
+        except (ValueError, RecursionError) as error:
+            raise PlanError(f"{path}: not a recorder's plan: {error}") from error
 
 
 MAX_LINE_BYTES: Final = 1024 * 1024
@@ -138,21 +128,12 @@ class Closed:
 
 
 Status: TypeAlias = FileBegun | Taken | WriteFailed | Closed
+_STATUS: Final = by_kind(ready=FileBegun, taken=Taken, stopped=WriteFailed, closed=Closed)
 
 
 def encode(status: Status) -> bytes:
     """The line of a status."""
-    plain: dict[str, object]
-    match status:
-        case FileBegun(endpoint):
-            plain = {"ready": endpoint}
-        case Taken(frames):
-            plain = {"taken": frames}
-        case WriteFailed(text, tick):
-            plain = {"stopped": text, "tick": tick}
-        case Closed(missing, tick):
-            plain = {"closed": dict(missing), "tick": tick}
-    return json.dumps(plain).encode() + b"\n"
+    return json.dumps(_STATUS.write(status)).encode() + b"\n"
 
 
 class Lines:
@@ -173,28 +154,12 @@ class Lines:
             self._rest = b""
             self.nonsense += 1
         for line in whole:
-            status = _decode(line)
-            if status is None:
+            try:
+                status: Status = _STATUS.read(json.loads(line))
+            except (ValueError, RecursionError):
                 self.nonsense += 1
             else:
                 yield status
-
-
-def _decode(line: bytes) -> Status | None:
-    try:
-        match json.loads(line):
-            case {"ready": str(endpoint)}:
-                return FileBegun(endpoint)
-            case {"taken": int(frames)}:
-                return Taken(frames)
-            case {"stopped": str(text), "tick": int(tick)}:
-                return WriteFailed(text, tick)
-            case {"closed": dict(missing), "tick": int(tick)} if all(type(n) is int for n in missing.values()):
-                return Closed(missing, tick)
-            case _:
-                return None
-    except (ValueError, RecursionError):
-        return None
 
 
 FLUSH_EVERY: Final = from_seconds(0.5)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from manyhands.nodes.rows import figures as names
 from manyhands.protocol.messages import Figures
+from manyhands.protocol.plain import written
 
 
 @dataclass(frozen=True)
@@ -54,23 +54,10 @@ class FeltLink:
             text += f"; silent {self.silences} {'time' if self.silences == 1 else 'times'}"
         return text + ("; an end hears nothing now, and holds the tool" if self.deaf and not over else "")
 
-    @classmethod
-    def from_plain(cls, entry: Mapping[str, Any]) -> FeltLink:
-        """The link of :meth:`as_plain`."""
-        first, second = entry["tanks"]
-        return cls(**{**entry, "tanks": (first, second)})
-
     def as_plain(self) -> dict[str, Any]:
         """As a JSON object."""
-        return {
-            "round_trip": self.round_trip,
-            "stiffness": self.stiffness,
-            "mass": self.mass,
-            "tanks": list(self.tanks),
-            "limited": self.limited,
-            "silences": self.silences,
-            "deaf": self.deaf,
-        }
+        plain: dict[str, Any] = written(self)
+        return plain
 
 
 def kilograms(mass: float) -> str:

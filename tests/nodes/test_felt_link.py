@@ -9,6 +9,7 @@ import pytest
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.wave_link.felt import FeltLink, felt_link
 from manyhands.protocol.messages import Figures
+from manyhands.protocol.plain import read
 
 USER = {
     names.WAVE_LAG: 5000.0,
@@ -39,7 +40,7 @@ def test_it_has_the_figures_of_both_ends() -> None:
     assert found.stiffness == pytest.approx(2.0 * 20.0 / 6e-3)
     assert found.mass == pytest.approx(0.5 * 60.0 * 6e-3)
     assert (found.tanks, found.limited, found.silences, found.deaf) == ((5e-3, 4e-3), 4, 0, False)
-    assert FeltLink.from_plain(found.as_plain()) == found
+    assert read(FeltLink, found.as_plain()) == found
 
 
 def test_the_sentence_names_what_a_user_wants_to_know() -> None:

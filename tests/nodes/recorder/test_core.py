@@ -327,7 +327,15 @@ class Test_status:
         assert (found, lines.nonsense) == (told, 0)
 
     @pytest.mark.parametrize(
-        "line", [b"", b"x", b"{}", b"[" * 9999, b'{"taken": "1"}', b'{"closed": {"a": "b"}, "tick": 1}']
+        "line",
+        [
+            b"",
+            b"x",
+            b"{}",
+            b"[" * 9999,
+            b'{"kind": "taken", "frames": "1"}',
+            b'{"kind": "closed", "missing": {"a": "b"}, "tick": 1}',
+        ],
     )
     def test_nonsense_is_counted(self, line: bytes) -> None:
         lines = status.Lines()
