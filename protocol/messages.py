@@ -10,12 +10,13 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Final, TypeAlias
+from typing import Annotated, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.protocol.limits import MAX_TEXT
+from manyhands.protocol.plain import Added, PlainForm, form_of
 
 PROTOCOL_VERSION: Final[int] = 6
 """The version of SPEC.md that this code speaks."""
@@ -405,6 +406,13 @@ class Observation:
         )
 
 
+_COSTS: Final = form_of(Mapping[str, float | None])
+_FINITE_COSTS: Final = PlainForm(
+    _finite, lambda data: {unit: cost for unit, cost in _COSTS.read(data).items() if cost is not None}
+)
+"""Costs that are no finite numbers are left out; recordings of before have null for them."""
+
+
 @dataclass(frozen=True, slots=True)
 class PromiseStatus:
     """How one promise of a session stands: a row of its health (:mod:`manyhands.nodes.monitor.health`).
@@ -422,9 +430,9 @@ class PromiseStatus:
     promise: str
     state: str
     who: tuple[str, ...] = ()
-    since: float | None = None
-    until: float | None = None
-    cost: Mapping[str, float] = field(default_factory=dict)
+    since: Added[float | None] = None
+    until: Added[float | None] = None
+    cost: Annotated[Mapping[str, float], _FINITE_COSTS] = field(default_factory=dict)
     remark: str = ""
 
 
@@ -450,7 +458,7 @@ class Condition:
     notices: tuple[str, ...] = ()
     incidents: tuple[str, ...] = ()
     faults: tuple[str, ...] = ()
-    promises: tuple[PromiseStatus, ...] = ()
+    promises: Added[tuple[PromiseStatus, ...]] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

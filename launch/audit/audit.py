@@ -89,7 +89,7 @@ from manyhands.nodes.kernel.bundle import (
     WaveEnd,
 )
 from manyhands.nodes.monitor.given import FIGURES
-from manyhands.nodes.monitor.health import PROMISES, SESSION, PromiseState, as_plain, holds
+from manyhands.nodes.monitor.health import PROMISES, SESSION, PromiseState, holds
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.promises import Promise
@@ -98,6 +98,7 @@ from manyhands.nodes.wave_link.faces import wave_feedthrough
 from manyhands.protocol.channels import TANK_NAMES
 from manyhands.protocol.clock import from_seconds
 from manyhands.protocol.messages import PromiseStatus
+from manyhands.protocol.plain import written
 
 Array = NDArray[np.float64]
 
@@ -182,7 +183,7 @@ class Audit:
             "certificate": self.certificate,
             "clock": self.clock,
             "ticks": self.ticks,
-            "promises": [as_plain(row) for row in self.promises],
+            "promises": [written(row) for row in self.promises],
             "faults": list(self.faults),
             "checks": [check.as_plain() for check in self.checks],
             "presses": [press.as_plain() for press in self.presses],

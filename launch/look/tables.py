@@ -37,9 +37,10 @@ from manyhands.launch.look.sessions import Running, Seeing, Source
 from manyhands.launch.run.states import NodeState
 from manyhands.nodes.kernel.json_number import json_figures, json_number
 from manyhands.nodes.monitor.given import FIGURES
-from manyhands.nodes.monitor.health import Health, as_plain, summary
+from manyhands.nodes.monitor.health import Health, summary
 from manyhands.nodes.monitor.session_state import NodeScene, Scene
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
+from manyhands.protocol.plain import written
 from manyhands.protocol.transport import TransportError
 from manyhands.protocol.transport.broadcast import Visit, await_any
 
@@ -120,7 +121,7 @@ def session_object(scene: Scene) -> dict[str, Any]:
         "tick": scene.tick,
         "rate": rounded(scene.rate),
         "health": scene.health.value,
-        "promises": [as_plain(row) for row in scene.promises],
+        "promises": [written(row) for row in scene.promises],
         **({"seats": {seat.name: seat.as_plain() for seat in scene.lobby}} if about.seats else {}),
         "nodes": {
             node.name: {

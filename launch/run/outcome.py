@@ -20,7 +20,7 @@ from manyhands.launch.run.states import Incidents, SessionPhase
 from manyhands.launch.session import Session
 from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes.monitor.given import GivenForce, percent
-from manyhands.nodes.monitor.health import as_plain, condensed, missed
+from manyhands.nodes.monitor.health import condensed, missed
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.figures import Figure, Unit
 from manyhands.nodes.rows.lateness import lateness_by_coupling
@@ -28,7 +28,7 @@ from manyhands.nodes.rows.promises import Promise
 from manyhands.nodes.wave_link.felt import FeltLink, felt_link
 from manyhands.protocol.limits import MAX_COUNT
 from manyhands.protocol.messages import Figures, PromiseStatus, Report, Role, Telemetry
-from manyhands.protocol.plain import read
+from manyhands.protocol.plain import read, written
 
 
 @dataclass(frozen=True)
@@ -266,12 +266,7 @@ def wave_link_sentences(report: Mapping[str, Any]) -> list[str]:
 
 def rows_of(report: Mapping[str, Any]) -> list[PromiseStatus]:
     """How the promises stood at the end of a run, from its whole report."""
-    rows = report.get("promises", ())
-    # older reports may hold costs of null
-    costs = [{unit: value for unit, value in row["cost"].items() if value is not None} for row in rows]
-    return [
-        PromiseStatus(**{**row, "who": tuple(row["who"]), "cost": cost}) for row, cost in zip(rows, costs, strict=True)
-    ]
+    return [read(PromiseStatus, row) for row in report.get("promises", ())]
 
 
 def joules(energy: float) -> str:
@@ -324,7 +319,7 @@ def run_report(
         **({"enforced": list(enforced)} if enforced else {}),
         **({} if lateness is None else {"lateness": dict(lateness)}),
         **({"wave_links": {name: felt.as_plain() for name, felt in wave_links.items()}} if wave_links else {}),
-        **({"promises": [as_plain(row) for row in promises]} if promises else {}),
+        **({"promises": [written(row) for row in promises]} if promises else {}),
         **({"refused": dict(refused)} if refused else {}),
         **({"incidents": list(incidents.sentences)} if incidents.total else {}),
     }

@@ -9,14 +9,13 @@ again from the recorded telemetry. So all of them speak of the same things in th
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Final
 
 from manyhands.nodes.monitor.given import ENOUGH
 from manyhands.nodes.rows.promises import Promise
@@ -265,12 +264,6 @@ _CAUSED: Final = (Promise.DELAY, Promise.PERIOD, Promise.FORCE)
 
 MOST_ROWS: Final = 3
 """The most parties of one promise and state that have a row each, where people read them."""
-
-
-def as_plain(row: PromiseStatus) -> dict[str, Any]:
-    """A row as a JSON object, without costs that are no finite numbers."""
-    cost = {unit: value for unit, value in row.cost.items() if math.isfinite(value)}
-    return {**dataclasses.asdict(row), "who": list(row.who), "cost": cost}
 
 
 _MOST_NAMED: Final = 4

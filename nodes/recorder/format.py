@@ -19,7 +19,6 @@ from manyhands import __version__
 from manyhands.design.models.scene import ContactScene, geometry_of
 from manyhands.nodes.kernel.bundle import REALTIME
 from manyhands.nodes.kernel.json_number import json_figures
-from manyhands.nodes.monitor.health import as_plain
 from manyhands.nodes.monitor.session_state import PERIOD, About
 from manyhands.nodes.recorder.scene_messages import SCENE_SCHEMAS, SceneMessages
 from manyhands.nodes.rows.figures import FIGURES as DECLARED
@@ -174,66 +173,30 @@ def _number(value: object) -> float:
 
 def encode_condition(tick: int, condition: Condition) -> bytes:
     """The message of the session's condition when ``tick`` was the latest known tick."""
-    return json.dumps(
-        {
-            TICK: tick,
-            "phase": condition.phase,
-            "elapsed": condition.elapsed,
-            "states": dict(condition.states),
-            "silent": condition.silent,
-            "notices": condition.notices,
-            "incidents": condition.incidents,
-            "faults": condition.faults,
-            "promises": [_without_null(as_plain(status)) for status in condition.promises],
-        },
-        ensure_ascii=False,
-    ).encode()
-
-
-def _without_null(plain: Mapping[str, Any]) -> dict[str, Any]:
-    """An object without the keys that hold null, which its schema would not allow."""
-    return {key: value for key, value in plain.items() if value is not None}
+    plain = written(condition)
+    # the schema allows no null
+    rows = [{key: value for key, value in row.items() if value is not None} for row in plain["promises"]]
+    return json.dumps({TICK: tick, **plain, "promises": rows}, ensure_ascii=False).encode()
 
 
 def decode_condition(plain: Any) -> tuple[int, Condition]:
-    """Tick and condition of a message that was read as JSON.
+    """Tick and condition of a message that was read as JSON; keys of later versions are ignored.
 
     Raises:
         ValueError: the message holds no condition.
     """
-    match plain:
-        case {"tick": int(tick), "phase": str(phase), "elapsed": elapsed, "states": dict(states)} if (
-            0 <= tick < 2** 63 and all(type(state) is str for state in states.values())
-        ):
-            silent, notices, incidents, faults = (
-                _texts(plain.get(key)) for key in ("silent", "notices", "incidents", "faults")
-            )
-            promises = _promises(plain.get("promises", []))  # recordings before 0.7 have none
-            return tick, Condition(phase, _number(elapsed), states, silent, notices, incidents, faults, promises)
-        case _:
-            raise ValueError("found another object; expected tick and condition")
+    if not (isinstance(plain, dict) and type(plain.get(TICK)) is int and 0 <= plain[TICK] < 2**63):
+        raise ValueError("found another object; expected tick and condition")
+    own = _known(Condition, plain)
+    if isinstance(rows := own.get("promises"), list):
+        own["promises"] = [_known(PromiseStatus, row) for row in rows]
+    return plain[TICK], read(Condition, own)
 
 
-def _promises(found: object) -> tuple[PromiseStatus, ...]:
-    if not isinstance(found, list):
-        raise ValueError("found no list of promises; expected one")
-    return tuple(map(_status, found))
-
-
-def _status(plain: Any) -> PromiseStatus:
-    match plain:
-        case {"promise": str(promise), "state": str(state), "remark": str(remark), "cost": dict(cost)}:
-            since, until = (None if (at := plain.get(key)) is None else _number(at) for key in ("since", "until"))
-            costs = {str(unit): math.nan if value is None else _number(value) for unit, value in cost.items()}
-            return PromiseStatus(promise, state, _texts(plain.get("who")), since, until, costs, remark)
-        case _:
-            raise ValueError("found another object; expected how a promise stands")
-
-
-def _texts(found: object) -> tuple[str, ...]:
-    if not isinstance(found, list) or not all(type(text) is str for text in found):
-        raise ValueError("found no list of texts; expected one")
-    return tuple(found)
+def _known(kind: type[Any], plain: Any) -> Any:
+    """The keys of an object that are the fields of ``kind``; what is no object stays as it is."""
+    names = {one.name for one in dataclasses.fields(kind)}
+    return {key: value for key, value in plain.items() if key in names} if isinstance(plain, dict) else plain
 
 
 @dataclass(frozen=True)
