@@ -395,9 +395,6 @@ def content(certificate: Certificate) -> dict[str, Any]:
     """The certificate's whole content as JSON values, without its id."""
     loop, levels = certificate.loop, certificate.levels
     ports, partition = loop.ports, loop.partition
-    Phi_E: Any = levels.Phi_E.tolist()
-    if partition.admits(levels.Phi_E):
-        Phi_E = _by_block(partition, partition.restrict(levels.Phi_E))
     claim = certificate.transparency
     return {
         "format": FORMAT,
@@ -408,9 +405,7 @@ def content(certificate: Certificate) -> dict[str, Any]:
         **({"period_tolerance": loop.period_tolerance} if loop.period_tolerance else {}),
         "ports": list(ports),
         "devices": {d.name: {"ports": [ports[p] for p in d.ports], "osp": d.level.tolist()} for d in loop.devices},
-        "structure": {
-            name: [ports[p] for p in block] for name, block in zip(partition.names, partition.blocks, strict=True)
-        },
+        "structure": describe_structure(ports, partition),
         "environment": loop.environment.terms(),
         **({"series": describe_series(loop)} if loop.series else {}),
         "asked": dict(certificate.asked),
@@ -421,7 +416,7 @@ def content(certificate: Certificate) -> dict[str, Any]:
             "c": levels.device.c,
             "Delta_D": _by_block(partition, levels.Delta_D),
             "Delta_V": _by_block(partition, levels.Delta_V),
-            "Phi_E": Phi_E,
+            "Phi_E": describe_level(levels.Phi_E, partition),
         },
         "storage": {
             "E_hat": describe_storage(levels.P_E),
@@ -433,6 +428,23 @@ def content(certificate: Certificate) -> dict[str, Any]:
         "margins": dict(certificate.margins),
         "method": dict(certificate.method),
     }
+
+
+def describe_structure(ports: Sequence[str], partition: Partition) -> dict[str, list[str]]:
+    """The ports of each block, by name."""
+    return {name: [ports[p] for p in block] for name, block in zip(partition.names, partition.blocks, strict=True)}
+
+
+def describe_level(Phi: Matrix, partition: Partition) -> Any:
+    """A level over all ports as JSON values: by block where it joins no two blocks, otherwise as rows."""
+    return _by_block(partition, partition.restrict(Phi)) if partition.admits(Phi) else Phi.tolist()
+
+
+def level_of(data: Any, partition: Partition) -> Matrix:
+    """The level that :func:`describe_level` wrote."""
+    if isinstance(data, Mapping):
+        return partition.embed(matrices_by_block(data, partition))
+    return matrix(data, partition.size, partition.size)
 
 
 def _by_block(partition: Partition, parts: tuple[Matrix, ...]) -> dict[str, list[list[float]]]:
@@ -548,7 +560,6 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
     ports = tuple(str(p) for p in data["ports"])
     index = {port: i for i, port in enumerate(ports)}
     structure, environment = data["structure"], environment_of(data["environment"], ports)
-    m = len(ports)
     loop = HapticLoop(
         session=str(data["session"]),
         period=float(data["period"]),
@@ -564,7 +575,6 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
         series=_series(data["series"], ports, environment) if version == WITH_SERIES else (),
     )
     partition, levels, storage = loop.partition, data["levels"], data["storage"]
-    Phi_E = levels["Phi_E"]
     linear = data["coupling"]["class"] == "linear"
     claim = data["transparency"]
     return Certificate(
@@ -574,9 +584,7 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
             device=DeviceShare(float(levels["kappa"]), float(levels["share"]), float(levels["c"])),
             Delta_D=matrices_by_block(levels["Delta_D"], partition),
             Delta_V=matrices_by_block(levels["Delta_V"], partition),
-            Phi_E=partition.embed(matrices_by_block(Phi_E, partition))
-            if isinstance(Phi_E, Mapping)
-            else matrix(Phi_E, m, m),
+            Phi_E=level_of(levels["Phi_E"], partition),
             P_E=storage_of(storage["E_hat"], loop.environment),
             P_V=tuple(square(storage["V_hat"][name]) if linear else None for name in partition.names),
         ),

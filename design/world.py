@@ -28,9 +28,11 @@ from typing import Any
 import numpy as np
 
 from manyhands.design.certificate import (
+    describe_level,
     describe_storage,
+    describe_structure,
     identity,
-    matrices_by_block,
+    level_of,
     pretty,
     storage_of,
 )
@@ -39,7 +41,7 @@ from manyhands.design.levels.contract import Storage
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import Partition
 from manyhands.design.models.kind import Environment
-from manyhands.design.models.statespace import Matrix, matrix
+from manyhands.design.models.statespace import Matrix
 from manyhands.design.wave_link import in_tick_id, promised_level, wave_link_id
 
 FORMAT = "manyhands-world"
@@ -194,11 +196,7 @@ def world_from_content(data: Mapping[str, Any], terms: WorldTerms) -> World:
         ValueError: the same of a shape or a number; or a term differs; or the file is not written as
             :func:`world_json` writes it.
     """
-    m, Phi_E = len(terms.ports), data["levels"]["Phi_E"]
-    if isinstance(Phi_E, Mapping):
-        level = terms.partition.embed(matrices_by_block(Phi_E, terms.partition))
-    else:
-        level = matrix(Phi_E, m, m)
+    level = level_of(data["levels"]["Phi_E"], terms.partition)
     margins = {name: float(value) for name, value in data["margins"].items()}
     world = terms.kept(level, storage_of(data["storage"]["E_hat"], terms.environment), margins, dict(data["method"]))
     if world.id != data["id"]:
@@ -215,9 +213,7 @@ def _terms_content(terms: WorldTerms) -> dict[str, Any]:
         "session": terms.session,
         "period": terms.period,
         "ports": list(ports),
-        "structure": {
-            name: [ports[p] for p in block] for name, block in zip(partition.names, partition.blocks, strict=True)
-        },
+        "structure": describe_structure(ports, partition),
         "environment": terms.environment.terms(),
         "wave_links": {
             name: {"id": link.id, "b": link.b.tolist(), "tank": link.tank} for name, link in terms.wave_links.items()
@@ -228,16 +224,11 @@ def _terms_content(terms: WorldTerms) -> dict[str, Any]:
 
 def world_content(world: World) -> dict[str, Any]:
     """The whole content of a world as JSON values, without its id."""
-    partition = world.partition
-    Phi_E: Any = world.Phi_E.tolist()
-    if partition.admits(world.Phi_E):
-        parts = zip(partition.names, partition.restrict(world.Phi_E), strict=True)
-        Phi_E = {name: part.tolist() for name, part in parts}
     return {
         "format": FORMAT,
         "version": VERSION,
         **_terms_content(world),
-        "levels": {"Phi_E": Phi_E},
+        "levels": {"Phi_E": describe_level(world.Phi_E, world.partition)},
         "storage": {"E_hat": describe_storage(world.P_E)},
         "margins": dict(world.margins),
         "method": dict(world.method),

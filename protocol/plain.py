@@ -138,7 +138,7 @@ def form_of(annotation: Any) -> PlainForm:
         return PlainForm(*(lambda value, way=way: None if value is None else way(value) for way in of))
     if origin is tuple:
         return _tuple(parts)
-    if origin is not None and issubclass(origin, Mapping):
+    if isinstance(origin, type) and issubclass(origin, Mapping):
         return _object(form_of(parts[1]))
     if origin is np.ndarray:
         return PlainForm(lambda M: {"shape": list(M.shape), "entries": M.ravel().tolist()}, _matrix)

@@ -187,7 +187,7 @@ def test_a_promise_is_not_run_without_its_controller(file: Path, tmp_path: Path,
     save(environment_bundle(load_session(file)), path)
     data = json.loads(path.read_text())
     path.write_text(json.dumps(data | {key: value}))
-    with pytest.raises(BundleError, match="ValueError: found"):
+    with pytest.raises(BundleError, match=r"a EnvironmentBundle: (enforce: )?found"):
         load(path, EnvironmentBundle)
 
 
