@@ -28,13 +28,15 @@ from typing import Final
 
 import numpy as np
 
-from manyhands.nodes.device.colocated import CarriedBlock, ColocatedNode
+from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.drivers import Driver, driver_of
+from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.guest.invitation import Invitation, InvitationError, read_invitation
 from manyhands.nodes.guest.seat_part import SeatPart, decoded_part
 from manyhands.nodes.kernel.bundle import BundleError, Common, CouplingBundle, DeviceBundle, elsewhere, foreign_code
 from manyhands.nodes.kernel.factory import FactoryError, require_allowed
 from manyhands.nodes.kernel.lifetime import Life, Sight, Stopped
+from manyhands.nodes.link.join import Inner
 from manyhands.nodes.link.process import EXIT_BAD_INPUT, EXIT_OK, EXIT_REFUSED, Node, run_together
 from manyhands.nodes.link.supervisor_line import PATIENCE, REPEAT_WAITS, ControlLine, Refused, require_hub
 from manyhands.nodes.wave_link.felt import kilograms, stiffness_and_mass
@@ -164,14 +166,14 @@ class SeatLife(Life):
         self.leaving, self.signal = True, signum
 
 
-class SeatNode(ColocatedNode):
+class SeatNode(DeviceNode):
     """A device with its coupling, which lets go by a ramp before it leaves."""
 
     def __init__(
-        self, bundle: DeviceBundle, driver: Driver, carried: Sequence[CarriedBlock], joined: Callable[[], None]
+        self, bundle: DeviceBundle, driver: Driver, inside: Sequence[Inner], joined: Callable[[], None]
     ) -> None:
-        """As :class:`ColocatedNode`; ``joined`` is called once the handshakes are done, before the first tick."""
-        super().__init__(bundle, driver, carried)
+        """As :class:`DeviceNode`; ``joined`` is called once the handshakes are done, before the first tick."""
+        super().__init__(bundle, driver, inside=inside)
         self._joined = joined
 
     def loop(self, start: Start, life: Life, control: ControlLine) -> None:
@@ -337,14 +339,14 @@ class _Visit:
         placed = dataclasses.replace(part.device, common=self._placed(part.device.common))
         device = with_force(elsewhere(placed), self._most_force)
         coupling = dataclasses.replace(part.coupling, common=self._placed(part.coupling.common))
-        carried = CarriedBlock(coupling)
+        inside = CouplingNode(coupling)
         try:
-            node = SeatNode(device, driver_of(device), [carried], partial(self._joined, coupling.common.period))
+            node = SeatNode(device, driver_of(device), [inside], partial(self._joined, coupling.common.period))
         except (ValueError, OverflowError) as error:
             _say(f"error: {error}")
             return EXIT_BAD_INPUT
         nodes: list[tuple[Common, Node, KeyRing | None]] = [(device.common, node, part.ring(device.common)),
-                 (coupling.common, carried, part.ring(coupling.common))]  # fmt: skip
+                 (coupling.common, inside, part.ring(coupling.common))]  # fmt: skip
         try:
             return run_together(nodes, life, True, self._host, partial(self._engage, device, coupling))
         finally:
