@@ -129,7 +129,9 @@ class DeviceNode:
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):
             life.look(self._realtime.now())
             if turns % LISTEN_TICKS == 0 or self._free:
-                self._attend(control, tick)
+                self._listen(control)
+                if life.leaving:
+                    self._leave(tick, life)
             due = Instant(epoch + slot * period)
             ready = clock.now()
             if ready < due:
@@ -288,9 +290,14 @@ class DeviceNode:
             self._account.stale += 1
         self._free = True
 
-    def _attend(self, control: ControlLine, tick: int) -> None:
-        """Do what may be done before the sample of ``tick``, now and then."""
-        self._listen(control)
+    def _leave(self, tick: int, life: Life) -> None:
+        """Let the hand go by a ramp, from ``tick`` on, and end the process once it is free."""
+        guard = self.device.guard
+        if not guard.leaving:
+            guard.leave()
+            self._account.leave(tick)
+        elif not guard.holds:
+            life.stopping = True
 
     def _listen(self, control: ControlLine, idle: bool = False) -> None:
         """Follow the supervisor's messages; where ``idle``, wait a moment for one."""

@@ -29,14 +29,13 @@ from typing import Final
 import numpy as np
 
 from manyhands.nodes.coupling.node import CouplingNode
-from manyhands.nodes.device.drivers import Driver, driver_of
+from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.guest.invitation import Invitation, InvitationError, read_invitation
 from manyhands.nodes.guest.seat_part import SeatPart, decoded_part
 from manyhands.nodes.kernel.bundle import BundleError, Common, CouplingBundle, DeviceBundle, elsewhere, foreign_code
 from manyhands.nodes.kernel.factory import FactoryError, require_allowed
 from manyhands.nodes.kernel.lifetime import Life, Sight, Stopped
-from manyhands.nodes.link.join import Inner
 from manyhands.nodes.link.process import EXIT_BAD_INPUT, EXIT_OK, EXIT_REFUSED, Node, run_together
 from manyhands.nodes.link.supervisor_line import PATIENCE, REPEAT_WAITS, ControlLine, Refused, require_hub
 from manyhands.nodes.wave_link.felt import kilograms, stiffness_and_mass
@@ -44,7 +43,7 @@ from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seco
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.keys import KeyFileError, KeyRing
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
-from manyhands.protocol.messages import Fetch, Piece, Start, presentable
+from manyhands.protocol.messages import Fetch, Piece, presentable
 from manyhands.protocol.transport import Link, TransportError
 from manyhands.protocol.transport.zeromq import ZmqTransport
 
@@ -128,14 +127,21 @@ def is_calm(trips: Sequence[Duration]) -> bool:
 class SeatLife(Life):
     """The life of a guest at a seat: once it ticks, a request to end, or the session's end, makes it let go first.
 
+    A second request ends it at once.
+
     Attributes:
-        leaving: whether the device lets go, after which the loop ends. A second request ends it at once.
+        joined: called once the handshakes are done, before the first tick.
     """
 
     def __init__(self) -> None:
         """Handle the signals of this process."""
-        self.leaving = False
+        self.joined: Callable[[], None] = lambda: None
         super().__init__(None)
+
+    def enter_loop(self) -> None:
+        """Begin the loop, and report that the guest is in."""
+        super().enter_loop()
+        self.joined()
 
     def begin(self) -> None:
         """Begin anew, for another attempt to join.
@@ -164,33 +170,6 @@ class SeatLife(Life):
         if self._raises or self.leaving:
             super()._asked_to_stop(signum, frame)
         self.leaving, self.signal = True, signum
-
-
-class SeatNode(DeviceNode):
-    """A device with its coupling, which lets go by a ramp before it leaves."""
-
-    def __init__(
-        self, bundle: DeviceBundle, driver: Driver, inside: Sequence[Inner], joined: Callable[[], None]
-    ) -> None:
-        """As :class:`DeviceNode`; ``joined`` is called once the handshakes are done, before the first tick."""
-        super().__init__(bundle, driver, inside=inside)
-        self._joined = joined
-
-    def loop(self, start: Start, life: Life, control: ControlLine) -> None:
-        """Report that the guest is in, and run its ticks."""
-        self._joined()
-        super().loop(start, life, control)
-
-    def _attend(self, control: ControlLine, tick: int) -> None:
-        super()._attend(control, tick)
-        life, guard = self._life, self.device.guard
-        if not isinstance(life, SeatLife) or not life.leaving:
-            return
-        if not guard.leaving:
-            guard.leave()
-            self._account.leave(tick)
-        elif not guard.holds:
-            life.stopping = True
 
 
 def fetch(link: Link, invitation: Invitation, life: Life) -> bytes:
@@ -341,10 +320,11 @@ class _Visit:
         coupling = dataclasses.replace(part.coupling, common=self._placed(part.coupling.common))
         inside = CouplingNode(coupling)
         try:
-            node = SeatNode(device, driver_of(device), [inside], partial(self._joined, coupling.common.period))
+            node = DeviceNode(device, driver_of(device), inside=[inside])
         except (ValueError, OverflowError) as error:
             _say(f"error: {error}")
             return EXIT_BAD_INPUT
+        life.joined = partial(self._joined, coupling.common.period)
         nodes: list[tuple[Common, Node, KeyRing | None]] = [(device.common, node, part.ring(device.common)),
                  (coupling.common, inside, part.ring(coupling.common))]  # fmt: skip
         try:

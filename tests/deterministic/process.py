@@ -34,7 +34,7 @@ class VirtualLife:
     """A :class:`manyhands.nodes.kernel.lifetime.Life` that only the world's signals reach."""
 
     def __init__(self) -> None:
-        self.stopping = self.orphaned = False
+        self.stopping = self.leaving = self.orphaned = False
         self.failure: str | None = None
         self.watch: Callable[[], Sight] = lambda: Sight.PRESENT
         self.starting = True

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import pkgutil
 import shutil
 import subprocess
 import sys
 import sysconfig
 import zipfile
+from enum import Enum
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -17,6 +19,9 @@ import numpy as np
 import pytest
 from hatchling.builders.wheel import WheelBuilder
 from packaging.utils import parse_wheel_filename
+
+import manyhands.nodes
+import manyhands.protocol
 
 from ..support.installed import PURE as PURE_WHEEL
 from ..support.installed import run
@@ -111,6 +116,23 @@ def test_an_editable_installation_is_never_compiled() -> None:
 
 def test_every_module_of_the_list_exists() -> None:
     assert [module for module in HOOK.MODULES if not (ROOT / f"{module}.py").is_file()] == []
+
+
+def test_a_class_of_the_compiled_tick_is_derived_from_in_it_alone() -> None:
+    """An interpreted class that inherits from a compiled one cannot be made: TypeError, in a wheel and nowhere else."""
+    compiled = {f"manyhands.{module.replace('/', '.')}" for module in HOOK.MODULES}
+    found = [
+        f"{module.__name__}: {name} inherits from {base.__name__}"
+        for package in (manyhands.protocol, manyhands.nodes)
+        for info in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
+        if info.name not in compiled and not info.name.endswith("__main__")
+        for module in [importlib.import_module(info.name)]
+        for name, value in vars(module).items()
+        if isinstance(value, type) and value.__module__ == module.__name__
+        for base in value.__bases__
+        if base.__module__ in compiled and not issubclass(base, Enum | BaseException | tuple)
+    ]
+    assert found == []
 
 
 @pytest.mark.long
