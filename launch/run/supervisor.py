@@ -46,10 +46,10 @@ from manyhands.launch.run.states import (
 )
 from manyhands.launch.session import SUPERVISOR
 from manyhands.nodes.guest.handed_over import handed_over
+from manyhands.nodes.joins import HANDSHAKE_TIME
 from manyhands.nodes.kernel import bundle as bundle_files
 from manyhands.nodes.kernel.bundle import REALTIME, SIMULATED
 from manyhands.nodes.kernel.log import Log, LogEvent, log_path
-from manyhands.nodes.link.peer_link import HANDSHAKE_TIME
 from manyhands.nodes.monitor.health import PromiseState, cut_forces
 from manyhands.nodes.monitor.health_model import HealthModel
 from manyhands.nodes.rows import figures as names

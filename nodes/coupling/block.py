@@ -1,7 +1,7 @@
 """One block of V in its loop: its link to the environment, its rung, its telemetry and its report.
 
 The samples of its devices come from the coupling's own process (:mod:`manyhands.nodes.coupling.node`). Where a session
-runs coupling and device in one process, the device's loop brings them (:mod:`manyhands.nodes.device.colocated`).
+runs coupling and device in one process, the device's loop brings them (:mod:`manyhands.nodes.coupling.within`).
 """
 
 from __future__ import annotations

@@ -4,6 +4,9 @@ It receives x of its own ports from the devices and sends p to the environment. 
 and sends it to the devices. It keeps no time of its own: the devices pace it. Where the environment has gone on without
 this coupling, it sends the force of a later tick: zero, or what the spring exerts from a tool at rest. The coupling
 sends that force to its devices, and goes on at the tick after.
+
+A coupling in its device's process has no loop of its own: the device's runs its block
+(:class:`manyhands.nodes.coupling.within.Within`).
 """
 
 from __future__ import annotations
@@ -11,29 +14,19 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 
 from manyhands.nodes.coupling.block import Block
+from manyhands.nodes.coupling.within import Within
+from manyhands.nodes.joins import establish
 from manyhands.nodes.kernel.arithmetic import Floats
-from manyhands.nodes.kernel.bundle import CouplingBundle
+from manyhands.nodes.kernel.bundle import CouplingBundle, Peer
 from manyhands.nodes.kernel.lifetime import Life
 from manyhands.nodes.kernel.realtime import way_giver
 from manyhands.nodes.kernel.timeouts import LISTEN_TICKS, timeouts
-from manyhands.nodes.link.join import Join, Received, await_all
-from manyhands.nodes.link.peer_link import bounds_by_peer, establish
+from manyhands.nodes.link.join import Join, OwnEnd, Received, await_all
+from manyhands.nodes.link.peer_link import bounds_by_peer
 from manyhands.nodes.link.relink import follow
 from manyhands.nodes.link.supervisor_line import NOT_AT_ALL, ControlLine, Word
-from manyhands.nodes.wave_link.ends import user_ends
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock
-from manyhands.protocol.messages import (
-    Absent,
-    Figures,
-    Force,
-    Reaction,
-    Report,
-    Role,
-    Rung,
-    Sample,
-    SignalMessage,
-    Start,
-)
+from manyhands.protocol.messages import Absent, Figures, Force, Report, Role, Rung, Start
 from manyhands.protocol.transport import Link
 
 
@@ -55,26 +48,41 @@ class CouplingNode:
         self.joins: list[Join] = []
         self._devices: tuple[Join, ...] = ()
         self._block: Block | None = None
+        self._within: Within | None = None  # the join from a node whose loop runs this one's ticks
         self._life: Life | None = None  # until the loop begins
         self._resumes = False  # whether the session ran before this process, whose first tick may be behind or ahead
         self._nothing: Floats = [0.0] * len(bundle.common.ports)  # takes the values of links that only shake hands
 
     def establish(self, links: Mapping[str, Link]) -> None:
         """Shake hands with the block's devices and with the environment, which receives D_V."""
-        admits: dict[str, type[SignalMessage]] = {
-            peer.name: Reaction if peer.role is Role.ENVIRONMENT else Sample for peer in self._common.peers
-        }
-        limits = self._bundle.limits
-        step = [self._common.period * speed for speed in limits.speed]
-        bounds = bounds_by_peer(self._common, Role.DEVICE, limits.displacement, step)
-        ends = user_ends(self._bundle, self._clock)
-        self.joins, _ = establish(self._common, links, admits, self._clock, self._bundle.block.D, bounds, ends)
+        bundle, common, limits = self._bundle, self._common, self._bundle.limits
+        step = [common.period * speed for speed in limits.speed]
+        bounds = bounds_by_peer(common, Role.DEVICE, limits.displacement, step)
+        worlds = [peer.name for peer in common.peers if peer.role is Role.ENVIRONMENT]
+        waves = {} if bundle.wave is None else dict.fromkeys(worlds, bundle.wave)
+        self.joins, _ = establish(OwnEnd(common, self._clock, bounds, bundle.block.D, waves), links)
         self._devices = tuple(j for j in self.joins if j.peer.role is Role.DEVICE)
         (environment,) = (j for j in self.joins if j.peer.role is Role.ENVIRONMENT)
-        self._block = Block(self._bundle, environment)
+        self._block = Block(bundle, environment)
+
+    @property
+    def as_peer(self) -> Peer:
+        """This node, as a device in the same process is joined to it."""
+        return Peer(self._common.name, Role.COUPLING, self._common.ports, binds=False)
+
+    def join_from(self, own: OwnEnd) -> Within:
+        """Join this node to a device in the same process, whose loop runs the block's ticks from then on.
+
+        Raises:
+            ValueError: :meth:`establish` was not called before.
+        """
+        if self._block is None:
+            raise ValueError("the coupling was joined to its device before its handshake")
+        self._within = Within(own, self.as_peer, self._block)
+        return self._within
 
     def loop(self, start: Start, life: Life, control: ControlLine) -> None:
-        """Run the ticks, paced by the devices' samples.
+        """Run the ticks, paced by the devices' samples; begin and return where a device in this process runs them.
 
         Args:
             start: first tick, number of ticks and epoch.
@@ -84,16 +92,22 @@ class CouplingNode:
         Raises:
             ValueError: :meth:`establish` was not called before.
         """
-        block, devices = self._block, self._devices
+        block = self._block
         if block is None:
             raise ValueError("the coupling was started before its handshakes")
-        x: Floats = [0.0] * len(self._common.ports)
-        clock, turn, give_way = self._clock, self._timeouts.turn, way_giver()
         self._life = life
         block.begin(life)
         self._resumes = start.tick > 0
         if self._resumes:
             block.environment.resume()
+        if self._within is not None:
+            self._within.control = control
+        else:
+            self._run(block, start, life, control)
+
+    def _run(self, block: Block, start: Start, life: Life, control: ControlLine) -> None:
+        devices, x = self._devices, [0.0] * len(self._common.ports)
+        clock, turn, give_way = self._clock, self._timeouts.turn, way_giver()
         tick = start.tick
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):
             life.look(clock.now())

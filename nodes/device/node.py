@@ -19,23 +19,23 @@ driver. A device beyond its limits of displacement or speed lets go. It takes ho
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from manyhands.nodes.device.drivers import Driver
 from manyhands.nodes.device.telemetry import DeviceTelemetry
 from manyhands.nodes.device.tick import tick_of
+from manyhands.nodes.joins import establish
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import SIMULATED, DeviceBundle
 from manyhands.nodes.kernel.lifetime import Life
 from manyhands.nodes.kernel.log import LogEvent
 from manyhands.nodes.kernel.realtime import way_giver
 from manyhands.nodes.kernel.timeouts import LISTEN_TICKS, timeouts
-from manyhands.nodes.link.join import Join, Received, await_all
-from manyhands.nodes.link.peer_link import establish
+from manyhands.nodes.link.join import Inner, Join, OwnEnd, Received, await_all
 from manyhands.nodes.link.relink import follow
 from manyhands.nodes.link.supervisor_line import NOT_AT_ALL, ControlLine
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, SimulatedClock, from_seconds
-from manyhands.protocol.messages import Absent, Force, Report, Rung, Sample, Start
+from manyhands.protocol.messages import Absent, Report, Rung, Sample, Start
 from manyhands.protocol.transport import Link
 
 SUSPENSION = from_seconds(0.05)
@@ -58,15 +58,22 @@ class DeviceNode:
         joins: the links to the couplings, once every handshake is done.
     """
 
-    def __init__(self, bundle: DeviceBundle, driver: Driver, clock: Clock | None = None) -> None:
-        """``bundle`` is the device's part of the session; ``driver`` is the device itself.
+    def __init__(
+        self, bundle: DeviceBundle, driver: Driver, clock: Clock | None = None, inside: Sequence[Inner] = ()
+    ) -> None:
+        """Take the device's part of the session.
 
-        ``clock`` measures waiting times; by default it is the realtime clock.
+        Args:
+            bundle: that part.
+            driver: the device itself.
+            clock: measures waiting times; by default it is the realtime clock.
+            inside: the couplings in this process, whose ticks this node's loop runs. They shake hands before it does.
         """
         common = bundle.common
         self._common, self._rungs = common, bundle.rungs
         self.device = tick_of(bundle, driver)
         self._realtime: Clock = clock or RealtimeClock()
+        self._inside = inside
         self._timeouts = timeouts(common)
         self._stale = self._timeouts.stale or Duration(0)  # after this wait a force is stale; 0 where nothing is late
         self._suspension = Duration(max(SUSPENSION, self._stale))
@@ -82,8 +89,7 @@ class DeviceNode:
 
     def establish(self, links: Mapping[str, Link]) -> None:
         """Shake hands with the couplings that hold this device's ports."""
-        admits = {peer.name: Force for peer in self._common.peers}
-        self.joins, _ = establish(self._common, links, admits, self._realtime)
+        self.joins, _ = establish(OwnEnd(self._common, self._realtime, inside=self._inside), links)
 
     def loop(self, start: Start, life: Life, control: ControlLine) -> None:
         """Run the ticks; however they end, the device exerts no force afterwards.
@@ -94,11 +100,18 @@ class DeviceNode:
             control: the line to the supervisor.
         """
         try:
+            self._exert(start, life, control)
+            self._account.publish_rest(control, self.device.core, self.device.guard, self.joins)
+            self.device.conclude(self._now())  # for the report alone: telemetry ends with its last row
+        finally:
+            for join in self.joins:
+                join.publish_rest()
+
+    def _exert(self, start: Start, life: Life, control: ControlLine) -> None:
+        try:
             self._run(start, life, control)
         finally:
             self.device.driver.release(self._now())
-        self._account.publish_rest(control, self.device.core, self.device.guard, self.joins)
-        self.device.conclude(self._now())  # for the report alone: telemetry ends with its last row
 
     def _run(self, start: Start, life: Life, control: ControlLine) -> None:
         clock, device, period = self._clock, self.device, self._period
@@ -116,7 +129,9 @@ class DeviceNode:
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):
             life.look(self._realtime.now())
             if turns % LISTEN_TICKS == 0 or self._free:
-                self._attend(control, tick)
+                self._listen(control)
+                if life.leaving:
+                    self._leave(tick, life)
             due = Instant(epoch + slot * period)
             ready = clock.now()
             if ready < due:
@@ -275,9 +290,14 @@ class DeviceNode:
             self._account.stale += 1
         self._free = True
 
-    def _attend(self, control: ControlLine, tick: int) -> None:
-        """Do what may be done before the sample of ``tick``, now and then."""
-        self._listen(control)
+    def _leave(self, tick: int, life: Life) -> None:
+        """Let the hand go by a ramp, from ``tick`` on, and end the process once it is free."""
+        guard = self.device.guard
+        if not guard.leaving:
+            guard.leave()
+            self._account.leave(tick)
+        elif not guard.holds:
+            life.stopping = True
 
     def _listen(self, control: ControlLine, idle: bool = False) -> None:
         """Follow the supervisor's messages; where ``idle``, wait a moment for one."""
@@ -285,11 +305,15 @@ class DeviceNode:
         while word is not None:
             follow(word, self.joins, control)
             word = control.listen()
+        for join in self.joins:
+            join.listen()
 
     def _jump(self, control: ControlLine) -> None:
         """Send the telemetry so far: the session is at a later tick."""
         self.device.skipped()
         self._account.jump(control, self.device.core, self.device.guard, self.joins)
+        for join in self.joins:
+            join.publish_rest()  # rows follow each other
 
     def _change_rung(self, tick: int) -> None:
         """Take the level and K of the next rung; the force is zero in this tick, so the ledger stays valid."""

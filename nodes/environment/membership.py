@@ -21,7 +21,7 @@ and the supervisor's messages change memberships, and memberships move the clutc
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
 from typing import Final
 
@@ -224,9 +224,9 @@ class Member:
         "wanted",
     )
 
-    def __init__(self, join: Join, index: int, state: Membership, linked: bool = False) -> None:
+    def __init__(self, join: Join, index: int, state: Membership) -> None:
         self.join, self.index, self.membership = join, index, MembershipRecord(state)
-        self.linked = linked
+        self.linked = not join.waited_for
         self.rung = self.wanted = 0
         self.due = 0
         self.early: tuple[int, bytes] | None = None
@@ -253,12 +253,14 @@ class Members:
     """All couplings of an environment; the :class:`manyhands.nodes.link.join.Listener` on their links.
 
     Attributes:
+        core: the environment, in which each has a block.
         all: one member for each coupling.
         order: the same members in the order in which they are read; the coupling that was waited for longest is last.
         active: the members to which a tick's forces are sent; kept, so that a tick need not search for them.
         all_active: whether every member is active.
         anybody_out: whether any member is not active that has been before, or was from the start.
         awaited: whether the signals of any active member close the tick; otherwise the clock does.
+        linked: whether any member is there by a wave link in real time.
         last: the tick after the session's last; 0 for a session without an end.
         log: receives the members that were frozen, lost or returned; None for no log.
         events: the same with their ticks, for the recording.
@@ -275,11 +277,10 @@ class Members:
         life: Life,
         resumes: bool,
         independent: bool = True,
-        linked: Collection[str] = (),
     ) -> None:
         """All members are active; where the environment resumes a session, all are rejoining and join by the ramp.
 
-        So do members that are there by wave links in real time, once their waves have come.
+        So do members that no tick waits for: those that are there by wave links in real time, once their waves come.
 
         Args:
             joins: the links to the couplings, in the order of the core's blocks.
@@ -288,17 +289,11 @@ class Members:
             life: fails when a coupling floods its link.
             resumes: whether the session runs already, and this process replaces one that was lost.
             independent: whether each coupling may change its rung by itself; otherwise all change in one tick.
-            linked: the couplings that are there by wave links in real time.
         """
-        self._core, self._rungs, self._independent = core, rungs, independent
+        self.core, self._rungs, self._independent = core, rungs, independent
         self._digests: dict[str, str] = {}
         self.all = [
-            Member(
-                join,
-                i,
-                Membership.REJOINING if resumes or join.peer.name in linked else Membership.ACTIVE,
-                join.peer.name in linked,
-            )
+            Member(join, i, Membership.REJOINING if resumes or not join.waited_for else Membership.ACTIVE)
             for i, join in enumerate(joins)
         ]
         self.order = list(self.all)
@@ -316,6 +311,7 @@ class Members:
                 core.clutches.freeze(member.index)
         self._shifting = False
         self._life = life
+        self.linked = any(member.linked for member in self.all)
         self._sort()
 
     @property
@@ -367,7 +363,7 @@ class Members:
         It is held until it is heard. A member that is rejoining is frozen, and so is one whose block has no force that
         could hold its end.
         """
-        if member.membership.state is Membership.REJOINING or not self._core.holdable(member.index):
+        if member.membership.state is Membership.REJOINING or not self.core.holdable(member.index):
             self.give_up(member, tick)
         else:
             self._event(member, MembershipEvent.OVERDUE, tick)
@@ -407,7 +403,7 @@ class Members:
             if member.silent > PATIENCE_TICKS:
                 self.give_up(member, tick)
             else:
-                self._core.clutches.hold(member.index)
+                self.core.clutches.hold(member.index)
                 self.events.hold(tick, member.join.peer.name)
 
     def read_last(self, member: Member) -> None:
@@ -433,8 +429,8 @@ class Members:
         self.events.raise_again(tick)
         for member in self.all:
             if not member.linked and member.membership.state in _THERE and member.wanted == member.rung:
-                self._core.clutches.freeze(member.index)
-                self._core.clutches.engage(member.index)
+                self.core.clutches.freeze(member.index)
+                self.core.clutches.engage(member.index)
         self.forget()
 
     def obey(self, word: Word, control: ControlLine, tick: int) -> None:
@@ -445,7 +441,7 @@ class Members:
                 member.wanted = word.rung
                 self._shifting = True
                 if member.wanted == member.rung and member.membership.state is Membership.ACTIVE:
-                    self._core.clutches.engage(member.index)  # its ratio may be falling for a change now withdrawn
+                    self.core.clutches.engage(member.index)  # its ratio may be falling for a change now withdrawn
             return
         lost = follow(word, [member.join for member in self.all], control)
         if lost is not None:
@@ -469,7 +465,7 @@ class Members:
         """
         if not self._shifting:
             return
-        core = self._core
+        core = self.core
         changing = [member for member in self.active if member.wanted != member.rung]
         resting = [member for member in changing if core.clutches.all[member.index].rests]
         opening = [member for member in changing if member not in resting]
@@ -534,7 +530,7 @@ class Members:
         member.due, member.silent = through + 1, 0
         if not self._answer:
             self._answer = [0.0] * len(self._p)
-        join.put(self._answer, self._core.holding_force(member.index, join.share(self._p)))
+        join.put(self._answer, self.core.holding_force(member.index, join.share(self._p)))
         join.send(Reaction, through, join.stamp, self._answer)
         return False
 
@@ -603,7 +599,7 @@ class Members:
         member.silent = member.streak = 0
         # where another rung is wanted the clutch stays open: the rung is changed first
         if self._event(member, MembershipEvent.SIGNAL, tick) and member.wanted == member.rung:
-            self._core.clutches.engage(member.index)
+            self.core.clutches.engage(member.index)
         return True
 
     def _welcome_back(self, member: Member, tick: int) -> None:
@@ -619,10 +615,10 @@ class Members:
             member.join.refuse(Refusal(RefusalCode.FEEDTHROUGH, text))
             return
         self._event(member, MembershipEvent.RECONNECTED, tick)
-        self._core.clutches.freeze(member.index)
+        self.core.clutches.freeze(member.index)
         if member.rung or name not in self._feedthrough:
             self._feedthrough[name] = np.array(hello.feedthrough, dtype=np.float64)
-            self._core.exchange(member.index, self._feedthrough[name])
+            self.core.exchange(member.index, self._feedthrough[name])
             member.rung = 0
             self._shifting = member.wanted != 0 or self._shifting
         member.join.send_zero(Reaction, tick - 1)
@@ -655,7 +651,7 @@ class Members:
         if self.log is not None and (noted := _NOTED.get(member.membership.state)) is not None:
             self.log.note(noted, peer=member.join.peer.name, tick=tick, heard=event.value)
         if member.membership.state is not Membership.ACTIVE:
-            self._core.clutches.freeze(member.index)
+            self.core.clutches.freeze(member.index)
             member.join.forget()  # it joins from wherever it is then, so its next signal has no step bound
         self._sort()
         return True

@@ -1,8 +1,21 @@
 """The environment's process: it receives p of every coupling, and sends each coupling f_v of its own ports.
 
-In a tick the node waits for the active couplings (:mod:`manyhands.nodes.environment.membership`), solves for the
-forces, and answers. As long as all couplings are in time, a tick is one receive and one send for each, and nothing
-else. When a signal is missing, :mod:`manyhands.nodes.environment.deadline` decides how long the node waits for it.
+**What a tick waits for.** The forces of a tick need p of every active coupling
+(:mod:`manyhands.nodes.environment.membership`), so it closes in one of three ways (:meth:`EnvironmentNode._gather`):
+
+- All are active and in time: one receive for each, in the order in which they came of late, and nothing else.
+- One is missing, or was away: the node listens to all of them in turn, until none that is awaited is missing.
+  :mod:`manyhands.nodes.environment.deadline` decides how long that may last, and who is given up.
+- None is awaited, for all that are active are there by wave links: the world's clock closes the tick
+  (:mod:`manyhands.nodes.environment.pace`). What has come is read after the sleep, so that it counts in this tick.
+
+**What the couplings wait for** is the answer, so it comes as early as it can. Once the forces are found, they are sent;
+only then does the core step, and telemetry is written down. Who was late, and is held or not waited for any more, is
+decided before the forces, for it changes them.
+
+**Two instants** are kept from tick to tick. ``_due`` is when the devices sample the tick, from which lateness counts.
+``_now`` is when the last signal was there; reading the clock once more would charge this node's own work to the
+couplings.
 
 :class:`EnvironmentTelemetry` writes down the positions of tools and masses and the ledger of each tick, as numbers at
 once; they are sent once in ``telemetry_ticks`` ticks.
@@ -22,24 +35,23 @@ from manyhands.nodes.environment.energy import energy_tables
 from manyhands.nodes.environment.late_arrivals import AT_ONCE, CROSSING, LateArrivals, allowance
 from manyhands.nodes.environment.membership import Member, Members, Membership
 from manyhands.nodes.environment.pace import Pace
+from manyhands.nodes.joins import establish
 from manyhands.nodes.kernel.arithmetic import Floats, feedthrough_digest
-from manyhands.nodes.kernel.bundle import REALTIME, Common, EnvironmentBundle
+from manyhands.nodes.kernel.bundle import Common, EnvironmentBundle
 from manyhands.nodes.kernel.lifetime import Life
 from manyhands.nodes.kernel.realtime import way_giver
 from manyhands.nodes.kernel.timeouts import LISTEN_TICKS, timeouts
-from manyhands.nodes.link.join import Join, Received, WaveRow, dropped_frames, join_of, stray_frames
-from manyhands.nodes.link.peer_link import bounds_by_peer, establish
+from manyhands.nodes.link.join import Join, JoinKind, OwnEnd, Received, WaveRow, dropped_frames, stray_frames
+from manyhands.nodes.link.peer_link import bounds_by_peer
 from manyhands.nodes.link.supervisor_line import NOT_AT_ALL, ControlLine
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.lateness import CouplingLateness, lateness_tables
 from manyhands.nodes.rows.tick_events import TickEvents
-from manyhands.nodes.wave_link.ends import WorldEnd, WorldEnds, datagram_socket, world_ends
 from manyhands.nodes.wave_link.rows import WorldRows
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds
 from manyhands.protocol.handshake import HandshakeRefused
-from manyhands.protocol.messages import Figures, LinkHello, Reaction, Report, Role, Start, Telemetry, Tool, Values
+from manyhands.protocol.messages import Figures, LinkHello, Reaction, Report, Role, Start, Telemetry, Values
 from manyhands.protocol.transport import Link
-from manyhands.protocol.transport.datagrams import DatagramSocket
 
 
 class TelemetryLater:
@@ -181,19 +193,20 @@ class EnvironmentNode:
         self._clock: Clock = clock or RealtimeClock()
         self._timeouts = timeouts(bundle.common)
         self._period = from_seconds(bundle.common.period)
-        self._due = 0  # when the devices sample the present tick
+        self._epoch = self._due = self._now = Instant(0)
         self.joins: list[Join] = []
+        self._kinds: list[JoinKind] = []
+        self._ends: list[Join] = []  # the joins that have rows of their own
         self._parties: tuple[str, ...] = ()
         self._feedthrough: dict[str, Values] = {}
         self.core: Core | None = None
         self.members: Members | None = None
-        self._datagrams: DatagramSocket | None = None
         self._account = EnvironmentTelemetry(bundle.common, tuple(bundle.waves))
         self._frozen_ticks = 0
-        # whether everybody is there by a wave link, so that the clock alone paces the ticks
-        self._clocked = bundle.common.clock == REALTIME and len(bundle.waves) == len(bundle.common.peers) > 0
-        self._later: TelemetryLater | None = None  # likewise
-        self._pace: Pace | None = None  # none before the ticks
+        self._clocked = False  # whether no tick waits for anybody, so that the clock alone paces them
+        self._later: TelemetryLater | None = None  # there alone
+        self._pace = Pace(Instant(0), self._period, Instant(0))
+        self._p: Floats = [0.0] * len(bundle.common.ports)
         self._passed: tuple[Member, ...] = ()  # the member that did not come at its turn in this tick
         # without a covered delay no certificate can be lost by a longer allowance, so the period serves
         covered = from_seconds(bundle.longest_tau or bundle.common.period)
@@ -206,20 +219,20 @@ class EnvironmentNode:
             HandshakeRefused: the two ends disagree, or a coupling's D_V is not the one of the certificate.
             HandshakeTimeout: a coupling has not finished its handshake in time.
         """
-        admits = {peer.name: Tool for peer in self._common.peers}
-        bounds = bounds_by_peer(self._common, Role.COUPLING, self._bundle.tool_magnitude, self._bundle.tool_step)
-        self._datagrams = datagram_socket(self._bundle, self._clock)
-        ends = world_ends(self._bundle, self._clock, self._datagrams)
-        self.joins, hellos = establish(self._common, links, admits, self._clock, bounds=bounds, ends=ends)
+        bundle, common = self._bundle, self._common
+        bounds = bounds_by_peer(common, Role.COUPLING, bundle.tool_magnitude, bundle.tool_step)
+        self.joins, self._kinds = establish(OwnEnd(common, self._clock, bounds, waves=bundle.waves), links)
         self._parties = tuple(join.peer.name for join in self.joins)
-        m = len(self._common.ports)
+        self._ends = [join for join in self.joins if join.row is not None]
+        self._clocked = bool(self.joins) and not any(join.waited_for for join in self.joins)
+        m = len(common.ports)
         D_V = np.zeros((m, m))
         for join in self.joins:
-            if join.link is None:  # absent; its hello brings D_V when it comes
+            if join.hello is None:  # absent; its hello brings D_V when it comes
                 continue
-            self._require_feedthrough(hellos[join.peer.name])
+            self._require_feedthrough(join.hello)
             ports = np.arange(m)[join.indices]
-            own = self._feedthrough[join.peer.name] = np.array(hellos[join.peer.name].feedthrough)
+            own = self._feedthrough[join.peer.name] = np.array(join.hello.feedthrough)
             D_V[np.ix_(ports, ports)] = own
         blocks = [join.indices for join in self.joins]
         self.core = environment_core(self._bundle, D_V, blocks)
@@ -244,68 +257,55 @@ class EnvironmentNode:
         Raises:
             ValueError: :meth:`establish` was not called before.
         """
-        core = self.core
+        members, later = self._begin(start, life, control), self._later
+        tick = self._run(members, start, life, control)
+        self._publish(control, members)
+        if later is not None:
+            later.finish()
+        if tick == start.ticks and not members.all_active:
+            self._say_goodbye(members, tick)
+        for kind in self._kinds:
+            kind.close()
+
+    def _begin(self, start: Start, life: Life, control: ControlLine) -> Members:
+        """Take all couplings in, and wait for the epoch: before it devices send nothing, and silence has no meaning."""
+        core, bundle, resumes = self.core, self._bundle, start.tick > 0
         if core is None:
             raise ValueError("the environment was started before its handshakes")
-        bundle = self._bundle
-        rungs, independent = bundle.feedthrough_rungs, bundle.independent
-        realtime, resumes = self._common.clock == REALTIME, start.tick > 0
-        linked = frozenset(bundle.waves) if realtime else frozenset()
-        members = self.members = Members(self.joins, core, rungs, life, resumes, independent, linked)
+        members = Members(self.joins, core, bundle.feedthrough_rungs, life, resumes, bundle.independent)
         if resumes:
             for join in self.joins:
                 join.resume()
         members.last, members.log = start.ticks, control.log
         members.know(self._feedthrough, bundle.feedthrough)
-        ends = [one for name in bundle.waves if (one := join_of(self.joins, name)) is not None]
-        world = WorldEnds([end for end in ends if isinstance(end, WorldEnd)]) if self._clocked else None
-        later = self._later = TelemetryLater(control) if self._clocked else None
-        clock, account, late = self._clock, self._account, self._late
-        patience, give_way = self._timeouts.patience, way_giver()
-        p: Floats = [0.0] * len(self._common.ports)
-        # the first wait begins with the epoch: before it devices send nothing, and silence has no meaning
-        epoch, period = start.epoch, self._period
-        tick, now, answered = start.tick, max(clock.now(), Instant(epoch)), Instant(2**62)
-        self._due = now
-        pace, datagrams = Pace(Instant(epoch), period, now), self._datagrams
-        self._pace = pace
-        members.over = lambda: clock.now() > self._due - CROSSING * period
+        clock, lead = self._clock, CROSSING * self._period
+        members.over = lambda: clock.now() > self._due - lead
+        self.members, self._later = members, TelemetryLater(control) if self._clocked else None
+        self._epoch = Instant(start.epoch)
+        self._due = self._now = max(clock.now(), self._epoch)
+        self._pace = Pace(self._epoch, self._period, self._now)
+        return members
+
+    def _run(self, members: Members, start: Start, life: Life, control: ControlLine) -> int:
+        """Run the ticks; returns the one after the last."""
+        core, account, late, p = members.core, self._account, self._late, self._p
+        period, epoch, patience, give_way = self._period, self._epoch, self._timeouts.patience, way_giver()
+        tick, answered = start.tick, Instant(2**62)
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):
-            life.look(now)
+            life.look(self._now)
             if tick % LISTEN_TICKS == 0 and (word := control.listen()) is not None:
                 members.obey(word, control, tick)
-            if datagrams is not None:
-                datagrams.read()
-            if linked and not members.awaited:
-                # everybody is there by a wave link, so nothing closes the tick but the clock
-                clock.sleep_until(pace.due(clock.now()))
-                if world is not None:
-                    world.read()
-                for member in members.order:
-                    members.hear(member, p, tick, NOT_AT_ALL)
-                members.resumed()
-                now = self._due = clock.now()
-                pace.begun(now)
-            elif not (members.all_active and self._all_heard(members, p, tick)):
-                found = self._wait(members, p, tick, now, life, control)
-                self._passed = ()
-                if found is None:
-                    break
-                if found != tick:
-                    self._publish(control, core, members)  # rows follow each other
-                    tick, self._due = found, clock.now()
-                if tick > start.tick:
-                    # a coupling that returns in this tick cannot be in time: the others waited, but it is not charged
-                    late.gone(tick, [member.index for member in members.active if member.membership.since == tick])
-                now = clock.now()
-            else:
-                now = members.order[-1].arrived
-            if patience is not None and now - self._due > late.allowance:  # otherwise no coupling was late
-                self._judge(members, tick, self._due - answered < CROSSING * period)
-            if patience is not None and now - answered > patience:
-                members.let_in_again(tick)
-            if patience is not None and (members.waives or not members.all_active):
-                members.hold(tick, late.full)
+            gathered = self._gather(members, tick, start.tick, life, control)
+            if gathered is None:
+                break
+            tick, now = gathered, self._now
+            if patience is not None:
+                if now - self._due > late.allowance:  # otherwise no coupling was late
+                    self._judge(members, tick, self._due - answered < CROSSING * period)
+                if now - answered > patience:
+                    members.let_in_again(tick)
+                if members.waives or not members.all_active:
+                    members.hold(tick, late.full)
             f = core.react(p)
             if core.failure is not None:
                 life.fail(f"{self._common.name}: {core.failure}")
@@ -313,25 +313,64 @@ class EnvironmentNode:
             for member in members.active:
                 member.join.send(Reaction, tick, member.join.stamp, f)
             answered = now
-            self._due = now + (epoch - now) % period  # the next multiple of T, at which devices sample
+            self._due = Instant(now + (epoch - now) % period)  # the next multiple of T, at which devices sample
             give_way()  # ZeroMQ's thread sends the forces first; what does not depend on them is done after
             core.settle()
             self._frozen_ticks += members.anybody_out
-            account.tick(tick, core, [row for end in ends if (row := end.finished(tick)) is not None])
+            account.tick(tick, core, [row for end in self._ends if (row := end.finished(tick)) is not None])
             tick += 1
-            if later is not None:
-                later.step()
+            if self._later is not None:
+                self._later.step()
             if account.due:
-                self._publish(control, core, members)
-        self._publish(control, core, members)
-        if later is not None:
-            later.finish()
-        if tick == start.ticks and not members.all_active:
-            self._say_goodbye(members, p, tick)
-        if datagrams is not None:
-            datagrams.close()
+                self._publish(control, members)
+        return tick
 
-    def _say_goodbye(self, members: Members, p: Floats, tick: int) -> None:
+    def _gather(self, members: Members, tick: int, first: int, life: Life, control: ControlLine) -> int | None:
+        """Have the signals of a tick in ``_p``, m, and in ``_now`` the instant at which they were all there.
+
+        Args:
+            members: the couplings.
+            tick: k.
+            first: the tick with which this process began.
+            life: whether the node should still run.
+            control: the line to the supervisor.
+
+        Returns:
+            The tick whose signals are there: ``tick``, or a later one, as :meth:`_wait` finds it. None if the node
+            should end.
+        """
+        clock, pace, p = self._clock, self._pace, self._p
+        if not members.awaited and members.linked:
+            clock.sleep_until(pace.due(clock.now()))
+            self._read()
+            for member in members.order:
+                members.hear(member, p, tick, NOT_AT_ALL)
+            members.resumed()
+            self._now = self._due = clock.now()
+            pace.begun(self._now)
+            return tick
+        self._read()
+        if members.all_active and self._all_heard(members, tick):
+            self._now = members.order[-1].arrived
+            return tick
+        found = self._wait(members, tick, life, control)
+        self._passed = ()
+        if found is None:
+            return None
+        if found != tick:
+            self._publish(control, members)  # rows follow each other
+            self._due = clock.now()
+        if found > first:
+            # a coupling that returns in this tick cannot be in time: the others waited, but it is not charged
+            self._late.gone(found, [member.index for member in members.active if member.membership.since == found])
+        self._now = clock.now()
+        return found
+
+    def _read(self) -> None:
+        for kind in self._kinds:
+            kind.read()
+
+    def _say_goodbye(self, members: Members, tick: int) -> None:
         """Answer the frozen couplings after the last tick, for a short time, so that they end with the others.
 
         A frozen coupling sends its signal again and again until it is answered. The zero force of the last tick is the
@@ -345,23 +384,23 @@ class EnvironmentNode:
             member.join.send_zero(Reaction, tick - 1)
         while behind and self._clock.now() < end:
             for member in behind:
-                members.hear(member, p, tick, _TURN)
+                members.hear(member, self._p, tick, _TURN)
                 member.join.send_zero(Reaction, tick - 1)
 
-    def _all_heard(self, members: Members, p: Floats, tick: int) -> bool:
+    def _all_heard(self, members: Members, tick: int) -> bool:
         """Read the signals of an ordinary tick, one after the other; returns False at the first that does not come."""
-        turn, clock = self._timeouts.turn, self._clock
+        turn, clock, p = self._timeouts.turn, self._clock, self._p
         for member in members.order:
             if member.waived:
                 if members.hear(member, p, tick, NOT_AT_ALL) is Received.SIGNAL:
                     member.arrived = clock.now()
             elif members.hear(member, p, tick, turn) is not Received.SIGNAL:
-                self._pass_over(member, members, p, tick)
+                self._pass_over(member, members, tick)
                 return False
             member.arrived = clock.now()
         return True
 
-    def _pass_over(self, absent: Member, members: Members, p: Floats, tick: int) -> None:
+    def _pass_over(self, absent: Member, members: Members, tick: int) -> None:
         """Read the members after ``absent`` at once, and read ``absent`` last from now on.
 
         A member read after it may have been there for as long as the node waited for ``absent``. So its signal counts
@@ -371,9 +410,9 @@ class EnvironmentNode:
         at = members.order.index(absent)
         if at == 0:
             self._due = max(self._due, self._clock.now())
-        since = members.order[at - 1].arrived if at else Instant(self._due)
+        since = members.order[at - 1].arrived if at else self._due
         for member in members.order[at + 1 :]:
-            if members.hear(member, p, tick, NOT_AT_ALL) is Received.SIGNAL:
+            if members.hear(member, self._p, tick, NOT_AT_ALL) is Received.SIGNAL:
                 member.arrived = since
         members.read_last(absent)
         self._passed = (absent,)
@@ -397,9 +436,7 @@ class EnvironmentNode:
         least = AT_ONCE * self._period
         members.order.sort(key=lambda member: max(least, late.added[member.index]))
 
-    def _wait(
-        self, members: Members, p: Floats, tick: int, began: Instant, life: Life, control: ControlLine
-    ) -> int | None:
+    def _wait(self, members: Members, tick: int, life: Life, control: ControlLine) -> int | None:
         """Wait until no awaited coupling is missing; listen to the others as well, and freeze those that stay silent.
 
         Each round looks who is missing, lets :mod:`manyhands.nodes.environment.deadline` decide, and acts on the
@@ -408,9 +445,7 @@ class EnvironmentNode:
 
         Args:
             members: the couplings.
-            p: where the signals of the tick are put, m.
             tick: k.
-            began: when the tick before was answered.
             life: whether the node should still run.
             control: the line to the supervisor.
 
@@ -418,7 +453,7 @@ class EnvironmentNode:
             The tick for which every awaited coupling has sent its signal. It is later than ``tick`` where an
             environment resumes, or where no coupling was awaited before. None if the node should end.
         """
-        deadline = Deadline(self._timeouts, self._period, Instant(self._due), began)
+        deadline = Deadline(self._timeouts, self._period, self._due, self._now)
         awaited = set(self._passed)  # every member that this tick has waited for, those lost since included
         while not life.stopping:
             missing = [member for member in members.order if member.missing(tick)]
@@ -447,7 +482,7 @@ class EnvironmentNode:
                     life.look(now)
                     while (word := control.listen()) is not None:
                         members.obey(word, control, tick)
-                    anybody = self._listen(members, p, tick, missing, now if present else None)
+                    anybody = self._listen(members, tick, missing, now if present else None)
                     deadline.listened = True
                     if anybody and members.ahead > tick:
                         # a resumed environment began at the last telemetry; its couplings are further on, and are right
@@ -461,7 +496,7 @@ class EnvironmentNode:
                             members.obey(word, control, tick)
         return None
 
-    def _listen(self, members: Members, p: Floats, tick: int, missing: Sequence[Member], since: Instant | None) -> bool:
+    def _listen(self, members: Members, tick: int, missing: Sequence[Member], since: Instant | None) -> bool:
         """Listen once to every coupling whose signal of ``tick`` is not there, to the missing ones first.
 
         Where the transport can wait for all links, it does. Otherwise only the first coupling is waited for, and by the
@@ -469,7 +504,6 @@ class EnvironmentNode:
 
         Args:
             members: the couplings.
-            p: where the signals of the tick are put, m.
             tick: k.
             missing: the couplings that are waited for.
             since: the present time where the signal of any coupling is there; None where none is.
@@ -487,7 +521,7 @@ class EnvironmentNode:
             join = member.join
             if not join.reachable or (join.tick == tick and join.here):
                 continue  # nothing to read; but a coupling that was lost after its signal may be shaking hands anew
-            if members.hear(member, p, tick, turn) is Received.SIGNAL:
+            if members.hear(member, self._p, tick, turn) is Received.SIGNAL:
                 # a signal read after the wait for a different coupling counts as there since that wait began
                 member.arrived = since if since is not None and turn == NOT_AT_ALL else self._clock.now()
             turn, anybody = NOT_AT_ALL, True
@@ -509,7 +543,7 @@ class EnvironmentNode:
 
     def _late_ticks(self) -> dict[str, float]:
         """The late ticks of a world whose users are all behind wave links; elsewhere the devices count them."""
-        return {names.LATE: float(self._pace.late)} if self._clocked and self._pace is not None else {}
+        return {names.LATE: float(self._pace.late)} if self._clocked else {}
 
     def _lateness(self, members: Members | None) -> dict[str, CouplingLateness]:
         """The lateness of each coupling that made the others wait, by its name."""
@@ -546,7 +580,7 @@ class EnvironmentNode:
             found |= energy_tables(core.energy, self._parties)
         return {name: table for name, table in found.items() if table}
 
-    def _publish(self, control: ControlLine, core: Core, members: Members) -> None:
+    def _publish(self, control: ControlLine, members: Members) -> None:
         numbers = {
             names.FROZEN: float(members.frozen),
             names.FROZEN_TICKS: float(self._frozen_ticks),
@@ -558,6 +592,6 @@ class EnvironmentNode:
         rungs = {member.join.peer.name: float(member.rung) for member in members.all if member.rung}
         tables = {**self._tables(members), **({names.of(names.RUNG): rungs} if rungs else {})}
         late = [(tick, member.index) for member in members.all for tick in self._late.lately[member.index]]
-        if self._account.publish(self._later or control, core, numbers, tables, late, members.events):
+        if self._account.publish(self._later or control, members.core, numbers, tables, late, members.events):
             for member in members.all:
                 self._late.lately[member.index].clear()

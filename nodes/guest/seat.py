@@ -28,8 +28,9 @@ from typing import Final
 
 import numpy as np
 
-from manyhands.nodes.device.colocated import CarriedBlock, ColocatedNode
-from manyhands.nodes.device.drivers import Driver, driver_of
+from manyhands.nodes.coupling.node import CouplingNode
+from manyhands.nodes.device.drivers import driver_of
+from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.guest.invitation import Invitation, InvitationError, read_invitation
 from manyhands.nodes.guest.seat_part import SeatPart, decoded_part
 from manyhands.nodes.kernel.bundle import BundleError, Common, CouplingBundle, DeviceBundle, elsewhere, foreign_code
@@ -42,7 +43,7 @@ from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seco
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.keys import KeyFileError, KeyRing
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
-from manyhands.protocol.messages import Fetch, Piece, Start, presentable
+from manyhands.protocol.messages import Fetch, Piece, presentable
 from manyhands.protocol.transport import Link, TransportError
 from manyhands.protocol.transport.zeromq import ZmqTransport
 
@@ -126,14 +127,21 @@ def is_calm(trips: Sequence[Duration]) -> bool:
 class SeatLife(Life):
     """The life of a guest at a seat: once it ticks, a request to end, or the session's end, makes it let go first.
 
+    A second request ends it at once.
+
     Attributes:
-        leaving: whether the device lets go, after which the loop ends. A second request ends it at once.
+        joined: called once the handshakes are done, before the first tick.
     """
 
     def __init__(self) -> None:
         """Handle the signals of this process."""
-        self.leaving = False
+        self.joined: Callable[[], None] = lambda: None
         super().__init__(None)
+
+    def enter_loop(self) -> None:
+        """Begin the loop, and report that the guest is in."""
+        super().enter_loop()
+        self.joined()
 
     def begin(self) -> None:
         """Begin anew, for another attempt to join.
@@ -162,33 +170,6 @@ class SeatLife(Life):
         if self._raises or self.leaving:
             super()._asked_to_stop(signum, frame)
         self.leaving, self.signal = True, signum
-
-
-class SeatNode(ColocatedNode):
-    """A device with its coupling, which lets go by a ramp before it leaves."""
-
-    def __init__(
-        self, bundle: DeviceBundle, driver: Driver, carried: Sequence[CarriedBlock], joined: Callable[[], None]
-    ) -> None:
-        """As :class:`ColocatedNode`; ``joined`` is called once the handshakes are done, before the first tick."""
-        super().__init__(bundle, driver, carried)
-        self._joined = joined
-
-    def loop(self, start: Start, life: Life, control: ControlLine) -> None:
-        """Report that the guest is in, and run its ticks."""
-        self._joined()
-        super().loop(start, life, control)
-
-    def _attend(self, control: ControlLine, tick: int) -> None:
-        super()._attend(control, tick)
-        life, guard = self._life, self.device.guard
-        if not isinstance(life, SeatLife) or not life.leaving:
-            return
-        if not guard.leaving:
-            guard.leave()
-            self._account.leave(tick)
-        elif not guard.holds:
-            life.stopping = True
 
 
 def fetch(link: Link, invitation: Invitation, life: Life) -> bytes:
@@ -337,14 +318,15 @@ class _Visit:
         placed = dataclasses.replace(part.device, common=self._placed(part.device.common))
         device = with_force(elsewhere(placed), self._most_force)
         coupling = dataclasses.replace(part.coupling, common=self._placed(part.coupling.common))
-        carried = CarriedBlock(coupling)
+        inside = CouplingNode(coupling)
         try:
-            node = SeatNode(device, driver_of(device), [carried], partial(self._joined, coupling.common.period))
+            node = DeviceNode(device, driver_of(device), inside=[inside])
         except (ValueError, OverflowError) as error:
             _say(f"error: {error}")
             return EXIT_BAD_INPUT
+        life.joined = partial(self._joined, coupling.common.period)
         nodes: list[tuple[Common, Node, KeyRing | None]] = [(device.common, node, part.ring(device.common)),
-                 (coupling.common, carried, part.ring(coupling.common))]  # fmt: skip
+                 (coupling.common, inside, part.ring(coupling.common))]  # fmt: skip
         try:
             return run_together(nodes, life, True, self._host, partial(self._engage, device, coupling))
         finally:

@@ -51,6 +51,7 @@ class Life:
 
     Attributes:
         stopping: whether the process should end at the next tick.
+        leaving: whether a device should let its hand go by a ramp first, and end the process then.
         orphaned: whether its supervisor is gone.
         failure: the reason of a failure that ends it; None without one.
         signal: the number of the signal that asked it to end; None without one.
@@ -63,7 +64,7 @@ class Life:
         Args:
             parent: the supervisor's process id; None for a supervisor on a different machine.
         """
-        self.stopping = self.orphaned = False
+        self.stopping = self.leaving = self.orphaned = False
         self.failure: str | None = None
         self.signal: int | None = None
         self.watch: Callable[[], Sight] = lambda: Sight.PRESENT

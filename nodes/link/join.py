@@ -1,9 +1,7 @@
 """How a node is joined to a peer: what every join has, whatever carries the tick's signals.
 
-There are three joins. :class:`~manyhands.nodes.link.peer_link.PeerLink` sends them over ZeroMQ.
-:class:`~manyhands.nodes.device.colocated.Within` calls a coupling in the same process.
-:class:`~manyhands.nodes.wave_link.ends.UserEnd` and :class:`~manyhands.nodes.wave_link.ends.WorldEnd` send waves in
-their place. A node's loop knows :class:`Join` alone.
+A node's loop knows :class:`Join` alone. Which kind joins it to a peer follows from the bundle by one table,
+:data:`manyhands.nodes.joins.KINDS`, whose rows are a :class:`JoinKind` each.
 """
 
 # ruff: noqa: B027 -- a hook is no abstract method: most joins need nothing in it
@@ -12,6 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import NamedTuple, Protocol
 
@@ -19,13 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.nodes.kernel.arithmetic import Floats
-from manyhands.nodes.kernel.bundle import Peer
+from manyhands.nodes.kernel.bundle import Common, Peer, WaveEnd
 from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import Clock, Duration
 from manyhands.protocol.codec import decode, encode
+from manyhands.protocol.gate import Bounds
 from manyhands.protocol.handshake import LinkHandshake
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_STRAY_FRAMES
-from manyhands.protocol.messages import Absent, LinkHello, Refusal, Rung, SignalMessage
+from manyhands.protocol.messages import Absent, LinkHello, Refusal, Rung, SignalMessage, Values
 from manyhands.protocol.transport import Link
 
 Indices = NDArray[np.int64]
@@ -87,12 +87,13 @@ class Join(ABC):
         link: the connection; None while the peer is lost, and within a process.
         indices: where the join's ports are among the node's own; a slice where they follow each other.
         handshake: the unfinished handshake with a peer that comes back; None otherwise.
-        hello: the hello of a peer that came back; None before that.
+        hello: the hello of the peer's latest handshake; None before the first.
         new: whether the peer came back and no signal of it has been admitted since: it may be at another tick.
         tick: the tick of the latest signal; -1 before the first.
         other_tick: the tick of the last signal that was not of the tick awaited.
         other_zero: whether all values of that signal were zero.
         other_frame: the frame of that signal.
+        waited_for: whether a tick waits for the peer's signal; otherwise this end answers whenever it is asked.
     """
 
     def __init__(self, own: LinkHello, peer: Peer, link: Link | None, indices: slice | Indices, clock: Clock) -> None:
@@ -110,6 +111,7 @@ class Join(ABC):
         self.hello: LinkHello | None = None
         self.new = False
         self.tick, self.other_tick, self.other_zero, self.other_frame = -1, 0, False, b""
+        self.waited_for = True
         self._clock = clock
         self._part = indices if isinstance(indices, slice) else None
         self._at = () if isinstance(indices, slice) else tuple(indices.tolist())
@@ -225,6 +227,12 @@ class Join(ABC):
         """What telemetry reports of the end of a wave link in the last tick; None for every other link."""
         return None
 
+    def listen(self) -> None:
+        """Have a peer whose ticks run in this node's loop follow its supervisor's messages; others do so themselves."""
+
+    def publish_rest(self) -> None:
+        """Have such a peer send its telemetry up to now: its loop is over, or goes on at a later tick."""
+
     def lose(self) -> None:
         """Close the link to a peer that is gone."""
         if self.link is not None:
@@ -272,6 +280,62 @@ class Join(ABC):
             f"{tick} was awaited (in all: {kinds}); expected at most {MAX_STRAY_FRAMES}; see what runs as "
             f"{self.peer.name}"
         )
+
+
+class Inner(Protocol):
+    """A node whose ticks run in the loop of another node of its process. It stays a node, with a bundle of its own."""
+
+    @property
+    def as_peer(self) -> Peer:
+        """What that other node would be told of it, were they joined by a link."""
+        ...
+
+    def join_from(self, own: OwnEnd) -> Join:
+        """Join it to the node whose loop runs its ticks, and whose end is ``own``."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class OwnEnd:
+    """What a node brings to its joins, of whatever kind they are.
+
+    Attributes:
+        common: the common part of its bundle.
+        clock: a realtime clock: processes start, and wait for each other, in real time, whatever the session's clock.
+        bounds: the bounds of a peer's signals, by its name; the signals of other peers are not bounded.
+        feedthrough: D_V of a coupling, m/N, which the environment alone is sent; None at other nodes.
+        waves: what the bundle says of this end of each wave link, by the peer's name.
+        inside: the nodes whose ticks run in this node's loop.
+    """
+
+    common: Common
+    clock: Clock
+    bounds: Mapping[str, Bounds] = field(default_factory=dict)
+    feedthrough: Values | None = None
+    waves: Mapping[str, WaveEnd] = field(default_factory=dict)
+    inside: Sequence[Inner] = ()
+
+
+class JoinKind(ABC):
+    """The joins of one kind at one node: it makes them, and reads and closes what they share."""
+
+    def __init__(self, own: OwnEnd) -> None:
+        """Make the joins of the node whose end is ``own``."""
+        self.own = own
+
+    @abstractmethod
+    def serves(self, peer: Peer) -> bool:
+        """Whether the node is joined to ``peer`` in this way."""
+
+    @abstractmethod
+    def join(self, peer: Peer, link: Link | None) -> Join:
+        """Join the node to ``peer``; ``link`` is None where the peer is absent, or needs none."""
+
+    def read(self) -> None:
+        """Read what has come for all joins of this kind, before a tick hears them."""
+
+    def close(self) -> None:
+        """Close what the joins share; each closes its own link."""
 
 
 def await_all(

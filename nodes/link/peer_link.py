@@ -3,28 +3,38 @@
 A peer sends its signal in time, is silent, has fallen behind, is lost, or comes back on a new link. :class:`PeerLink`
 tells these cases apart (:class:`~manyhands.nodes.link.join.Received`); the node decides what follows from each
 (:class:`~manyhands.nodes.link.join.Listener`).
-
-Before the first tick a node binds its links and shakes hands with its peers, one after the other, in the session's
-order (:func:`establish`). Once the loop runs no handshake may hold it up: a peer that was lost and comes back is
-greeted on a new link, frame by frame, between the ticks (:meth:`~manyhands.nodes.link.join.Join.greet`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Final
 
 import numpy as np
 
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import SIMULATED, Common, Peer
-from manyhands.nodes.link.join import Indices, Join, Listener, Received, positions
+from manyhands.nodes.link.join import Indices, Join, JoinKind, Listener, Received, positions
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
 from manyhands.protocol.codec import LAYOUTS, SignalWriter, decode, encode, type_of
 from manyhands.protocol.gate import Bounds, Gate
-from manyhands.protocol.handshake import Expected, LinkHandshake, shake_hands
+from manyhands.protocol.handshake import Expected, LinkHandshake
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_STRAY_FRAMES
-from manyhands.protocol.messages import PROTOCOL_VERSION, Absent, LinkHello, Role, Rung, SignalMessage, Values
+from manyhands.protocol.messages import (
+    PROTOCOL_VERSION,
+    Absent,
+    Force,
+    LinkHello,
+    Reaction,
+    Role,
+    Rung,
+    Sample,
+    SignalMessage,
+    Tool,
+    Values,
+)
 from manyhands.protocol.transport import Link, Transport
 
 
@@ -210,8 +220,30 @@ _WORDS = {LAYOUTS[kind][0] for kind in (Rung, Absent)}
 _LONGEST_WORD = 128  # bytes
 
 
-HANDSHAKE_TIME = from_seconds(20.0)
-"""Time limit for all handshakes of a node before its first tick, ns."""
+SIGNALS: Final[Mapping[tuple[Role, Role], type[SignalMessage]]] = MappingProxyType(
+    {
+        (Role.DEVICE, Role.COUPLING): Sample,
+        (Role.COUPLING, Role.ENVIRONMENT): Tool,
+        (Role.ENVIRONMENT, Role.COUPLING): Reaction,
+        (Role.COUPLING, Role.DEVICE): Force,
+    }
+)
+"""The signal of a tick, by the roles of sender and receiver."""
+
+
+class Frames(JoinKind):
+    """The joins over ZeroMQ, or any transport that carries frames."""
+
+    def serves(self, peer: Peer) -> bool:
+        """Every peer that no other kind of join serves."""
+        return True
+
+    def join(self, peer: Peer, link: Link | None) -> PeerLink:
+        """Join the node to ``peer``."""
+        own, common = self.own, self.own.common
+        where, bounds = positions(common.ports, peer.ports), own.bounds.get(peer.name)
+        hello = hello_to(common, peer, own.feedthrough)
+        return PeerLink(hello, peer, link, SIGNALS[peer.role, common.role], where, own.clock, bounds)
 
 
 def bounds_by_peer(
@@ -254,59 +286,6 @@ def bind_links(common: Common, transport: Transport) -> tuple[dict[str, Link], d
                 f"{common.name}-{peer.name}", peer.name, peer.address
             )
     return links, endpoints
-
-
-def establish(
-    common: Common,
-    links: Mapping[str, Link],
-    admits: Mapping[str, type[SignalMessage]],
-    clock: Clock,
-    feedthrough: Values | None = None,
-    bounds: Mapping[str, Bounds] | None = None,
-    ends: Mapping[str, Callable[[Peer, Link | None], Join]] | None = None,
-) -> tuple[list[Join], dict[str, LinkHello]]:
-    """Shake hands on every link, in the session's order.
-
-    All nodes share that order, so no two of them can wait for each other.
-
-    Args:
-        common: the node's bundle.
-        links: a link for each peer; a peer without a link is absent, and is greeted later.
-        admits: the type of the signals of each peer.
-        clock: a realtime clock, for the time limit and the waits on the links. Processes start and wait in real time,
-            whatever the session's clock.
-        feedthrough: D_V of a coupling, m/N, which is sent to the environment alone.
-        bounds: the bounds of a peer's signals; the signals of peers without an entry are not bounded.
-        ends: what makes the ends of wave links, by peer; a peer without an entry exchanges the signals of the tick.
-
-    Returns:
-        The joins in the order of the peers, and by peer the hellos of the peers that are present.
-
-    Raises:
-        HandshakeRefused: the two ends disagree; each end reports the reason.
-        HandshakeTimeout: a peer has not finished its handshake within :data:`HANDSHAKE_TIME`.
-    """
-    joins: list[Join] = []
-    hellos: dict[str, LinkHello] = {}
-    deadline = Instant(clock.now() + HANDSHAKE_TIME)
-    for peer in common.peers:
-        link = links.get(peer.name)
-        if ends and peer.name in ends:
-            join: Join = ends[peer.name](peer, link)
-        else:
-            join = PeerLink(
-                hello_to(common, peer, feedthrough),
-                peer,
-                link,
-                admits[peer.name],
-                positions(common.ports, peer.ports),
-                clock,
-                (bounds or {}).get(peer.name),
-            )
-        joins.append(join)
-        if link is not None:
-            hellos[peer.name] = shake_hands(link, handshake_of(join), clock, deadline)
-    return joins, hellos
 
 
 def handshake_of(join: Join) -> LinkHandshake:

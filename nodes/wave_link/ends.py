@@ -26,12 +26,12 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from typing import Final
 
 from manyhands.nodes.kernel.arithmetic import Floats
-from manyhands.nodes.kernel.bundle import SIMULATED, Common, CouplingBundle, EnvironmentBundle, Peer, WaveEnd
-from manyhands.nodes.link.join import Join, Listener, Received, WaveRow, positions
+from manyhands.nodes.kernel.bundle import SIMULATED, Common, Peer, WaveEnd
+from manyhands.nodes.link.join import Join, JoinKind, Listener, OwnEnd, Received, WaveRow, positions
 from manyhands.nodes.link.peer_link import hello_to
 from manyhands.nodes.link.supervisor_line import NOT_AT_ALL
 from manyhands.nodes.rows import figures as names
@@ -42,7 +42,7 @@ from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
 from manyhands.protocol.codec import LAYOUTS, WAVE_ID, WaveWriter, decode, encode, type_of
 from manyhands.protocol.gate import MOST_DELAY, WaveBounds, WaveGate
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_STRAY_FRAMES
-from manyhands.protocol.messages import PathKey, Role, SignalMessage, Values, Wave
+from manyhands.protocol.messages import PathKey, SignalMessage, Values, Wave
 from manyhands.protocol.transport import Link, TransportError
 from manyhands.protocol.transport.datagrams import DatagramPath, DatagramSocket
 from manyhands.protocol.transport.zeromq import LOOPBACK, Arrivals
@@ -99,7 +99,7 @@ class _End(Join):
         """
         hello = hello_to(common, peer, wave_feedthrough(wave.b, wave.peer_period))
         super().__init__(hello, peer, link, positions(common.ports, peer.ports), clock)
-        self._waits = common.clock == SIMULATED
+        self.waited_for = self._waits = common.clock == SIMULATED
         self._peer_period = from_seconds(wave.peer_period)
         self._period, self._born = from_seconds(common.period), 0  # when this life's first tick was, ns; 0 before it
         self._ratio = common.period / wave.peer_period
@@ -455,46 +455,50 @@ class WorldEnd(_End):
         link.send(encode(path.key))
 
 
-class WorldEnds:
-    """All ends of a world that its clock alone paces; it reads their links together."""
+class WaveLinks(JoinKind):
+    """The wave links of a node: a coupling has one at most, and the environment one for each user who is far away.
 
-    def __init__(self, ends: Sequence[WorldEnd]) -> None:
-        """Take over the reading of ``ends``."""
-        self._ends = ends
-        self._arrivals = Arrivals()
-        for end in ends:
-            end.read_by_others()
-
-    def read(self) -> None:
-        """Give each end the frames that have come over its link; its next tick takes them in."""
-        ends = self._ends
-        for i, frame in self._arrivals.take([end.link for end in ends], AT_ONCE):
-            ends[i].arrived(frame)
-
-
-def user_ends(bundle: CouplingBundle, clock: Clock) -> dict[str, Callable[[Peer, Link | None], Join]]:
-    """What makes a coupling's end of its wave link, for :func:`manyhands.nodes.link.peer_link.establish`."""
-    wave = bundle.wave
-    if wave is None:
-        return {}
-
-    def make(peer: Peer, link: Link | None) -> UserEnd:
-        return UserEnd(bundle.common, peer, link, clock, wave, bundle.block.D)
-
-    return {peer.name: make for peer in bundle.common.peers if peer.role is Role.ENVIRONMENT}
-
-
-def world_ends(
-    bundle: EnvironmentBundle, clock: Clock, datagrams: DatagramSocket | None = None
-) -> dict[str, Callable[[Peer, Link | None], Join]]:
-    """What makes the environment's ends of wave links, by coupling, for
-    :func:`manyhands.nodes.link.peer_link.establish`; ``datagrams`` is the socket of :func:`datagram_socket`.
+    The environment's share one socket for datagrams. Where they are all that a world has, in real time, its clock alone
+    paces its ticks; then this reads the links together, for one after the other takes longer than a tick leaves.
     """
 
-    def make(peer: Peer, link: Link | None) -> WorldEnd:
-        return WorldEnd(bundle.common, peer, link, clock, bundle.waves[peer.name], datagrams)
+    def __init__(self, own: OwnEnd) -> None:
+        """Open the environment's socket for datagrams, where it needs one."""
+        super().__init__(own)
+        at_world = bool(own.waves) and own.feedthrough is None
+        alone = len(own.waves) == len(own.common.peers) and own.common.clock != SIMULATED
+        self._datagrams = datagram_socket(own) if at_world else None
+        self._arrivals = Arrivals() if at_world and alone else None
+        self._ends: list[WorldEnd] = []
 
-    return dict.fromkeys(bundle.waves, make)
+    def serves(self, peer: Peer) -> bool:
+        """The peers for which the bundle has an end of a wave link."""
+        return peer.name in self.own.waves
+
+    def join(self, peer: Peer, link: Link | None) -> Join:
+        """The user's end where the node has a block with a feedthrough, and the world's otherwise."""
+        own, wave = self.own, self.own.waves[peer.name]
+        if own.feedthrough is not None:
+            return UserEnd(own.common, peer, link, own.clock, wave, own.feedthrough)
+        end = WorldEnd(own.common, peer, link, own.clock, wave, self._datagrams)
+        if self._arrivals is not None:
+            end.read_by_others()
+        self._ends.append(end)
+        return end
+
+    def read(self) -> None:
+        """Read the datagrams of all ends, and give each end the frames that have come over its link."""
+        if self._datagrams is not None:
+            self._datagrams.read()
+        if self._arrivals is not None:
+            ends = self._ends
+            for i, frame in self._arrivals.take([end.link for end in ends], AT_ONCE):
+                ends[i].arrived(frame)
+
+    def close(self) -> None:
+        """Close the socket for datagrams."""
+        if self._datagrams is not None:
+            self._datagrams.close()
 
 
 def may_go_by_datagram(common: Common) -> bool:
@@ -502,22 +506,22 @@ def may_go_by_datagram(common: Common) -> bool:
     return common.transport == "tcp" and bool(common.public) and common.clock != SIMULATED
 
 
-def datagram_socket(bundle: EnvironmentBundle, clock: Clock) -> DatagramSocket | None:
+def datagram_socket(own: OwnEnd) -> DatagramSocket | None:
     """The environment's socket for the datagrams of all its wave links, which its couplings may reach from elsewhere.
 
     It has the host and the number of the TCP port of the first wave link to another machine, so one port more is to be
     opened in a firewall. Where all are of this machine, it has the port of the first, on the loopback. None where no
-    wave may go by datagram: without wave links, without keys, within one machine's ipc, and under the simulated clock.
+    wave may go by datagram: without keys, within one machine's ipc, and under the simulated clock.
     """
-    common = bundle.common
-    if not bundle.waves or not may_go_by_datagram(common):
+    common = own.common
+    if not may_go_by_datagram(common):
         return None
-    addresses = [peer.address for peer in common.peers if peer.name in bundle.waves and peer.address]
+    addresses = [peer.address for peer in common.peers if peer.name in own.waves and peer.address]
     here = f"{LOOPBACK}:"
     address = next((one for one in addresses if not one.startswith(here)), addresses[0] if addresses else f"{here}0")
     host, _, port = address.rpartition(":")
     try:
-        return DatagramSocket.bound(host.strip("[]"), int(port) if port.isdecimal() else 0, clock)
+        return DatagramSocket.bound(host.strip("[]"), int(port) if port.isdecimal() else 0, own.clock)
     except TransportError:  # the port is taken, or UDP is forbidden: the waves stay with ZeroMQ
         return None
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Protocol
 
 from manyhands.nodes.coupling.node import CouplingNode
-from manyhands.nodes.device.colocated import CarriedBlock, ColocatedNode
 from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.device.plugin import PluginDriver
@@ -35,7 +34,7 @@ class VirtualLife:
     """A :class:`manyhands.nodes.kernel.lifetime.Life` that only the world's signals reach."""
 
     def __init__(self) -> None:
-        self.stopping = self.orphaned = False
+        self.stopping = self.leaving = self.orphaned = False
         self.failure: str | None = None
         self.watch: Callable[[], Sight] = lambda: Sight.PRESENT
         self.starting = True
@@ -198,10 +197,10 @@ class SimulatedProcess:
     def run(self) -> None:
         """The whole life, in the process's thread."""
         clock = VirtualClock(self._scheduler)
-        blocks = [CarriedBlock(bundle, clock) for bundle in self._carried]
-        self.node = node = self._made(clock, blocks)
+        inside = [CouplingNode(bundle, clock) for bundle in self._carried]
+        self.node = node = self._made(clock, inside)
         nodes: list[tuple[Common, Node]] = [(self._bundle.common, node)]
-        nodes += [(block.bundle.common, block) for block in blocks]
+        nodes += [(bundle.common, coupling) for bundle, coupling in zip(self._carried, inside, strict=True)]
         members = [self._member(*one, transport, clock) for one, transport in zip(nodes, self._transports, strict=True)]
         self.code = run_members(members, self.life, remote=False)  # type: ignore[arg-type]
         for transport in self._transports:
@@ -239,8 +238,8 @@ class SimulatedProcess:
             return link
         return GuestLink(link, self._guest, self._scheduler, self._bundle.common.period)
 
-    def _made(self, clock: VirtualClock, blocks: Sequence[CarriedBlock]) -> DeviceNode | CouplingNode | EnvironmentNode:
-        """The node, which reads the virtual time in place of the real one; ``blocks`` run in its loop."""
+    def _made(self, clock: VirtualClock, inside: Sequence[CouplingNode]) -> DeviceNode | CouplingNode | EnvironmentNode:
+        """The node, which reads the virtual time in place of the real one; the ticks of ``inside`` run in its loop."""
         node: DeviceNode | CouplingNode | EnvironmentNode
         match self._bundle:
             case DeviceBundle() as bundle:
@@ -249,7 +248,7 @@ class SimulatedProcess:
                 # a driver of another package is held to its word by the node, which has to know it for one
                 plugin = isinstance(own, PluginDriver)
                 driver: Driver = own if plugin else LimitedDriver(own, self.name, limits, self._violate)
-                node = ColocatedNode(bundle, driver, blocks, clock) if blocks else DeviceNode(bundle, driver, clock)
+                node = DeviceNode(bundle, driver, clock, inside)
                 if self._guest is not None:
                     self._guest.lead(node, bundle, self._scheduler)
             case CouplingBundle() as bundle:

@@ -14,7 +14,8 @@ class Running:
     """A life that goes on until something fails."""
 
     def __init__(self) -> None:
-        self.stopping, self.failure = False, ""
+        self.stopping = self.leaving = False
+        self.failure = ""
 
     def look(self, _now: int) -> None:
         """Nothing to look after."""

@@ -17,8 +17,9 @@ from manyhands.launch.session import load_session
 from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.environment.node import EnvironmentNode
+from manyhands.nodes.joins import establish
 from manyhands.nodes.kernel.bundle import Bundle, CouplingBundle, DeviceBundle, EnvironmentBundle, Peer
-from manyhands.nodes.link.peer_link import establish
+from manyhands.nodes.link.join import OwnEnd
 from manyhands.protocol.clock import Instant, RealtimeClock
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.handshake import HandshakeRefused
@@ -61,8 +62,8 @@ def meet() -> Iterator[Meet]:
         def greet(peer: Peer) -> None:
             us = Peer(own.name, own.role, peer.ports, not peer.binds)
             common = dataclasses.replace(own, name=peer.name, role=peer.role, ports=peer.ports, peers=(us,))
-            admits: dict[str, type[SignalMessage]] = {own.name: Force}
-            establish(common, {own.name: far[peer.name]}, admits, RealtimeClock(), (feedthrough or {}).get(peer.name))
+            end = OwnEnd(common, RealtimeClock(), feedthrough=(feedthrough or {}).get(peer.name))
+            establish(end, {own.name: far[peer.name]})
 
         with ThreadPoolExecutor(len(own.peers)) as pool:
             greetings = [pool.submit(greet, peer) for peer in own.peers]

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 import socket
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from manyhands.nodes.kernel.bundle import REALTIME, SIMULATED, Common, Peer, WaveEnd, own_start
-from manyhands.nodes.link.join import Received
+from manyhands.nodes.link.join import OwnEnd, Received
 from manyhands.nodes.link.peer_link import PeerLink, handshake_of
 from manyhands.nodes.wave_link.ends import AT_ONCE, CALM, JOINING, UserEnd, WorldEnd, datagram_socket
 from manyhands.nodes.wave_link.faces import wave_feedthrough
@@ -218,7 +217,7 @@ def test_datagrams_arrive_where_users_elsewhere_can_reach(where: str) -> None:
     peers = [Peer(name, Role.COUPLING, ("a",), True, address) for name, address in (("c", "127.0.0.1:*"), ("d", where))]
     carried = replace(common(Role.ENVIRONMENT, REALTIME, *peers), transport="tcp", public={"c": "key"})
     waves = {peer.name: WaveEnd(B, None, 0.005, T) for peer in peers}
-    datagrams = datagram_socket(SimpleNamespace(common=carried, waves=waves), StoppedClock())  # type: ignore[arg-type]
+    datagrams = datagram_socket(OwnEnd(carried, StoppedClock(), waves=waves))  # type: ignore[arg-type]
     assert datagrams is not None
     with socket.fromfd(datagrams.fileno(), socket.AF_INET, socket.SOCK_DGRAM) as same:
         host = same.getsockname()[0]

@@ -20,7 +20,7 @@ from manyhands.launch.run.states import NodeState
 from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import load_session
 from manyhands.nodes.coupling.block import Block
-from manyhands.nodes.device.colocated import CarriedBlock
+from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.environment.membership import TRANSITIONS as MEMBERSHIPS
@@ -178,8 +178,8 @@ def test_a_node_states_what_is_declared(prepared: Prepared) -> None:
             case DeviceBundle():
                 node = DeviceNode(bundle, driver_of(bundle))
             case CouplingBundle():
-                node = CarriedBlock(bundle)
-                node.block = Block(bundle, _unlinked(bundle.common))
+                node = CouplingNode(bundle)
+                node._block = Block(bundle, _unlinked(bundle.common))
             case EnvironmentBundle():
                 node = EnvironmentNode(bundle)
             case _:

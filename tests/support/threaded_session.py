@@ -20,7 +20,6 @@ from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.topology import topology
 from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes.coupling.node import CouplingNode
-from manyhands.nodes.device.colocated import CarriedBlock, ColocatedNode
 from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.environment.membership import Membership
@@ -161,13 +160,11 @@ class ThreadedSession:
     def _run(self, name: str, links: dict[str, dict[str, Link]], tick: int) -> None:
         """Start a thread for ``name`` and the couplings that it carries."""
         together, life = self.together(name), self._new_life()
-        carried = [CarriedBlock(self._bundles[other]) for other in together[1:]]  # type: ignore[arg-type]
+        carried = [CouplingNode(self._bundles[other]) for other in together[1:]]  # type: ignore[arg-type]
         leader: Node
         match self._bundles[name]:
-            case DeviceBundle() as bundle if carried:
-                leader = ColocatedNode(bundle, driver_of(bundle), carried)
             case DeviceBundle() as bundle:
-                leader = DeviceNode(bundle, driver_of(bundle))
+                leader = DeviceNode(bundle, driver_of(bundle), inside=carried)
             case CouplingBundle() as bundle:
                 leader = CouplingNode(bundle)
             case EnvironmentBundle() as bundle:

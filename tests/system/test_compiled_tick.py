@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import pkgutil
 import shutil
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import sysconfig
 import zipfile
 from collections.abc import Iterator
 from dataclasses import is_dataclass
+from enum import Enum
 from pathlib import Path
 from types import ModuleType
 from typing import Any, get_args, get_type_hints
@@ -20,6 +22,8 @@ import pytest
 from hatchling.builders.wheel import WheelBuilder
 from packaging.utils import parse_wheel_filename
 
+import manyhands.nodes
+import manyhands.protocol
 from manyhands.nodes.kernel.bundle import Bundle
 from manyhands.nodes.monitor.session_state import About
 from manyhands.nodes.recorder.node import RecordingPlan
@@ -135,6 +139,23 @@ def test_no_class_that_is_written_as_plain_data_is_compiled() -> None:
     assert {"EnergyBudget", "Inertia", "SiteBounds", "SimulatedHand", "StateSpace"} <= {one.__name__ for one in written}
     homes = {one.__module__.removeprefix("manyhands.").replace(".", "/") for one in written}
     assert homes.isdisjoint(HOOK.MODULES)
+
+
+def test_a_class_of_the_compiled_tick_is_derived_from_in_it_alone() -> None:
+    """An interpreted class that inherits from a compiled one cannot be made: TypeError, in a wheel and nowhere else."""
+    compiled = {f"manyhands.{module.replace('/', '.')}" for module in HOOK.MODULES}
+    found = [
+        f"{module.__name__}: {name} inherits from {base.__name__}"
+        for package in (manyhands.protocol, manyhands.nodes)
+        for info in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
+        if info.name not in compiled and not info.name.endswith("__main__")
+        for module in [importlib.import_module(info.name)]
+        for name, value in vars(module).items()
+        if isinstance(value, type) and value.__module__ == module.__name__
+        for base in value.__bases__
+        if base.__module__ in compiled and not issubclass(base, Enum | BaseException | tuple)
+    ]
+    assert found == []
 
 
 @pytest.mark.long

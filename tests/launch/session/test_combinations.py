@@ -17,7 +17,7 @@ from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.loop import NotCertified
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import Session, SessionError
-from manyhands.nodes.device.colocated import ColocatedNode
+from manyhands.nodes.coupling.within import Within
 from manyhands.nodes.environment.core import Core
 from manyhands.nodes.environment.enforced import BlackBox, EnforcedCore
 from manyhands.nodes.environment.node import EnvironmentNode
@@ -290,7 +290,8 @@ def colocation(course: Course) -> None:
     assert course.prepared.graph.carriers == {"cx": "dx", "cy": "dy"}
     assert {link.binder for link in course.prepared.graph.links} == {"environment"}
     assert course.watched is not None
-    assert isinstance(course.watched.ran["dx"].node, ColocatedNode)
+    (join,) = course.watched.ran["dx"].joins
+    assert isinstance(join, Within)
     ticks = {name: report.ticks for name, report in course.watched.conductor.reports.items()}
     assert ticks["cx"] == ticks["dx"] >= SHORT
 

@@ -836,10 +836,11 @@ def waiting(world: TwoCouplings) -> int:
     node = EnvironmentNode.__new__(EnvironmentNode)
     clock = node._clock = Ticking()  # type: ignore[assignment]
     node._late = LateArrivals(len(world.members.all), Duration(10**6), Duration(10**6))
-    node._due, node._passed, node._await_links = 0, (), None
+    node._due, node._now, node._passed, node._await_links = Instant(0), clock.now(), (), None
+    node._p = world.p  # type: ignore[assignment]
     node._period, node._timeouts = Duration(10**6), Timeouts(*(Duration(n * 10**6) for n in (3, 5, 3, 3, 2, 100)))
     world.life.look = lambda _now: None
-    tick = node._wait(world.members, world.p, world.tick, clock.now(), world.life, Silence())  # type: ignore[arg-type]
+    tick = node._wait(world.members, world.tick, world.life, Silence())  # type: ignore[arg-type]
     assert clock.looks < 1200
     assert tick is not None
     return tick
@@ -909,7 +910,8 @@ def test_at_the_end_frozen_members_are_answered_for_a_bounded_time(world: TwoCou
     said.clear()
     for _ in range(3):
         world.say("cy", behind)
-    node._say_goodbye(world.members, world.p, end)
+    node._p = world.p  # type: ignore[assignment]
+    node._say_goodbye(world.members, end)
     assert said
     assert all(told == Reaction(end - 1, 0, [0.0]) for told in said)
     assert clock.looks <= 60

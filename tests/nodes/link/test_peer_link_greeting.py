@@ -11,9 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from manyhands.nodes.joins import HANDSHAKE_TIME, establish
 from manyhands.nodes.kernel.bundle import Common, Peer
-from manyhands.nodes.link.join import Received, positions
-from manyhands.nodes.link.peer_link import HANDSHAKE_TIME, bind_links, bounds_by_peer, establish, hello_to
+from manyhands.nodes.link.join import OwnEnd, Received, positions
+from manyhands.nodes.link.peer_link import bind_links, bounds_by_peer, hello_to
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock
 from manyhands.protocol.codec import encode
 from manyhands.protocol.gate import Bounds
@@ -22,10 +23,8 @@ from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
     LinkHello,
     Message,
-    Reaction,
     Role,
     Sample,
-    SignalMessage,
     Welcome,
 )
 from manyhands.protocol.transport import Link
@@ -35,7 +34,6 @@ ENVIRONMENT = Peer("environment", Role.ENVIRONMENT, ("a", "b", "c"), binds=False
 LEFT = Peer("left", Role.DEVICE, ("a", "c"), binds=True)
 RIGHT = Peer("right", Role.DEVICE, ("b",), binds=True)
 D_V = np.diag([1.0, 2.0, 3.0])
-ADMITS: dict[str, type[SignalMessage]] = {"environment": Reaction, "left": Sample, "right": Sample}
 
 
 def common(*peers: Peer) -> Common:
@@ -105,10 +103,10 @@ def test_an_absent_peer_is_not_awaited_and_keeps_its_peer_link(transport: Memory
     links, endpoints = bind_links(common(LEFT, RIGHT), transport)
     del links["left"]
     answering(transport.connect(endpoints["right"], "c"), hello(RIGHT), Welcome(), Sample(0, 0, np.array([0.5])))
-    joins, hellos = establish(common(LEFT, RIGHT), links, ADMITS, RealtimeClock(), D_V)
+    joins, _ = establish(OwnEnd(common(LEFT, RIGHT), RealtimeClock(), feedthrough=D_V), links)
     assert [join.peer for join in joins] == [LEFT, RIGHT]
     assert [join.here for join in joins] == [False, True]
-    assert hellos == {"right": hello(RIGHT)}
+    assert [join.hello for join in joins] == [None, hello(RIGHT)]
     x = np.zeros(3)
     assert joins[1].hear(x, 0, Duration(0), None) is Received.SIGNAL  # type: ignore[arg-type]
     assert list(x) == [0.0, 0.5, 0.0]
@@ -144,6 +142,7 @@ def test_all_handshakes_together_have_one_deadline(transport: MemoryTransport) -
             pass
 
     clock = Stepping()
+    own = OwnEnd(node, clock, feedthrough=D_V)  # type: ignore[arg-type]
     with pytest.raises(HandshakeTimeout, match="right"):
-        establish(node, {**links, "right": Silent()}, ADMITS, clock, D_V)  # type: ignore[dict-item, arg-type]
+        establish(own, {**links, "right": Silent()})  # type: ignore[dict-item]
     assert clock.looks <= 2 + HANDSHAKE_TIME // 10**9

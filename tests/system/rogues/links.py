@@ -11,7 +11,7 @@ import numpy as np
 import zmq
 from zmq.utils.monitor import parse_monitor_message
 
-from manyhands.nodes.link.peer_link import HANDSHAKE_TIME
+from manyhands.nodes.joins import HANDSHAKE_TIME
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock
 from manyhands.protocol.codec import LAYOUTS, encode, read_head, type_of
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_STRAY_FRAMES

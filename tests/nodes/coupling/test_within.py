@@ -15,10 +15,14 @@ from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.topology import topology
 from manyhands.launch.session import load_session
 from manyhands.nodes.coupling.block import Block
-from manyhands.nodes.device.colocated import CarriedBlock, ColocatedNode, Within, colocated
+from manyhands.nodes.coupling.node import CouplingNode
+from manyhands.nodes.coupling.within import Within
+from manyhands.nodes.device.__main__ import together
 from manyhands.nodes.device.drivers import driver_of
+from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.kernel import bundle as bundle_files
 from manyhands.nodes.kernel.bundle import BundleError, CouplingBundle, DeviceBundle
+from manyhands.nodes.link.join import OwnEnd
 from manyhands.nodes.link.peer_link import PeerLink, hello_to
 from manyhands.protocol.clock import Duration, RealtimeClock
 from manyhands.protocol.codec import decode
@@ -80,7 +84,7 @@ def test_a_ticks_signal_is_sent_again_and_not_computed_anew(prepared: Prepared) 
     link = transport.connect(endpoint, "environment")
     own = hello_to(coupling.common, peer, coupling.block.D)
     block = Block(coupling, PeerLink(own, peer, link, Reaction, slice(0, 1), RealtimeClock()))
-    within = Within(CarriedBlock(coupling), device, block)
+    within = Within(OwnEnd(device.common, RealtimeClock()), CouplingNode(coupling).as_peer, block)
     for tick, x in ((3, 0.5), (3, 0.75), (4, 0.75)):
         within.send(Sample, tick, 7, np.array([x]))
     within.send_again()
@@ -94,23 +98,32 @@ def test_the_bundles_of_a_process_make_its_nodes(prepared: Prepared, tmp_path: P
     device = bundles["dx"]
     assert isinstance(device, DeviceBundle)
     bundle_files.save(bundles["cx"], tmp_path / "cx.bundle")
-    (own, leader), (carried, follower) = colocated(device, driver_of(device), [tmp_path / "cx.bundle"])
+    (own, leader), (carried, follower) = together(device, driver_of(device), [tmp_path / "cx.bundle"])
     assert (own, carried.common.name) == (device, "cx")
-    assert isinstance(leader, ColocatedNode)
-    assert isinstance(follower, CarriedBlock)
+    assert isinstance(leader, DeviceNode)
+    assert isinstance(follower, CouplingNode)
+    assert list(leader._inside) == [follower]
     with pytest.raises(BundleError, match=r"cy\.bundle"):
-        colocated(device, driver_of(device), [tmp_path / "cy.bundle"])
+        together(device, driver_of(device), [tmp_path / "cy.bundle"])
 
 
-def test_a_block_that_has_not_begun_has_nothing_to_tell(
+def test_a_coupling_that_has_not_begun_has_nothing_to_tell(
     prepared: Prepared, new_life: Callable[[], Any], new_line: Callable[[], Any]
 ) -> None:
-    carried = CarriedBlock(cut(prepared, RunPlan("simulated", None, ""))["cx"])  # type: ignore[arg-type]
-    carried.listen()
-    carried.publish_rest()
-    assert carried.report() == Report(0, Figures())
+    bundles = cut(prepared, RunPlan("simulated", None, ""))
+    coupling, device = bundles["cx"], bundles["dx"]
+    assert isinstance(coupling, CouplingBundle)
+    node, own = CouplingNode(coupling), OwnEnd(device.common, RealtimeClock())
+    assert node.report() == Report(0, Figures())
     with pytest.raises(ValueError, match="before its handshake"):
-        carried.loop(Start(0, 1), new_life(), new_line())
+        node.loop(Start(0, 1), new_life(), new_line())
+    with pytest.raises(ValueError, match="before its handshake"):
+        node.join_from(own)
+    (peer,) = coupling.common.peers
+    link = PeerLink(hello_to(coupling.common, peer, None), peer, None, Reaction, slice(0, 1), RealtimeClock())
+    within = Within(own, node.as_peer, Block(coupling, link))
+    within.listen()
+    within.publish_rest()
 
 
 def test_topology_has_no_link_and_one_process_for_both() -> None:
