@@ -37,7 +37,8 @@ from manyhands.launch.app.design_report import print_report
 from manyhands.launch.app.keys import run_keys
 from manyhands.launch.files import require_target
 from manyhands.launch.look.display import say
-from manyhands.launch.look.graph import FORMATS, format_of, show_scene, show_session
+from manyhands.launch.look.graph import FORMATS, format_of, show, show_access
+from manyhands.launch.look.graph.parts import drawing_of_scene, drawing_of_session
 from manyhands.launch.look.sessions import find_session
 from manyhands.launch.look.tables import look_at
 from manyhands.launch.output import pipe_may_close
@@ -117,16 +118,17 @@ def graph(
         shape = format_of(form, output, as_json)
         if access and shape not in ("text", "json"):
             refuse(f"--access: found {output}; expected .txt or .json")
-        if session is not None:
-            code = show_session(Plan(load_named(session, overrides)), out, shape, output, access)
+        if session is not None and access:
+            show_access(Plan(load_named(session, overrides)), out, shape, output)
+        elif session is not None:
+            show(drawing_of_session(Plan(load_named(session, overrides))), out, shape, output)
         else:
             scenes = look_at([find_session(running)], RealtimeClock())
             if not scenes:
                 refuse(f"--running: found that {running} cannot be looked at; expected one that runs")
-            code = show_scene(scenes[0], out, shape, output)
+            show(drawing_of_scene(scenes[0]), out, shape, output)
         if output is not None:
             say(err, f"written to {output}")
-        end(code)
 
 
 @commands.command(epilog="Example: manyhands invite example1.yaml dx --keys keys --certificate c.json -o dx.bundle")
