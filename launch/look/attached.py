@@ -7,20 +7,18 @@ to a second before. It ends regularly when the session is over, or when the reco
 
 from __future__ import annotations
 
-import os
-import select
 import time
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from manyhands.design.files import open_regular
-from manyhands.launch.look.sessions import NoSession, Running
+from manyhands.launch.look.sessions import NoSession, Running, Source, presence
 from manyhands.launch.run.processes import Interrupt
 from manyhands.launch.run.states import SessionPhase
-from manyhands.nodes.monitor.session_state import ABOUT
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import Recorded, media_type, recorded_of
 from manyhands.nodes.recorder.mcap import RecordingFile
@@ -167,32 +165,6 @@ def attachments_in(directory: Path) -> dict[str, bytes]:
     return found
 
 
-class SupervisorWatch:
-    """Watches whether a session's supervisor still runs; to be closed."""
-
-    def __init__(self, running: Running) -> None:
-        """Begin to watch.
-
-        Raises:
-            NoSession: the supervisor does not run.
-        """
-        self._about = running.directory / ABOUT
-        try:
-            self._fd = os.pidfd_open(running.about.pid)
-        except OSError as error:
-            raise NoSession(f"{running.about.session}: found no process {running.about.pid}; it is over") from error
-
-    def gone(self) -> bool:
-        """Whether its process has ended, or goes on without this session."""
-        poll = select.poll()
-        poll.register(self._fd, select.POLLIN)
-        return bool(poll.poll(0)) or not self._about.exists()
-
-    def close(self) -> None:
-        """End the watch."""
-        os.close(self._fd)
-
-
 def record_attached(
     running: Running,
     path: Path,
@@ -216,38 +188,23 @@ def record_attached(
         TransportError: its broadcast cannot be entered.
         OSError: the file cannot be written; it is whole up to there.
     """
-    supervisor = SupervisorWatch(running)
-    try:
-        visit = Visit(running.directory)
-        try:
+    with presence(running) as gone:
+        if gone():
+            raise NoSession(f"{running.about.session}: found no process {running.about.pid}; it is over")
+        with closing(Visit(running.directory)) as visit:
             recorded = recorded_of(running.about)
             maker = RecorderCore(recorded, attachments_in(running.directory), time.time_ns())
             core = AttachedCore(maker, recorded, duration, clock.now())
-            file = RecordingFile(path, maker.cut())
-            try:
-                write_down(core, visit, supervisor.gone, file.append, lambda: interrupt.signal is not None, clock, show)
-            finally:
-                file.close()
-        finally:
-            visit.close()
-    finally:
-        supervisor.close()
+            with closing(RecordingFile(path, maker.cut())) as file:
+                write_down(core, visit, gone, file.append, lambda: interrupt.signal is not None, clock, show)
     first = min(core.beginning.values(), default=None)
     ending = core.ending or Ending.INTERRUPTED
     return AttachedRecording(path, recorded.session, ending, first, core.tick, core.missing, core.refused)
 
 
-class Shown(Protocol):
-    """A source of frames: a visit to a broadcast."""
-
-    def recv(self, timeout: Duration) -> bytes | None:
-        """The next frame, or None if none came within ``timeout``."""
-        ...
-
-
 def write_down(
     core: AttachedCore,
-    visit: Shown,
+    visit: Source,
     gone: Callable[[], bool],
     append: Callable[[bytes], None],
     interrupted: Callable[[], bool],

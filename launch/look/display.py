@@ -8,12 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import TracebackType
-from typing import Final, Self
+from typing import Final, Protocol, Self
 
 from rich import box
 from rich.cells import cell_len
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
+from rich.progress import Progress as ProgressBar
 from rich.table import Table
 from rich.text import Text
 
@@ -185,6 +186,31 @@ def status(console: Console, text: str) -> Iterator[Callable[[str], None]]:
         return
     with console.status(text) as shown:
         yield shown.update
+
+
+class TellsProgress(Protocol):
+    """Shows how much is done."""
+
+    def __call__(self, done: float | None = None, text: str | None = None, total: float | None = None) -> None:
+        """``done`` of ``total`` is done, and ``text`` goes on; what is None stays as it is."""
+
+
+@contextmanager
+def progress_bar(console: Console, text: str, total: float | None = 1.0) -> Iterator[TellsProgress]:
+    """Show a progress bar on a terminal, and remove it afterwards; yields a function that moves it.
+
+    Args:
+        console: where it goes.
+        text: what is going on.
+        total: what is to be done; None where that is not known yet.
+    """
+    with ProgressBar(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(text, total=total)
+
+        def tell(done: float | None = None, text: str | None = None, total: float | None = None) -> None:
+            bar.update(task, completed=done, description=text, total=total)
+
+        yield tell
 
 
 def printable(text: str) -> str:

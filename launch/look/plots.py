@@ -16,8 +16,7 @@ import math
 import textwrap
 import warnings
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -28,10 +27,10 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rich.console import Console
-from rich.progress import Progress
 
 from manyhands.design.files import replacing
 from manyhands.launch.files import TargetError, require_target
+from manyhands.launch.look.display import progress_bar
 from manyhands.launch.recordings.curves import (
     Array,
     Curve,
@@ -569,9 +568,9 @@ def draw(
     """
     require_format(file, RUN_SUFFIXES)
     require_picture(target)
-    with _progress(console, f"reading {file.name}") as tell:
+    with progress_bar(console, f"reading {file.name}") as tell:
         picture = between(_picture(file, quantities, tell), start, end)
-    with _progress(console, f"drawing {target.name}"):
+    with progress_bar(console, f"drawing {target.name}"):
         write_picture(picture, target)
 
 
@@ -579,13 +578,3 @@ def _picture(file: Path, quantities: Sequence[str] | None, tell: Callable[[float
     if file.suffix == STREAMED:
         return picture_of_run(read_run(file, tell), quantities)
     return picture_of_recording(read_saved(file, tell), quantities)
-
-
-@contextmanager
-def _progress(console: Console, text: str) -> Iterator[Callable[[float], None]]:
-    """A progress bar on a terminal, removed afterwards; yields a function to call with the part that is done, 0 to
-    1.
-    """
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(text, total=1.0)
-        yield lambda part: progress.update(task, completed=part)

@@ -33,10 +33,7 @@ from mcap.records import (
     Chunk,
     ChunkIndex,
     DataEnd,
-    Footer,
-    Header,
     McapRecord,
-    MessageIndex,
     Metadata,
     MetadataIndex,
     Schema,
@@ -60,10 +57,16 @@ _UNPACKED_PER_BYTE: Final = 1000
 """Bytes that the chunks of a file may unpack to, per byte of the file. A recorder's session of 2048 ports at rest
 reaches 700."""
 
-_FRAME: Final = struct.Struct("<BQ")  # opcode and length of what follows
+FRAME: Final = struct.Struct("<BQ")
+"""Opcode and length of the body that follows."""
+
+CRC: Final = struct.Struct("<I")
+"""A checksum, CRC-32."""
+
 _MESSAGE: Final = struct.Struct("<HIQQ")  # channel, sequence, log_time, publish_time
-_CRC: Final = struct.Struct("<I")
-_DAMAGED: Final = (McapError, struct.error, ValueError, OverflowError, zstandard.ZstdError)
+
+DAMAGED: Final = (McapError, struct.error, ValueError, OverflowError, zstandard.ZstdError)
+"""What reading a record raises that is none."""
 
 
 class Message(NamedTuple):
@@ -144,14 +147,14 @@ def _parts(file: BinaryIO, progress: Callable[[float], None] | None) -> Iterator
     checksum = zlib.crc32(MCAP0_MAGIC)
     unpacking = Unpacking()
     while True:
-        head = file.read(_FRAME.size)
-        if len(head) < _FRAME.size:
+        head = file.read(FRAME.size)
+        if len(head) < FRAME.size:
             yield End(f"it ends at byte {size}")
             return
-        opcode, length = _FRAME.unpack(head)
-        at += _FRAME.size + length
+        opcode, length = FRAME.unpack(head)
+        at += FRAME.size + length
         if opcode == Opcode.DATA_END:
-            body = file.read(min(length, _CRC.size))
+            body = file.read(min(length, CRC.size))
             yield End(_end_of_data(body, checksum))
             return
         if opcode == 0 or at > size or length > MOST_RECORD_BYTES:
@@ -160,8 +163,8 @@ def _parts(file: BinaryIO, progress: Callable[[float], None] | None) -> Iterator
         body = file.read(length)
         checksum = zlib.crc32(body, zlib.crc32(head, checksum))
         try:
-            found = _parts_of_chunk(body, unpacking, at) if opcode == Opcode.CHUNK else _parts_of(opcode, body)
-        except _DAMAGED as error:
+            found = parts_of_chunk(body, unpacking, at) if opcode == Opcode.CHUNK else _parts_of(opcode, body)
+        except DAMAGED as error:
             yield End(f"the record that ends at byte {at} of {size} is damaged ({type(error).__name__})")
             return
         yield from found
@@ -171,7 +174,7 @@ def _parts(file: BinaryIO, progress: Callable[[float], None] | None) -> Iterator
 
 def _end_of_data(body: bytes, checksum: int) -> str | None:
     """What is wrong with the data as a whole, by the record at its end; None if that record is cut or agrees."""
-    if len(body) < _CRC.size:
+    if len(body) < CRC.size:
         return None
     stated = DataEnd.read(ReadDataStream(BytesIO(body))).data_section_crc
     return "its checksum is not that of its bytes" if stated not in (0, checksum) else None
@@ -181,7 +184,7 @@ def _parts_of(opcode: int, body: bytes) -> list[Part]:
     """The content of a record.
 
     Raises:
-        Those of ``_DAMAGED``: the body does not fit the opcode.
+        Those of ``DAMAGED``: the body does not fit the opcode.
     """
     stream = ReadDataStream(BytesIO(body))
     match opcode:
@@ -200,10 +203,10 @@ def _parts_of(opcode: int, body: bytes) -> list[Part]:
 
 
 def _attachment(body: bytes) -> Attachment:
-    if len(body) < _CRC.size:
+    if len(body) < CRC.size:
         raise ValueError("an attachment without its checksum")
-    (stated,) = _CRC.unpack_from(body, len(body) - _CRC.size)
-    if stated not in (0, zlib.crc32(body[: -_CRC.size])):
+    (stated,) = CRC.unpack_from(body, len(body) - CRC.size)
+    if stated not in (0, zlib.crc32(body[: -CRC.size])):
         raise ValueError("an attachment that does not agree with its checksum")
     found: Attachment = Attachment.read(ReadDataStream(BytesIO(body)))
     return found
@@ -262,7 +265,12 @@ def unpacked(chunk: Chunk) -> bytes:
     return data
 
 
-def _parts_of_chunk(body: bytes, unpacking: Unpacking, end: int) -> list[Part]:
+def parts_of_chunk(body: bytes, unpacking: Unpacking, end: int) -> list[Part]:
+    """The content of a chunk that ends before byte ``end`` of its file.
+
+    Raises:
+        Those of :data:`DAMAGED`: the body is no chunk, or contradicts itself.
+    """
     chunk = Chunk.read(ReadDataStream(BytesIO(body)))
     data = unpacking.data(chunk, end)
     out: list[Part] = []
@@ -271,8 +279,8 @@ def _parts_of_chunk(body: bytes, unpacking: Unpacking, end: int) -> list[Part]:
     while at < size:
         count += 1
         require_records(count, chunk)
-        opcode, length = _FRAME.unpack_from(data, at)
-        at += _FRAME.size
+        opcode, length = FRAME.unpack_from(data, at)
+        at += FRAME.size
         if at + length > size:
             raise ValueError("a record that is longer than its chunk")
         if opcode == Opcode.MESSAGE:
@@ -292,25 +300,12 @@ def _message(body: bytes) -> Message:
     return Message(channel, sequence, log_time, body[_MESSAGE.size :])
 
 
-FRAME: Final = struct.Struct("<BQ")
-"""Opcode and length of the body that follows."""
-
-_MESSAGE_START: Final = struct.Struct("<HIQ")  # channel, sequence, log time; publish time and data follow
-_LEAST_BODY: Final = 2  # of a schema or a channel: its number
-_MESSAGE_HEAD: Final = 22
-_INDEX_ENTRY: Final = struct.Struct("<QQ")  # log time, offset in the chunk
-
 _READERS: Final[Mapping[int, Callable[[ReadDataStream], McapRecord]]] = {
-    Opcode.HEADER: Header.read,
-    Opcode.FOOTER: Footer.read,
     Opcode.CHUNK: Chunk.read,
-    Opcode.MESSAGE_INDEX: MessageIndex.read,
     Opcode.CHUNK_INDEX: ChunkIndex.read,
     Opcode.ATTACHMENT: Attachment.read,
     Opcode.ATTACHMENT_INDEX: AttachmentIndex.read,
-    Opcode.METADATA: Metadata.read,
     Opcode.METADATA_INDEX: MetadataIndex.read,
-    Opcode.DATA_END: DataEnd.read,
 }
 
 
@@ -333,57 +328,13 @@ def record_of(opcode: int, body: bytes) -> McapRecord | None:
         return None
 
 
-def message_indexes(chunk: Chunk, unpacking: Unpacking, end: int) -> list[bytes]:
-    """The message indexes, as they are written, of a chunk that ends before byte ``end`` of its file.
-
-    The chunk is compared with its size, its checksum and its times.
-
-    Raises:
-        ValueError: the chunk cannot be unpacked or contradicts itself; the message states what was found.
-    """
-    if chunk.uncompressed_crc == 0:
-        raise ValueError("found a chunk without a checksum; expected one")
-    try:
-        entries = _entries(unpacking.data(chunk, end), chunk)
-    except zstandard.ZstdError as error:
-        raise ValueError(f"found a chunk that cannot be unpacked ({error}); expected zstd") from error
-    except ValueError as error:
-        raise ValueError(f"found {error}") from error
-    times = [time for listed in entries.values() for time, _ in listed]
-    stated, actual = (chunk.message_start_time, chunk.message_end_time), (min(times, default=0), max(times, default=0))
-    if stated != actual:
-        raise ValueError(f"found a chunk of times {stated}; expected its messages', {actual}")
-    return [_message_index(channel, listed) for channel, listed in entries.items()]
-
-
-def _message_index(channel: int, listed: list[tuple[int, int]]) -> bytes:
-    """The record that lists time and offset of each message of a channel."""
-    body = struct.pack("<HI", channel, len(listed) * _INDEX_ENTRY.size)
-    body += b"".join(_INDEX_ENTRY.pack(*entry) for entry in listed)
-    return FRAME.pack(Opcode.MESSAGE_INDEX, len(body)) + body
-
-
-def _entries(data: bytes, chunk: Chunk) -> dict[int, list[tuple[int, int]]]:
-    """Log time and offset of each message in the uncompressed bytes of a chunk, by channel.
-
-    Raises:
-        ValueError: the bytes are not schemas, channels and messages, or are more of them than there can be.
-    """
-    entries: dict[int, list[tuple[int, int]]] = {}
-    at, size, count = 0, len(data), 0
-    while at < size:
-        count += 1
-        require_records(count, chunk)
-        if size - at < FRAME.size:
-            raise ValueError(f"{size - at} bytes after the chunk's last record")
+def records_in(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Opcode and body of each record of a summary, up to the first one that is longer than the rest of it."""
+    at = 0
+    while len(data) - at >= FRAME.size:
         opcode, length = FRAME.unpack_from(data, at)
-        begin = at + FRAME.size
-        if length > size - begin:
-            raise ValueError("a record in the chunk that is longer than the chunk")
-        if opcode == Opcode.MESSAGE and length >= _MESSAGE_HEAD:
-            channel, _, time = _MESSAGE_START.unpack_from(data, begin)
-            entries.setdefault(channel, []).append((time, at))
-        elif opcode not in (Opcode.SCHEMA, Opcode.CHANNEL) or length < _LEAST_BODY:
-            raise ValueError(f"a record in the chunk with opcode 0x{opcode:02x}, which does not belong there")
-        at = begin + length
-    return entries
+        at += FRAME.size
+        if length > len(data) - at:
+            return
+        yield opcode, data[at : at + length]
+        at += length

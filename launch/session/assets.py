@@ -10,7 +10,7 @@ from __future__ import annotations
 import base64
 import binascii
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -39,14 +39,22 @@ def model_text(value: object, info: ValidationInfo) -> str:
     Raises:
         PydanticCustomError: it is neither; or the file cannot be read, is no text, or is too long.
     """
+    return text_in(value, f"{_NAME_MEANING}, or the model's text", lambda name: _read(name, MAX_MODEL_BYTES, info))
+
+
+def text_in(value: object, expected: str, read: Callable[[str], bytes]) -> str:
+    """A text with line ends or a tag, or the text of the file that ``read`` reads by its name.
+
+    Raises:
+        PydanticCustomError: it is neither; or the file cannot be read, is no text, or is too long.
+    """
     if not isinstance(value, str) or not value.strip():
-        raise refuse(show(value), f"{_NAME_MEANING}, or the model's text")
+        raise refuse(show(value), expected)
     if "\n" in value or "<" in value:
         text = value
     else:
-        content = _read(value, MAX_MODEL_BYTES, info)
         try:
-            text = content.decode()
+            text = read(value).decode()
         except UnicodeDecodeError as error:
             raise refuse(f"{value!r}, which cannot be read: {error.reason}", "a text in UTF-8") from error
     if len(text) > MAX_MODEL_BYTES:

@@ -14,13 +14,12 @@ from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Final, Literal, Self, TypeAlias
 
 import numpy as np
-from pydantic import BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from manyhands.design.series import MOST
 from manyhands.launch.session.errors import listed, one_of, show
 from manyhands.launch.session.fields import (
-    Choice,
     Described,
     Items,
     NamedParts,
@@ -31,7 +30,6 @@ from manyhands.launch.session.fields import (
     Whole,
     each,
     each_named,
-    optional,
     part_name,
     problems_of,
     refusal,
@@ -68,8 +66,8 @@ OneOrMany: TypeAlias = float | tuple[float, ...] | Rows
 """A number for all ports, one for each port, or a matrix."""
 
 
-def one_or_many(what: Quantity) -> Any:
-    """The validator of a value that is a number, a list or a matrix of ``what``, or absent."""
+def one_or_many(what: Quantity) -> Described:
+    """The check of a value that is a number, a list or a matrix of ``what``."""
     numbers = Items("numbers, one for each port", MAX_PORTS, what)
     rows = Items(f"rows of {what.what}", MAX_PORTS, Items("entries of a row", MAX_PORTS, what))
 
@@ -79,7 +77,7 @@ def one_or_many(what: Quantity) -> Any:
         return rows(value) if any(isinstance(row, list | tuple) for row in value) else numbers(value)
 
     form = either(what.json_schema, numbers.json_schema, rows.json_schema)
-    return BeforeValidator(optional(Described(check, form)))
+    return Described(check, form)
 
 
 class BlockMatrices(SessionModel):
@@ -174,13 +172,13 @@ class Weight(SessionModel):
         }
     )
 
-    num: Annotated[tuple[float, ...] | None, BeforeValidator(optional(COEFFICIENTS))] = Field(
+    num: Annotated[tuple[float, ...] | None, COEFFICIENTS] = Field(
         default=None, description="coefficients of the numerator, the highest power of s first"
     )
-    den: Annotated[tuple[float, ...] | None, BeforeValidator(optional(COEFFICIENTS))] = Field(
+    den: Annotated[tuple[float, ...] | None, COEFFICIENTS] = Field(
         default=None, description="coefficients of the denominator, the highest power of s first"
     )
-    emphasise: Annotated[tuple[float, float] | None, BeforeValidator(optional(_BAND))] = Field(
+    emphasise: Annotated[tuple[float, float] | None, _BAND] = Field(
         default=None, description="the band [low, high] in Hz, in place of num and den"
     )
 
@@ -248,8 +246,6 @@ AUTO: Final = "auto"
 _PART: Final = Quantity("a part", above=0.0, most=MOST)
 _ORDER: Final = Whole("states for each port", 1, MAX_PORT_ORDER)
 _ORDERS: Final = NamedParts(part_name("a coupling name"), MAX_COUPLINGS)
-_COUPLINGS: Final = ("spring-damper", "linear", "given", "none")
-_OBJECTIVES: Final = ("feasible", "stiffest", "loop-shaping", "closed-loop")
 TRANSPARENCY: Final = ("loop-shaping", "closed-loop")
 """The objectives that need the environment's dynamics."""
 _FOUND: Final = ("spring-damper", "linear")
@@ -326,8 +322,8 @@ _EVERY_KEY_IS_USED: Final[list[Any]] = [
 class Pole(SessionModel):
     """A pair of fixed poles, s^2 + 2 damping frequency s + frequency^2 = 0; damping 1 makes a double real pole."""
 
-    frequency: Annotated[float, BeforeValidator(_FREQUENCY)] = Field(description="the natural frequency in rad/s")
-    damping: Annotated[float, BeforeValidator(_RATIO)] = Field(
+    frequency: Annotated[float, _FREQUENCY] = Field(description="the natural frequency in rad/s")
+    damping: Annotated[float, _RATIO] = Field(
         default=1.0, description="the damping ratio, greater than 0 and at most 1"
     )
 
@@ -337,42 +333,40 @@ class Design(SessionModel):
 
     model_config = ConfigDict(json_schema_extra={"allOf": _EVERY_KEY_IS_USED})
 
-    coupling: Annotated[Literal["spring-damper", "linear", "given", "none"], BeforeValidator(Choice(_COUPLINGS))] = (
-        Field(description="the class of the coupling: spring-damper, linear, given or none")
+    coupling: Literal["spring-damper", "linear", "given", "none"] = Field(
+        description="the class of the coupling: spring-damper, linear, given or none"
     )
-    order: Annotated[int | dict[str, int] | None, BeforeValidator(optional(Described(_order, _ORDER_FORM)))] = Field(
+    order: Annotated[int | dict[str, int] | None, Described(_order, _ORDER_FORM)] = Field(
         default=None, description="the states of a linear coupling for each of its ports: a number, or one by coupling"
     )
-    poles: Annotated[tuple[Pole, ...] | None, BeforeValidator(optional(Items("poles", MAX_POLES)))] = Field(
+    poles: Annotated[tuple[Pole, ...] | None, Items("poles", MAX_POLES)] = Field(
         default=None, description="fixed pole pairs of a linear coupling, in place of a search"
     )
-    algorithm: Annotated[
-        Literal["convex", "complementarity"], BeforeValidator(Choice(("convex", "complementarity")))
-    ] = Field(default="convex", description="how the coupling is found: convex or complementarity")
-    objective: Annotated[
-        Literal["feasible", "stiffest", "loop-shaping", "closed-loop"], BeforeValidator(Choice(_OBJECTIVES))
-    ] = Field(
+    algorithm: Literal["convex", "complementarity"] = Field(
+        default="convex", description="how the coupling is found: convex or complementarity"
+    )
+    objective: Literal["feasible", "stiffest", "loop-shaping", "closed-loop"] = Field(
         default="feasible", description="what the design aims at: feasible, stiffest, loop-shaping or closed-loop"
     )
     weights: Weights | None = Field(default=None, description="the weights W1, W2 of loop-shaping or closed-loop")
-    tau: Annotated[float | Literal["auto"] | None, BeforeValidator(optional(Described(_delay, _TAU_FORM)))] = Field(
+    tau: Annotated[float | Literal["auto"] | None, Described(_delay, _TAU_FORM)] = Field(
         default=None, description="the delay inside the tick that the certificate is to allow, in s; auto to measure it"
     )
-    period_tolerance: Annotated[float, BeforeValidator(_TOLERANCE)] = Field(
+    period_tolerance: Annotated[float, _TOLERANCE] = Field(
         default=0.0,
         description="by which part of the period the time between two samples may be longer, as the certificate is to "
         "allow",
     )
-    series: Annotated[bool | float, BeforeValidator(Described(_series, _SERIES_FORM))] = Field(
+    series: Annotated[bool | float, Described(_series, _SERIES_FORM)] = Field(
         default=False,
         description="whether the spring by which a port meets the world is counted in series with its coupling; or the "
         "greatest part of it that is counted; of a world given by matrices or rational functions, the greatest springs "
         "that leave it passive",
     )
-    ladder: Annotated[tuple[float, ...] | None, BeforeValidator(optional(_DELAYS))] = Field(
+    ladder: Annotated[tuple[float, ...] | None, _DELAYS] = Field(
         default=None, description="longer delays, growing, for each of which a softer coupling is held ready, in s"
     )
-    iterations: Annotated[int | None, BeforeValidator(optional(Whole("iterations", 1, MAX_ITERATIONS)))] = Field(
+    iterations: Annotated[int | None, Whole("iterations", 1, MAX_ITERATIONS)] = Field(
         default=None, description="the most iterations of complementarity"
     )
     stiffness: Annotated[OneOrMany | None, one_or_many(Quantity("a stiffness", "N/m"))] = Field(
@@ -383,7 +377,7 @@ class Design(SessionModel):
     )
     matrices: Annotated[
         dict[str, BlockMatrices] | None,
-        BeforeValidator(optional(NamedParts(part_name("a coupling name"), MAX_COUPLINGS))),
+        NamedParts(part_name("a coupling name"), MAX_COUPLINGS),
     ] = Field(default=None, description="the given matrices A, B, C, D of every coupling")
 
     @property
@@ -486,8 +480,8 @@ class Design(SessionModel):
 
     def _objective_problems(self) -> Iterator[Problem]:
         """An objective that does not apply to the coupling, and weights that the objective does not use."""
-        allowed = _OBJECTIVES_OF.get(self.coupling, _OBJECTIVES)
-        if self.objective not in allowed:
+        allowed = _OBJECTIVES_OF.get(self.coupling)
+        if allowed is not None and self.objective not in allowed:
             found = f"{self.objective} with 'coupling: {self.coupling}'"
             yield Problem(("objective",), found, f"{one_of(allowed, None)}, or a coupling to be found")
         if self.weights is not None and self.objective not in TRANSPARENCY:

@@ -24,13 +24,11 @@ from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
 from pydantic import (
-    BeforeValidator,
     ConfigDict,
     Field,
     PlainSerializer,
     ValidationInfo,
     ValidatorFunctionWrapHandler,
-    WithJsonSchema,
     field_validator,
     model_validator,
 )
@@ -48,7 +46,8 @@ from manyhands.launch.session.fields import (
     OSP_ENTRY,
     OSP_LEVEL,
     STIFFNESS,
-    Choice,
+    Check,
+    Completed,
     Described,
     Dof,
     Items,
@@ -66,7 +65,6 @@ from manyhands.launch.session.fields import (
     ends,
     is_interval,
     matrix,
-    optional,
     ordered,
     refusal,
     refuse,
@@ -84,7 +82,7 @@ from manyhands.launch.session.limits import (
 )
 from manyhands.launch.session.matrices import Entry, Rational
 from manyhands.launch.session.motion import MOTION_FORM, Motion, TraceData, motion_of, read_trace, trace_from_numbers
-from manyhands.nodes.kernel.bundle import TIMES, WALL
+from manyhands.nodes.kernel.bundle import WALL
 from manyhands.nodes.kernel.driver_statement import DeviceTiming, DriverWord
 from manyhands.nodes.kernel.factory import DRIVERS
 from manyhands.nodes.kernel.inertia import Inertia
@@ -125,7 +123,7 @@ def _passivity(operator: RationalMatrix) -> PassivityFinding:
 
 
 @dataclass(frozen=True, slots=True)
-class Intents:
+class Intents(Check):
     """The check of an intended force or motion for every axis."""
 
     what: Quantity
@@ -135,9 +133,9 @@ class Intents:
         """By axis a number, a formula or a trace."""
         return self._checked_in(Path()).json_schema
 
-    def __call__(self, value: object, info: ValidationInfo) -> object:
+    def in_part(self, value: object, info: ValidationInfo) -> Any:
         """The intention of each axis; the files of traces are in the folder of the session file."""
-        return self._checked_in((info.context or {}).get("folder", Path()))(value, info)
+        return self._checked_in((info.context or {}).get("folder", Path())).in_part(value, info)
 
     def _checked_in(self, folder: Path) -> PerAxis:
         return PerAxis(self.of_axis(folder))
@@ -200,20 +198,14 @@ class Hand(SessionModel):
     """
 
     dof: SkipJsonSchema[Dof] = Field(alias=DEVICE_AXES, exclude=True, repr=False)
-    operator: Annotated[
-        tuple[tuple[Rational, ...], ...], BeforeValidator(_operator), WithJsonSchema(_OPERATOR_FORM)
-    ] = defaulted(0.0, "the passive operator H(s) in N·s/m, from velocity to force")
-    mass: Annotated[tuple[float, ...], BeforeValidator(_HAND_MASS)] = defaulted(0.0, f"an added mass in kg, {_AXES}")
-    damping: Annotated[tuple[float, ...], BeforeValidator(_DAMPING)] = defaulted(
-        0.0, f"an added damping in N·s/m, {_AXES}"
+    operator: Annotated[tuple[tuple[Rational, ...], ...], Completed(_operator, _OPERATOR_FORM)] = defaulted(
+        0.0, "the passive operator H(s) in N·s/m, from velocity to force"
     )
-    stiffness: Annotated[tuple[float, ...], BeforeValidator(_STIFFNESS)] = defaulted(
-        0.0, f"a stiffness in N/m, {_AXES}"
-    )
-    force: Annotated[tuple[float | str | TraceData, ...], BeforeValidator(_FORCE)] = defaulted(
-        0.0, f"the intended force in N, {_AXES}"
-    )
-    motion: Annotated[tuple[float | str | TraceData, ...], BeforeValidator(_MOTION)] = defaulted(
+    mass: Annotated[tuple[float, ...], _HAND_MASS] = defaulted(0.0, f"an added mass in kg, {_AXES}")
+    damping: Annotated[tuple[float, ...], _DAMPING] = defaulted(0.0, f"an added damping in N·s/m, {_AXES}")
+    stiffness: Annotated[tuple[float, ...], _STIFFNESS] = defaulted(0.0, f"a stiffness in N/m, {_AXES}")
+    force: Annotated[tuple[float | str | TraceData, ...], _FORCE] = defaulted(0.0, f"the intended force in N, {_AXES}")
+    motion: Annotated[tuple[float | str | TraceData, ...], _MOTION] = defaulted(
         0.0, f"the intended motion in m, {_AXES}"
     )
 
@@ -276,15 +268,14 @@ def _osp(value: object, info: ValidationInfo) -> object:
     if isinstance(value, LevelInterval):
         value = _plain_level(value)
     if is_interval(value):
-        low, high = ends(value, lambda end: _per_axis(end, info))
+        low, high = ends(value, lambda end: _per_axis.in_part(end, info))
         if len(low) != len(high):  # possible only where dof is wrong
             raise refuse("ends of different lengths", "one level, or one for each axis, at both ends", (BETWEEN,))
         for least, most in zip(low, high, strict=True):
             ordered(least, most)
         return _diagonal(low) if low == high else LevelInterval(_diagonal(low), _diagonal(high))
     if not isinstance(value, list | tuple) or not any(isinstance(row, list | tuple) for row in value):
-        levels: Any = _per_axis(value, info)
-        return _diagonal(levels)
+        return _diagonal(_per_axis.in_part(value, info))
     rows: Rows = matrix(OSP_ENTRY, value, dof, dof)
     if problem := unsymmetric(rows):
         raise refusal(problem)
@@ -317,21 +308,11 @@ def _damping(value: object, info: ValidationInfo) -> object:
         if isinstance(osp, LevelInterval):
             return tuple((osp.low[i][i] + osp.high[i][i]) / 2.0 for i in range(len(osp.low)))
         return tuple(float(np.abs(row).sum()) for row in osp)
-    return _DAMPING(value, info)
+    return _DAMPING.in_part(value, info)
 
 
 _MASS: Final = PerAxis(MASS)
-
-
-def _mass(value: object, info: ValidationInfo) -> object:
-    return None if value is None else _MASS(value, info)
-
-
 _STEP: Final = PerAxis(Quantity("a step", "m", least=0.0))
-
-
-def _step(value: object, info: ValidationInfo) -> object:
-    return None if value is None else _STEP(value, info)
 
 
 def _trace(value: object, info: ValidationInfo) -> object:
@@ -376,48 +357,48 @@ class Device(SessionModel):
     )
 
     dof: Dof = Field(description="the number of degrees of freedom")
-    axes: Annotated[tuple[str, ...] | None, BeforeValidator(optional(_axis_names))] = Field(
+    axes: Annotated[tuple[str, ...] | None, _axis_names] = Field(
         default=None, description="names of the axes, for its ports"
     )
-    osp: Annotated[
-        Rows | LevelInterval, BeforeValidator(_osp), WithJsonSchema(_OSP_FORM), PlainSerializer(_plain_level)
-    ] = Field(description="the OSP level Delta_D in N·s/m: a number, one for each axis, a matrix, or an interval")
-    driver: Annotated[str, BeforeValidator(Factory(DRIVERS, _DRIVERS))] = Field(
+    osp: Annotated[Rows | LevelInterval, Completed(_osp, _OSP_FORM), PlainSerializer(_plain_level)] = Field(
+        description="the OSP level Delta_D in N·s/m: a number, one for each axis, a matrix, or an interval"
+    )
+    driver: Annotated[str, Factory(DRIVERS, _DRIVERS)] = Field(
         description="what moves it: simulated, trace, browser, or a driver's factory, package.module:factory"
     )
-    parameters: Annotated[dict[str, Any] | None, BeforeValidator(optional(PARAMETERS))] = Field(
+    parameters: Annotated[dict[str, Any] | None, PARAMETERS] = Field(
         default=None, description="with a driver's factory, plain data that is handed to it"
     )
-    sample_age: Annotated[float | None, BeforeValidator(optional(_AGE))] = Field(
+    sample_age: Annotated[float | None, _AGE] = Field(
         default=None, description="with a driver's factory, the greatest age of its samples in s; a part of tau"
     )
-    age_jitter: Annotated[float | None, BeforeValidator(optional(_AGE))] = Field(
+    age_jitter: Annotated[float | None, _AGE] = Field(
         default=None, description="by how much that age varies in s; all of it unless given"
     )
-    actuation_delay: Annotated[float | None, BeforeValidator(optional(_AGE))] = Field(
+    actuation_delay: Annotated[float | None, _AGE] = Field(
         default=None, description="with a driver's factory, the greatest delay of its forces in s; a part of tau"
     )
-    axis_map: Annotated[tuple[str, ...] | None, BeforeValidator(optional(Items("axes", MAX_DOF, _AXIS)))] = Field(
+    axis_map: Annotated[tuple[str, ...] | None, Items("axes", MAX_DOF, _AXIS)] = Field(
         default=None, description="with a driver's factory, its axis at each port, after a minus to turn it round"
     )
-    scale: Annotated[float | None, BeforeValidator(optional(_SCALE))] = Field(
+    scale: Annotated[float | None, _SCALE] = Field(
         default=None, description="with a driver's factory, by how much motions grow from the device to the session"
     )
-    step: Annotated[tuple[float, ...] | None, BeforeValidator(_step), WithJsonSchema(_STEP.json_schema)] = Field(
+    step: Annotated[tuple[float, ...] | None, _STEP] = Field(
         default=None, description="with a driver's factory and a mass, the step of its displacements in m"
     )
-    time: Annotated[Literal["wall", "own"], BeforeValidator(Choice(TIMES))] = Field(
+    time: Literal["wall", "own"] = Field(
         default="wall",
         description="under the realtime clock, wall: it goes on by the wall clock; own: by one period a tick",
     )
-    trace: Annotated[Motion | None, BeforeValidator(_trace), WithJsonSchema(MOTION_FORM)] = Field(
+    trace: Annotated[Motion | None, Completed(_trace, MOTION_FORM)] = Field(
         default=None, description="with driver: trace, the recorded motion"
     )
-    mass: Annotated[tuple[float, ...] | None, BeforeValidator(_mass), WithJsonSchema(_MASS.json_schema)] = Field(
+    mass: Annotated[tuple[float, ...] | None, _MASS] = Field(
         default=None, description="the least moving mass in kg, greater than 0: a number, or one for each axis"
     )
-    damping: Annotated[tuple[float, ...] | None, BeforeValidator(_damping), WithJsonSchema(_DAMPING.json_schema)] = (
-        defaulted(None, "the damping in N·s/m, at least the OSP level: a number, or one for each axis")
+    damping: Annotated[tuple[float, ...] | None, Completed(_damping, _DAMPING.json_schema)] = defaulted(
+        None, "the damping in N·s/m, at least the OSP level: a number, or one for each axis"
     )
     limits: PortLimits = defaulted({}, "the force, displacement and speed that it never goes beyond")
     hand: Hand | None = defaulted(None, "the simulated hand that holds it")

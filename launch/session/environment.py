@@ -24,7 +24,6 @@ from pydantic import (
     Field,
     ValidationError,
     ValidationInfo,
-    WithJsonSchema,
     model_validator,
 )
 
@@ -35,12 +34,12 @@ from manyhands.design.models.declared import DeclaredEnvironment, ProxyEnvironme
 from manyhands.design.models.distance_grid import grid_of_text
 from manyhands.design.models.network import Network, NetworkLink
 from manyhands.design.models.scene import MOST_DRIVE, MOST_POINTS, ContactScene, Obstacle
-from manyhands.launch.session.assets import ASSETS, model_assets, model_text
+from manyhands.launch.session.assets import ASSETS, model_assets, model_text, text_in
 from manyhands.launch.session.design import OneOrMany, full_matrix, one_or_many
 from manyhands.launch.session.device import ports_by_device
 from manyhands.launch.session.errors import listed, one_of, show
 from manyhands.launch.session.fields import (
-    Choice,
+    Completed,
     Described,
     Interval,
     Items,
@@ -104,7 +103,7 @@ class AskedEnvironment(EnvironmentKind):
     type: str
     model: str
     stiffness: OneOrMany | None = None
-    tank: Annotated[float, BeforeValidator(_TANK)] = Field(
+    tank: Annotated[float, _TANK] = Field(
         default=0.0, description="the energy in J that a world with proxies may give out beyond what it has received"
     )
     level: Annotated[OneOrMany, one_or_many(_LEVEL)] = Field(
@@ -157,14 +156,10 @@ class PythonEnvironment(AskedEnvironment):
 
     model_config = ConfigDict(json_schema_extra=either({"required": ["stiffness"]}, {"required": ["level"]}))
 
-    type: Annotated[Literal["python"], BeforeValidator(Choice(("python",)))] = Field(
-        description="the kind of environment: python"
-    )
-    model: Annotated[str, BeforeValidator(Factory(MODELS))] = Field(
-        description="the model's factory, package.module:factory"
-    )
+    type: Literal["python"] = Field(description="the kind of environment: python")
+    model: Annotated[str, Factory(MODELS)] = Field(description="the model's factory, package.module:factory")
     stiffness: Annotated[OneOrMany | None, one_or_many(_STIFFNESS)] = defaulted(None, _STIFFNESS_MEANING)
-    parameters: Annotated[dict[str, Any], BeforeValidator(PARAMETERS)] = Field(
+    parameters: Annotated[dict[str, Any], PARAMETERS] = Field(
         default={}, description="plain data, handed to the factory"
     )
 
@@ -182,28 +177,20 @@ class PythonEnvironment(AskedEnvironment):
 
 def _grid_text(value: object, info: ValidationInfo) -> str:
     """The text of a distance grid, from a path relative to the session file; or the text itself, with line ends."""
-    text = _text(value, info, "the path of a distance grid, as manyhands mesh writes it, or its text")
+    folder: Path = (info.context or {}).get("folder", Path())
+
+    def read(name: str) -> bytes:
+        try:
+            return read_regular(folder / name, MAX_MODEL_BYTES)
+        except (OSError, ValueError) as error:
+            raise refuse(f"{name!r}, which cannot be read: {error}", "a text file beside the session file") from error
+
+    text = text_in(value, "the path of a distance grid, as manyhands mesh writes it, or its text", read)
     try:
         grid_of_text(text)
     except ValueError as error:
         found, _, expected = str(error).partition("; expected ")
         raise refuse(found.removeprefix("found "), expected) from error
-    return text
-
-
-def _text(value: object, info: ValidationInfo, expected: str) -> str:
-    if not isinstance(value, str) or not value.strip():
-        raise refuse(show(value), expected)
-    if "\n" in value or "<" in value:
-        text = value
-    else:
-        path = (info.context or {}).get("folder", Path()) / value
-        try:
-            text = read_regular(path, MAX_MODEL_BYTES).decode()
-        except (OSError, ValueError) as error:
-            raise refuse(f"{value!r}, which cannot be read: {error}", "a text file beside the session file") from error
-    if len(text) > MAX_MODEL_BYTES:
-        raise refuse(f"a text of {len(text)} characters", f"at most {MAX_MODEL_BYTES}")
     return text
 
 
@@ -235,24 +222,22 @@ _NAMES: Final = either({"type": "string"}, list_of({"type": "string"}, MAX_DOF))
 class EngineEnvironment(AskedEnvironment):
     """A physics engine with a model file: the tools are joined by springs to avatars, bodies of the engine."""
 
-    type: Annotated[Literal["engine"], BeforeValidator(Choice(("engine",)))] = Field(
-        description="the kind of environment: engine"
-    )
-    model: Annotated[str, BeforeValidator(model_text), WithJsonSchema({"type": "string"})] = Field(
+    type: Literal["engine"] = Field(description="the kind of environment: engine")
+    model: Annotated[str, Completed(model_text, {"type": "string"})] = Field(
         description="the model's file, by its name in the session file's folder, or its text"
     )
     stiffness: Annotated[OneOrMany, one_or_many(_STIFFNESS)] = Field(description=_STIFFNESS_MEANING)
-    engine: Annotated[str, BeforeValidator(Factory(ENGINES))] = Field(
+    engine: Annotated[str, Factory(ENGINES)] = Field(
         description="the engine: mujoco, a published short name, or package.module:factory"
     )
     tools: Annotated[
         dict[str, tuple[str, ...]],
-        BeforeValidator(Described(_tools, {"type": "object", "additionalProperties": _NAMES})),
+        Described(_tools, {"type": "object", "additionalProperties": _NAMES}),
     ] = Field(description="by device, the name of each of its axes in the model; for mujoco, of a slide joint")
-    bodies: Annotated[
-        tuple[str, ...], BeforeValidator(Described(_bodies, list_of({"type": "string"}, MAX_BODIES, 0)))
-    ] = Field(default=(), description="the bodies of the model whose positions are reported")
-    assets: Annotated[dict[str, str], BeforeValidator(model_assets), WithJsonSchema(ASSETS)] = Field(
+    bodies: Annotated[tuple[str, ...], Described(_bodies, list_of({"type": "string"}, MAX_BODIES, 0))] = Field(
+        default=(), description="the bodies of the model whose positions are reported"
+    )
+    assets: Annotated[dict[str, str], Completed(model_assets, ASSETS)] = Field(
         default={}, description="the files that the model names, by their names in the session file's folder"
     )
 
@@ -301,20 +286,14 @@ class MeshEnvironment(AskedEnvironment):
     The tools are joined by springs to proxies on its surface.
     """
 
-    type: Annotated[Literal["mesh"], BeforeValidator(Choice(("mesh",)))] = Field(
-        description="the kind of environment: mesh"
-    )
-    model: Annotated[str, BeforeValidator(_grid_text), WithJsonSchema({"type": "string"})] = Field(
+    type: Literal["mesh"] = Field(description="the kind of environment: mesh")
+    model: Annotated[str, Completed(_grid_text, {"type": "string"})] = Field(
         description="the distance grid that manyhands mesh has made, relative to the session file, or its text"
     )
-    stiffness: Annotated[float, BeforeValidator(_SPRING)] = Field(
-        description="the stiffness of the springs to the proxies in N/m"
-    )
-    friction: Annotated[float, BeforeValidator(FRICTION)] = Field(
-        default=0.0, description="the coefficient of Coulomb friction"
-    )
-    tools: Annotated[dict[str, SceneTool], BeforeValidator(NamedParts(part_name("a device's name"), MOST_POINTS))] = (
-        Field(description="the tool of each device, by the device's name")
+    stiffness: Annotated[float, _SPRING] = Field(description="the stiffness of the springs to the proxies in N/m")
+    friction: Annotated[float, FRICTION] = Field(default=0.0, description="the coefficient of Coulomb friction")
+    tools: Annotated[dict[str, SceneTool], NamedParts(part_name("a device's name"), MOST_POINTS)] = Field(
+        description="the tool of each device, by the device's name"
     )
 
     def problems(self, ports: tuple[str, ...]) -> Iterator[Problem]:
@@ -374,7 +353,7 @@ def _size_problems(key: str, value: OneOrMany, ports: tuple[str, ...]) -> Iterat
             yield problem._replace(at=(key, *problem.at))
 
 
-Delay: TypeAlias = Annotated[int, BeforeValidator(Whole("ticks", 0, MAX_DELAY))]
+Delay: TypeAlias = Annotated[int, Whole("ticks", 0, MAX_DELAY)]
 
 
 def _two_ends(value: object) -> tuple[str, str]:
@@ -393,7 +372,7 @@ class SessionLink(SessionModel):
 
     model_config = ConfigDict(json_schema_extra=either({"required": ["stiffness"]}, {"required": ["damping"]}))
 
-    between: Annotated[tuple[str, str], BeforeValidator(_TWO_ENDS)] = Field(
+    between: Annotated[tuple[str, str], _TWO_ENDS] = Field(
         description=f"the two ends [a, b], each a port, a mass or {GROUND}"
     )
     stiffness: UncertainStiffness = Field(default=0.0, description="the stiffness in N/m, or an interval")
@@ -410,15 +389,11 @@ class NetworkEnvironment(EnvironmentKind):
 
     in_series: ClassVar[bool] = True
 
-    type: Annotated[Literal["network"], BeforeValidator(Choice(("network",)))] = Field(
-        description="the kind of environment: network"
+    type: Literal["network"] = Field(description="the kind of environment: network")
+    masses: Annotated[dict[str, UncertainMass], NamedParts(part_name("a mass name"), MAX_MASSES, least=0)] = Field(
+        default={}, description="the masses in kg, or intervals, by name"
     )
-    masses: Annotated[
-        dict[str, UncertainMass], BeforeValidator(NamedParts(part_name("a mass name"), MAX_MASSES, least=0))
-    ] = Field(default={}, description="the masses in kg, or intervals, by name")
-    links: Annotated[tuple[SessionLink, ...], BeforeValidator(Items("links", MAX_LINKS))] = Field(
-        description="the springs and dampers"
-    )
+    links: Annotated[tuple[SessionLink, ...], Items("links", MAX_LINKS)] = Field(description="the springs and dampers")
     delay: Delay = Field(default=0, description="whole ticks by which its forces are late")
     enforce: Enforce = Field(default=False, description=ENFORCE_MEANING)
 
@@ -496,16 +471,13 @@ class NetworkEnvironment(EnvironmentKind):
         return {name: Interval.of(mass).nominal for name, mass in self.masses.items()}, tuple(springs)
 
 
-_CONTINUOUS_METHODS: Final = ("backward-euler", "tustin", "zoh")
-
-
 def _method(value: object, info: ValidationInfo) -> object:
     """The discretisation of a continuous system; a discrete system has no method."""
     if info.data.get("time") == "discrete":
         if value is not None:
             raise refuse(f"{show(value)} with 'time: discrete'", "'time: continuous', or no method")
         return None
-    return "backward-euler" if value is None else Choice(_CONTINUOUS_METHODS)(value)
+    return "backward-euler" if value is None else value
 
 
 class StateSpaceEnvironment(EnvironmentKind):
@@ -520,21 +492,18 @@ class StateSpaceEnvironment(EnvironmentKind):
         json_schema_extra={**D_OR_STATIC, "if": where("time", "discrete"), "then": without("method")}
     )
 
-    type: Annotated[Literal["state-space"], BeforeValidator(Choice(("state-space",)))] = Field(
-        description="the kind of environment: state-space"
-    )
+    type: Literal["state-space"] = Field(description="the kind of environment: state-space")
     A: MatrixRows = Field(description="the n x n matrix A, as rows")
     B: MatrixRows = Field(description="the n x m matrix B, as rows")
     C: MatrixRows = Field(description="the m x n matrix C, as rows")
     D: OptionalRows = Field(default=None, description="the m x m matrix D, as rows")
     static: OptionalRows = Field(default=None, description=STATIC_MEANING)
-    time: Annotated[Literal["continuous", "discrete"], BeforeValidator(Choice(("continuous", "discrete")))] = Field(
+    time: Literal["continuous", "discrete"] = Field(
         default="continuous", description="the time of the matrices: continuous or discrete"
     )
     method: Annotated[
         Literal["backward-euler", "tustin", "zoh"] | None,
         BeforeValidator(_method),
-        WithJsonSchema(Choice(_CONTINUOUS_METHODS).json_schema),
     ] = defaulted(None, "how it is discretised: backward-euler, tustin or zoh")
     delay: Delay = Field(default=0, description="whole ticks by which its forces are late")
     enforce: Enforce = Field(default=False, description=ENFORCE_MEANING)
@@ -573,14 +542,12 @@ class TransferFunctionEnvironment(EnvironmentKind):
 
     in_series: ClassVar[bool] = True
 
-    type: Annotated[Literal["transfer-function"], BeforeValidator(Choice(("transfer-function",)))] = Field(
-        description="the kind of environment: transfer-function"
-    )
-    entries: Annotated[tuple[tuple[Rational, ...], ...], BeforeValidator(_ENTRIES)] = Field(
+    type: Literal["transfer-function"] = Field(description="the kind of environment: transfer-function")
+    entries: Annotated[tuple[tuple[Rational, ...], ...], _ENTRIES] = Field(
         description="the m x m entries in N/m, as rows: each a number or {num: [...], den: [...]}"
     )
-    method: Annotated[Literal["backward-euler", "tustin"], BeforeValidator(Choice(("backward-euler", "tustin")))] = (
-        Field(default="backward-euler", description="how it is discretised: backward-euler or tustin")
+    method: Literal["backward-euler", "tustin"] = Field(
+        default="backward-euler", description="how it is discretised: backward-euler or tustin"
     )
     delay: Delay = Field(default=0, description="whole ticks by which its forces are late")
     enforce: Enforce = Field(default=False, description=ENFORCE_MEANING)

@@ -27,20 +27,20 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import Annotated, Any, Final, NamedTuple, Protocol, TypeAlias, get_args, get_origin
+from types import NoneType
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, TypeAlias, get_args, get_origin
 
 from pydantic import (
     BaseModel,
-    BeforeValidator,
     ConfigDict,
     Field,
+    GetCoreSchemaHandler,
     PlainSerializer,
     ValidationError,
     ValidationInfo,
-    WithJsonSchema,
 )
 from pydantic.json_schema import SkipJsonSchema
-from pydantic_core import ErrorDetails, PydanticCustomError
+from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError, core_schema
 
 from manyhands.launch.session.errors import SessionError, key_text, listed, one_of, show
 from manyhands.launch.session.forms import JsonSchema, either, list_of, mapping_of
@@ -80,19 +80,62 @@ def defaulted(value: object, description: str) -> Any:
     return Field(default=value, validate_default=True, description=description)
 
 
-class ValueCheck(Protocol):
-    """A check of one value, which returns it or refuses, with the form that it accepts."""
+class Check:
+    """A check of one value, which returns it or refuses, with the form that it accepts.
 
-    @property
-    def json_schema(self) -> JsonSchema:
-        """The form of the values that it accepts."""
+    It annotates the type of a field: values pass through it first. Where the type allows ``None``, a value may also be
+    absent; no file can state that.
+    """
 
-    def __call__(self, value: object, /) -> Any:
-        """The value."""
+    __slots__ = ()
+
+    if TYPE_CHECKING:  # of every check its own; ``json_schema`` may be a field or a property
+
+        @property
+        def json_schema(self) -> JsonSchema:
+            """The form of the values that it accepts."""
+
+        def in_part(self, value: object, info: ValidationInfo) -> Any:
+            """The value of a field; ``info`` has the fields of its part before it, and the folder of the file."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Pydantic's schema of a field of the type ``source`` with this check."""
+        field = _OfField(self, NoneType in get_args(source))
+        return core_schema.with_info_before_validator_function(field, handler(source))
+
+
+class ValueCheck(Check):
+    """A check that needs nothing but the value, and is called with it."""
+
+    __slots__ = ()
+
+    if TYPE_CHECKING:
+
+        def __call__(self, value: object, /) -> Any:
+            """The value."""
+
+    def in_part(self, value: object, info: ValidationInfo) -> Any:
+        """The value of a field."""
+        return self(value)
 
 
 @dataclass(frozen=True, slots=True)
-class Described:
+class _OfField:
+    """A check of a field, as pydantic calls it."""
+
+    check: Check
+    optional: bool
+
+    @property
+    def json_schema(self) -> JsonSchema:
+        return self.check.json_schema
+
+    def __call__(self, value: object, info: ValidationInfo) -> Any:
+        return None if value is None and self.optional else self.check.in_part(value, info)
+
+
+@dataclass(frozen=True, slots=True)
+class Described(ValueCheck):
     """A check that is a function, with the form that it accepts."""
 
     check: Callable[[object], Any]
@@ -103,9 +146,20 @@ class Described:
         return self.check(value)
 
 
-def optional(check: ValueCheck) -> Described:
-    """The same check, for a value that may also be absent (``None``); no file can state that value."""
-    return Described(lambda value: None if value is None else check(value), check.json_schema)
+@dataclass(frozen=True, slots=True)
+class Completed(Check):
+    """A check that is a function of a value and of its part, and completes a value that is absent."""
+
+    check: Callable[[object, ValidationInfo], Any]
+    json_schema: JsonSchema
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """As of :class:`Check`; the function gets ``None`` as well."""
+        return core_schema.with_info_before_validator_function(_OfField(self, False), handler(source))
+
+    def in_part(self, value: object, info: ValidationInfo) -> Any:
+        """The value, as the function returns it."""
+        return self.check(value, info)
 
 
 class Problem(NamedTuple):
@@ -127,7 +181,7 @@ def refuse(found: str, expected: str, at: KeyPath = ()) -> PydanticCustomError:
 
 
 @dataclass(frozen=True, slots=True)
-class Quantity:
+class Quantity(ValueCheck):
     """A finite real number with a unit and bounds; called with a value, it returns a ``float`` or refuses.
 
     Attributes:
@@ -196,11 +250,11 @@ OSP_LEVEL: Final = Quantity("an OSP level", "N·s/m", above=0.0, smallest=MIN_PO
 OSP_ENTRY: Final = Quantity("an entry of the OSP level", "N·s/m")
 PERIOD: Final = Quantity("a period", "s", least=SHORTEST_PERIOD, most=LONGEST_PERIOD)
 
-Period: TypeAlias = Annotated[float, BeforeValidator(PERIOD)]
+Period: TypeAlias = Annotated[float, PERIOD]
 
 
 @dataclass(frozen=True, slots=True)
-class Whole:
+class Whole(ValueCheck):
     """A whole number within bounds; called with a value, it returns an ``int`` or refuses."""
 
     what: str
@@ -219,11 +273,11 @@ class Whole:
         return value
 
 
-Dof: TypeAlias = Annotated[int, BeforeValidator(Whole("degrees of freedom", 1, MAX_DOF))]
+Dof: TypeAlias = Annotated[int, Whole("degrees of freedom", 1, MAX_DOF)]
 
 
 @dataclass(frozen=True, slots=True)
-class Name:
+class Name(ValueCheck):
     """The form of one kind of name; called with a value, it returns the name or refuses."""
 
     what: str
@@ -247,7 +301,7 @@ SESSION_NAME: Final = Name(
     "a session name", "[a-z][a-z0-9-]{0,47}", "a lowercase letter, then at most 47 lowercase letters, digits or -"
 )
 AXIS_NAME: Final = Name("an axis name", "[a-z0-9][a-z0-9_]{0,31}", f"a lowercase letter or digit, {_REST}")
-SessionName: TypeAlias = Annotated[str, BeforeValidator(SESSION_NAME)]
+SessionName: TypeAlias = Annotated[str, SESSION_NAME]
 
 
 def part_name(what: str) -> Name:
@@ -256,25 +310,7 @@ def part_name(what: str) -> Name:
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
-    """One word of a fixed list; called with a value, it returns the word or refuses."""
-
-    words: tuple[str, ...]
-
-    @property
-    def json_schema(self) -> JsonSchema:
-        """One of the words."""
-        return {"type": "string", "enum": [*self.words]}
-
-    def __call__(self, value: object) -> object:
-        """The word."""
-        if isinstance(value, str) and value in self.words:
-            return value
-        raise refuse(show(value), one_of(self.words, value))
-
-
-@dataclass(frozen=True, slots=True)
-class Text:
+class Text(ValueCheck):
     """Text of any kind, whose meaning is checked with the whole session; ``expected`` is for the message."""
 
     expected: str
@@ -292,7 +328,7 @@ class Text:
 
 
 @dataclass(frozen=True, slots=True)
-class NamedParts:
+class NamedParts(ValueCheck):
     """A mapping from names to parts with ``least`` (0 or 1) to ``most`` entries."""
 
     name: Name
@@ -321,7 +357,7 @@ class NamedParts:
 
 
 @dataclass(frozen=True, slots=True)
-class Items:
+class Items(ValueCheck):
     """A list of a bounded length, handed on as a tuple; with ``item``, each entry is checked by it."""
 
     what: str
@@ -373,7 +409,7 @@ def each_named(check: Callable[[object], Any], values: Mapping[str, object]) -> 
 
 
 @dataclass(frozen=True, slots=True)
-class PerAxis:
+class PerAxis(Check):
     """One value for all axes, or a list with one for each; the result is a tuple of ``dof`` values."""
 
     check: ValueCheck
@@ -383,7 +419,7 @@ class PerAxis:
         """The value, or a list; a schema does not compare its length with ``dof``."""
         return either(self.check.json_schema, list_of(self.check.json_schema, MAX_DOF))
 
-    def __call__(self, value: object, info: ValidationInfo) -> object:
+    def in_part(self, value: object, info: ValidationInfo) -> Any:
         """The values, one for each axis."""
         dof = info.data.get("dof", 1)
         if not isinstance(value, list | tuple):
@@ -422,7 +458,7 @@ def _flag(value: object) -> bool:
     return value
 
 
-Flag: TypeAlias = Annotated[bool, BeforeValidator(_flag)]
+Flag: TypeAlias = Annotated[bool, Described(_flag, {"type": "boolean"})]
 """``true`` or ``false``; no number or text in their place."""
 
 
@@ -498,7 +534,7 @@ def ordered(low: float, high: float) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class UncertainQuantity:
+class UncertainQuantity(ValueCheck):
     """A quantity or an interval of it; called with a value, it returns a ``float`` or an interval, or refuses."""
 
     quantity: Quantity
@@ -527,9 +563,9 @@ def plain(value: float | Interval) -> float | dict[str, list[float]]:
 
 
 _AS_WRITTEN: Final = PlainSerializer(plain)
-UncertainMass: TypeAlias = Annotated[float | Interval, BeforeValidator(UncertainQuantity(MASS)), _AS_WRITTEN]
-UncertainDamping: TypeAlias = Annotated[float | Interval, BeforeValidator(UncertainQuantity(DAMPING)), _AS_WRITTEN]
-UncertainStiffness: TypeAlias = Annotated[float | Interval, BeforeValidator(UncertainQuantity(STIFFNESS)), _AS_WRITTEN]
+UncertainMass: TypeAlias = Annotated[float | Interval, UncertainQuantity(MASS), _AS_WRITTEN]
+UncertainDamping: TypeAlias = Annotated[float | Interval, UncertainQuantity(DAMPING), _AS_WRITTEN]
+UncertainStiffness: TypeAlias = Annotated[float | Interval, UncertainQuantity(STIFFNESS), _AS_WRITTEN]
 
 
 def require_spring_or_damper(stiffness: float | Interval, damping: float | Interval) -> None:
@@ -573,22 +609,22 @@ class PortLimits(SessionModel):
     """
 
     dof: SkipJsonSchema[Dof] = Field(alias=DEVICE_AXES, exclude=True, repr=False)
-    force: Annotated[tuple[float, ...], BeforeValidator(PerAxis(_FORCE))] = defaulted(
+    force: Annotated[tuple[float, ...], PerAxis(_FORCE)] = defaulted(
         DEFAULT_FORCE, "the greatest force in N that is applied, either way: a number, or one for each axis"
     )
-    displacement: Annotated[tuple[float, ...], BeforeValidator(PerAxis(_DISPLACEMENT))] = defaulted(
+    displacement: Annotated[tuple[float, ...], PerAxis(_DISPLACEMENT)] = defaulted(
         DEFAULT_DISPLACEMENT, "the greatest displacement in m from 0: a number, or one for each axis"
     )
-    speed: Annotated[tuple[float, ...], BeforeValidator(PerAxis(_SPEED))] = defaulted(
+    speed: Annotated[tuple[float, ...], PerAxis(_SPEED)] = defaulted(
         DEFAULT_SPEED, "the greatest speed in m/s: a number, or one for each axis"
     )
-    hand: Annotated[tuple[float, ...], BeforeValidator(PerAxis(_HAND))] = defaulted(
+    hand: Annotated[tuple[float, ...], PerAxis(_HAND)] = defaulted(
         HAND_FORCE, "the greatest force in N by which its hand speeds it up: a number, or one for each axis"
     )
-    power: Annotated[float, BeforeValidator(_power), WithJsonSchema(_POWER.json_schema)] = defaulted(
+    power: Annotated[float, Completed(_power, _POWER.json_schema)] = defaulted(
         None, "the power in W that it may put into the other users for as long as it likes"
     )
-    energy: Annotated[float, BeforeValidator(_energy), WithJsonSchema(_ENERGY.json_schema)] = defaulted(
+    energy: Annotated[float, Completed(_energy, _ENERGY.json_schema)] = defaulted(
         None, "the energy in J that it may put into the other users at once"
     )
 
@@ -654,6 +690,9 @@ def _translated(detail: ErrorDetails, model: type[SessionModel]) -> Iterator[Pro
             inner = _model_at(model, path)
             keys = f" with the keys {listed(keys_of(inner))}" if inner else ""
             yield Problem(path, show(detail["input"]), f"a mapping{keys}")
+        case "literal_error":
+            words = get_args(_type_at(model, path))
+            yield Problem(path, show(detail["input"]), one_of(words, detail["input"]))
         case _:
             yield Problem(path, show(detail["input"]), detail["msg"])
 
@@ -665,7 +704,13 @@ def keys_of(model: type[SessionModel]) -> dict[str, str]:
 
 
 def _model_at(model: type[SessionModel], path: KeyPath) -> type[SessionModel] | None:
-    """The model at a path below ``model``, found from the type annotations; None where there is none."""
+    """The model at a path below ``model``; None where there is none."""
+    found = _type_at(model, path)
+    return found if isinstance(found, type) and issubclass(found, SessionModel) else None
+
+
+def _type_at(model: type[SessionModel], path: KeyPath) -> Any:
+    """The type at a path below ``model``, found from the annotations; None where there is none."""
     current: Any = model
     for step in path:
         if isinstance(current, type) and issubclass(current, SessionModel):
@@ -674,7 +719,7 @@ def _model_at(model: type[SessionModel], path: KeyPath) -> type[SessionModel] | 
         else:
             current = next(iter(get_args(current)[-1:]), None) if get_origin(current) is dict else _item(current)
         current = _without_none(current)
-    return current if isinstance(current, type) and issubclass(current, SessionModel) else None
+    return current
 
 
 def _item(annotation: Any) -> Any:

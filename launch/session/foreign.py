@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from manyhands.launch.session.errors import one_of, show
-from manyhands.launch.session.fields import Described, Problem, refusal, refuse
+from manyhands.launch.session.fields import Described, Problem, ValueCheck, refusal, refuse
 from manyhands.launch.session.forms import JsonSchema, either
 from manyhands.launch.session.limits import MAX_FACTORY_NAME
 from manyhands.launch.session.yaml import KeyPath
@@ -45,7 +45,7 @@ def factory_of(value: object, group: str, words: tuple[str, ...] = ()) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Factory:
+class Factory(ValueCheck):
     """The check of a factory's name by :func:`factory_of`, with the same attributes."""
 
     group: str

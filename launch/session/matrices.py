@@ -12,7 +12,6 @@ from typing import Annotated, Final, Protocol, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BeforeValidator, WithJsonSchema
 
 from manyhands.design.errors import Infeasible
 from manyhands.design.models.statespace import StateSpace
@@ -24,8 +23,8 @@ from manyhands.launch.session.fields import (
     Quantity,
     Rows,
     SessionModel,
+    ValueCheck,
     each_named,
-    optional,
     refuse,
 )
 from manyhands.launch.session.forms import JsonSchema, either, mapping_of, one_key_of
@@ -44,10 +43,10 @@ def _rows(value: object) -> Rows:
     return rows
 
 
-MatrixRows: TypeAlias = Annotated[Rows, BeforeValidator(_rows), WithJsonSchema(_ROWS.json_schema)]
+MatrixRows: TypeAlias = Annotated[Rows, Described(_rows, _ROWS.json_schema)]
 """Any rectangular matrix, which may be empty."""
 
-OptionalRows: TypeAlias = Annotated[Rows | None, BeforeValidator(optional(Described(_rows, _ROWS.json_schema)))]
+OptionalRows: TypeAlias = Annotated[Rows | None, Described(_rows, _ROWS.json_schema)]
 """Any rectangular matrix, or None."""
 
 
@@ -153,7 +152,7 @@ class Rational(SessionModel):
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class Entry(ValueCheck):
     """One entry of a rational matrix: a number, or ``{num: [...], den: [...]}``.
 
     Attributes:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal, Self, TypeAlias
 
-from pydantic import BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
+from pydantic import ConfigDict, Field, ValidationInfo, model_validator
 
 from manyhands.design.models.contacts import AXES, GROUND, Point, Surface, coordinates
 from manyhands.design.models.declared import DeclaredScene
@@ -35,7 +35,7 @@ from manyhands.launch.session.fields import (
     DAMPING,
     MASS,
     STIFFNESS,
-    Choice,
+    Check,
     Described,
     Items,
     NamedParts,
@@ -45,7 +45,6 @@ from manyhands.launch.session.fields import (
     ValueCheck,
     defaulted,
     each,
-    optional,
     part_name,
     refuse,
     require_spring_or_damper,
@@ -81,8 +80,8 @@ _CONTACT_STIFFNESS: Final = Quantity("a stiffness", "N/m", least=0.0, most=STIFF
 _TANK: Final = Quantity("a tank", "J", least=0.0, most=MOST_DRIVE)
 FRICTION: Final = Quantity("a coefficient of friction", least=0.0, most=10.0)
 
-Place: TypeAlias = Annotated[tuple[float, float, float], BeforeValidator(_PLACE)]
-Radius: TypeAlias = Annotated[float, BeforeValidator(_RADIUS)]
+Place: TypeAlias = Annotated[tuple[float, float, float], _PLACE]
+Radius: TypeAlias = Annotated[float, _RADIUS]
 
 
 class SceneTool(SessionModel):
@@ -111,9 +110,6 @@ def _keys_by_shape(shapes: Collection[str], default: str = "", optional_keys: Co
     }
 
 
-_ENDS: Final = Described(lambda value: None if value is None else _two_places(value), list_of(_PLACE.json_schema, 2, 2))
-
-
 def _two_places(value: object) -> tuple[Point, Point]:
     if not isinstance(value, list | tuple) or len(value) != 2:
         raise refuse(show(value), "two places [[x, y, z], [x, y, z]]")
@@ -121,12 +117,13 @@ def _two_places(value: object) -> tuple[Point, Point]:
     return a, b
 
 
-_OptionalPlace: TypeAlias = Annotated[tuple[float, float, float] | None, BeforeValidator(optional(_PLACE))]
+_ENDS: Final = Described(_two_places, list_of(_PLACE.json_schema, 2, 2))
 
 
-_OptionalEnds: TypeAlias = Annotated[
-    tuple[tuple[float, float, float], tuple[float, float, float]] | None, BeforeValidator(_ENDS)
-]
+_OptionalPlace: TypeAlias = Annotated[tuple[float, float, float] | None, _PLACE]
+
+
+_OptionalEnds: TypeAlias = Annotated[tuple[tuple[float, float, float], tuple[float, float, float]] | None, _ENDS]
 
 
 class ShapedThing(SessionModel):
@@ -139,9 +136,7 @@ class ShapedThing(SessionModel):
     low: _OptionalPlace = defaulted(None, "the corner of a room or a box with the least coordinates, in m: [x, y, z]")
     high: _OptionalPlace = defaulted(None, "the corner with the greatest coordinates, in m: [x, y, z]")
     ends: _OptionalEnds = defaulted(None, "the two ends of a capsule's axis, in m: [[x, y, z], [x, y, z]]")
-    radius: Annotated[float | None, BeforeValidator(optional(_ROUND))] = defaulted(
-        None, "the radius of a sphere or a capsule in m"
-    )
+    radius: Annotated[float | None, _ROUND] = defaulted(None, "the radius of a sphere or a capsule in m")
 
     @model_validator(mode="after")
     def _of_its_shape(self) -> Self:
@@ -162,7 +157,7 @@ class ShapedThing(SessionModel):
 
 
 @dataclass(frozen=True, slots=True)
-class _Motion:
+class _Motion(Check):
     """The check of a driven body's motion: x, y and z, each a number, a formula in t or a trace."""
 
     _axis: ClassVar[Intents] = Intents(Quantity("a motion", "m"))
@@ -172,10 +167,8 @@ class _Motion:
         """A list of three."""
         return list_of(self._axis.of_axis(Path()).json_schema, 3, 3)
 
-    def __call__(self, value: object, info: ValidationInfo) -> object:
+    def in_part(self, value: object, info: ValidationInfo) -> Any:
         """The three motions; the files of traces are in the folder of the session file."""
-        if value is None:
-            return None
         if not isinstance(value, list | tuple) or len(value) != len(_XYZ):
             raise refuse(show(value), "a motion [x, y, z], each a number in m, a formula in t, or a trace")
         motions = each(self._axis.of_axis((info.context or {}).get("folder", Path())), value)
@@ -199,15 +192,15 @@ class SceneBody(ShapedThing):
     )
     _optional_keys = ("radius",)
 
-    mass: Annotated[float | None, BeforeValidator(optional(MASS))] = defaulted(None, "its mass in kg")
-    motion: Annotated[tuple[float | str | TraceData, ...] | None, BeforeValidator(_Motion())] = defaulted(
+    mass: Annotated[float | None, MASS] = defaulted(None, "its mass in kg")
+    motion: Annotated[tuple[float | str | TraceData, ...] | None, _Motion()] = defaulted(
         None, "its displacement in m, in place of a mass, where it is driven: [x, y, z]"
     )
-    shape: Annotated[Literal["sphere", "capsule", "box"], BeforeValidator(Choice(BODY_SHAPES))] = Field(
+    shape: Literal["sphere", "capsule", "box"] = Field(
         default="sphere", description="its shape: sphere, capsule or box"
     )
     at: _OptionalPlace = defaulted(None, "where a sphere's centre is at the start, in m: [x, y, z]")
-    radius: Annotated[float | None, BeforeValidator(optional(_RADIUS))] = defaulted(
+    radius: Annotated[float | None, _RADIUS] = defaulted(
         None, "the radius of a sphere or a capsule in m; a sphere without it is a point"
     )
 
@@ -238,10 +231,10 @@ class SceneObstacle(ShapedThing):
 
     model_config = ConfigDict(json_schema_extra=_keys_by_shape(SHAPES))
 
-    shape: Annotated[Literal["wall", "room", "box", "sphere", "capsule"], BeforeValidator(Choice(tuple(SHAPES)))] = (
-        Field(description="its shape: wall, room, box, sphere or capsule")
+    shape: Literal["wall", "room", "box", "sphere", "capsule"] = Field(
+        description="its shape: wall, room, box, sphere or capsule"
     )
-    normal: Annotated[tuple[float, float, float] | None, BeforeValidator(optional(_DIRECTION))] = defaulted(
+    normal: Annotated[tuple[float, float, float] | None, _DIRECTION] = defaulted(
         None, "the direction from a wall to the side where things are: [x, y, z]"
     )
 
@@ -261,15 +254,13 @@ class SceneObstacle(ShapedThing):
 class SceneContact(SessionModel):
     """How things touch; with the stiffness 0 they do not."""
 
-    stiffness: Annotated[float, BeforeValidator(_CONTACT_STIFFNESS)] = Field(
+    stiffness: Annotated[float, _CONTACT_STIFFNESS] = Field(
         default=2000.0, description="the contact's stiffness in N/m, at most 1e6"
     )
-    damping: Annotated[float, BeforeValidator(DAMPING)] = Field(
+    damping: Annotated[float, DAMPING] = Field(
         default=0.0, description="the damping of a contact along its normal in N·s/m"
     )
-    friction: Annotated[float, BeforeValidator(FRICTION)] = Field(
-        default=0.0, description="the coefficient of Coulomb friction"
-    )
+    friction: Annotated[float, FRICTION] = Field(default=0.0, description="the coefficient of Coulomb friction")
 
     @property
     def surface(self) -> Surface:
@@ -285,7 +276,7 @@ def _two_names(value: object) -> tuple[str, str]:
     return value[0], value[1]
 
 
-_BETWEEN: Final = BeforeValidator(Described(_two_names, list_of({"type": "string"}, 2, 2)))
+_BETWEEN: Final = Described(_two_names, list_of({"type": "string"}, 2, 2))
 
 
 class ScenePair(SceneContact):
@@ -304,8 +295,8 @@ class SceneSpring(SessionModel):
     between: Annotated[tuple[str, str], _BETWEEN] = Field(
         description=f"the two ends [a, b], each a tool, a body or {GROUND}"
     )
-    stiffness: Annotated[float, BeforeValidator(STIFFNESS)] = Field(default=0.0, description="the stiffness in N/m")
-    damping: Annotated[float, BeforeValidator(DAMPING)] = Field(default=0.0, description="the damping in N·s/m")
+    stiffness: Annotated[float, STIFFNESS] = Field(default=0.0, description="the stiffness in N/m")
+    damping: Annotated[float, DAMPING] = Field(default=0.0, description="the damping in N·s/m")
     rest: _OptionalPlace = defaulted(
         None, "a less b where the spring has no force, in m: [x, y, z]; as at the start without it"
     )
@@ -349,29 +340,27 @@ def tool_spheres(tools: Mapping[str, SceneTool], ports: tuple[str, ...]) -> tupl
 class SceneEnvironment(EnvironmentKind):
     """Tools, bodies and obstacles in space, with springs, gravity, contacts and friction."""
 
-    type: Annotated[Literal["scene"], BeforeValidator(Choice(("scene",)))] = Field(
-        description="the kind of environment: scene"
+    type: Literal["scene"] = Field(description="the kind of environment: scene")
+    tools: Annotated[dict[str, SceneTool], NamedParts(part_name("a device's name"), MOST_POINTS)] = Field(
+        description="the tool of each device, by the device's name"
     )
-    tools: Annotated[dict[str, SceneTool], BeforeValidator(NamedParts(part_name("a device's name"), MOST_POINTS))] = (
-        Field(description="the tool of each device, by the device's name")
+    bodies: Annotated[dict[str, SceneBody], NamedParts(part_name("a body's name"), MOST_POINTS, least=0)] = Field(
+        default={}, description="the bodies that move freely or are driven, by name"
     )
-    bodies: Annotated[
-        dict[str, SceneBody], BeforeValidator(NamedParts(part_name("a body's name"), MOST_POINTS, least=0))
-    ] = Field(default={}, description="the bodies that move freely or are driven, by name")
     obstacles: Annotated[
-        dict[str, SceneObstacle], BeforeValidator(NamedParts(part_name("an obstacle's name"), MOST_OBSTACLES, least=0))
+        dict[str, SceneObstacle], NamedParts(part_name("an obstacle's name"), MOST_OBSTACLES, least=0)
     ] = Field(default={}, description="the things that stand still, by name")
-    links: Annotated[tuple[SceneSpring, ...], BeforeValidator(Items("links", MAX_LINKS, least=0))] = Field(
+    links: Annotated[tuple[SceneSpring, ...], Items("links", MAX_LINKS, least=0)] = Field(
         default=(), description="the springs and dampers; things that one joins do not touch each other"
     )
     contact: SceneContact = Field(default=SceneContact(), description="how all things touch")
-    contacts: Annotated[tuple[ScenePair, ...], BeforeValidator(Items("contacts", MAX_LINKS, least=0))] = Field(
+    contacts: Annotated[tuple[ScenePair, ...], Items("contacts", MAX_LINKS, least=0)] = Field(
         default=(), description="how pairs of things touch that do not touch as all others do"
     )
-    gravity: Annotated[tuple[float, float, float], BeforeValidator(_ACCELERATION)] = Field(
+    gravity: Annotated[tuple[float, float, float], _ACCELERATION] = Field(
         default=(0.0, 0.0, 0.0), description="the acceleration of free bodies in m/s²: [x, y, z]"
     )
-    tank: Annotated[float, BeforeValidator(_TANK)] = Field(
+    tank: Annotated[float, _TANK] = Field(
         default=0.0, description="the energy in J that the driven bodies together may give out"
     )
     enforce: ClassVar[bool] = True

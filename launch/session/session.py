@@ -32,7 +32,6 @@ from pydantic import (
     Field,
     PlainSerializer,
     ValidationError,
-    WithJsonSchema,
     model_validator,
 )
 
@@ -43,7 +42,7 @@ from manyhands.launch.session.device import Device
 from manyhands.launch.session.environment import Environment, environment_of_its_type
 from manyhands.launch.session.errors import SessionError, listed, one_of, show
 from manyhands.launch.session.fields import (
-    Choice,
+    Described,
     Items,
     NamedParts,
     Period,
@@ -55,7 +54,6 @@ from manyhands.launch.session.fields import (
     Whole,
     first_error,
     nulls_in,
-    optional,
     part_name,
     problems_in,
     refusal,
@@ -113,12 +111,10 @@ class CouplingBlock(SessionModel):
 
     model_config = ConfigDict(json_schema_extra=one_key_of("devices", "ports"))
 
-    devices: Annotated[tuple[str, ...] | None, BeforeValidator(optional(_DEVICES))] = Field(
+    devices: Annotated[tuple[str, ...] | None, _DEVICES] = Field(
         default=None, description="the devices of which it couples every port"
     )
-    ports: Annotated[tuple[str, ...] | None, BeforeValidator(optional(_PORTS))] = Field(
-        default=None, description="the ports that it couples"
-    )
+    ports: Annotated[tuple[str, ...] | None, _PORTS] = Field(default=None, description="the ports that it couples")
     wave_link: WaveLink | None = Field(
         default=None, description="the wave link to the environment; without it the loop closes inside the tick"
     )
@@ -218,8 +214,6 @@ _RESTARTS: Final = Whole("restarts", 0, MAX_RESTARTS)
 _TANK: Final = Quantity("a tank", "J", least=0.0, most=LARGEST_TANK)
 _TANK_POWER: Final = Quantity("a power", "W", least=0.0, most=LARGEST_TANK_POWER)
 _WINDOW: Final = Quantity("a window", "s", above=0.0, most=LONGEST_WINDOW, smallest=MIN_POSITIVE)
-_BREACHES: Final = ("warn", "soften", "stop")
-_LATENESS: Final = ("enforce", "count")
 
 
 def _allowance(value: object) -> object:
@@ -245,21 +239,19 @@ _TANK_FORM: Final = either(
 class Faults(SessionModel):
     """What follows the death of a process, and the breach of an assumption of the certificate."""
 
-    restarts: Annotated[int, BeforeValidator(_RESTARTS)] = Field(
+    restarts: Annotated[int, _RESTARTS] = Field(
         default=DEFAULT_RESTARTS, description="how often a node that dies is started anew; 0 ends the session"
     )
-    window: Annotated[float, BeforeValidator(_WINDOW)] = Field(
+    window: Annotated[float, _WINDOW] = Field(
         default=DEFAULT_WINDOW, description="after how long a run, in s, a node's earlier deaths no longer count"
     )
-    breach: Annotated[Literal["warn", "soften", "stop"], BeforeValidator(Choice(_BREACHES))] = Field(
+    breach: Literal["warn", "soften", "stop"] = Field(
         default="soften", description="what follows a delay longer than the certificate's: warn, soften or stop"
     )
-    lateness: Annotated[Literal["enforce", "count"], BeforeValidator(Choice(_LATENESS))] = Field(
+    lateness: Literal["enforce", "count"] = Field(
         default="enforce", description="what bounds the energy of lateness at a device in wall time: enforce or count"
     )
-    tank: Annotated[
-        LatenessAllowance, BeforeValidator(_allowance), WithJsonSchema(_TANK_FORM), PlainSerializer(_plain_allowance)
-    ] = Field(
+    tank: Annotated[LatenessAllowance, Described(_allowance, _TANK_FORM), PlainSerializer(_plain_allowance)] = Field(
         default=LatenessAllowance(DEFAULT_TANK, DEFAULT_TANK_POWER),
         description="with lateness: enforce, what lateness may put in through each device: {energy, power} in J and W",
     )
@@ -282,7 +274,7 @@ _CHANNEL: Final = Text(f"{TELEMETRY}, or NODE/CHANNEL")
 class Observer(SessionModel):
     """A process that reads some channels of a session and takes no part in it."""
 
-    reads: Annotated[tuple[str, ...], BeforeValidator(Items("channels", MAX_READS, _CHANNEL))] = Field(
+    reads: Annotated[tuple[str, ...], Items("channels", MAX_READS, _CHANNEL)] = Field(
         description="what it may read: telemetry for that of all nodes, or single channels as NODE/CHANNEL"
     )
 
@@ -353,19 +345,19 @@ class Session(SessionModel):
     devices: Annotated[
         dict[str, Device],
         BeforeValidator(with_own_names),
-        BeforeValidator(NamedParts(part_name("a device name"), MAX_DEVICES)),
+        NamedParts(part_name("a device name"), MAX_DEVICES),
     ] = Field(description="the devices by name")
-    couplings: Annotated[
-        dict[str, CouplingBlock], BeforeValidator(NamedParts(part_name("a coupling name"), MAX_COUPLINGS))
-    ] = Field(description="the blocks of the virtual coupling V by name")
+    couplings: Annotated[dict[str, CouplingBlock], NamedParts(part_name("a coupling name"), MAX_COUPLINGS)] = Field(
+        description="the blocks of the virtual coupling V by name"
+    )
     environment: Annotated[Environment, BeforeValidator(environment_of_its_type)] = Field(
         description="the virtual environment"
     )
     design: Design = Field(description="what the coupling is, or how it is found")
-    observers: Annotated[
-        dict[str, Observer], BeforeValidator(NamedParts(part_name("an observer name"), MAX_OBSERVERS, least=0))
-    ] = Field(default={}, description="the observers by name, and the channels that each may read")
-    colocate: Annotated[bool | Literal["auto"], BeforeValidator(_colocate), WithJsonSchema(_COLOCATE_FORM)] = Field(
+    observers: Annotated[dict[str, Observer], NamedParts(part_name("an observer name"), MAX_OBSERVERS, least=0)] = (
+        Field(default={}, description="the observers by name, and the channels that each may read")
+    )
+    colocate: Annotated[bool | Literal["auto"], Described(_colocate, _COLOCATE_FORM)] = Field(
         default=AUTO, description="whether each coupling runs in its device's process; auto: as the machine needs it"
     )
     faults: Faults = Field(default=Faults(), description="what follows deaths of processes and breaches of delay")

@@ -14,11 +14,11 @@ from fractions import Fraction
 from typing import Annotated, Final, Self
 
 import numpy as np
-from pydantic import BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from manyhands.launch.session.design import OneOrMany, full_matrix, given_problems, one_or_many
 from manyhands.launch.session.errors import show
-from manyhands.launch.session.fields import PERIOD, Problem, Quantity, SessionModel, Whole, optional, refuse
+from manyhands.launch.session.fields import PERIOD, Problem, Quantity, SessionModel, Whole, refuse
 from manyhands.launch.session.forms import one_key_of
 from manyhands.launch.session.limits import (
     DEFAULT_WAVE_TANK,
@@ -52,24 +52,24 @@ class WaveLink(SessionModel):
         default=None,
         description="in place of mass, the wave impedance in N·s/m: a number, one for each port, or a matrix",
     )
-    round_trip: Annotated[float | None, BeforeValidator(optional(_ROUND_TRIP))] = Field(
+    round_trip: Annotated[float | None, _ROUND_TRIP] = Field(
         default=None, description="the round trip R to design for, play-out included, in s"
     )
-    tank: Annotated[float, BeforeValidator(_TANK)] = Field(
+    tank: Annotated[float, _TANK] = Field(
         default=DEFAULT_WAVE_TANK, description="the energy E_0 that each end may lend to the waves, in J"
     )
-    depth: Annotated[int | None, BeforeValidator(optional(Whole("ticks", 0, MAX_DEPTH_TICKS)))] = Field(
+    depth: Annotated[int | None, Whole("ticks", 0, MAX_DEPTH_TICKS)] = Field(
         default=None, description="the depth of the play-out in ticks; measured while joining if it is not given"
     )
-    interval: Annotated[float | None, BeforeValidator(optional(_INTERVAL))] = Field(
+    interval: Annotated[float | None, _INTERVAL] = Field(
         default=None,
         description="the time from one wave to the next in s, in whole ticks of each end; it lengthens the round trip. "
         "A wave in every tick if it is not given",
     )
-    period: Annotated[float | None, BeforeValidator(optional(PERIOD))] = Field(
+    period: Annotated[float | None, PERIOD] = Field(
         default=None, description="the length of a tick at the user's site in s"
     )
-    tau: Annotated[float | None, BeforeValidator(optional(_DELAY))] = Field(
+    tau: Annotated[float | None, _DELAY] = Field(
         default=None, description="the delay inside a tick of the user's site that its certificate is to allow, in s"
     )
     harvest: Annotated[OneOrMany, one_or_many(_HARVEST)] = Field(

@@ -2,8 +2,8 @@
 
 The exit codes are 0 done, 1 a process failed, 2 usage error or bad input, 3 not certified, 130 Ctrl-C. Results go to
 standard output and everything else to standard error, so that ``--json`` can be piped. Each module holds one group of
-commands. It is imported when one of them runs, and a command imports what it needs when it runs: ``--help`` needs none
-of it.
+commands, and is imported when one of them runs: ``--help`` needs none. What needs an extra, or takes a while, a command
+imports when it runs.
 """
 
 from __future__ import annotations

@@ -4,17 +4,28 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from pydantic_core import PydanticCustomError
 
 from manyhands.launch.app.cli.common import Json, end, err, errors, out, refuse
+from manyhands.launch.conformance.driver import Bench, Push, checked_apart, clock_for
+from manyhands.launch.conformance.driver import check_driver as try_driver
+from manyhands.launch.conformance.judgement import Judgement, broken, print_judgements
+from manyhands.launch.conformance.model import check_model as try_model
 from manyhands.launch.files import EXIT_FAILED, EXIT_OK
 from manyhands.launch.look.display import say
+from manyhands.launch.output import print_json
+from manyhands.launch.session.fields import problems_of
+from manyhands.launch.session.foreign import factory_of, plain_parameters
+from manyhands.launch.session.limits import MAX_DOF, MAX_STIFFNESS
+from manyhands.launch.session.yaml import parse_tree
+from manyhands.nodes.device.plugin import PluginDriver, made_driver
+from manyhands.nodes.device.specification import AxisMap, DeviceSpecification
+from manyhands.nodes.environment.model import PROXY, REACT, make_model
 from manyhands.nodes.kernel.factory import DRIVERS, ENGINES, MODELS, FactoryError, FactoryName, published
-
-if TYPE_CHECKING:
-    from manyhands.nodes.device.specification import DeviceSpecification
+from manyhands.protocol.clock import RealtimeClock
 
 commands = typer.Typer()
 
@@ -55,14 +66,6 @@ def check_driver(
     something is.
     """
     with errors():
-        from manyhands.launch.conformance.driver import Bench, Push, checked_apart, clock_for
-        from manyhands.launch.conformance.driver import check_driver as tried
-        from manyhands.launch.conformance.judgement import broken, print_judgements
-        from manyhands.launch.output import print_json
-        from manyhands.nodes.device.plugin import PluginDriver, made_driver
-        from manyhands.nodes.device.specification import AxisMap
-        from manyhands.protocol.clock import RealtimeClock
-
         for option, value, most in (("--force", force, 1000.0), ("--travel", travel, 1.0), ("--period", period, 0.1)):
             if not 0.0 < value <= most:
                 refuse(f"{option}: found {value:g}; expected a number greater than 0 and at most {most:g}")
@@ -85,14 +88,8 @@ def check_driver(
         plugin = PluginDriver(name.factory, made, own, stated, period)
         bench = Bench(plugin, period, clock_for(stated, RealtimeClock()))
         pushes = Push(force, travel) if push else None
-        found = checked_apart(bench, lambda: list(tried(bench, stated, pushes)))
-        if as_json:
-            print_json({"driver": name.factory, "findings": [finding.as_plain() for finding in found]})
-        else:
-            print_judgements(out, found)
-            if not broken(found):
-                say(out, f"for the session file: {_keys(stated)}")
-        end(EXIT_FAILED if broken(found) else EXIT_OK)
+        found = checked_apart(bench, lambda: list(try_driver(bench, stated, pushes)))
+        _end(found, {"driver": name.factory}, as_json, f"for the session file: {_keys(stated)}")
 
 
 @commands.command(name="check-model", epilog="Example: manyhands check-model my_world:make --ports 2 --level 0.2")
@@ -123,12 +120,6 @@ def check_model(
     nothing is broken. 1: something is.
     """
     with errors():
-        from manyhands.launch.conformance.judgement import broken, print_judgements
-        from manyhands.launch.conformance.model import check_model as tried
-        from manyhands.launch.output import print_json
-        from manyhands.launch.session.limits import MAX_STIFFNESS
-        from manyhands.nodes.environment.model import PROXY, REACT, make_model
-
         for option, value, most in (("--reach", reach, 10.0), ("--period", period, 0.1)):
             if not 0.0 < value <= most:
                 refuse(f"{option}: found {value:g}; expected a number greater than 0 and at most {most:g}")
@@ -138,7 +129,7 @@ def check_model(
             refuse(f"--stiffness: found {stiffness:g}; expected a number greater than 0 and at most {MAX_STIFFNESS:g}")
         method = REACT if stiffness is None else PROXY
         found = list(
-            tried(
+            try_model(
                 name.factory,
                 lambda: make_model(name, names, period, method),
                 names,
@@ -148,16 +139,21 @@ def check_model(
                 stiffness=stiffness,
             )
         )
-        if as_json:
-            print_json({"model": name.factory, "findings": [finding.as_plain() for finding in found]})
-        else:
-            print_judgements(out, found)
-        end(EXIT_FAILED if broken(found) else EXIT_OK)
+        _end(found, {"model": name.factory}, as_json)
+
+
+def _end(found: list[Judgement], what: dict[str, str], as_json: bool, advice: str = "") -> None:
+    """Print what was found, and ``advice`` where nothing is broken, and end the command."""
+    if as_json:
+        print_json({**what, "findings": [finding.as_plain() for finding in found]})
+    else:
+        print_judgements(out, found)
+        if advice and not broken(found):
+            say(out, advice)
+    end(EXIT_FAILED if broken(found) else EXIT_OK)
 
 
 def _ports(name: str, number: int) -> tuple[str, ...]:
-    from manyhands.launch.session.limits import MAX_DOF
-
     if not 1 <= number <= MAX_DOF:
         refuse(f"found {number} axes or ports; expected 1 to {MAX_DOF}")
     return (name,) if number == 1 else tuple(f"{name}.{axis}" for axis in range(number))
@@ -165,12 +161,6 @@ def _ports(name: str, number: int) -> tuple[str, ...]:
 
 def _factory(name: str, group: str, parameters: str) -> FactoryName:
     """The factory that the user names; its module is looked for in the current folder as well."""
-    from pydantic_core import PydanticCustomError
-
-    from manyhands.launch.session.fields import problems_of
-    from manyhands.launch.session.foreign import factory_of, plain_parameters
-    from manyhands.launch.session.yaml import parse_tree
-
     place = "--parameters"
     try:
         given = plain_parameters(parse_tree(f"parameters: {parameters}", place).data["parameters"])

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from manyhands.design.certificate import read_plain
+from manyhands.design.world import is_world
 from manyhands.extras import require
 from manyhands.launch.app.cli.common import (
     Json,
@@ -22,10 +24,14 @@ from manyhands.launch.app.cli.common import (
     session_files,
     session_keys,
 )
+from manyhands.launch.app.design_report import run_budget, run_verify
+from manyhands.launch.app.parts_report import require_parts, run_design, run_verify_world
 from manyhands.launch.files import EXIT_FAILED, require_target
-from manyhands.launch.look.display import say
+from manyhands.launch.look.display import progress_bar, say
+from manyhands.launch.recordings.recording import require_suffix
 from manyhands.launch.run.options import StartOptions
 from manyhands.launch.session.shipped import load_named
+from manyhands.launch.session.yaml import read_choices
 from manyhands.nodes.kernel.bundle import SIMULATED
 
 commands = typer.Typer()
@@ -58,7 +64,6 @@ def design(
     Ctrl-C ends a long search and keeps the best coupling so far, proved like any other (exit code 130).
     """
     with errors("design"):
-        from manyhands.launch.app.parts_report import require_parts, run_design
         from manyhands.launch.app.start import SettledForm, settle_delay
 
         if pictures is not None:
@@ -95,11 +100,6 @@ def verify_command(
     --session, the world and each of them is compared with its part of the session.
     """
     with errors("design"):
-        from manyhands.design.certificate import read_plain
-        from manyhands.design.world import is_world
-        from manyhands.launch.app.design_report import run_verify
-        from manyhands.launch.app.parts_report import run_verify_world
-
         loaded = None if session is None else load_named(session, [])
         data = read_plain(certificate)
         if is_world(data):
@@ -128,7 +128,6 @@ def budget(
     """
     with errors("design"):
         from manyhands.launch.app.budget import require_picture
-        from manyhands.launch.app.design_report import run_budget
         from manyhands.launch.app.start import SettledForm, settle_delay
 
         loaded = load_named(session, overrides)
@@ -166,23 +165,18 @@ def sweep(
     What cannot be certified is a result, too. A sweep that was ended goes on where it was, by the same command.
     """
     with errors("design"):
-        from rich.progress import Progress
-
         from manyhands.launch.app.sweep import sweep as run_sweep
-        from manyhands.launch.recordings.recording import require_suffix
-        from manyhands.launch.session.yaml import read_choices
 
         loaded = load_named(session, overrides)
         choices = dict(read_choices(one) for one in vary)
         require_suffix(output, (".csv",))
-        with Progress(console=err, transient=True, disable=not err.is_terminal) as bar:
-            task = bar.add_task("designing", total=None)
+        with progress_bar(err, "designing", total=None) as tell:
             found = run_sweep(
                 loaded,
                 choices,
                 workers=workers,
                 journal=output.with_name(f"{output.name}.journal"),
-                progress=lambda done, every: bar.update(task, completed=done, total=every),
+                progress=lambda done, every: tell(done, total=every),
             )
         found.save(output)
         say(err, f"{len(found)} designs written to {output}")

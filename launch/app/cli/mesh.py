@@ -7,7 +7,10 @@ from typing import Annotated, Final
 
 import typer
 
+from manyhands.design.files import replacing
+from manyhands.design.models.triangle_mesh import MeshError
 from manyhands.launch.app.cli.common import err, errors, one_word_of, refuse
+from manyhands.launch.files import require_target
 from manyhands.launch.look.display import say
 
 commands = typer.Typer()
@@ -45,10 +48,7 @@ def mesh(
     The grid has all that a session needs, and is part of every recording. An edge is rounded by about a cell.
     """
     with errors("mesh"):
-        from manyhands.design.files import replacing
-        from manyhands.design.models.triangle_mesh import MeshError
         from manyhands.launch.app.mesh import made_grid, read_mesh
-        from manyhands.launch.files import require_target
 
         if unit not in UNITS:
             refuse(f"--unit: found {unit!r}; expected one of {', '.join(UNITS)}")

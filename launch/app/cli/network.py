@@ -34,13 +34,26 @@ from manyhands.launch.app.cli.common import (
     ticks_of,
 )
 from manyhands.launch.app.design_report import print_report
+from manyhands.launch.app.keys import run_keys
+from manyhands.launch.files import require_target
 from manyhands.launch.look.display import say
+from manyhands.launch.look.graph import FORMATS, format_of, show, show_access
+from manyhands.launch.look.graph.parts import drawing_of_scene, drawing_of_session
+from manyhands.launch.look.sessions import find_session
+from manyhands.launch.look.tables import look_at
 from manyhands.launch.output import pipe_may_close
+from manyhands.launch.plan.bundles import invite as cut_bundle
+from manyhands.launch.plan.bundles import require_member
+from manyhands.launch.plan.keys import load_folder, make_keys
+from manyhands.launch.plan.plan import Plan
+from manyhands.launch.plan.reach import Listen
 from manyhands.launch.recordings.recording import STREAMED
+from manyhands.launch.run.options import Hosting, StartOptions
 from manyhands.launch.session import Session
 from manyhands.launch.session.shipped import load_named
 from manyhands.nodes.guest.invitation import is_guest_address
 from manyhands.nodes.kernel.bundle import CLOCKS, REALTIME
+from manyhands.protocol.clock import RealtimeClock
 
 commands = typer.Typer()
 
@@ -90,13 +103,6 @@ def graph(
 ) -> None:
     """Show a session's processes and links, or their access rights; for a running session, the state of each."""
     with errors():
-        from manyhands.launch.files import require_target
-        from manyhands.launch.look.graph import FORMATS, format_of, show_scene, show_session
-        from manyhands.launch.look.sessions import find_session
-        from manyhands.launch.look.tables import look_at
-        from manyhands.launch.plan.plan import Plan
-        from manyhands.protocol.clock import RealtimeClock
-
         if (session is None) is (running is None):
             refuse("found neither SESSION nor --running NAME, or both; expected a file, or the name of a running one")
         if form is not None:
@@ -112,16 +118,17 @@ def graph(
         shape = format_of(form, output, as_json)
         if access and shape not in ("text", "json"):
             refuse(f"--access: found {output}; expected .txt or .json")
-        if session is not None:
-            code = show_session(Plan(load_named(session, overrides)), out, shape, output, access)
+        if session is not None and access:
+            show_access(Plan(load_named(session, overrides)), out, shape, output)
+        elif session is not None:
+            show(drawing_of_session(Plan(load_named(session, overrides))), out, shape, output)
         else:
             scenes = look_at([find_session(running)], RealtimeClock())
             if not scenes:
                 refuse(f"--running: found that {running} cannot be looked at; expected one that runs")
-            code = show_scene(scenes[0], out, shape, output)
+            show(drawing_of_scene(scenes[0]), out, shape, output)
         if output is not None:
             say(err, f"written to {output}")
-        end(code)
 
 
 @commands.command(epilog="Example: manyhands invite example1.yaml dx --keys keys --certificate c.json -o dx.bundle")
@@ -163,12 +170,8 @@ def invite(
     A bundle holds its node's own part of the session, and no other. Keys that exist are kept.
     """
     with errors():
-        from manyhands.launch.app.keys import run_keys
         from manyhands.launch.app.start import SettledDelay, prepare_settled
         from manyhands.launch.doctor.colocation import Where, settle_colocation
-        from manyhands.launch.plan.bundles import invite as cut_bundle
-        from manyhands.launch.plan.keys import load_folder, make_keys
-        from manyhands.launch.run.options import StartOptions
 
         wanted = nodes or []
         require_one_of("--clock", clock, CLOCKS)
@@ -205,8 +208,6 @@ def invite(
 
 def bundle_files_of(session: Session, nodes: Sequence[str], output: Path | None) -> dict[str, Path]:
     """Where the bundle of each node goes."""
-    from manyhands.launch.plan.bundles import require_member
-
     for node in nodes:
         require_member(session, node)
     if len(set(nodes)) < len(nodes):
@@ -283,8 +284,6 @@ def host(
     """
     with errors("design"):
         from manyhands.launch.app.start import start
-        from manyhands.launch.plan.reach import Listen
-        from manyhands.launch.run.options import Hosting, StartOptions
 
         loaded = load_named(session, overrides)
         ticks = 0 if duration is None else ticks_of(loaded, duration)

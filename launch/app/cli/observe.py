@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
+import time
+import webbrowser
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -11,8 +16,22 @@ import typer
 
 from manyhands.launch.app.cli.common import Json, RunningName, end, err, errors, out, refuse, topic_names
 from manyhands.launch.look.display import say
-from manyhands.launch.look.topics import DEFAULT_WINDOW
-from manyhands.launch.output import pipe_may_close
+from manyhands.launch.look.page.security import Token, is_loopback, new_token, read_token
+from manyhands.launch.look.sessions import Running, find_session, running_sessions, visiting
+from manyhands.launch.look.tables import (
+    look_at,
+    picture,
+    print_sessions,
+    quit_key,
+    session_object,
+    show_live,
+    show_repeatedly,
+    top_object,
+)
+from manyhands.launch.look.topics import DEFAULT_WINDOW, EchoLines, Pacing, find_topic, sentence, session_of
+from manyhands.launch.output import pipe_may_close, print_json
+from manyhands.nodes.monitor.session_state import Scene
+from manyhands.protocol.clock import Instant, RealtimeClock, from_seconds
 
 commands = typer.Typer()
 
@@ -38,10 +57,6 @@ def echo(
 ) -> None:
     """Print each value of a running session's topic as a line of JSON, in the form that recordings use."""
     with errors(), pipe_may_close():
-        from manyhands.launch.look.sessions import find_session, visiting
-        from manyhands.launch.look.topics import EchoLines, find_topic, session_of
-        from manyhands.protocol.clock import RealtimeClock
-
         running = find_session(session or session_of(topic))
         named = find_topic(running.about, topic)
         lines = EchoLines(named, running.about.period_of(named.node), count, every)
@@ -68,11 +83,6 @@ def hz(
 ) -> None:
     """Measure the rate and regularity of a running session's topic: one line each second, and one at the end."""
     with errors(), pipe_may_close():
-        from manyhands.launch.look.sessions import find_session, visiting
-        from manyhands.launch.look.topics import Pacing, find_topic, sentence, session_of
-        from manyhands.launch.output import print_json
-        from manyhands.protocol.clock import Instant, RealtimeClock, from_seconds
-
         if duration is not None and not 0.0 < duration <= 1e9:
             refuse(f"--duration: found {duration:g} s; expected more than 0 and at most 1e9 s")
         running = find_session(session or session_of(topic))
@@ -107,20 +117,11 @@ def top(
 ) -> None:
     """Watch the nodes of a running session: on a terminal a live table, until q or Ctrl-C; else a table every 2 s."""
     with errors(), pipe_may_close():
-        import json
-
         if all_:
             if session is not None:
                 refuse(f"found --all and --running {session}; expected one of them")
             _show_all(as_json)
             return
-
-        from manyhands.launch.look.sessions import find_session, visiting
-        from manyhands.launch.look.tables import look_at, picture, quit_key, show_live, show_repeatedly, top_object
-        from manyhands.launch.output import print_json
-        from manyhands.nodes.monitor.session_state import Scene
-        from manyhands.protocol.clock import RealtimeClock
-
         running = find_session(session)
         clock = RealtimeClock()
         if once:
@@ -148,13 +149,6 @@ def top(
 
 
 def _show_all(as_json: bool) -> None:
-    import time
-
-    from manyhands.launch.look.sessions import running_sessions
-    from manyhands.launch.look.tables import look_at, print_sessions, session_object
-    from manyhands.launch.output import print_json
-    from manyhands.protocol.clock import RealtimeClock
-
     scenes = look_at(running_sessions(), RealtimeClock())
     if not scenes:
         say(err, "no session is running; start one with: manyhands launch SESSION")
@@ -164,6 +158,27 @@ def _show_all(as_json: bool) -> None:
         print_sessions(out, scenes, time.time())
 
 
+Port = Annotated[
+    int | None,
+    typer.Option(
+        "--port",
+        metavar="PORT",
+        min=0,
+        max=65535,
+        help="The port to listen at, 0 for any free one; by default that, with --foxglove 8765. With --ros: listen "
+        "there for nodes of ROS 2, without a router.",
+    ),
+]
+TokenFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--token-file",
+        metavar="FILE",
+        help="Require the token in this file (yours, mode 0600); by default, where one is needed, it is random.",
+    ),
+]
+
+
 @commands.command(epilog="Example: manyhands view --running example-1 --open")
 def view(
     session: RunningName = None,
@@ -171,25 +186,8 @@ def view(
         str,
         typer.Option("--host", metavar="HOST", help="The address to listen at; other than loopback needs a token."),
     ] = "127.0.0.1",
-    port: Annotated[
-        int | None,
-        typer.Option(
-            "--port",
-            metavar="PORT",
-            min=0,
-            max=65535,
-            help="The port to listen at, 0 for any free one; by default that, with --foxglove 8765. With --ros: listen "
-            "there for nodes of ROS 2, without a router.",
-        ),
-    ] = None,
-    token_file: Annotated[
-        Path | None,
-        typer.Option(
-            "--token-file",
-            metavar="FILE",
-            help="Require the token in this file (yours, mode 0600); by default, where one is needed, it is random.",
-        ),
-    ] = None,
+    port: Port = None,
+    token_file: TokenFile = None,
     open_: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in this machine's browser.")] = False,
     foxglove: Annotated[
         bool, typer.Option("--foxglove", help="Serve Foxglove's live connection instead of the page.")
@@ -245,45 +243,44 @@ def view(
             if given:
                 refuse(f"{option}: found it with --ros; expected one of them")
         _view_in_ros(session, host, port, router, every, servo)
-        return
-    with errors("view", *(["foxglove"] if foxglove else [])):
-        from manyhands.launch.look.page.security import is_loopback, new_token, read_token
-        from manyhands.launch.look.sessions import find_session
+    elif foxglove:
+        _view_in_foxglove(session, host, port, token_file, open_, every, layout)
+    else:
+        _view_page(session, host, port, token_file, open_)
 
-        if foxglove and open_ and (token_file is not None or not is_loopback(host)):
-            refuse("--open: found it with --foxglove and a token, which would go to foxglove.dev; expected one of them")
-        token = None if token_file is None else read_token(token_file)
-        running = find_session(session)
-        name = running.about.session
-        say(err, f"{name}: starting {'the live connection' if foxglove else 'its page'}")  # the libraries take a while
 
-        from manyhands.launch.bridges.foxglove import PORT, application_address, serve_foxglove
-        from manyhands.launch.bridges.layouts import live_topics, save_layout
-        from manyhands.launch.look.page.feed import EVERY
+def _begin(session: str | None, host: str, token_file: Path | None, page: bool) -> tuple[Running, Token | None]:
+    """The session that is served, and the token that is needed for it; None where the address is enough."""
+    token = None if token_file is None else read_token(token_file)
+    running = find_session(session)
+    served = "its page" if page else "the live connection"
+    say(err, f"{running.about.session}: starting {served}")  # the libraries take a while
+    if not is_loopback(host):
+        token = token or new_token()
+        say(
+            err,
+            f"warning: {'the page' if page else 'this'} is served without encryption: anybody on the network path can "
+            f"read the token and {'hold devices' if page else 'the session'}; over networks that are not yours, listen "
+            "on loopback and use ssh -L",
+        )
+    return running, token
+
+
+@contextmanager
+def _counting() -> Iterator[Counter[str]]:
+    """Yields a counter of refusals; they are said at the end, also on Ctrl-C, which ends a server."""
+    refused: Counter[str] = Counter()
+    try:
+        yield refused
+    finally:
+        if refused:
+            say(err, "refused: " + ", ".join(f"{kind} {count}" for kind, count in sorted(refused.items())))
+
+
+def _view_page(session: str | None, host: str, port: int | None, token_file: Path | None, open_: bool) -> None:
+    with errors("view"), _counting() as refused:
+        running, token = _begin(session, host, token_file, page=True)
         from manyhands.launch.look.page.server import serve
-        from manyhands.nodes.recorder.format import recorded_of
-
-        if not is_loopback(host):
-            token = token or new_token()
-            say(
-                err,
-                f"warning: {'this' if foxglove else 'the page'} is served without encryption: anybody on the network "
-                f"path can read the token and {'the session' if foxglove else 'hold devices'}; over networks that are "
-                "not yours, listen on loopback and use ssh -L",
-            )
-
-        def connectable(address: str) -> None:
-            if layout is not None:
-                save_layout(layout, recorded_of(running.about), live_topics(running.about))
-                say(err, f"layout: {layout}")
-            say(err, f"foxglove: {address}{'' if token is None or token_file else f'?token={token.reveal()}'}")
-            if token_file is not None:
-                say(err, f"connect to it with ?token= and the token in {token_file} at its end")
-            say(err, f"{name}: waiting for Foxglove to connect to this address; Ctrl-C ends")
-            if open_:
-                import webbrowser
-
-                webbrowser.open(application_address(address))
 
         def ready(address: str) -> None:
             if token_file is None:
@@ -291,32 +288,51 @@ def view(
             else:  # the token's owner has it already
                 say(err, f"page: {address.partition('#')[0]}")
                 say(err, f"open it with #token= and the token in {token_file} at its end")
-            say(err, f"{name}: waiting for a browser to open this address; Ctrl-C ends")
+            say(err, f"{running.about.session}: waiting for a browser to open this address; Ctrl-C ends")
             if open_:
-                import webbrowser
-
                 webbrowser.open(address)
 
-        refused: Counter[str] = Counter()
-        try:
-            if foxglove:
-                serve_foxglove(
-                    running, host, PORT if port is None else port, token, every or EVERY, connectable, refused
-                )
-            else:
-                serve(running, host, port or 0, token, ready, refused)
-        finally:  # Ctrl-C ends the server
-            _say_refused(refused)
+        serve(running, host, port or 0, token, ready, refused)
+
+
+def _view_in_foxglove(
+    session: str | None,
+    host: str,
+    port: int | None,
+    token_file: Path | None,
+    open_: bool,
+    every: int | None,
+    layout: Path | None,
+) -> None:
+    with errors("view", "foxglove"), _counting() as refused:
+        if open_ and (token_file is not None or not is_loopback(host)):
+            refuse("--open: found it with --foxglove and a token, which would go to foxglove.dev; expected one of them")
+        running, token = _begin(session, host, token_file, page=False)
+        from manyhands.launch.bridges.foxglove import PORT, application_address, serve_foxglove
+        from manyhands.launch.bridges.layouts import live_topics, save_layout
+        from manyhands.launch.look.page.feed import EVERY
+        from manyhands.nodes.recorder.format import recorded_of
+
+        def ready(address: str) -> None:
+            if layout is not None:
+                save_layout(layout, recorded_of(running.about), live_topics(running.about))
+                say(err, f"layout: {layout}")
+            say(err, f"foxglove: {address}{'' if token is None or token_file else f'?token={token.reveal()}'}")
+            if token_file is not None:
+                say(err, f"connect to it with ?token= and the token in {token_file} at its end")
+            say(err, f"{running.about.session}: waiting for Foxglove to connect to this address; Ctrl-C ends")
+            if open_:
+                webbrowser.open(application_address(address))
+
+        serve_foxglove(running, host, PORT if port is None else port, token, every or EVERY, ready, refused)
 
 
 def _view_in_ros(
     session: str | None, host: str, port: int | None, router: str | None, every: int | None, servo: bool
 ) -> None:
-    with errors("ros"):
+    with errors("ros"), _counting() as refused:
         from manyhands.launch.bridges.ros import ROUTER, ZenohAccess, domain_of, holdable, serve_ros
         from manyhands.launch.look.page.feed import EVERY
-        from manyhands.launch.look.page.security import is_loopback
-        from manyhands.launch.look.sessions import find_session
 
         if port is not None and router is not None:
             refuse("--port: found it with --router; expected one of them: with --port, nodes connect to this program")
@@ -353,13 +369,4 @@ def _view_in_ros(
             where = f"listening at {access.address}" if access.listens else f"by the router {access.address}"
             say(err, f"ros: {topics} topics of {running.about.session} in domain {domain}, {where}")
 
-        refused: Counter[str] = Counter()
-        try:
-            serve_ros(running, access, domain, every or EVERY, servo, ready, refused)
-        finally:  # Ctrl-C ends it
-            _say_refused(refused)
-
-
-def _say_refused(refused: Counter[str]) -> None:
-    if refused:
-        say(err, "refused: " + ", ".join(f"{kind} {count}" for kind, count in sorted(refused.items())))
+        serve_ros(running, access, domain, every or EVERY, servo, ready, refused)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.table import Table
+from rich.text import Text
 
+import manyhands
 from manyhands.launch.app.cli.common import (
     Json,
     RunningName,
@@ -22,18 +23,29 @@ from manyhands.launch.app.cli.common import (
     refuse,
     require_one_of,
 )
+from manyhands.launch.app.design_report import progress_on
+from manyhands.launch.app.risks import warn_of_code
+from manyhands.launch.audit.prepared import prepared_of
+from manyhands.launch.bridges.layouts import save_layout
+from manyhands.launch.bridges.rosbag import ROSBAG, save_bag
 from manyhands.launch.files import EXIT_FAILED, EXIT_OK, claimed, require_target
-from manyhands.launch.look.display import printable, say, status
+from manyhands.launch.look.display import printable, progress_bar, say, status
+from manyhands.launch.look.sessions import find_session, session_in
+from manyhands.launch.output import print_json
 from manyhands.launch.recordings.recording import STREAMED, require_format, require_suffix
+from manyhands.launch.recordings.run import FORMATS, RecordedRun, chosen, missing_sentence, read_run
+from manyhands.launch.recordings.run import export as write
+from manyhands.launch.run.outcome import joules
+from manyhands.launch.run.processes import Interrupt
 from manyhands.protocol.channels import TOPICS
+from manyhands.protocol.clock import RealtimeClock
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from manyhands.launch.look.attached import AttachedCore, AttachedRecording
     from manyhands.launch.recordings.info import Info
     from manyhands.launch.recordings.integrity import Damage
-    from manyhands.launch.recordings.run import RecordedRun
 
 
 commands = typer.Typer()
@@ -41,16 +53,6 @@ commands = typer.Typer()
 RecordingPath = Annotated[Path, typer.Argument(metavar="FILE", help=f"A recording ({STREAMED}).")]
 
 _GAPS_SHOWN = 5
-
-
-@contextmanager
-def _bar(text: str) -> Iterator[Callable[[float], None]]:
-    """Show a progress bar on a terminal; yields a function that takes the part that is done, from 0 to 1."""
-    from rich.progress import Progress
-
-    with Progress(console=err, transient=True, disable=not err.is_terminal) as bar:
-        task = bar.add_task(text, total=1.0)
-        yield lambda part: bar.update(task, completed=part)
 
 
 @commands.command(epilog="Example: manyhands record -o run.mcap --duration 10")
@@ -70,9 +72,6 @@ def record(
     """Record a running session from now until its end, --duration or Ctrl-C."""
     with errors("record"):
         from manyhands.launch.look.attached import record_attached
-        from manyhands.launch.look.sessions import find_session, session_in
-        from manyhands.launch.run.processes import Interrupt
-        from manyhands.protocol.clock import RealtimeClock
 
         require_suffix(output, (STREAMED,))
         if duration is not None and not 0.0 < duration <= 1e9:
@@ -122,7 +121,7 @@ def info(
         from manyhands.launch.recordings.info import read_info
         from manyhands.launch.recordings.integrity import findings
 
-        with _bar("reading") as progress:
+        with progress_bar(err, "reading") as progress:
             found = read_info(file, lambda part: progress(part / 2))
             damages = findings(file, lambda part: progress((1 + part) / 2))
         if as_json:
@@ -134,11 +133,6 @@ def info(
 
 
 def _print(found: Info, damages: list[Damage]) -> None:
-    from rich.table import Table
-    from rich.text import Text
-
-    from manyhands.launch.run.outcome import joules
-
     recorded = found.recorded
     say(out, f"session {recorded.session}, certificate {recorded.certificate}, manyhands {recorded.version}")
     begin = f", from tick {found.first}" if found.first else ""
@@ -210,13 +204,8 @@ def export(
     Where a node has a period of its own, each row has the newest of its ticks.
     """
     with errors("record"):
-        from manyhands.launch.bridges.layouts import save_layout
-        from manyhands.launch.bridges.rosbag import ROSBAG, save_bag
-        from manyhands.launch.recordings.run import FORMATS, chosen, missing_sentence, read_run
-        from manyhands.launch.recordings.run import export as write
-
         if layout is not None:
-            with _bar("reading") as progress:
+            with progress_bar(err, "reading") as progress:
                 run = read_run(file, progress)
             save_layout(layout, run.recorded, run.topics)
             say(err, f"layout written to {layout}")
@@ -228,7 +217,7 @@ def export(
         require_format(target, (f".{format_}",))
         if format_ != ROSBAG:
             require_target(target)
-        with _bar("exporting") as progress:
+        with progress_bar(err, "exporting") as progress:
             run = read_run(file, lambda part: progress(part / 2))
             patterns = [pattern for given in topics for pattern in given.split(",")]
             if format_ == ROSBAG:
@@ -270,15 +259,9 @@ def replay(
     number differs or is missing, or the file is damaged.
     """
     with errors("record", "design"):
-        from rich.progress import Progress
-
         from manyhands.launch.app.audit_report import print_damage, print_replayed
-        from manyhands.launch.app.design_report import progress_on
-        from manyhands.launch.app.risks import warn_of_code
-        from manyhands.launch.audit.prepared import prepared_of
         from manyhands.launch.audit.replay import replay as replayed
         from manyhands.launch.audit.replay import require_simulated
-        from manyhands.launch.output import print_json
 
         run, damage = _read(file)
         require_simulated(file, run)
@@ -290,9 +273,8 @@ def replay(
             prepared = replace(prepared, session=prepared.session.with_code_in(code_in))
         warn_of_code(err, prepared.session, prepared.session.devices)  # what drivers did is in the file
         _warn_of_version(run)
-        with Progress(console=err, transient=True) as bar:
-            task = bar.add_task("running it again", total=run.ticks)
-            found = replayed(prepared, run, lambda done: bar.update(task, completed=done))
+        with progress_bar(err, "running it again", run.ticks) as tell:
+            found = replayed(prepared, run, tell)
         if as_json:
             print_json(found.as_plain() | {"file": str(file), "damage": _plain(damage)})
         else:
@@ -308,27 +290,17 @@ def audit(file: McapPath, as_json: Json = False) -> None:
     or something of that is not checked, since the recording lacks it.
     """
     with errors("record", "design"):
-        from rich.progress import Progress
-
         from manyhands.launch.app.audit_report import print_audit, print_damage
         from manyhands.launch.audit.audit import audit as audited
         from manyhands.launch.audit.audit import require_certificate, work_of
-        from manyhands.launch.output import print_json
 
         run, damage = _read(file)
         require_certificate(file, run)
         if not as_json:
             print_damage(out, str(file), damage)
         _warn_of_version(run)
-        with Progress(console=err, transient=True) as bar:
-            task = bar.add_task("recomputing", total=work_of(run))
-            found = audited(
-                file,
-                run,
-                lambda text: bar.update(task, description=text),
-                lambda done: bar.update(task, description="recomputing", completed=done),
-                damage,
-            )
+        with progress_bar(err, "recomputing", work_of(run)) as tell:
+            found = audited(file, run, lambda text: tell(text=text), lambda done: tell(done, "recomputing"), damage)
         if as_json:
             print_json(found.as_plain() | {"file": str(file), "damage": _plain(damage)})
         else:
@@ -338,16 +310,12 @@ def audit(file: McapPath, as_json: Json = False) -> None:
 
 def _read(file: Path) -> tuple[RecordedRun, Sequence[Damage]]:
     """A recording, and the damaged ranges of its bytes."""
-    from rich.progress import Progress
-
     from manyhands.launch.recordings.integrity import Damage, findings
-    from manyhands.launch.recordings.run import read_run
 
-    with Progress(console=err, transient=True) as bar:
-        task = bar.add_task("reading", total=1.0)
-        run = read_run(file, lambda part: bar.update(task, completed=part)).require_beginning(file)
-        task = bar.add_task("checking its bytes", total=1.0)
-        damage = findings(file, lambda part: bar.update(task, completed=part))
+    with progress_bar(err, "reading") as tell:
+        run = read_run(file, tell).require_beginning(file)
+    with progress_bar(err, "checking its bytes") as tell:
+        damage = findings(file, tell)
     if run.cut is not None and not damage:
         size = file.stat().st_size
         damage = [Damage(size, size + 1, run.cut, cut=True)]
@@ -360,8 +328,6 @@ def _plain(damage: Sequence[Damage]) -> list[dict[str, object]]:
 
 def _warn_of_version(run: RecordedRun) -> None:
     """Warn if another version of this program made the recording: it may compute in another order."""
-    import manyhands
-
     if run.recorded.version != manyhands.__version__:
         say(
             err,

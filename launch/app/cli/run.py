@@ -32,14 +32,20 @@ from manyhands.launch.app.cli.common import (
     ticks_of,
 )
 from manyhands.launch.app.design_report import print_report
+from manyhands.launch.app.risks import warn_of_code
 from manyhands.launch.files import claimed
-from manyhands.launch.look.display import say
+from manyhands.launch.look.display import progress_bar, say, world_lines
 from manyhands.launch.plan.reach import Listen
 from manyhands.launch.recordings.recording import RUN_SUFFIXES, STREAMED, SUFFIXES, require_suffix
 from manyhands.launch.run.directory import is_bare
 from manyhands.launch.run.options import StartOptions
+from manyhands.launch.run.outcome import enforcement_sentence
 from manyhands.launch.session.shipped import load_named
+from manyhands.nodes.environment.chatter import contact_tables
+from manyhands.nodes.environment.energy import energy_tables
 from manyhands.nodes.kernel.bundle import CLOCKS, REALTIME, SIMULATED
+from manyhands.nodes.rows.figures import enforcement_figures
+from manyhands.protocol.messages import Figures
 from manyhands.protocol.transport.zeromq import SCHEMES
 
 commands = typer.Typer()
@@ -62,17 +68,8 @@ def simulate(
     A simulation shakes no hand: a session that cannot be certified is simulated with a warning.
     """
     with errors("design"), ExitStack() as claims:
-        from rich.progress import Progress
-
-        from manyhands.launch.app.risks import warn_of_code
         from manyhands.launch.app.start import SettledForm, prepare_settled, settle_delay
         from manyhands.launch.audit.simulation import Simulation, require_one_period
-        from manyhands.launch.look.display import world_lines
-        from manyhands.launch.run.outcome import enforcement_sentence
-        from manyhands.nodes.environment.chatter import contact_tables
-        from manyhands.nodes.environment.energy import energy_tables
-        from manyhands.nodes.rows.figures import enforcement_figures
-        from manyhands.protocol.messages import Figures
 
         loaded = load_named(session, overrides)
         try:
@@ -88,9 +85,8 @@ def simulate(
         if not prepared.certified and not uncertified:
             say(err, f"warning: {loaded.name} is not certified; launch refuses it without --uncertified")
         warn_of_code(err, loaded)
-        with closing(Simulation(prepared)) as simulation, Progress(console=err, transient=True) as bar:
-            task = bar.add_task("simulating", total=ticks)
-            recording = simulation.run(ticks, lambda done: bar.update(task, completed=done))
+        with closing(Simulation(prepared)) as simulation, progress_bar(err, "simulating", ticks) as tell:
+            recording = simulation.run(ticks, tell)
         if record is not None:
             recording.save(record)
             say(err, f"written to {record}")

@@ -1,19 +1,18 @@
 """The elements of every drawing of a session: nodes in layers, links between them, and the health of each. Pure.
 
-A drawing of a session file has no health; that of a running session takes it from the session's scene. The same graphs,
+A drawing of a session file has no health; that of a running session takes it from the session's scene. The same graph,
 and the capability table, are here as the objects that ``--json`` prints.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
 from manyhands.launch.look.tables import rounded
 from manyhands.launch.plan.access import DATA, joins
 from manyhands.launch.plan.plan import Plan
-from manyhands.launch.plan.topology import Topology
 from manyhands.nodes.monitor.health import Health
 from manyhands.nodes.monitor.session_state import Scene
 from manyhands.protocol.messages import Role
@@ -32,26 +31,34 @@ class Part:
         name: its name.
         role: its role.
         ports: its ports in order; empty for an observer.
-        note: a remark after the role; may be empty.
-        health: its health; None in the drawing of a file.
-        detail: its state or rate, as a text.
+        process: the node whose process it shares; None for a process of its own.
+        reads: what an observer reads, as the session file has it.
+        health: its health; None in the drawing of a file, and of an observer.
+        state: its state, in a word; empty where it has no health.
+        rate: ticks a second; None where it is not known.
     """
 
     name: str
     role: Role
     ports: tuple[str, ...] = ()
-    note: str = ""
+    process: str | None = None
+    reads: tuple[str, ...] = ()
     health: Health | None = None
-    detail: str = ""
+    state: str = ""
+    rate: float | None = None
 
     @property
     def label(self) -> tuple[str, ...]:
         """The lines in its box, its name first."""
-        lines = [self.name, self.role.value if not self.note else f"{self.role.value}, {self.note}"]
-        if self.role is not Role.OBSERVER and self.ports:
+        note = f", reads {_few(self.reads)}" if self.reads else "" if self.process is None else f", in {self.process}"
+        lines = [self.name, f"{self.role.value}{note}"]
+        if self.ports:
             lines.append(_few(self.ports))
         if self.health is not None:
-            lines.append(self.health.value if not self.detail else f"{self.health.value}: {self.detail}")
+            detail = "" if self.health is Health.OK else self.state
+            if self.health in (Health.OK, Health.LATE) and self.rate is not None:
+                detail = f"{self.rate:.0f} ticks/s"
+            lines.append(f"{self.health.value}: {detail}" if detail else self.health.value)
         return tuple(lines)
 
     @property
@@ -110,20 +117,40 @@ class Tie:
 
 @dataclass(frozen=True)
 class Drawing:
-    """A session's graph; ``health`` is that of the whole session, None for a file."""
+    """A session's graph; ``health`` is that of the whole session and ``pid`` its supervisor's, None for a file."""
 
     title: str
     parts: tuple[Part, ...]
     ties: tuple[Tie, ...]
     health: Health | None = None
+    pid: int | None = None
+
+    @property
+    def nodes(self) -> tuple[Part, ...]:
+        """The parts without the observers."""
+        return tuple(part for part in self.parts if part.role is not Role.OBSERVER)
+
+    @property
+    def observers(self) -> tuple[Part, ...]:
+        """The observers."""
+        return tuple(part for part in self.parts if part.role is Role.OBSERVER)
+
+    def links(self) -> Iterator[tuple[Tie, tuple[list[str], list[str]]]]:
+        """The links, each with the channels from its first end to its second, and back."""
+        roles = {part.name: part.role for part in self.parts}
+        for tie in self.ties:
+            if tie.is_link:
+                there, back = (
+                    [channel.name for channel in DATA if joins(channel, roles[sender], roles[hearer])]
+                    for sender, hearer in (tie.ends, tie.ends[::-1])
+                )
+                yield tie, (there, back)
 
 
 def drawing_of_session(plan: Plan) -> Drawing:
     """The graph of a session file, with its observers."""
     session, graph = plan.session, plan.graph
-    parts = [
-        Part(name, role, graph.ports[name], _carried(graph.carriers.get(name))) for name, role in graph.nodes.items()
-    ]
+    parts = [Part(name, role, graph.ports[name], graph.carriers.get(name)) for name, role in graph.nodes.items()]
     links = [((link.connector, link.binder), link.ports) for link in graph.links]
     ties = [_link(ends, ports, graph.nodes, None) for ends, ports in links]
     reads = {name: tuple(observer.reads) for name, observer in session.observers.items()}
@@ -140,21 +167,15 @@ def drawing_of_scene(scene: Scene) -> Drawing:
     parts = []
     for name, node in about.nodes.items():
         seen = scene.nodes[name]
-        detail = "" if seen.health is Health.OK and seen.rate is None else seen.state
-        if seen.health in (Health.OK, Health.LATE) and seen.rate is not None:
-            detail = f"{seen.rate:.0f} ticks/s"
-        parts.append(Part(name, node.role, node.ports, _carried(node.process), seen.health, detail))
+        parts.append(Part(name, node.role, node.ports, node.process, (), seen.health, seen.state, rounded(seen.rate)))
     ties = [_link(link.ends, link.ports, roles, scene.link_health(link)) for link in about.links]
     return Drawing(
         about.session,
         (*parts, *_observers(about.observers)),
         (*ties, *_carriers(carriers), *_looks(about.observers, roles)),
         scene.health,
+        about.pid,
     )
-
-
-def _carried(carrier: str | None) -> str:
-    return "" if carrier is None else f"in {carrier}"
 
 
 def _link(ends: tuple[str, str], ports: tuple[str, ...], roles: Mapping[str, Role], health: Health | None) -> Tie:
@@ -173,7 +194,7 @@ def _carriers(carriers: Mapping[str, str]) -> list[Tie]:
 
 
 def _observers(reads: Mapping[str, tuple[str, ...]]) -> list[Part]:
-    return [Part(name, Role.OBSERVER, note=f"reads {_few(what)}") for name, what in reads.items()]
+    return [Part(name, Role.OBSERVER, reads=what) for name, what in reads.items()]
 
 
 def _looks(reads: Mapping[str, tuple[str, ...]], roles: Mapping[str, Role]) -> list[Tie]:
@@ -195,32 +216,36 @@ def _few(names: tuple[str, ...]) -> str:
     return f"{', '.join(names[: _MOST_PORTS - 1])} … {len(names)} in all"
 
 
-def graph_object(plan: Plan) -> dict[str, Any]:
-    """Nodes, links and observers, as ``--json`` prints them.
+def graph_object(drawing: Drawing) -> dict[str, Any]:
+    """Nodes, links and observers, as ``--json`` prints them; of a running session with the health of each.
 
-    ``signals`` of a link are the channels that each of its ends writes; an observer's ``reads`` are as in the session.
-    The ``process`` of a node that runs in a device's process is the name of that device.
+    ``between`` of a link begins with the end that is nearer to the environment, and ``signals`` are the channels that
+    each end writes; an observer's ``reads`` are as in the session. The ``process`` of a node that runs in a device's
+    process is the name of that device.
     """
-    session, graph = plan.session, plan.graph
+    whole = {} if drawing.health is None else {"pid": drawing.pid, "health": drawing.health.value}
     return {
-        "session": session.name,
-        "nodes": {
-            name: {"role": role, "ports": list(graph.ports[name]), **_process(graph, name)}
-            for name, role in graph.nodes.items()
-        },
+        "session": drawing.title,
+        **whole,
+        "nodes": {part.name: _node_object(part) for part in drawing.nodes},
         "links": [
             {
-                "between": [link.binder, link.connector],
-                "ports": list(link.ports),
-                "signals": {
-                    link.binder: signals(graph.nodes[link.binder], graph.nodes[link.connector]),
-                    link.connector: signals(graph.nodes[link.connector], graph.nodes[link.binder]),
-                },
+                "between": [world, hand],
+                "ports": list(tie.ports),
+                "signals": {world: back, hand: there},
+                **({} if tie.health is None else {"health": tie.health.value}),
             }
-            for link in graph.links
+            for tie, (there, back) in drawing.links()
+            for hand, world in (tie.ends,)
         ],
-        "observers": {name: {"reads": list(observer.reads)} for name, observer in session.observers.items()},
+        "observers": {part.name: {"reads": list(part.reads)} for part in drawing.observers},
     }
+
+
+def _node_object(part: Part) -> dict[str, Any]:
+    stands = {} if part.health is None else {"state": part.state, "rate": part.rate, "health": part.health.value}
+    process = {} if part.process is None else {"process": part.process}
+    return {"role": part.role.value, "ports": list(part.ports), **process, **stands}
 
 
 def access_object(plan: Plan) -> dict[str, Any]:
@@ -240,51 +265,3 @@ def access_object(plan: Plan) -> dict[str, Any]:
             for row in plan.access
         ],
     }
-
-
-def scene_object(scene: Scene) -> dict[str, Any]:
-    """The graph of a running session: that of its file, with the health of each node and link.
-
-    ``between`` of a link begins with the end that is nearer to the environment, as in :func:`graph_object`.
-    """
-    about = scene.about
-    roles = {name: node.role for name, node in about.nodes.items()}
-    return {
-        "session": about.session,
-        "pid": about.pid,
-        "health": scene.health.value,
-        "nodes": {
-            name: {
-                "role": node.role.value,
-                "ports": list(node.ports),
-                **({} if node.process is None else {"process": node.process}),
-                "state": scene.nodes[name].state,
-                "rate": rounded(scene.nodes[name].rate),
-                "health": scene.nodes[name].health.value,
-            }
-            for name, node in about.nodes.items()
-        },
-        "links": [
-            {
-                "between": [world, hand],
-                "ports": list(link.ports),
-                "signals": {
-                    world: signals(roles[world], roles[hand]),
-                    hand: signals(roles[hand], roles[world]),
-                },
-                "health": scene.link_health(link).value,
-            }
-            for link in about.links
-            for hand, world in (link.ends,)
-        ],
-        "observers": {name: {"reads": list(reads)} for name, reads in about.observers.items()},
-    }
-
-
-def signals(sender: Role, receiver: Role) -> list[str]:
-    """The channels on which one role sends to another in every tick."""
-    return [channel.name for channel in DATA if joins(channel, sender, receiver)]
-
-
-def _process(graph: Topology, name: str) -> dict[str, str]:
-    return {"process": graph.carriers[name]} if name in graph.carriers else {}

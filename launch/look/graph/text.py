@@ -5,18 +5,17 @@ A drawing as a Mermaid flowchart can be shown by many programs that display Mark
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from manyhands.launch.look.display import say
-from manyhands.launch.look.graph.parts import Drawing, signals
+from manyhands.launch.look.graph.parts import Drawing
 from manyhands.launch.plan.access import Capability
 from manyhands.launch.plan.plan import Plan
 from manyhands.nodes.monitor.health import Health
-from manyhands.nodes.monitor.session_state import Scene
 from manyhands.protocol.channels import CHANNELS
 from manyhands.protocol.messages import Role
 
@@ -26,41 +25,22 @@ _SAID_ONCE = (
 )
 
 
-def print_graph(out: Console, plan: Plan) -> None:
-    """Print nodes with their ports, and links with their signals in both directions."""
-    session, graph = plan.session, plan.graph
-    nodes = _table(f"{session.name}: nodes", "node", "role", "ports")
-    for name, role in graph.nodes.items():
-        carrier = graph.carriers.get(name)
-        nodes.add_row(name, role if carrier is None else f"{role}, in {carrier}", ", ".join(graph.ports[name]))
-    for name, observer in session.observers.items():
-        nodes.add_row(name, "observer", f"reads {', '.join(observer.reads)}")
+def print_graph(out: Console, drawing: Drawing) -> None:
+    """Print nodes with their ports, and links with their signals both ways; of a running session with their health."""
+    runs = drawing.health is not None
+    nodes = _table(f"{drawing.title}: nodes", "node", "role", "ports", *(["state", "health"] if runs else []))
+    for part in drawing.nodes:
+        role = part.role.value if part.process is None else f"{part.role.value}, in {part.process}"
+        stands = [] if part.health is None else [part.state, part.health.value]
+        nodes.add_row(*map(escape, (part.name, role, ", ".join(part.ports), *stands)))
+    for part in drawing.observers:
+        nodes.add_row(*map(escape, (part.name, part.role.value, f"reads {', '.join(part.reads)}")))
     out.print(nodes)
-    links = _table(f"{session.name}: links", "from", "to", "ports", "there", "back")
-    for link in graph.links:
-        ends = (link.connector, link.binder)  # from the hand to the environment, the direction of a tick
-        there, back = _there_and_back(ends, graph.nodes)
-        links.add_row(*ends, ", ".join(link.ports), there, back)
-    out.print(links)
-
-
-def print_scene(out: Console, scene: Scene) -> None:
-    """Print the same tables for a running session, with the health of each node and link."""
-    about = scene.about
-    roles = {name: node.role for name, node in about.nodes.items()}
-    nodes = _table(f"{about.session}: nodes", "node", "role", "ports", "state", "health")
-    for name, node in about.nodes.items():
-        role = node.role if node.process is None else f"{node.role}, in {node.process}"
-        seen = scene.nodes[name]
-        nodes.add_row(escape(name), escape(role), escape(", ".join(node.ports)), escape(seen.state), seen.health.value)
-    for name, reads in about.observers.items():
-        nodes.add_row(escape(name), "observer", escape(f"reads {', '.join(reads)}"))
-    out.print(nodes)
-    links = _table(f"{about.session}: links", "from", "to", "ports", "there", "back", "health")
-    for link in about.links:
-        there, back = _there_and_back(link.ends, roles)
-        ends = map(escape, link.ends)
-        links.add_row(*ends, escape(", ".join(link.ports)), there, back, scene.link_health(link).value)
+    links = _table(f"{drawing.title}: links", "from", "to", "ports", "there", "back", *(["health"] if runs else []))
+    for tie, channels in drawing.links():  # from the hand to the environment, the direction of a tick
+        there, back = (", ".join(map(_signal, names)) for names in channels)
+        stands = [] if tie.health is None else [tie.health.value]
+        links.add_row(*map(escape, (*tie.ends, ", ".join(tie.ports), there, back, *stands)))
     out.print(links)
 
 
@@ -82,14 +62,6 @@ def _by_node_and_channel(table: Iterable[Capability]) -> list[list[Capability]]:
     for row in table:
         grouped.setdefault((row.node, row.channel), []).append(row)
     return list(grouped.values())
-
-
-def _there_and_back(ends: tuple[str, str], roles: Mapping[str, Role]) -> tuple[str, str]:
-    there, back = (
-        ", ".join(_signal(name) for name in signals(roles[sender], roles[hearer]))
-        for sender, hearer in (ends, ends[::-1])
-    )
-    return there, back
 
 
 def _signal(name: str) -> str:

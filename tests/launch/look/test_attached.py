@@ -19,8 +19,8 @@ from manyhands.launch.app.cli import app
 from manyhands.launch.look.attached import (
     AttachedCore,
     Ending,
-    SupervisorWatch,
     attachments_in,
+    record_attached,
     write_down,
 )
 from manyhands.launch.look.sessions import NoSession, Running, session_in
@@ -29,12 +29,13 @@ from manyhands.launch.recordings.integrity import findings
 from manyhands.launch.recordings.run import read_run
 from manyhands.launch.run.broadcast import Showing, describe
 from manyhands.launch.run.directory import SessionDirectory, kept_files, run_directory
+from manyhands.launch.run.processes import Interrupt
 from manyhands.launch.run.states import SessionPhase
 from manyhands.launch.session import load_session
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import recorded_of
 from manyhands.nodes.recorder.node import FLUSH_EVERY
-from manyhands.protocol.clock import Duration, Instant, SimulatedClock
+from manyhands.protocol.clock import Duration, Instant, RealtimeClock, SimulatedClock
 
 from ...support.small_recordings import ATTACHED, RECORDED, STARTED, condition, frames, observation
 
@@ -167,31 +168,17 @@ def test_a_session_is_found_by_either_of_its_directories(prepared: Prepared, tmp
                 session_in(other)
 
 
-def test_a_supervisor_is_gone_with_its_description_or_with_its_process(prepared: Prepared) -> None:
-    with run_directory() as directory:
-        about = describe(prepared, "realtime", "ipc", 0)
-        about.save(directory)
-        supervisor = SupervisorWatch(Running(directory, about))
-        assert not supervisor.gone()
-        (directory / "about.json").unlink()
-        assert supervisor.gone()
-        supervisor.close()
-
-
-def test_a_process_that_ends_is_gone_though_its_directory_is_left(prepared: Prepared) -> None:
+def test_a_session_that_is_over_is_not_recorded(prepared: Prepared, tmp_path: Path) -> None:
     with run_directory() as directory, subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as it:
         about = replace(describe(prepared, "realtime", "ipc", 0), pid=it.pid)
         about.save(directory)
-        running = Running(directory, about)
-        supervisor = SupervisorWatch(running)
-        assert not supervisor.gone()
         it.kill()
         os.waitid(os.P_PID, it.pid, os.WEXITED | os.WNOWAIT)  # not yet reaped
-        assert supervisor.gone()
-        supervisor.close()
-        it.wait()
-        with pytest.raises(NoSession, match="it is over"):
-            SupervisorWatch(running)
+        with pytest.raises(NoSession, match="it is over"), Interrupt() as interrupt:
+            record_attached(
+                Running(directory, about), tmp_path / "r.mcap", None, interrupt, RealtimeClock(), lambda _core: None
+            )
+        assert [*tmp_path.iterdir()] == []
 
 
 @pytest.mark.parametrize(

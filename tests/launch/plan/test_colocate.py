@@ -10,7 +10,8 @@ import pytest
 from rich.console import Console
 
 from manyhands.launch.audit.simulation import Simulation
-from manyhands.launch.look.graph import graph_object, show_session
+from manyhands.launch.look.graph import show
+from manyhands.launch.look.graph.parts import drawing_of_session, graph_object
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.plan.reach import reach
@@ -57,15 +58,15 @@ def test_what_is_carried_goes_where_its_device_goes() -> None:
 
 
 def test_the_graph_shows_the_process_of_each_node() -> None:
-    plain = graph_object(Plan(session_of()))
+    plain = graph_object(drawing_of_session(Plan(session_of())))
     assert plain["nodes"]["cx"] == {"role": "coupling", "ports": ["dx"], "process": "dx"}
     assert plain["nodes"]["dx"] == {"role": "device", "ports": ["dx"]}
     assert [link["between"] for link in plain["links"]] == [[ENVIRONMENT, name] for name in ("cx", "cy", "cz")]
     text = io.StringIO()
-    show_session(Plan(session_of()), Console(file=text, width=120), "text", None)
+    show(drawing_of_session(Plan(session_of())), Console(file=text, width=120), "text", None)
     assert "coupling, in dx" in text.getvalue()
     assert "sample" not in text.getvalue()
-    apart = graph_object(Plan(session_of(colocate=False)))
+    apart = graph_object(drawing_of_session(Plan(session_of(colocate=False))))
     assert not any("process" in node for node in apart["nodes"].values())
 
 

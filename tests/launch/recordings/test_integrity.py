@@ -33,13 +33,13 @@ def records(data: bytes) -> list[tuple[int, int]]:
 def place_to_name(whole: bytes, begin: int, end: int) -> tuple[int, int]:
     """The first byte, and the one behind the last, to which a change within the record ``begin`` to ``end`` is located.
 
-    What has a checksum of its own, or is compared with a chunk, is located to its record; a header, the metadata and
-    the end of the data at worst to the data section; the summary and its footer to both.
+    What has a checksum of its own is located to its record; a header, a message index, the metadata and the end of the
+    data at worst to the data section; the summary and its footer to both.
     """
     data_end = next(after for at, after in records(whole)[1:] if whole[at] == DATA_END)
     if begin >= data_end and end < len(whole):
         return data_end, len(whole) - MAGIC
-    return (0, data_end) if begin and whole[begin] in (HEADER, METADATA, DATA_END) else (begin, end)
+    return (0, data_end) if begin and whole[begin] in (HEADER, INDEX, METADATA, DATA_END) else (begin, end)
 
 
 def examined(path: Path, data: bytes) -> list[Damage]:
@@ -103,7 +103,7 @@ def test_so_is_a_single_bit_where_it_is_easily_overlooked(tmp_path: Path, bit: i
 def test_what_follows_damage_is_not_called_damaged(tmp_path: Path) -> None:
     whole, path = recording(ticks=40, each=5, chunks=4), tmp_path / "run.mcap"
     for begin, end in [records(whole)[place] for place in (5, 6, 9)]:  # chunks and indexes in the middle
-        for place in (begin, begin + 1, begin + 8, begin + 12, end - 1):
+        for place in (begin, begin + 1, begin + 8, *((begin + 12, end - 1) if whole[begin] == CHUNK else ())):
             data = bytearray(whole)
             data[place] ^= 0x55
             found = examined(path, bytes(data))

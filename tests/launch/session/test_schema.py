@@ -240,8 +240,7 @@ def test_no_field_is_described_without_its_unit() -> None:
     found = 0
     for model in (Device, Hand, PortLimits, SessionLink, Pole, Faults, Session):
         for name, field in model.model_fields.items():
-            for one in field.metadata:
-                check = getattr(one, "func", None)
+            for check in field.metadata:
                 quantity = getattr(check, "check", getattr(check, "quantity", check))
                 if isinstance(quantity, Quantity) and quantity.unit:
                     found += 1

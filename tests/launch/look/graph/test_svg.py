@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from manyhands.launch.files import TargetError
-from manyhands.launch.look.graph import format_of, scene_object, show_scene, show_session
-from manyhands.launch.look.graph.parts import Drawing, Part, Tie, drawing_of_scene, drawing_of_session
+from manyhands.launch.look.graph import format_of, show
+from manyhands.launch.look.graph.parts import Drawing, Part, Tie, drawing_of_scene, drawing_of_session, graph_object
 from manyhands.launch.look.graph.svg import Box, layout, svg
 from manyhands.launch.look.graph.text import mermaid
 from manyhands.launch.plan.plan import Plan
@@ -138,7 +138,7 @@ NASTY = st.text(min_size=1, max_size=12) | st.sampled_from(
 @settings(max_examples=30)
 @given(name=NASTY, port=NASTY, title=NASTY)
 def test_whatever_a_name_is_it_is_text(name: str, port: str, title: str) -> None:
-    parts = (Part(f"d{name}", Role.DEVICE, (port,), name, Health.LATE, port), Part("e", Role.ENVIRONMENT, (port,)))
+    parts = (Part(f"d{name}", Role.DEVICE, (port,), name, (), Health.LATE, port), Part("e", Role.ENVIRONMENT, (port,)))
     drawing = Drawing(title, parts, (Tie((f"d{name}", "e"), (port,), name, port, Health.OK),), Health.LATE)
     root = ET.fromstring(svg(drawing))
     assert {element.tag.removeprefix(SVG) for element in root.iter()} == {
@@ -165,7 +165,7 @@ def test_mermaid_of_a_running_session() -> None:
 
 
 def test_as_json_and_text_of_a_running_session() -> None:
-    said = scene_object(scene())
+    said = graph_object(drawing_of_scene(scene()))
     assert said["links"][0] == {
         "between": ["environment", "cx"],
         "ports": ["d.x"],
@@ -177,7 +177,7 @@ def test_as_json_and_text_of_a_running_session() -> None:
     }  # fmt: skip
     assert said["observers"] == {"scope": {"reads": ["cx/tool", "telemetry"]}}
     text = io.StringIO()
-    assert show_scene(scene(), Console(file=text, width=140), "text", None) == 0
+    show(drawing_of_scene(scene()), Console(file=text, width=140), "text", None)
     rows = [[c.strip() for c in line.split("│")[1:-1]] for line in text.getvalue().splitlines() if line[:1] == "│"]
     assert ["cx", "coupling", "d.x", "running", "silent"] in rows
     assert ["d", "cy", "d.y", "sample (x, m)", "force (f_v, N)", "ok"] in rows
@@ -208,8 +208,8 @@ def test_a_file_holds_what_would_have_been_printed(
     text = io.StringIO()
     console = Console(file=text, width=140)
     for output in (None, path):
-        assert show_session(Plan(example()), console, form, output) == 0
-        assert show_scene(scene(), console, form, output) == 0
+        show(drawing_of_session(Plan(example())), console, form, output)
+        show(drawing_of_scene(scene()), console, form, output)
         if output is None:
             printed = capsys.readouterr().out or text.getvalue()
     assert capsys.readouterr().out == ""

@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
-from manyhands.launch.look.graph import access_object, graph_object, show_session
+from manyhands.launch.look.graph import show, show_access
+from manyhands.launch.look.graph.parts import access_object, drawing_of_session, graph_object
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.topology import topology
 from manyhands.launch.session import Session, load_session
@@ -26,9 +27,13 @@ def example() -> Session:
     return load_session(SESSIONS / "example1-operator.yaml", [OBSERVERS])
 
 
-def printed(session: Session, show_access: bool, width: int = 140) -> str:
+def printed(session: Session, access: bool, width: int = 140) -> str:
     text = io.StringIO()
-    assert show_session(Plan(session), Console(file=text, width=width), "text", None, show_access) == 0
+    plan, console = Plan(session), Console(file=text, width=width)
+    if access:
+        show_access(plan, console, "text", None)
+    else:
+        show(drawing_of_session(plan), console, "text", None)
     return text.getvalue()
 
 
@@ -38,7 +43,7 @@ def rows(text: str) -> list[list[str]]:
 
 
 def test_nodes_and_links() -> None:
-    assert rows(printed(example(), show_access=False)) == [
+    assert rows(printed(example(), access=False)) == [
         ["d", "device", "d.x, d.y, d.z"],
         ["cx", "coupling", "d.x"],
         ["cy", "coupling", "d.y"],
@@ -56,7 +61,7 @@ def test_nodes_and_links() -> None:
 
 
 def test_the_capability_table_has_one_row_a_node_and_channel() -> None:
-    text = printed(example(), show_access=True)
+    text = printed(example(), access=True)
     shown = rows(text)
     assert shown[:7] == [
         ["d", "device", "writes", "sample (x, m)", "to cx: d.x"],
@@ -74,16 +79,16 @@ def test_the_capability_table_has_one_row_a_node_and_channel() -> None:
     assert "a coupling sends the D_V of its block to the environment" in text
 
 
-@pytest.mark.parametrize("show_access", [False, True])
-def test_nothing_is_cut_short_where_there_is_little_room(show_access: bool) -> None:
-    text = printed(example(), show_access, width=60)
+@pytest.mark.parametrize("access", [False, True])
+def test_nothing_is_cut_short_where_there_is_little_room(access: bool) -> None:
+    text = printed(example(), access, width=60)
     assert "…" not in text
-    folded = re.sub(r"\s", "", "".join(row[-1 if show_access else 0] for row in rows(text)))
-    assert "fromenvironment:d.x" in folded if show_access else "environment" in folded
+    folded = re.sub(r"\s", "", "".join(row[-1 if access else 0] for row in rows(text)))
+    assert "fromenvironment:d.x" in folded if access else "environment" in folded
 
 
 def test_json_of_the_graph(capsys: pytest.CaptureFixture[str]) -> None:
-    assert show_session(Plan(example()), Console(), "json", None) == 0
+    show(drawing_of_session(Plan(example())), Console(), "json", None)
     said = json.loads(capsys.readouterr().out)
     assert said["session"] == "example-1-operator"
     assert said["nodes"]["d"] == {"role": "device", "ports": ["d.x", "d.y", "d.z"]}
@@ -96,7 +101,7 @@ def test_json_of_the_graph(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_json_of_the_table(capsys: pytest.CaptureFixture[str]) -> None:
-    assert show_session(Plan(example()), Console(), "json", None, show_access=True) == 0
+    show_access(Plan(example()), Console(), "json", None)
     said = json.loads(capsys.readouterr().out)
     assert said["access"][0] == {
         "node": "d",
@@ -122,7 +127,7 @@ def test_json_of_the_table(capsys: pytest.CaptureFixture[str]) -> None:
 @given(data=st.data())
 def test_both_forms_say_all_there_is(drawn_sessions: st.SearchStrategy[Session], data: st.DataObject) -> None:
     session = data.draw(drawn_sessions)
-    graph, plain = topology(session), graph_object(Plan(session))
+    graph, plain = topology(session), graph_object(drawing_of_session(Plan(session)))
     assert {name: node["ports"] for name, node in plain["nodes"].items()} == {n: [*p] for n, p in graph.ports.items()}
     assert [(*link["between"], *link["ports"]) for link in plain["links"]] == [
         (link.binder, link.connector, *link.ports) for link in graph.links
@@ -141,7 +146,7 @@ def test_both_forms_say_all_there_is(drawn_sessions: st.SearchStrategy[Session],
         if row["action"] == "write" and row["channel"] not in ("telemetry", "observation")
     }
     assert len(table) == len(Plan(session).access)
-    text = printed(session, show_access=True)
+    text = printed(session, access=True)
     for row in Plan(session).access:
         direction = "to" if row.action == "write" else "from"
         assert f"{direction} {row.peer}: {', '.join((row.content or row.ports)[:1])}" in text
