@@ -22,16 +22,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+import seeds
+
 FOLDER: Final = Path(__file__).resolve().parent
 CORPUS: Final = FOLDER / "corpus"
 LONGEST: Final = {"codec": 8192, "handshake": 1024, "gate": 1024, "path": 1024, "conductor": 1024}
 """The longest input of each harness, bytes."""
 
 MOST_FILES, MOST_BYTES = 20, 40 * 1024
-"""How much a merge takes into the corpus of one harness, besides the seeds made by hand."""
+"""How much a merge takes into the corpus of one harness."""
+
+KEPT: Final = "found-"
+"""How the names begin of what once made a harness fail: a merge leaves them."""
 
 FOUND: Final = ("crash-", "oom-", "timeout-")
-_BY_HAND: Final = re.compile(r"[0-9]{2}-|found-")
 _STATUS: Final = re.compile(r"^#(\d+)\s+\w+\s+cov: (\d+) ft: (\d+) corp: (\d+)", re.MULTILINE)
 _PEAK: Final = re.compile(r"^stat::peak_rss_mb:\s+(\d+)", re.MULTILINE)
 
@@ -65,15 +69,17 @@ class Ran:
 
 def run(harness: str, seconds: int, work: Path) -> Ran:
     """Fuzz with one harness."""
-    kept, found = work / harness / "corpus", work / harness / "found"
+    kept, found, by_hand = (work / harness / name for name in ("corpus", "found", "seeds"))
+    seeds.write(harness, by_hand)
     for folder in (kept, found):
         folder.mkdir(parents=True, exist_ok=True)
     before = set(kept.iterdir())
     log = work / harness / "log"
     began = time.monotonic()
     code = _atheris(
-        harness, log, str(kept), str(CORPUS / harness), f"-max_total_time={seconds}", f"-max_len={LONGEST[harness]}",
-        f"-artifact_prefix={found}/", "-timeout=20", "-rss_limit_mb=1024", "-print_final_stats=1",
+        harness, log, str(kept), str(CORPUS / harness), str(by_hand), f"-max_total_time={seconds}",
+        f"-max_len={LONGEST[harness]}", f"-artifact_prefix={found}/", "-timeout=20", "-rss_limit_mb=1024",
+        "-print_final_stats=1",
     )  # fmt: skip
     told = log.read_text(encoding="utf-8", errors="replace")
     executions, edges, features, corpus = map(int, (_STATUS.findall(told) or [(0, 0, 0, 0)])[-1])
@@ -90,26 +96,20 @@ def merge(harness: str, work: Path) -> int:
     What an earlier run took is reconsidered, so that the corpus does not grow from run to run.
     """
     home, kept = CORPUS / harness, work / harness / "corpus"
-    by_hand = [path for path in home.iterdir() if _BY_HAND.match(path.name)]
     with tempfile.TemporaryDirectory() as folder:
         base, pool = Path(folder) / "base", Path(folder) / "pool"
-        base.mkdir()
         pool.mkdir()
-        for path in by_hand:
-            shutil.copy(path, base)
+        seeds.write(harness, base)
         for path in (*home.iterdir(), *kept.iterdir()):
-            if path not in by_hand:
-                shutil.copy(path, pool)
+            shutil.copy(path, base if path.name.startswith(KEPT) else pool)
+        stay = {path.name for path in base.iterdir()}
         if code := _atheris(
             harness, work / harness / "log-merge", "-merge=1", "-set_cover_merge=1", str(base), str(pool)
         ):
             raise SystemExit(f"{harness}: found exit code {code} of the merge; see {work / harness / 'log-merge'}")
-        seeds = {path.name for path in by_hand}
-        taken = sorted(
-            (path for path in base.iterdir() if path.name not in seeds), key=lambda path: path.stat().st_size
-        )
+        taken = sorted((path for path in base.iterdir() if path.name not in stay), key=lambda path: path.stat().st_size)
         for path in home.iterdir():
-            if path not in by_hand:
+            if not path.name.startswith(KEPT):
                 path.unlink()
         count = size = 0
         for path in taken[:MOST_FILES]:

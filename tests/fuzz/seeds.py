@@ -1,9 +1,8 @@
-"""Writes the corpus's seeds that are made by hand: every byte example of SPEC.md, and a conversation for everything
-that a harness has a branch for.
+"""The fuzzer's seeds that are made by hand: every byte example of SPEC.md, and a conversation for everything that a
+harness has a branch for.
 
-    python tests/fuzz/seeds.py
-
-They have names; the other files of the corpus, named by a digest, are what runs of the fuzzer found worth keeping.
+They are made whenever they are needed, and stand in no file. The files of the corpus are what runs of the fuzzer found
+worth keeping, named by a digest.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ CHECKS: Final[Mapping[str, Callable[[bytes], None]]] = {
 
 
 def seeds(harness: str) -> dict[str, bytes]:
-    """The hand-made seeds of a harness, by the name of their file."""
+    """The hand-made seeds of a harness, by name."""
     made = {"codec": _codec, "handshake": _handshake, "gate": _gate, "path": _path, "conductor": _conductor}[harness]
     return {f"{number:02}-{name}": data for number, (name, data) in enumerate(made())}
 
@@ -228,16 +227,8 @@ def _bytes(play: Callable[[Dictation], None], *told: object) -> bytes:
     return dictation.bytes
 
 
-def write() -> None:
-    """Put every seed where it belongs, in place of the earlier ones."""
-    for harness in CHECKS:
-        folder = CORPUS / harness
-        folder.mkdir(parents=True, exist_ok=True)
-        for old in folder.glob("[0-9][0-9]-*"):
-            old.unlink()
-        for name, data in seeds(harness).items():
-            (folder / name).write_bytes(data)
-
-
-if __name__ == "__main__":
-    write()
+def write(harness: str, folder: Path) -> None:
+    """Put the hand-made seeds of a harness into a folder, for the fuzzer."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, data in seeds(harness).items():
+        (folder / name).write_bytes(data)
