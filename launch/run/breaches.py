@@ -400,10 +400,11 @@ class BreachPolicy:
             case Remedy.END:
                 covered = self._covered[device]
                 if breach is Breach.DELAY:
-                    found, allowed = f"a delay of {_ms(measured)}", _ms(covered.tau)
+                    found, allowed = f"its delay ({_ms(measured)})", _ms(covered.tau)
                 else:
-                    found, allowed = "a period", f"at most {_ms(covered.longest_period)}, more after an early force"
-                what = f"{device}: {found} again and again that the certificate does not cover (it assumes {allowed})"
+                    found = "the time between its samples"
+                    allowed = f"{_ms(covered.longest_period)}, more after an early force"
+                what = f"{device}: {found} keeps exceeding what the certificate covers ({allowed})"
                 return [EndSession(f"{what}; the session's faults.breach is stop")]
             case Remedy.SOFTEN:
                 softened = self._soften(device, measured)
@@ -459,7 +460,7 @@ class BreachPolicy:
             who = {name: f"{name} in {_part(late[name])} of its ticks" for name in named}
             periods = {name: _ms(self._covered[name].longest_period) for name in named}
             found = _beyond(who, periods, "more after an early force")
-            text = f"samples came later after the one before than the certificate covers {found} so far"
+            text = f"the time between samples exceeded what the certificate covers {found} so far"
             return [Notice(Cause.PERIOD, f"{text}; {next_}")]
         delays = {
             name: f"{name} in {_part(late[name])} of its ticks, up to {_ms(late[name].longest)}" for name in named

@@ -98,13 +98,13 @@ def graph(
         from manyhands.protocol.clock import RealtimeClock
 
         if (session is None) is (running is None):
-            refuse("found neither SESSION nor --running NAME, or both; expected a file, or the name of a running one")
+            refuse("give either SESSION or --running NAME")
         if form is not None:
             require_one_of("--format", form, FORMATS)
             if as_json:
-                refuse("found --format and --json; expected one of them")
+                refuse("give either --format or --json")
         if running is not None and (access or overrides):
-            refuse("found --access or --set with --running; expected them with a session file")
+            refuse("--access and --set need a session file: leave out --running")
         if access and form not in (None, "text"):
             refuse(f"--access: found --format {form}; expected text or --json")
         if output is not None:
@@ -117,7 +117,7 @@ def graph(
         else:
             scenes = look_at([find_session(running)], RealtimeClock())
             if not scenes:
-                refuse(f"--running: found that {running} cannot be looked at; expected one that runs")
+                refuse(f"--running: no running session {running}")
             code = show_scene(scenes[0], out, shape, output)
         if output is not None:
             say(err, f"written to {output}")
@@ -173,19 +173,19 @@ def invite(
         wanted = nodes or []
         require_one_of("--clock", clock, CLOCKS)
         if (keys is None) is not insecure:
-            refuse("found neither --keys nor --insecure, or both; expected --keys DIR, where the keys are or are made")
+            refuse("give either --keys DIR, where the keys are or are made, or --insecure")
         if insecure and (renew or not wanted):
-            refuse("found --insecure, with which there are no keys; expected NODE, and no --renew")
+            refuse("--insecure makes no keys: name a NODE, and leave out --renew")
         if wanted and as_json:
-            refuse("found --json with NODE; expected it for keys alone")
+            refuse("--json prints keys alone: leave out NODE")
         if not wanted and (output is not None or certificate is not None):
-            refuse(f"found no NODE for {'-o' if output is not None else '--certificate'}; expected one of the session")
+            refuse(f"{'-o' if output is not None else '--certificate'} needs a NODE of the session")
         loaded, _ = settle_colocation(load_named(session, overrides), Where.APART)  # as the launch with --remote will
         if keys is not None and not wanted:
             end(run_keys(loaded, keys, renew, out, err, as_json))
             return
         if certificate is None and not uncertified:
-            refuse("found no --certificate; expected the file that the session will be launched with")
+            refuse("give --certificate FILE, with which the session will be launched")
         files = bundle_files_of(loaded, wanted, output)
         options = StartOptions(clock, certificate=certificate, uncertified=uncertified)
         prepared = prepare_settled(SettledDelay(loaded), options, err)

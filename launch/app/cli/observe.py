@@ -111,7 +111,7 @@ def top(
 
         if all_:
             if session is not None:
-                refuse(f"found --all and --running {session}; expected one of them")
+                refuse("give either --all or --running NAME")
             _show_all(as_json)
             return
 
@@ -231,7 +231,7 @@ def view(
     of the devices in ROS 2, by the protocol of rmw_zenoh.
     """
     if ros and foxglove:
-        refuse("found --foxglove and --ros; expected one of them")
+        refuse("give either --foxglove or --ros")
     for option, given, fits, needed in (
         ("--every", every is not None, foxglove or ros, "--foxglove or --ros"),
         ("--layout", layout is not None, foxglove, "--foxglove"),
@@ -239,11 +239,11 @@ def view(
         ("--servo", servo, ros, "--ros"),
     ):
         if given and not fits:
-            refuse(f"{option}: found it without {needed}; expected both, or neither")
+            refuse(f"{option} needs {needed}")
     if ros:
         for option, given in (("--open", open_), ("--token-file", token_file is not None)):
             if given:
-                refuse(f"{option}: found it with --ros; expected one of them")
+                refuse(f"give either {option} or --ros")
         _view_in_ros(session, host, port, router, every, servo)
         return
     with errors("view", *(["foxglove"] if foxglove else [])):
@@ -251,7 +251,7 @@ def view(
         from manyhands.launch.look.sessions import find_session
 
         if foxglove and open_ and (token_file is not None or not is_loopback(host)):
-            refuse("--open: found it with --foxglove and a token, which would go to foxglove.dev; expected one of them")
+            refuse("--open would send the token to foxglove.dev: leave it out, and open Foxglove yourself")
         token = None if token_file is None else read_token(token_file)
         running = find_session(session)
         name = running.about.session
@@ -319,7 +319,7 @@ def _view_in_ros(
         from manyhands.launch.look.sessions import find_session
 
         if port is not None and router is not None:
-            refuse("--port: found it with --router; expected one of them: with --port, nodes connect to this program")
+            refuse("give either --port, at which nodes connect to this program, or --router")
         if not is_loopback(host):
             refuse(f"--host: found {host} with --ros; expected a loopback address, for nobody needs a token there")
         shown = f"[{host}]" if ":" in host else host

@@ -41,7 +41,7 @@ def sessions(
     with errors(), pipe_may_close():
         if schema:
             if name is not None:
-                refuse(f"--schema: found the session {name!r} as well; expected one of the two")
+                refuse("give either NAME or --schema")
             from manyhands.launch.session.schema import session_schema
 
             sys.stdout.write(json.dumps(session_schema(), indent=1, ensure_ascii=False) + "\n")

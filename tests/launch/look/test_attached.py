@@ -200,7 +200,7 @@ def test_a_process_that_ends_is_gone_though_its_directory_is_left(prepared: Prep
         ([], "found no running session"),
         (["."], "found no running session's directory"),
         (["--running", "example-1"], "found no running session"),
-        ([".", "--running", "example-1"], "expected one of them"),
+        ([".", "--running", "example-1"], "give either DIR or --running NAME"),
         (["--duration", "0"], "--duration: found 0 s"),
         (["-o", "run.csv"], "expected one of .mcap"),
         (["-o", "nowhere/run.mcap"], "found no folder nowhere"),
