@@ -72,7 +72,7 @@ _LINK: Final = {
         "tanks": {"type": "array", "items": {"type": "number"}, "description": "of the user's and the world's end, J"},
         "limited": {"type": "integer", "description": "ticks in which a tank limited a wave"},
         "silences": {"type": "integer", "description": "times that an end heard nothing and held the tool"},
-        "deaf": {"type": "boolean", "description": "whether an end does so now"},
+        "holding": {"type": "boolean", "description": "whether an end does so now"},
     },
 }
 HEALTH_SCHEMA: Final = object_schema(

@@ -251,7 +251,7 @@ def sentences(scene: Scene) -> Iterator[tuple[str, str]]:
     for node in scene.nodes.values():
         yield from ((line, "") for line in world_lines(node.figures))
     for name, felt in scene.felt_links.items():
-        yield felt.sentence(name), "yellow" if felt.deaf else ""
+        yield felt.sentence(name), "yellow" if felt.holding else ""
     condition = scene.condition
     if condition is None:
         return

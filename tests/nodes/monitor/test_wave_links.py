@@ -51,7 +51,7 @@ def test_its_tick_is_the_sessions() -> None:
 def test_what_is_felt_of_a_link_is_known_once_both_ends_have_reported() -> None:
     scene = Scene(LINKED)
     figures = {"wave_lag_us": 1312.5, "wave_tank": 5e-3, "wave_clipped": 0.0, "wave_silences": 0.0,
-               "wave_deaf": 0.0}  # fmt: skip
+               "wave_holding": 0.0}  # fmt: skip
     scene.take(telemetry("cx", 4000, **figures), Instant(0))
     assert scene.felt_links == {}
     scene.take(
@@ -61,7 +61,7 @@ def test_what_is_felt_of_a_link_is_known_once_both_ends_have_reported() -> None:
     assert scene.felt_links["cx"].round_trip == pytest.approx(2.625e-3)
 
 
-CALM = {"wave_tank": 5e-3, "wave_clipped": 0.0, "wave_silences": 0.0, "wave_deaf": 0.0}
+CALM = {"wave_tank": 5e-3, "wave_clipped": 0.0, "wave_silences": 0.0, "wave_holding": 0.0}
 
 
 @pytest.mark.parametrize(
