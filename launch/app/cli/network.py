@@ -91,7 +91,7 @@ def graph(
     """Show a session's processes and links, or their access rights; for a running session, the state of each."""
     with errors():
         from manyhands.launch.files import require_target
-        from manyhands.launch.look.graph import FORMATS, format_of, show_scene, show_session
+        from manyhands.launch.look.graph import FORMATS, format_of, show_running, show_session
         from manyhands.launch.look.sessions import find_session
         from manyhands.launch.look.tables import look_at
         from manyhands.launch.plan.plan import Plan
@@ -115,10 +115,10 @@ def graph(
         if session is not None:
             code = show_session(Plan(load_named(session, overrides)), out, shape, output, access)
         else:
-            scenes = look_at([find_session(running)], RealtimeClock())
-            if not scenes:
+            sessions = look_at([find_session(running)], RealtimeClock())
+            if not sessions:
                 refuse(f"--running: no running session {running}")
-            code = show_scene(scenes[0], out, shape, output)
+            code = show_running(sessions[0], out, shape, output)
         if output is not None:
             say(err, f"written to {output}")
         end(code)

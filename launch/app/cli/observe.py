@@ -45,9 +45,9 @@ def echo(
         running = find_session(session or session_of(topic))
         named = find_topic(running.about, topic)
         lines = EchoLines(named, running.about.period_of(named.node), count, every)
-        with visiting(running, RealtimeClock()) as (scene, seeing):
+        with visiting(running, RealtimeClock()) as (live, seeing):
             for seen in seeing:
-                text = "\n".join(lines.lines(seen.message, scene.tick))
+                text = "\n".join(lines.lines(seen.message, live.tick))
                 if text:
                     typer.echo(text)
                 if lines.done:
@@ -118,33 +118,33 @@ def top(
         from manyhands.launch.look.sessions import find_session, visiting
         from manyhands.launch.look.tables import look_at, picture, quit_key, show_live, show_repeatedly, top_object
         from manyhands.launch.output import print_json
-        from manyhands.nodes.monitor.session_state import Scene
+        from manyhands.nodes.monitor.session_state import LiveSession
         from manyhands.protocol.clock import RealtimeClock
 
         running = find_session(session)
         clock = RealtimeClock()
         if once:
-            for scene in look_at([running], clock):
+            for live in look_at([running], clock):
                 if as_json:
-                    print_json(top_object(scene))
+                    print_json(top_object(live))
                 else:
-                    out.print(picture(scene, out.width))
+                    out.print(picture(live, out.width))
             end(0)
             return
 
-        def show(scene: Scene) -> None:
+        def show(live: LiveSession) -> None:
             if as_json:
-                typer.echo(json.dumps(top_object(scene), allow_nan=False))
+                typer.echo(json.dumps(top_object(live), allow_nan=False))
             else:
-                out.print(picture(scene, out.width))
+                out.print(picture(live, out.width))
 
-        with visiting(running, clock) as (scene, seeing):
+        with visiting(running, clock) as (live, seeing):
             if as_json or not out.is_terminal:
-                show_repeatedly(scene, seeing, show)
+                show_repeatedly(live, seeing, show)
             else:
                 with quit_key() as stop:
-                    show_live(scene, seeing, out, stop)
-        say(err, f"{running.about.session}: observed until tick {scene.tick}")
+                    show_live(live, seeing, out, stop)
+        say(err, f"{running.about.session}: observed until tick {live.tick}")
 
 
 def _show_all(as_json: bool) -> None:
@@ -155,13 +155,13 @@ def _show_all(as_json: bool) -> None:
     from manyhands.launch.output import print_json
     from manyhands.protocol.clock import RealtimeClock
 
-    scenes = look_at(running_sessions(), RealtimeClock())
-    if not scenes:
+    sessions = look_at(running_sessions(), RealtimeClock())
+    if not sessions:
         say(err, "no session is running; start one with: manyhands launch SESSION")
     if as_json:
-        print_json([session_object(scene) for scene in scenes])
-    elif scenes:
-        print_sessions(out, scenes, time.time())
+        print_json([session_object(live) for live in sessions])
+    elif sessions:
+        print_sessions(out, sessions, time.time())
 
 
 @commands.command(epilog="Example: manyhands view --running example-1 --open")

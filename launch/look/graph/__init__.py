@@ -4,15 +4,15 @@ Read :mod:`parts` first (the elements of every drawing), then :mod:`svg` (the dr
 Mermaid), and :mod:`show` (the choice among them).
 """
 
-from manyhands.launch.look.graph.parts import access_object, graph_object, scene_object
-from manyhands.launch.look.graph.show import FORMATS, format_of, show_scene, show_session
+from manyhands.launch.look.graph.parts import access_object, graph_object, live_object
+from manyhands.launch.look.graph.show import FORMATS, format_of, show_running, show_session
 
 __all__ = [
     "FORMATS",
     "access_object",
     "format_of",
     "graph_object",
-    "scene_object",
-    "show_scene",
+    "live_object",
+    "show_running",
     "show_session",
 ]

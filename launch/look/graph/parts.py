@@ -1,6 +1,6 @@
 """The elements of every drawing of a session: nodes in layers, links between them, and the health of each. Pure.
 
-A drawing of a session file has no health; that of a running session takes it from the session's scene. The same graphs,
+A drawing of a session file has no health; that of a running session takes it from its live state. The same graphs,
 and the capability table, are here as the objects that ``--json`` prints.
 """
 
@@ -15,7 +15,7 @@ from manyhands.launch.plan.access import DATA, joins
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.topology import Topology
 from manyhands.nodes.monitor.health import Health
-from manyhands.nodes.monitor.session_state import Scene
+from manyhands.nodes.monitor.session_state import LiveSession
 from manyhands.protocol.messages import Role
 
 LAYERS: Final = {Role.DEVICE: 0, Role.COUPLING: 1, Role.ENVIRONMENT: 2}
@@ -132,24 +132,24 @@ def drawing_of_session(plan: Plan) -> Drawing:
     )
 
 
-def drawing_of_scene(scene: Scene) -> Drawing:
+def drawing_of_live(live: LiveSession) -> Drawing:
     """The graph of a running session, with the health of each node and link."""
-    about = scene.about
+    about = live.about
     carriers = {name: node.process for name, node in about.nodes.items() if node.process is not None}
     roles = {name: node.role for name, node in about.nodes.items()}
     parts = []
     for name, node in about.nodes.items():
-        seen = scene.nodes[name]
+        seen = live.nodes[name]
         detail = "" if seen.health is Health.OK and seen.rate is None else seen.state
         if seen.health in (Health.OK, Health.LATE) and seen.rate is not None:
             detail = f"{seen.rate:.0f} ticks/s"
         parts.append(Part(name, node.role, node.ports, _carried(node.process), seen.health, detail))
-    ties = [_link(link.ends, link.ports, roles, scene.link_health(link)) for link in about.links]
+    ties = [_link(link.ends, link.ports, roles, live.link_health(link)) for link in about.links]
     return Drawing(
         about.session,
         (*parts, *_observers(about.observers)),
         (*ties, *_carriers(carriers), *_looks(about.observers, roles)),
-        scene.health,
+        live.health,
     )
 
 
@@ -242,25 +242,25 @@ def access_object(plan: Plan) -> dict[str, Any]:
     }
 
 
-def scene_object(scene: Scene) -> dict[str, Any]:
+def live_object(live: LiveSession) -> dict[str, Any]:
     """The graph of a running session: that of its file, with the health of each node and link.
 
     ``between`` of a link begins with the end that is nearer to the environment, as in :func:`graph_object`.
     """
-    about = scene.about
+    about = live.about
     roles = {name: node.role for name, node in about.nodes.items()}
     return {
         "session": about.session,
         "pid": about.pid,
-        "health": scene.health.value,
+        "health": live.health.value,
         "nodes": {
             name: {
                 "role": node.role.value,
                 "ports": list(node.ports),
                 **({} if node.process is None else {"process": node.process}),
-                "state": scene.nodes[name].state,
-                "rate": rounded(scene.nodes[name].rate),
-                "health": scene.nodes[name].health.value,
+                "state": live.nodes[name].state,
+                "rate": rounded(live.nodes[name].rate),
+                "health": live.nodes[name].health.value,
             }
             for name, node in about.nodes.items()
         },
@@ -272,7 +272,7 @@ def scene_object(scene: Scene) -> dict[str, Any]:
                     world: signals(roles[world], roles[hand]),
                     hand: signals(roles[hand], roles[world]),
                 },
-                "health": scene.link_health(link).value,
+                "health": live.link_health(link).value,
             }
             for link in about.links
             for hand, world in (link.ends,)

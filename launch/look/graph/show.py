@@ -16,15 +16,15 @@ from manyhands.launch.files import EXIT_OK, TargetError
 from manyhands.launch.look.graph.parts import (
     Drawing,
     access_object,
-    drawing_of_scene,
+    drawing_of_live,
     drawing_of_session,
     graph_object,
-    scene_object,
+    live_object,
 )
 from manyhands.launch.look.graph.svg import svg
-from manyhands.launch.look.graph.text import mermaid, print_access, print_graph, print_scene
+from manyhands.launch.look.graph.text import mermaid, print_access, print_graph, print_live
 from manyhands.launch.plan.plan import Plan
-from manyhands.nodes.monitor.session_state import Scene
+from manyhands.nodes.monitor.session_state import LiveSession
 
 TEXT, JSON = "text", "json"
 
@@ -71,17 +71,17 @@ def show_session(plan: Plan, out: Console, form: str, output: Path | None, show_
     return _print(lambda console: write(console, plan), out, output)
 
 
-def show_scene(scene: Scene, out: Console, form: str, output: Path | None) -> int:
+def show_running(live: LiveSession, out: Console, form: str, output: Path | None) -> int:
     """Show the graph of a running session, with the health of each node and link; returns the exit code.
 
     Raises:
         OSError: the file cannot be written.
     """
     if form in PICTURES:
-        return _put(PICTURES[form](drawing_of_scene(scene)), output)
+        return _put(PICTURES[form](drawing_of_live(live)), output)
     if form == JSON:
-        return _put(_as_json(scene_object(scene)), output)
-    return _print(lambda console: print_scene(console, scene), out, output)
+        return _put(_as_json(live_object(live)), output)
+    return _print(lambda console: print_live(console, live), out, output)
 
 
 def _as_json(plain: dict[str, Any]) -> str:

@@ -16,7 +16,7 @@ from manyhands.launch.look.graph.parts import Drawing, signals
 from manyhands.launch.plan.access import Capability
 from manyhands.launch.plan.plan import Plan
 from manyhands.nodes.monitor.health import Health
-from manyhands.nodes.monitor.session_state import Scene
+from manyhands.nodes.monitor.session_state import LiveSession
 from manyhands.protocol.channels import CHANNELS
 from manyhands.protocol.messages import Role
 
@@ -44,14 +44,14 @@ def print_graph(out: Console, plan: Plan) -> None:
     out.print(links)
 
 
-def print_scene(out: Console, scene: Scene) -> None:
+def print_live(out: Console, live: LiveSession) -> None:
     """Print the same tables for a running session, with the health of each node and link."""
-    about = scene.about
+    about = live.about
     roles = {name: node.role for name, node in about.nodes.items()}
     nodes = _table(f"{about.session}: nodes", "node", "role", "ports", "state", "health")
     for name, node in about.nodes.items():
         role = node.role if node.process is None else f"{node.role}, in {node.process}"
-        seen = scene.nodes[name]
+        seen = live.nodes[name]
         nodes.add_row(escape(name), escape(role), escape(", ".join(node.ports)), escape(seen.state), seen.health.value)
     for name, reads in about.observers.items():
         nodes.add_row(escape(name), "observer", escape(f"reads {', '.join(reads)}"))
@@ -60,7 +60,7 @@ def print_scene(out: Console, scene: Scene) -> None:
     for link in about.links:
         there, back = _there_and_back(link.ends, roles)
         ends = map(escape, link.ends)
-        links.add_row(*ends, escape(", ".join(link.ports)), there, back, scene.link_health(link).value)
+        links.add_row(*ends, escape(", ".join(link.ports)), there, back, live.link_health(link).value)
     out.print(links)
 
 
