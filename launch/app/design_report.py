@@ -219,7 +219,7 @@ def print_report(console: Console, report: Mapping[str, Any], faults: Sequence[s
         counts |= {kind: node[kind] for kind in ("clipped", "saturated") if node.get(kind)}
         if counts:
             listed = ", ".join(f"{kind} {count}" for kind, count in counts.items())
-            say(console, f"{name}: not admitted, or not as it came: {listed}")
+            say(console, f"{name}: refused or clipped: {listed}")
     if last:
         say(console, last)
 

@@ -587,9 +587,8 @@ class Assumptions:
                 self.waited_for.append(name)
         if self.waited_for:
             self.notices[Cause.WAITS] = (
-                f"came late again and again: {', '.join(self.waited_for)}; their tools rest in the ticks that they "
-                "miss, nobody waits for them any more, and no other coupling is softened for that; the report has how "
-                "often and how long (late_couplings)"
+                f"late too often: {', '.join(self.waited_for)}; nobody waits for them any more, and their tools rest "
+                "in the ticks that they miss; the report has how often (late_couplings)"
             )
         late: dict[str, list[int]] = {}
         waited = telemetry.traces.get(names.WAITED_IN)
@@ -718,7 +717,7 @@ class UserIncidents:
         if mover is None:
             return f"{text}; nobody else has moved it"
         return (
-            f"{text}; another party moved it: of others it had received {mover.total:.3g} J, "
+            f"{text}; another party moved it: it had received {mover.total:.3g} J from others, "
             f"{mover.energy:.3g} J of it from {self._who(mover.party)}"
         )
 

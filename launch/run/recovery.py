@@ -226,8 +226,8 @@ class Recovery:
         out = self._drop(node, self._future(allowed), alive, now)
         if self._awaits(node, NodeState.GONE):
             self.faults.append(
-                f"{node} {how}; it stays away, for its {self.budget.restarts} restarts without a run of "
-                f"{self.budget.window / 1e9:g} s between them are used up (faults.restarts, faults.window)"
+                f"{node} {how}; it stays away: its {self.budget.restarts} restarts are used up (faults.restarts), "
+                f"and none led to a run of {self.budget.window / 1e9:g} s (faults.window)"
             )
         return out + self.proceed(now)
 

@@ -49,7 +49,7 @@ AllowedCode = Annotated[
     typer.Option(
         "--allow-code",
         metavar="PACKAGE.MODULE:FACTORY",
-        help="Let the file have this driver or model run here, with your rights.",
+        help="Let this driver or model of the file run here, with your rights.",
     ),
 ]
 
@@ -131,7 +131,7 @@ def invite(
         list[str] | None,
         typer.Argument(
             metavar="[NODE]...",
-            help="Devices, couplings, the environment, or observers; without, the keys alone are made.",
+            help="Devices, couplings, the environment, or observers; without any, keys alone are made.",
             autocompletion=node_names,
         ),
     ] = None,
@@ -226,7 +226,7 @@ def node(
         typer.Option(
             "--bundle",
             metavar="BUNDLE",
-            help="The node's bundle (manyhands invite); -: bundle and key come over standard input, from launch --on.",
+            help="The node's bundle (manyhands invite); with -, launch --on sends bundle and key to standard input.",
         ),
     ],
     connect: Annotated[str, typer.Option("--connect", metavar="tcp://HOST:PORT", help="Where the session listens.")],
@@ -309,7 +309,7 @@ def join(
     invitation: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[INVITATION]", help="The file with the host's line; without, you are asked for the line."
+            metavar="[INVITATION]", help="The file with the host's line; without it, you are asked for the line."
         ),
     ] = None,
     address: Annotated[

@@ -321,13 +321,13 @@ def _view_in_ros(
         if port is not None and router is not None:
             refuse("give either --port, at which nodes connect to this program, or --router")
         if not is_loopback(host):
-            refuse(f"--host: found {host} with --ros; expected a loopback address, for nobody needs a token there")
+            refuse(f"--host: found {host}; expected a loopback address, since --ros asks nobody for a token")
         shown = f"[{host}]" if ":" in host else host
         access = ZenohAccess(router or ROUTER) if port is None else ZenohAccess(f"{shown}:{port}", listens=True)
         if servo and not access.is_local:
             refuse(
-                f"--servo: found the router {access.address}; expected one of this machine, for nobody needs a token "
-                "there: reach it with ssh -L 7447:127.0.0.1:7447"
+                f"--servo: found the router {access.address}; expected one of this machine, since --servo asks nobody "
+                "for a token: reach another with ssh -L 7447:127.0.0.1:7447"
             )
         domain, running = domain_of(os.environ), find_session(session)
         if not access.is_local:

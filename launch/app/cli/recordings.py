@@ -166,7 +166,7 @@ def _print(found: Info, damages: list[Damage]) -> None:
     for device, least in found.accounts.items():
         say(out, f"least interface account of {device}: {joules(least)}")
     if found.cut is not None:
-        say(out, f"not whole: {found.cut}")
+        say(out, f"incomplete: {found.cut}")
     for damage in damages:
         say(out, f"damaged: bytes {damage.begin} to {damage.end}: {damage.what}")
     if not damages:

@@ -638,4 +638,4 @@ class Test_notices_of_a_run:
         assumptions.check("environment", the_environment(5200, cx=52, cz=60))
         assert assumptions.waited_for == ["cx", "cz"]
         (text,) = assumptions.notices.values()
-        assert text.startswith("came late again and again: cx, cz; ")
+        assert text.startswith("late too often: cx, cz; ")

@@ -258,7 +258,7 @@ class Test_the_budget:
         assert s.conductor.states["dx"] is NodeState.GONE
         assert s.conductor.phase is SessionPhase.RUNNING
         (fault,) = s.conductor.faults
-        assert fault.startswith("dx was killed by SIGKILL while running; it stays away, for its 2 restarts")
+        assert fault.startswith("dx was killed by SIGKILL while running; it stays away: its 2 restarts are used up")
         for victim in ("cx", "environment"):  # its peers come back without it
             s.kill(victim)
             s.settle()
