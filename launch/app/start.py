@@ -98,8 +98,7 @@ def settle_form(session: Session, options: StartOptions) -> SettledForm:
     hosts = hosts_of(options.on, plan, options.remote)
     require_hosts_alone(hosts, options.transport, options.insecure, options.listen is not None)
     if hosts and shutil.which("ssh") is None:
-        text = "--on needs ssh on PATH: install it, or start the nodes by hand (--remote)"
-        raise ReachError(f"--on: {text}")
+        raise ReachError("--on needs ssh on PATH: install it, or start the nodes by hand (--remote)")
     keys, stale = _keys(session, options)
     ways = reach(
         plan,
