@@ -81,14 +81,14 @@ def stiffest(level: Matrix, T: float, tau: float, share: float = 0.0, period_tol
             or level not positive definite.
     """
     if not 0.0 < T < np.inf:
-        raise ValueError(f"T: found {T!r} s, expected a finite positive period")
+        raise ValueError(f"T: found {T!r} s; expected a finite positive period")
     if not 0.0 <= tau <= T:
-        raise ValueError(f"tau: found {tau!r} s, expected 0 ... T = {T!r} s: a delay inside the tick")
+        raise ValueError(f"tau: found {tau!r} s; expected 0 ... T = {T!r} s: a delay inside the tick")
     if not 0.0 <= share < np.inf:
-        raise ValueError(f"share: found {share!r}, expected 0 or more")
+        raise ValueError(f"share: found {share!r}; expected 0 or more")
     least = float(np.linalg.eigvalsh(matrix(level))[0])
     if least <= 0.0:
-        raise ValueError(f"level: found the eigenvalue {least:.3g}, expected a positive definite OSP level")
+        raise ValueError(f"level: found the eigenvalue {least:.3g}; expected a positive definite OSP level")
     # (10) is strict: at the greatest share itself no coupling remains
     left = greatest_share(tau / T, period_tolerance)
     kappa = gain_for_share(share, tau / T, period_tolerance=period_tolerance) if share < left else None
@@ -156,7 +156,7 @@ def felt_over(
         ValueError: the round trip is not positive and finite, or as for :func:`stiffest`.
     """
     if not 0.0 < round_trip < np.inf:
-        raise ValueError(f"round trip: found {round_trip!r} s, expected a finite positive time")
+        raise ValueError(f"round trip: found {round_trip!r} s; expected a finite positive time")
     share = 0.0 if harvest is None else needed_share(level, harvest)
     site = stiffest(level, T, tau, share, period_tolerance)
     impedances = np.linalg.eigvalsh(b)

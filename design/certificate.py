@@ -122,14 +122,14 @@ def coupling_of(data: Mapping[str, Any], partition: Partition) -> tuple[Coupling
     sizes = {name: len(block) for name, block in zip(partition.names, partition.blocks, strict=True)}
     blocks = data["blocks"]
     if set(blocks) != set(sizes):
-        raise ValueError(f"coupling.blocks: found {sorted(blocks)}, expected {sorted(sizes)}")
+        raise ValueError(f"coupling.blocks: found {sorted(blocks)}; expected {sorted(sizes)}")
     if data["class"] == "spring-damper":
         return tuple(
             SpringDamper(matrix(blocks[name]["stiffness"], m, m), matrix(blocks[name]["damping"], m, m))
             for name, m in sizes.items()
         )
     if data["class"] != "linear":
-        raise ValueError(f"coupling.class: found {data['class']!r}, expected 'spring-damper' or 'linear'")
+        raise ValueError(f"coupling.class: found {data['class']!r}; expected 'spring-damper' or 'linear'")
     systems = tuple(read_system(blocks[name]) for name in sizes)
     for (name, m), system in zip(sizes.items(), systems, strict=True):
         if (system.outputs, system.inputs) != (m, m):
@@ -156,7 +156,7 @@ def storage_of(value: Any, environment: Environment) -> Storage:
         return ENFORCED
     if isinstance(value, str):
         if value != ENERGY:
-            raise ValueError(f"storage.E_hat: found {value[:40]!r}, expected {ENERGY!r} or a matrix")
+            raise ValueError(f"storage.E_hat: found {value[:40]!r}; expected {ENERGY!r} or a matrix")
         return ENERGY
     return _matrix_or_differences(value)
 
@@ -166,14 +166,14 @@ def _matrix_or_differences(value: Any) -> Matrix | InDifferences:
     if not isinstance(value, Mapping):
         return square(value)
     if set(value) != {"differences"}:
-        raise ValueError(f"storage matrix: found the keys {sorted(value)}, expected rows or the one key differences")
+        raise ValueError(f"storage matrix: found the keys {sorted(value)}; expected rows or the one key differences")
     return InDifferences(square(value["differences"]))
 
 
 def matrices_by_block(data: Mapping[str, Any], partition: Partition) -> tuple[Matrix, ...]:
     """One square matrix for each block, in the partition's order."""
     if set(data) != set(partition.names):
-        raise ValueError(f"found matrices for {sorted(data)}, expected them for {sorted(partition.names)}")
+        raise ValueError(f"found matrices for {sorted(data)}; expected them for {sorted(partition.names)}")
     return tuple(
         matrix(data[name], len(block), len(block))
         for name, block in zip(partition.names, partition.blocks, strict=True)
@@ -193,7 +193,7 @@ def aim_of(data: Mapping[str, Any]) -> Transparency:
     """The aim that :func:`describe_aim` wrote."""
     if data["objective"] not in ("loop-shaping", "closed-loop"):
         found = data["objective"]
-        raise ValueError(f"transparency.objective: found {found!r}, expected 'loop-shaping' or 'closed-loop'")
+        raise ValueError(f"transparency.objective: found {found!r}; expected 'loop-shaping' or 'closed-loop'")
     W1, W2 = (Filter(*read_rational(data[name])) for name in ("W1", "W2"))
     return Transparency(data["objective"], W1, W2)
 
@@ -542,19 +542,19 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
     form, version = data["format"], data["version"]
     if form != FORMAT or type(version) is not int or version not in _EXTRA_KEYS:
         expected = f"{FORMAT} version {VERSION}, {WITH_TOLERANCE} or {WITH_SERIES}"
-        raise ValueError(f"expected {expected}, found {form!r} {version!r}")
+        raise ValueError(f"found {form!r} {version!r}; expected {expected}")
     keys = _KEYS | _EXTRA_KEYS[version]
     if unknown := set(data) - keys:
-        raise ValueError(f"found the keys {sorted(unknown)}, expected {sorted(keys)}")
+        raise ValueError(f"found the keys {sorted(unknown)}; expected {sorted(keys)}")
     asked = data["asked"]
     if not isinstance(asked, Mapping):
         raise ValueError("expected asked to be an object")
     tolerant = version == WITH_TOLERANCE or "period_tolerance" in data
     period_tolerance = float(data["period_tolerance"]) if tolerant else 0.0
     if tolerant and not period_tolerance > 0.0:
-        raise ValueError(f"period_tolerance: found {period_tolerance}, expected more than 0 in version {version}")
+        raise ValueError(f"period_tolerance: found {period_tolerance}; expected more than 0 in version {version}")
     if unknown := set(asked) - _ASKED:
-        raise ValueError(f"asked: found the keys {sorted(unknown)}, expected some of {sorted(_ASKED)}")
+        raise ValueError(f"asked: found the keys {sorted(unknown)}; expected some of {sorted(_ASKED)}")
     if not isinstance(data["session"], str) or not all(isinstance(v, str | int) for v in data["method"].values()):
         raise ValueError("expected session to be a text, and every value of method a text or a whole number")
     ports = tuple(str(p) for p in data["ports"])
@@ -611,7 +611,7 @@ def _series(data: Mapping[str, Any], ports: tuple[str, ...], environment: Enviro
         raise ValueError("series: expected the one key compliance for each port")
     found = {str(port): float(value if of_links else value["compliance"]) for port, value in data.items()}
     if not set(found) <= set(ports) or not all(found.values()):
-        raise ValueError(f"series: found {sorted(found)}, expected ports of the loop with a number that is not 0")
+        raise ValueError(f"series: found {sorted(found)}; expected ports of the loop with a number that is not 0")
     return tuple(found.get(port, 0.0) for port in ports)
 
 
@@ -619,7 +619,7 @@ def _finite(text: str) -> float:
     """A finite number of the file; Python's JSON reader would also accept NaN, Infinity and 1e999."""
     number = float(text)
     if not math.isfinite(number):
-        raise ValueError(f"expected finite numbers, found {text[:40]}")
+        raise ValueError(f"found {text[:40]}; expected finite numbers")
     return number
 
 
@@ -627,7 +627,7 @@ def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """A JSON object with unique keys; with a key given twice, a reader could see a value that is not checked."""
     found = dict(pairs)
     if len(found) != len(pairs):
-        raise ValueError(f"expected every key once, found {sorted(key for key, _ in pairs)}")
+        raise ValueError(f"found {sorted(key for key, _ in pairs)}; expected every key once")
     return found
 
 

@@ -35,5 +35,5 @@ def environment_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> Environme
     """
     kind = data["type"]
     if not isinstance(kind, str) or kind not in KINDS:
-        raise ValueError(f"environment.type: found {kind!r}, expected one of {', '.join(map(repr, KINDS))}")
+        raise ValueError(f"environment.type: found {kind!r}; expected one of {', '.join(map(repr, KINDS))}")
     return KINDS[kind](data, ports)

@@ -185,9 +185,9 @@ class HapticLoop:
         if not 0.0 < self.period < np.inf:
             raise ValueError("expected a positive period")
         if not 0.0 <= self.tau <= self.period:
-            raise ValueError(f"expected a delay from 0 to the period, found {self.tau} s")
+            raise ValueError(f"found a delay of {self.tau} s; expected 0 to the period")
         if not 0.0 <= self.period_tolerance <= 1.0:
-            raise ValueError(f"expected a period tolerance from 0 to 1, found {self.period_tolerance}")
+            raise ValueError(f"found the period tolerance {self.period_tolerance}; expected 0 to 1")
         if self.series:
             self._check_series()
 
@@ -198,14 +198,14 @@ class HapticLoop:
             raise ValueError(f"series: expected {expected}")
         number, most = _SERIES[counts]
         if len(self.series) != len(self.ports) or not all(0.0 <= value < most for value in self.series):
-            raise ValueError(f"series: expected {number} for each port, found {self.series}")
+            raise ValueError(f"series: found {self.series}; expected {number} for each port")
         if not any(self.series):
             raise ValueError(f"series: expected a {counts} greater than 0 for some port, or no series at all")
         contacts = self.environment.contacts()
         missing = [port for port in self.parts if counts == "part" and port not in contacts]
         if missing:
             expected = "a port that one spring joins to a mass or to ground"
-            raise ValueError(f"series: expected {expected}, found {missing[0]}")
+            raise ValueError(f"series: found {missing[0]}; expected {expected}")
 
     @property
     def parts(self) -> dict[str, float]:

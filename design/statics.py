@@ -137,7 +137,7 @@ def _require_semidefinite(gain: fmpq_mat, ports: Sequence[str]) -> None:
                 raise Infeasible(
                     f"the environment's static stiffness E(1) is not positive semidefinite, {consequence}: beside "
                     f"({ports[k]}, {ports[k]}) = {_text(gain[k, k])} N/m its entry ({ports[k]}, {ports[beside]}) is "
-                    f"{_text(gain[k, beside])} N/m, expected {_text(gain[k, beside] - rest[k][beside])} N/m",
+                    f"{_text(gain[k, beside])} N/m; expected {_text(gain[k, beside] - rest[k][beside])} N/m",
                     (
                         f"raise the entry ({ports[k]}, {ports[k]})",
                         "remove the negative stiffness, which pushes the tools away from rest",

@@ -120,7 +120,7 @@ def search(loop: HapticLoop, wanted: CouplingRequest, progress: Progress | None 
                 return _complementarity(loop, wish, orders, progress)
             return _linear(loop, wanted, progress)
         case _:
-            raise TypeError(f"expected a class of couplings to search, found {type(wanted).__name__}")
+            raise TypeError(f"found {type(wanted).__name__}; expected a class of couplings to search")
 
 
 def _complementarity(loop: HapticLoop, wish: Wish, orders: tuple[int, ...] | None, progress: Progress | None) -> Found:
@@ -451,14 +451,14 @@ def _take(loop: HapticLoop, wanted: CouplingRequest) -> Found | None:
             found = [(block.outputs, block.inputs) for block in blocks]
             sizes = [(len(ports), len(ports)) for ports in loop.partition.blocks]
             if found != sizes:
-                raise ValueError(f"expected blocks of V with {sizes} outputs and inputs, found {found}")
+                raise ValueError(f"found blocks of V with {found} outputs and inputs; expected {sizes}")
             for name, block, ports in zip(loop.partition.names, blocks, loop.partition.blocks, strict=True):
                 check_block(name, block, tuple(loop.ports[port] for port in ports))
             return Found(blocks, {"algorithm": "given"}, aim)
         case SpringDamperGiven(coupling, aim):
             m = len(loop.ports)
             if coupling.stiffness.shape != (m, m):
-                raise ValueError(f"expected a coupling of {m} ports, found {len(coupling.stiffness)}")
+                raise ValueError(f"found a coupling of {len(coupling.stiffness)} ports; expected {m}")
             return Found(coupling.restrict(loop.partition), {"algorithm": "given"}, aim)
     return None
 

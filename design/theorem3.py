@@ -385,7 +385,7 @@ def joint_levels(
     try:
         best = solve(cp.Problem(cp.Maximize(t), [*constraints, room >= 0.0]), what)
         if best <= 0.0:
-            raise Infeasible(f"condition (10) fails: its best margin is {best:.4g} N*s/m, expected > 0", RELAX)
+            raise Infeasible(f"condition (10) fails: its best margin is {best:.4g} N*s/m; expected > 0", RELAX)
         parts = list(zip(forms, P_V, Delta_V, strict=True))
         found = _make_room(constraints, room, t, best, what, lambda: all(f.proved(P, D) for f, P, D in parts))
     except ProgramInfeasible as error:
@@ -680,7 +680,7 @@ def _closed_form(name: str, coupling: SpringDamper, Lambda: Matrix, T: float) ->
     least = float(np.linalg.eigvalsh(level)[0])
     if least <= 0.0:
         raise Infeasible(
-            f"coupling {name}: the greatest level of V_hat has the eigenvalue {least:.4g} N*s/m, expected > 0",
+            f"coupling {name}: the greatest level of V_hat has the eigenvalue {least:.4g} N*s/m; expected > 0",
             ("raise the coupling's damping", "raise its stiffness towards half its limit"),
         )
     return level
@@ -723,7 +723,7 @@ def _declared(loop: HapticLoop, Phi_E: Matrix, device: DeviceShare, Delta_V: tup
     if left <= 0.0:
         raise Infeasible(
             "condition (10) fails with the environment's declared level: "
-            f"its least eigenvalue is {left:.4g} N*s/m, expected > 0",
+            f"its least eigenvalue is {left:.4g} N*s/m; expected > 0",
             (
                 "declare a smaller level",
                 "use devices with more damping (a greater osp)",

@@ -177,7 +177,7 @@ def complement(
         ValueError: a negative cap.
     """
     if iterations < 0:
-        raise ValueError(f"found a cap of {iterations} iterations, expected one >= 0")
+        raise ValueError(f"found a cap of {iterations} iterations; expected one >= 0")
     path: _Path[Found] = _Path(relaxed, progress)
     try:
         return path.follow(iterations)
@@ -370,7 +370,7 @@ def solve_theorem_4(
         ValueError: kappa or share is not positive.
     """
     if not (0.0 < kappa < np.inf and 0.0 < share < np.inf):
-        raise ValueError(f"found kappa = {kappa}, share = {share}, expected finite ones > 0")
+        raise ValueError(f"found kappa = {kappa}, share = {share}; expected finite ones > 0")
     m = len(loop.ports)
     Phi, constraints = _environment(loop)
     Delta = sum(
@@ -512,12 +512,12 @@ def design_linear(
     partition = loop.partition
     if len(orders) != len(partition.blocks) or min(orders) < 0:
         raise ValueError(
-            f"found orders {list(orders)}, expected one >= 0 for each of the {len(partition.blocks)} blocks of V"
+            f"found orders {list(orders)}; expected one >= 0 for each of the {len(partition.blocks)} blocks of V"
         )
     for name, n, ports in zip(partition.names, orders, partition.blocks, strict=True):
         if n + len(ports) > MOST_STATES:
             raise TooLarge(
-                f"coupling {name}: found {n} states and {len(ports)} ports, expected at most {MOST_STATES} together; "
+                f"coupling {name}: found {n} states and {len(ports)} ports; expected at most {MOST_STATES} together; "
                 "lower its order, or divide it"
             )
     blocks = [linear_unknowns(n, len(ports)) for n, ports in zip(orders, partition.blocks, strict=True)]

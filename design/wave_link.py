@@ -112,7 +112,7 @@ class WaveLinkFace(DeclaredEnvironment):
     def __post_init__(self) -> None:
         m = len(self.ports)
         if len(self.harvest) != m:
-            raise ValueError(f"environment.harvest: expected {m} numbers, found {len(self.harvest)}")
+            raise ValueError(f"environment.harvest: found {len(self.harvest)} numbers; expected {m}")
         object.__setattr__(self, "level", np.diag(self.harvest))
         object.__setattr__(self, "b", matrix(self.b, m, m))
         if self.mass is not None:

@@ -201,8 +201,8 @@ def world_from_content(data: Mapping[str, Any], terms: WorldTerms) -> World:
     world = terms.kept(level, storage_of(data["storage"]["E_hat"], terms.environment), margins, dict(data["method"]))
     if world.id != data["id"]:
         raise ValueError(
-            f"written again its id would be {world.id[:16]} instead of {str(data['id'])[:16]}: another order of keys, "
-            "other forms of numbers, or other terms"
+            f"it was re-serialised, or has other terms: its content has the id {world.id[:16]}, the file says "
+            f"{str(data['id'])[:16]}"
         )
     return world
 

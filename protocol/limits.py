@@ -74,7 +74,7 @@ HUB_QUEUE_FRAMES: Final = 1000
 HUB_INBOX_FRAMES: Final = 64
 """The same limit at the hub for one member: a hub may have thousands of members, and a frame may have a mebibyte."""
 
-DEAF_BYTES: Final = 1024
+SEND_ONLY_BYTES: Final = 1024
 """Longest frame that a send-only end takes, bytes: room for the handshake. Such an end reads none, and keeps one."""
 
 MAX_STRAY_FRAMES: Final = 512

@@ -86,20 +86,20 @@ class PathState(StrEnum):
 class PathEvent(StrEnum):
     """What one end learns of a path."""
 
-    DEAF = "a datagram of a peer that hears none"
-    HEARD = "a datagram of a peer that hears ours"
+    UNHEARD = "a datagram of a peer that has heard none of ours"
+    HEARD = "a datagram of a peer that has heard ours"
     SILENCE = "none for so long"
 
 
 TRANSITIONS: Final[Mapping[tuple[PathState, PathEvent], PathState]] = MappingProxyType(
     {
-        (PathState.DOWN, PathEvent.DEAF): PathState.INIT,
+        (PathState.DOWN, PathEvent.UNHEARD): PathState.INIT,
         (PathState.DOWN, PathEvent.HEARD): PathState.UP,
         (PathState.DOWN, PathEvent.SILENCE): PathState.DOWN,
-        (PathState.INIT, PathEvent.DEAF): PathState.INIT,
+        (PathState.INIT, PathEvent.UNHEARD): PathState.INIT,
         (PathState.INIT, PathEvent.HEARD): PathState.UP,
         (PathState.INIT, PathEvent.SILENCE): PathState.DOWN,
-        (PathState.UP, PathEvent.DEAF): PathState.INIT,
+        (PathState.UP, PathEvent.UNHEARD): PathState.INIT,
         (PathState.UP, PathEvent.HEARD): PathState.UP,
         (PathState.UP, PathEvent.SILENCE): PathState.DOWN,
     }
@@ -307,7 +307,7 @@ class PathEnd:
             return None
         self._newest, self._heard_at, self.token = tick, now, token
         self.opened += 1
-        self._learn(PathEvent.HEARD if heard else PathEvent.DEAF)
+        self._learn(PathEvent.HEARD if heard else PathEvent.UNHEARD)
         return frame
 
     def _learn(self, event: PathEvent) -> None:

@@ -126,7 +126,7 @@ def gain_for_share(
     stretch = _stretch(period_tolerance)
     t = float(_tick_fraction(tau_hat) / stretch)
     if not 0.0 <= share <= 1.0:
-        raise ValueError(f"share: found {share}, expected 0 ... 1")
+        raise ValueError(f"share: found {share}; expected 0 ... 1")
     if share > greatest_share(tau_hat, period_tolerance):
         return None
     if t == 0.0:
@@ -221,7 +221,7 @@ def _holds_at(kappa: Fraction, share: Fraction, c: Fraction, t: Fraction, q: Fra
 def _lost(t: Fraction, pieces: int) -> Fraction:
     """The part of c that tangents lose at the ends of pieces of length h: h^2/16."""
     if pieces < 1:
-        raise ValueError(f"pieces: found {pieces}, expected 1 or more")
+        raise ValueError(f"pieces: found {pieces}; expected 1 or more")
     return (t / pieces) ** 2 / 16
 
 
@@ -251,18 +251,18 @@ def _exact_weight(kappa: Fraction, t: Fraction, lost: Fraction, share: Fraction)
 
 def _gain(kappa: Real) -> Fraction:
     if not 0.0 < kappa < math.inf:
-        raise ValueError(f"kappa: found {float(kappa)!r}, expected a finite positive number")
+        raise ValueError(f"kappa: found {float(kappa)!r}; expected a finite positive number")
     return Fraction(kappa)
 
 
 def _stretch(period_tolerance: Real) -> Fraction:
     """The longest period in units of T, lambda = 1 + rho."""
     if not 0.0 <= period_tolerance <= 1.0:
-        raise ValueError(f"period tolerance: found {float(period_tolerance)!r}, expected 0 ... 1")
+        raise ValueError(f"period tolerance: found {float(period_tolerance)!r}; expected 0 ... 1")
     return 1 + Fraction(period_tolerance)
 
 
 def _tick_fraction(tau_hat: Real) -> Fraction:
     if not 0.0 <= tau_hat <= 1.0:
-        raise ValueError(f"tau/T: found {float(tau_hat)!r}, expected 0 ... 1: a delay inside the tick")
+        raise ValueError(f"tau/T: found {float(tau_hat)!r}; expected 0 ... 1: a delay inside the tick")
     return Fraction(tau_hat)

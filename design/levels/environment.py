@@ -263,7 +263,7 @@ def best_level(
     if best <= given_up:
         raise Infeasible(
             f"condition (10) fails: the environment lacks passivity at {frequency / T:.4g} rad/s, where no Phi_E "
-            f"leaves a greater margin than {best:.4g} N*s/m, expected more than {given_up:.3g}",
+            f"leaves a greater margin than {best:.4g} N*s/m; expected more than {given_up:.3g}",
             (
                 "use devices with more damping (a greater osp)",
                 "soften the environment or give it more damping",
@@ -294,7 +294,7 @@ def lack_of_passivity(split: Split, T: float, Delta: Matrix, progress: Progress 
 
 def _require_level(name: str, level: Matrix, m: int) -> None:
     if level.shape != (m, m) or np.any(level != level.T):
-        raise ValueError(f"expected {name} to be a symmetric {m} x {m} matrix, found shape {level.shape}")
+        raise ValueError(f"{name}: found the shape {level.shape}; expected a symmetric {m} x {m} matrix")
     if not (np.all(np.isfinite(level)) and np.linalg.eigvalsh(level)[0] > 0.0):
         raise ValueError(f"expected {name} to be finite and positive definite")
 

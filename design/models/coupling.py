@@ -64,9 +64,9 @@ class Partition:
     def __post_init__(self) -> None:
         ports = sorted(port for block in self.blocks for port in block)
         if ports != list(range(len(ports))) or not all(self.blocks):
-            raise ValueError(f"expected every port in exactly one block, found {self.blocks}")
+            raise ValueError(f"found the blocks {self.blocks}; expected every port in exactly one")
         if len(set(self.names)) != len(self.names) or len(self.names) != len(self.blocks):
-            raise ValueError(f"expected one distinct name for each block, found {self.names}")
+            raise ValueError(f"found the names {self.names}; expected one of its own for each block")
 
     @property
     def size(self) -> int:

@@ -179,7 +179,7 @@ class DelayedNetwork(Environment):
 
     def __post_init__(self) -> None:
         if self.delay < 1:
-            raise ValueError(f"expected a delay of a tick or more, found {self.delay}")
+            raise ValueError(f"found {self.delay}; expected a delay of a tick or more")
 
     @property
     def ports(self) -> tuple[str, ...]:
@@ -230,7 +230,9 @@ class StateSpaceEnvironment(_WithoutLinks):
     def __post_init__(self) -> None:
         m = len(self.ports)
         if (self.system.outputs, self.system.inputs) != (m, m):
-            raise ValueError(f"expected {m} inputs and outputs, found {self.system.inputs} and {self.system.outputs}")
+            raise ValueError(
+                f"found {self.system.inputs} inputs and {self.system.outputs} outputs; expected {m} of each"
+            )
 
     def __eq__(self, other: object) -> bool:
         """Equal when every number is."""
@@ -375,7 +377,7 @@ def network_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> Network | Del
     if low == high:
         return low if delay == 0 else DelayedNetwork(low, delay)
     if delay:
-        raise ValueError("environment: found intervals and a delay, expected one of the two")
+        raise ValueError("environment: found intervals and a delay; expected one of the two")
     return NetworkBox(low, high)
 
 
@@ -384,7 +386,7 @@ def _network_at(data: Mapping[str, Any], ports: tuple[str, ...], end: int) -> Ne
 
     def at(value: Any) -> float:
         if isinstance(value, list) and len(value) != 2:
-            raise ValueError(f"environment: found {len(value)} numbers, expected an interval [low, high]")
+            raise ValueError(f"environment: found {len(value)} numbers; expected an interval [low, high]")
         return float(value[end] if isinstance(value, list) else value)
 
     return Network(
@@ -401,7 +403,7 @@ def _network_at(data: Mapping[str, Any], ports: tuple[str, ...], end: int) -> Ne
 def _delay(data: Mapping[str, Any]) -> int:
     delay = data["delay"]
     if type(delay) is not int or not 0 <= delay <= MOST_DELAY:
-        raise ValueError(f"environment.delay: found {delay!r}, expected a whole number from 0 to {MOST_DELAY}")
+        raise ValueError(f"environment.delay: found {delay!r}; expected a whole number from 0 to {MOST_DELAY}")
     return delay
 
 
@@ -409,10 +411,10 @@ def state_space_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> StateSpac
     """The environment that :meth:`StateSpaceEnvironment.terms` wrote (:func:`.environment_of`)."""
     delay = _delay(data)
     if data["time"] not in ("continuous", "discrete"):
-        raise ValueError(f"environment.time: found {data['time']!r}, expected 'continuous' or 'discrete'")
+        raise ValueError(f"environment.time: found {data['time']!r}; expected 'continuous' or 'discrete'")
     method = data["method"] if data["time"] == "continuous" else None
     if method is not None and method not in METHODS:
-        raise ValueError(f"environment.method: found {method!r}, expected one of {', '.join(METHODS)}")
+        raise ValueError(f"environment.method: found {method!r}; expected one of {', '.join(METHODS)}")
     return StateSpaceEnvironment(ports, read_system(data, continuous=method is not None), method, delay)
 
 
@@ -420,6 +422,6 @@ def transfer_functions_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> Tr
     """The environment that :meth:`TransferEnvironment.terms` wrote (:func:`.environment_of`)."""
     delay = _delay(data)
     if data["method"] not in ("backward-euler", "tustin"):
-        raise ValueError(f"environment.method: found {data['method']!r}, expected 'backward-euler' or 'tustin'")
+        raise ValueError(f"environment.method: found {data['method']!r}; expected 'backward-euler' or 'tustin'")
     rows = tuple(tuple(read_rational(entry) for entry in row) for row in data["entries"])
     return TransferEnvironment(ports, rows, data["method"], delay)

@@ -98,7 +98,7 @@ class Network(Environment):
         known = set(names)
         if len(known) != len(names):
             raise ValueError(
-                f"expected distinct names of ports and masses, none of them {GROUND!r}, found {names[:-1]}"
+                f"found the names {names[:-1]} of ports and masses; expected distinct ones, none of them {GROUND!r}"
             )
         for link in self.links:
             if not set(link.ends) <= known or link.ends[0] == link.ends[1]:
@@ -110,7 +110,7 @@ class Network(Environment):
                 )
         for name, mass in self.masses:
             if not 0.0 < mass < np.inf:
-                raise ValueError(f"mass {name}: found {mass} kg, expected a finite one > 0")
+                raise ValueError(f"mass {name}: found {mass} kg; expected a finite one > 0")
 
     def contacts(self) -> dict[str, NetworkLink]:
         """The link by which a port meets the rest of the world, by port; links in parallel are added.

@@ -293,7 +293,7 @@ class ContactScene:
         movable = [thing.name for thing in self.things]
         names = [*movable, *(obstacle.name for obstacle in self.obstacles), GROUND]
         if len(set(names)) < len(names):
-            yield f"expected distinct names, none of them {GROUND!r}, found {names[:-1]}"
+            yield f"found the names {names[:-1]}; expected distinct ones, none of them {GROUND!r}"
         if len(movable) > MOST_POINTS or len(self.obstacles) > MOST_OBSTACLES:
             yield (
                 f"found {len(movable)} tools and bodies and {len(self.obstacles)} obstacles; expected at most "

@@ -53,9 +53,9 @@ def matrix(data: ArrayLike, rows: int | None = None, columns: int | None = None)
     """
     out = np.array(data, dtype=np.float64)
     if out.ndim != 2:
-        raise ValueError(f"expected a matrix, found {out.ndim} dimension(s)")
+        raise ValueError(f"found {out.ndim} dimension(s); expected a matrix")
     if (rows is not None and out.shape[0] != rows) or (columns is not None and out.shape[1] != columns):
-        raise ValueError(f"expected a {rows} x {columns} matrix, found {out.shape[0]} x {out.shape[1]}")
+        raise ValueError(f"found {out.shape[0]} x {out.shape[1]}; expected a {rows} x {columns} matrix")
     if not np.all(np.isfinite(out)):
         raise ValueError("expected finite entries")
     out.setflags(write=False)
@@ -127,7 +127,7 @@ class StateSpace:
         try:
             steady = np.linalg.solve(-states if continuous else np.eye(n) - states, entering)
         except np.linalg.LinAlgError:
-            raise ValueError(f"found a pole at {'s = 0' if continuous else 'z = 1'}, expected a static gain") from None
+            raise ValueError(f"found a pole at {'s = 0' if continuous else 'z = 1'}; expected a static gain") from None
         with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused with a sentence
             direct = static - leaving @ steady
         return cls(states, entering, leaving, direct, static)
@@ -377,13 +377,13 @@ def cayley(system: StateSpace, rate: float) -> StateSpace:
         ValueError: ``rate`` is not positive, or an eigenvalue of A.
     """
     if not 0.0 < rate < np.inf:
-        raise ValueError(f"expected a positive rate in 1/s, found {rate}")
+        raise ValueError(f"found {rate}; expected a positive rate in 1/s")
     n = system.order
     shifted: Matrix = rate * np.eye(n) - system.A
     try:
         R = np.linalg.inv(shifted)
     except np.linalg.LinAlgError:
-        raise ValueError(f"expected a rate that is no eigenvalue of A, found {rate}") from None
+        raise ValueError(f"found {rate}; expected a rate that is no eigenvalue of A") from None
     root = float(np.sqrt(2.0 * rate))
     return StateSpace(
         (rate * np.eye(n) + system.A) @ R,
@@ -562,7 +562,7 @@ def read_system(data: Mapping[str, Any], *, continuous: bool = False) -> StateSp
         raise ValueError("expected B and C without entries where A has none")
     if "static" in data:
         if "D" in data:
-            raise ValueError("found both D and static, expected one of them")
+            raise ValueError("found both D and static; expected one of them")
         A, B, C = (data[key] if data["A"] else [] for key in "ABC")
         return StateSpace.with_static_gain(A, B, C, data["static"], continuous=continuous)
     D = matrix(data["D"])

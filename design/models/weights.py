@@ -42,7 +42,7 @@ class Filter:
     def __post_init__(self) -> None:
         num, den = _trimmed(self.num, "numerator"), _trimmed(self.den, "denominator")
         if not den:
-            raise ValueError("denominator: found zero, expected a coefficient that is not")
+            raise ValueError("denominator: found zero; expected a coefficient that is not")
         if len(num) > len(den):
             raise ValueError(
                 f"found a numerator of degree {len(num) - 1} over a denominator of degree {len(den) - 1}: "
@@ -50,7 +50,7 @@ class Filter:
             )
         radius = max(np.abs(np.roots(den)), default=0.0)
         if not radius < 1.0:
-            raise ValueError(f"found a pole of modulus {radius:.6g}, expected a stable weight: all below 1")
+            raise ValueError(f"found a pole of modulus {radius:.6g}; expected a stable weight: all below 1")
         object.__setattr__(self, "num", tuple(c / den[0] for c in num) or (0.0,))
         object.__setattr__(self, "den", tuple(c / den[0] for c in den))
 
@@ -73,7 +73,7 @@ class Filter:
                 gain.
         """
         if not (isfinite(T) and T > 0.0):
-            raise ValueError(f"period: found {T}, expected a positive one")
+            raise ValueError(f"period: found {T}; expected a positive one")
         a, b = _trimmed(num, "numerator"), _trimmed(den, "denominator")
         degree = max(len(a), len(b), 1) - 1
         out = cls(_backward_euler(a, degree, T), _backward_euler(b, degree, T))
@@ -81,7 +81,7 @@ class Filter:
             wanted, found = (a[-1] / b[-1] if a else 0.0), sum(out.num) / sum(out.den)
             if not abs(found - wanted) <= _STATIC_TOLERANCE * max(abs(wanted), max(map(abs, out.num))):
                 raise ValueError(
-                    f"found a static gain of {found:.6g} after rounding, expected {wanted:.6g}: several poles are too "
+                    f"found a static gain of {found:.6g} after rounding; expected {wanted:.6g}: several poles are too "
                     "slow for this period; give the filter fewer of them"
                 )
         return out
@@ -97,7 +97,7 @@ class Filter:
             ValueError: not 0 <= low < high < 1/(2T).
         """
         if not 0.0 <= low < high < 0.5 / T:
-            raise ValueError(f"band: found {low} to {high} Hz, expected 0 <= low < high < {0.5 / T:g} Hz = 1/(2T)")
+            raise ValueError(f"band: found {low} to {high} Hz; expected 0 <= low < high < {0.5 / T:g} Hz = 1/(2T)")
         fall = (0.5 / (pi * high), 1.0)
         if low == 0.0:
             return cls.from_continuous((1.0,), fall, T)
@@ -129,10 +129,10 @@ class Filter:
 def _trimmed(coefficients: tuple[float, ...], what: str) -> tuple[float, ...]:
     """The coefficients as floats without leading zeros."""
     if not 0 < len(coefficients) <= MOST_DEGREE + 1:
-        raise ValueError(f"{what}: found {len(coefficients)} coefficients, expected 1 to {MOST_DEGREE + 1}")
+        raise ValueError(f"{what}: found {len(coefficients)} coefficients; expected 1 to {MOST_DEGREE + 1}")
     values = [float(c) for c in coefficients]
     if not all(isfinite(c) for c in values):
-        raise ValueError(f"{what}: found {values}, expected finite coefficients")
+        raise ValueError(f"{what}: found {values}; expected finite coefficients")
     while values and values[0] == 0.0:
         values.pop(0)
     return tuple(values)
@@ -167,7 +167,7 @@ class Transparency:
 
     def __post_init__(self) -> None:
         if self.objective not in ("loop-shaping", "closed-loop"):
-            raise ValueError(f"objective: found {self.objective!r}, expected 'loop-shaping' or 'closed-loop'")
+            raise ValueError(f"objective: found {self.objective!r}; expected 'loop-shaping' or 'closed-loop'")
 
 
 def weighted(loop_E: StateSpace, V: StateSpace, aim: Transparency) -> StateSpace:
@@ -193,7 +193,7 @@ def weighted(loop_E: StateSpace, V: StateSpace, aim: Transparency) -> StateSpace
     """
     m = loop_E.inputs
     if (loop_E.outputs, V.inputs, V.outputs) != (m, m, m):
-        raise ValueError(f"expected E and V of the same {m} ports, found {loop_E.outputs}, {V.inputs}, {V.outputs}")
+        raise ValueError(f"found E of {loop_E.outputs} outputs and V of {V.outputs} x {V.inputs}; expected {m} ports")
     before, after = aim.W2.realisation(m), aim.W1.realisation(m)
     if aim.objective == "loop-shaping":
         return _series(before, V, loop_E, after)

@@ -322,7 +322,7 @@ def _greatest(system: StateSpace, shape: Shape, role: Role, other: Matrix | None
     Delta, Phi = checked_levels(system, *((None, other) if role == "output" else (other, None)))
     m = system.inputs
     if isinstance(shape, Partition) and shape.size != m:
-        raise ValueError(f"expected a partition of {m} ports, found one of {shape.size}")
+        raise ValueError(f"found a partition of {shape.size} ports; expected {m}")
     discrete, _ = in_discrete_time(system, time)
     seen = np.linalg.svd(np.hstack([discrete.C, discrete.D]), compute_uv=False)
     if role == "output" and (seen[0] == 0.0 or (shape != "scalar" and seen[-1] <= _SILENT * seen[0])):

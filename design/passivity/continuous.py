@@ -226,7 +226,7 @@ def feedback_with_passive(device: StateSpace, operator: StateSpace) -> StateSpac
     """
     m = device.inputs
     if {device.outputs, operator.inputs, operator.outputs} != {m}:
-        raise ValueError(f"expected a device and an operator of one size, found {m} and {operator.inputs} inputs")
+        raise ValueError(f"found a device of {m} ports and an operator of {operator.inputs} inputs; expected one size")
     loop = np.eye(m) + device.D @ operator.D
     if np.linalg.cond(loop) > 1e12:
         raise ValueError("the interconnection is not well posed: I + D_D D_H is singular")
@@ -261,7 +261,7 @@ def lemma3(device: Dissipative, operator: Dissipative) -> Dissipative:
         [[1.37]]
     """
     if float(np.linalg.eigvalsh(operator.Delta)[0]) < 0.0:
-        raise ValueError("found a hand with a negative output level, expected a passive hand")
+        raise ValueError("found a hand with a negative output level; expected a passive hand")
     whole = feedback_with_passive(device.system, operator.system)
     return Dissipative(whole, block_diagonal([device.P, operator.P]), device.Delta)
 

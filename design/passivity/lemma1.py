@@ -435,7 +435,7 @@ def checked_levels(system: StateSpace, Delta: Matrix | None, Phi: Matrix | None)
     require_state_space(system)
     m = system.inputs
     if system.outputs != m or m == 0:
-        raise ValueError(f"expected as many outputs as inputs, at least one, found {system.outputs} and {m}")
+        raise ValueError(f"found {system.outputs} outputs and {m} inputs; expected as many of both, at least one")
     out = []
     for name, level in (("Delta", Delta), ("Phi", Phi)):
         try:

@@ -402,7 +402,7 @@ def _system(item: Item, m: int) -> SystemData:
     parts = item.fields(("type", "A", "B", "C", "time", "delay"), ("method", "D", "static"))
     n = parts["A"].length()
     if n + m > MAX_DENSE:
-        raise ProofInputError(f"{item.path}.A: found {n} states and {m} ports, expected at most {MAX_DENSE} together")
+        raise ProofInputError(f"{item.path}.A: found {n} states and {m} ports; expected at most {MAX_DENSE} together")
     method = None
     if parts["time"].text("discrete", "continuous") == "continuous":
         if "method" not in parts:
@@ -424,7 +424,7 @@ def realisation(
     A, B, C = parts["A"].table(n, n), parts["B"].table(n, m), parts["C"].table(m, n)
     if ("D" in parts) == ("static" in parts):
         found = "both" if "D" in parts else "neither"
-        raise ProofInputError(f"{item.path}: found {found} of the keys D and static, expected one of them")
+        raise ProofInputError(f"{item.path}: found {found} of the keys D and static; expected one of them")
     D, static = (parts[key].table(m, m) if key in parts else None for key in ("D", "static"))
     return A, B, C, D, static
 
@@ -432,7 +432,7 @@ def realisation(
 def _transfer(item: Item, m: int) -> TransferData:
     parts = item.fields(("type", "entries", "method", "delay"))
     if m > MAX_DENSE:
-        raise ProofInputError(f"{item.path}: found {m} ports, expected at most {MAX_DENSE}")
+        raise ProofInputError(f"{item.path}: found {m} ports; expected at most {MAX_DENSE}")
     rows = []
     for row in parts["entries"].items(m, exactly=m):
         rows.append(tuple(_rational(entry) for entry in row.items(m, exactly=m)))
@@ -672,7 +672,7 @@ def _require_plain(item: Item) -> None:
     for _ in range(_DEEPEST_ASKED):
         count += len(level)
         if count > _MOST_ASKED:
-            raise ProofInputError(f"{item.path}: found more than {_MOST_ASKED} values, expected at most {_MOST_ASKED}")
+            raise ProofInputError(f"{item.path}: found more than {_MOST_ASKED} values; expected at most {_MOST_ASKED}")
         deeper: list[object] = []
         for value in level:
             here = Item(value, item.path)
@@ -686,7 +686,7 @@ def _require_plain(item: Item) -> None:
                 here.number()
         level = deeper
     if level:
-        raise ProofInputError(f"{item.path}: found objects or lists deeper than {_DEEPEST_ASKED} levels, expected none")
+        raise ProofInputError(f"{item.path}: found objects or lists deeper than {_DEEPEST_ASKED} levels; expected none")
 
 
 def indices(item: Item, index: dict[str, int]) -> tuple[int, ...]:
@@ -758,7 +758,7 @@ def _square(item: Item) -> StatedMatrix:
     """A square matrix of bounded size."""
     n = item.length()
     if n > MAX_DENSE:
-        raise ProofInputError(f"{item.path}: found {n} rows, expected at most {MAX_DENSE}")
+        raise ProofInputError(f"{item.path}: found {n} rows; expected at most {MAX_DENSE}")
     return item.table(n, n)
 
 
@@ -782,7 +782,7 @@ def _linear(item: Item, storage: Item, m: int) -> Linear:
     parts = item.fields(("A", "B", "C"), ("D", "static"))
     n = parts["A"].length()
     if n > MAX_DENSE:
-        raise ProofInputError(f"{item.path}.A: found {n} rows, expected at most {MAX_DENSE}")
+        raise ProofInputError(f"{item.path}.A: found {n} rows; expected at most {MAX_DENSE}")
     return Linear(*realisation(item, parts, n, m), storage.table(n, n))
 
 

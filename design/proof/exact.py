@@ -94,7 +94,7 @@ class Item:
 
     def refusal(self, expected: str) -> ProofInputError:
         """The error that names this place, what was found and what would be right."""
-        return ProofInputError(f"{self.path or 'certificate'}: found {_shown(self.value)}, expected {expected}")
+        return ProofInputError(f"{self.path or 'certificate'}: found {_shown(self.value)}; expected {expected}")
 
     def fields(self, required: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, Item]:
         """The values of an object with exactly these keys."""
@@ -114,12 +114,12 @@ class Item:
             raise self.refusal("an object")
         if len(self.value) > most:
             raise ProofInputError(
-                f"{self.path or 'certificate'}: found {len(self.value)} keys, expected at most {most}"
+                f"{self.path or 'certificate'}: found {len(self.value)} keys; expected at most {most}"
             )
         for key in self.value:
             if not isinstance(key, str) or len(key) > _MAX_TEXT:
                 raise ProofInputError(
-                    f"{self.path or 'certificate'}: found the key {_shown(key)}, expected a short text"
+                    f"{self.path or 'certificate'}: found the key {_shown(key)}; expected a short text"
                 )
         return {key: Item(value, f"{self.path}.{key}" if self.path else key) for key, value in self.value.items()}
 
@@ -128,9 +128,9 @@ class Item:
         if not isinstance(self.value, list | tuple):
             raise self.refusal("a list")
         if exactly is not None and len(self.value) != exactly:
-            raise ProofInputError(f"{self.path}: found {len(self.value)} entries, expected {exactly}")
+            raise ProofInputError(f"{self.path}: found {len(self.value)} entries; expected {exactly}")
         if len(self.value) > most:
-            raise ProofInputError(f"{self.path}: found {len(self.value)} entries, expected at most {most}")
+            raise ProofInputError(f"{self.path}: found {len(self.value)} entries; expected at most {most}")
         return [Item(value, f"{self.path}[{i}]") for i, value in enumerate(self.value)]
 
     def text(self, *allowed: str) -> str:
@@ -170,13 +170,13 @@ class Item:
         if not lines and (rows == 0 or columns == 0):
             return StatedMatrix(rows, columns, [[] for _ in range(rows)])
         if len(lines) != rows:
-            raise ProofInputError(f"{self.path}: found {len(lines)} rows, expected {rows}")
+            raise ProofInputError(f"{self.path}: found {len(lines)} rows; expected {rows}")
         values: list[list[Number]] = []
         for i, line in enumerate(lines):
             if not isinstance(line, list | tuple):
                 raise Item(line, f"{self.path}[{i}]").refusal(f"a row of {columns} numbers")
             if len(line) != columns:
-                raise ProofInputError(f"{self.path}[{i}]: found {len(line)} entries, expected {columns}")
+                raise ProofInputError(f"{self.path}[{i}]: found {len(line)} entries; expected {columns}")
             for j, value in enumerate(line):
                 if not _is_number(value):
                     raise Item(value, f"{self.path}[{i}][{j}]").refusal("a finite number")

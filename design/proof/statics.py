@@ -77,7 +77,7 @@ def _carried(A: StatedMatrix, B: StatedMatrix, C: StatedMatrix, discrete: bool) 
     if n == 0:
         return fmpq_mat(C.rows, B.columns)
     if n > MAX_STATIC:
-        raise Undecided(f"found {n} states, expected at most {MAX_STATIC}: statics are decided exactly")
+        raise Undecided(f"found {n} states; expected at most {MAX_STATIC}: statics are decided exactly")
     M = -A.rational()
     if discrete:
         M += rational.identity(fmpq_mat, n)
@@ -111,7 +111,7 @@ def _stiffened(E1: fmpq_mat, C: fmpq_mat) -> fmpq_mat:
     """E1 (I - C E1)^-1, as (I - E1 C)^-1 E1."""
     m = E1.nrows()
     if m > MAX_STATIC:
-        raise Undecided(f"found {m} ports, expected at most {MAX_STATIC}: statics are decided exactly")
+        raise Undecided(f"found {m} ports; expected at most {MAX_STATIC}: statics are decided exactly")
     out = fmpq_mat(m, m)
     entries: Sparse = {(i, j): E1[i, j] for i in range(m) for j in range(m) if E1[i, j] != 0}
     for group in exact.groups(m, [entries]):

@@ -139,7 +139,7 @@ def read_world(data: Mapping[str, Any]) -> WorldClaim:
     wave_links = {}
     for name, item in fields["wave_links"].entries(MAX_PORTS).items():
         if name not in sizes:
-            raise ProofInputError(f"{item.path}: found the coupling {name[:60]!r}, expected one of structure")
+            raise ProofInputError(f"{item.path}: found the coupling {name[:60]!r}; expected one of structure")
         terms = item.fields(("id", "b", "tank"))
         wave_links[name] = StatedWaveLink(terms["id"].text(), terms["b"].symmetric(sizes[name]), terms["tank"].number())
     in_tick = None

@@ -184,7 +184,7 @@ def fixed_pole_family(
     """
     count = len(loop.partition.blocks)
     if len(bases) != count or len(least_levels) != count:
-        raise ValueError(f"expected poles and a level for {count} blocks, found {len(bases)} and {len(least_levels)}")
+        raise ValueError(f"found {len(bases)} poles and {len(least_levels)} levels of blocks; expected {count}")
     blocks = []
     for basis, ports, level, S, name in zip(
         bases, loop.partition.blocks, least_levels, loop.scaling, loop.partition.names, strict=True

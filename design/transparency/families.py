@@ -78,24 +78,24 @@ class NormalisedLoop:
         m, E, Delta_D = self.partition.size, self.E, self.Delta_D
         if E.inputs != m or E.outputs != m or Delta_D.shape != (m, m):
             raise ValueError(
-                f"expected E and Delta_D of {m} ports, found {E.outputs} x {E.inputs} and "
-                f"{Delta_D.shape[0]} x {Delta_D.shape[1]}"
+                f"found E of {E.outputs} x {E.inputs} and Delta_D of {Delta_D.shape[0]} x {Delta_D.shape[1]}; "
+                f"expected {m} x {m}"
             )
         radius = float(np.max(np.abs(np.linalg.eigvals(E.A)), initial=0.0))
         if not radius < 1.0:
             raise ValueError(
-                f"environment: found a pole of modulus {radius:.9g}, expected a stable E; a mass that no link holds "
+                f"environment: found a pole of modulus {radius:.9g}; expected a stable E; a mass that no link holds "
                 "moves no port and may be left out"
             )
         if not (self.T > 0.0 and self.kappa > 0.0):
-            raise ValueError(f"expected a positive period and kappa, found {self.T} and {self.kappa}")
+            raise ValueError(f"found the period {self.T} and kappa {self.kappa}; expected both above 0")
         if not self.partition.admits(Delta_D) or np.any(Delta_D != Delta_D.T):
             raise ValueError("expected a symmetric Delta_D that joins no ports of different blocks")
         scaling = []
         for name, part in zip(self.partition.names, self.partition.restrict(Delta_D), strict=True):
             values, vectors = np.linalg.eigh(part)
             if not values[0] > 0.0:
-                raise ValueError(f"coupling {name}: found a least eigenvalue {values[0]:.3g} of Delta_D, expected > 0")
+                raise ValueError(f"coupling {name}: found a least eigenvalue {values[0]:.3g} of Delta_D; expected > 0")
             scaling.append(symmetric_part(vectors @ np.diag(values**-0.5) @ vectors.T))
         object.__setattr__(self, "scaling", tuple(scaling))
 
@@ -177,7 +177,7 @@ class PoleBasis:
                 raise ValueError(f"pole {p}: expected one inside the unit circle")
             if pending is not None:
                 if abs(p - pending.conjugate()) > 1e-12:
-                    raise ValueError(f"pole {pending}: expected its conjugate next, found {p}")
+                    raise ValueError(f"pole {pending}: found {p}; expected its conjugate next")
                 out.append((1.0, -2.0 * p.real, abs(p) ** 2))
                 pending = None
             elif p.imag == 0.0:
@@ -185,7 +185,7 @@ class PoleBasis:
             else:
                 pending = p
         if pending is not None:
-            raise ValueError(f"pole {pending}: expected its conjugate next, found none")
+            raise ValueError(f"pole {pending}: found none; expected its conjugate next")
         return tuple(out)
 
     @cached_property

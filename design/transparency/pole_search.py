@@ -70,7 +70,7 @@ def design_linear(
         KeyboardInterrupt: Ctrl-C arrived before any coupling was found.
     """
     if len(orders) != len(loop.partition.blocks) or not all(0 <= n <= MOST_ORDER for n in orders):
-        raise ValueError(f"orders: found {orders}, expected {len(loop.partition.blocks)} between 0 and {MOST_ORDER}")
+        raise ValueError(f"orders: found {orders}; expected {len(loop.partition.blocks)} between 0 and {MOST_ORDER}")
     search = _Search(loop, least_levels, room, np.random.default_rng(seed), starts, progress)
     interrupted = False
     try:

@@ -25,7 +25,10 @@ def print_damage(out: Console, name: str, damage: Sequence[Damage]) -> None:
 def print_replayed(out: Console, name: str, found: Replayed) -> None:
     """Print whether a replayed session is identical, and where it is not."""
     for device in found.given:
-        say(out, f"{device}: a person moved it, so its motion is taken from the recording and its ledger not compared")
+        say(
+            out,
+            f"{device}: a person moved it, so its motion is taken from the recording and its ledger is not compared",
+        )
     for deviation in found.deviations:
         first = deviation.first
         say(

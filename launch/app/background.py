@@ -75,7 +75,7 @@ class BackgroundRun:
             RunFailed: the session did not start.
         """
         if self._request is not None:
-            raise RuntimeError("found a run that was entered before; expected a new one for each with block")
+            raise RuntimeError("a run is entered once: make a new one for each with block")
         with ExitStack() as files:
             files.enter_context(claimed_files(self._options))
             self._files = files.pop_all()
@@ -158,7 +158,7 @@ class BackgroundRun:
             RuntimeError: the run has not been entered.
         """
         if self._progress is None:
-            raise RuntimeError("found a run that was not entered; expected to be asked inside its with block")
+            raise RuntimeError("the run has not begun: ask inside its with block")
         return self._progress
 
     @property
@@ -169,7 +169,7 @@ class BackgroundRun:
             RuntimeError: the run is not over.
         """
         if self.outcome is None:
-            raise RuntimeError("found a run that is not over; expected to be asked after wait(), or after its block")
+            raise RuntimeError("the run is not over: ask after wait(), or after its with block")
         return self.outcome.report
 
     def __repr__(self) -> str:

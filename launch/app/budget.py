@@ -109,7 +109,7 @@ class DelayBudget:
         """
         period = self.loop.period if T is None else T
         if not 0.0 < period < np.inf:
-            raise ValueError(f"T: found {period!r} s, expected a finite positive period")
+            raise ValueError(f"T: found {period!r} s; expected a finite positive period")
         share = self.share_at(period)
         return {device.name: _limits(self.loop, device.level, period, tau, share) for device in self.devices}
 

@@ -233,7 +233,7 @@ def plot_passivity(
     above.set_yscale("symlog", linthresh=max(bound, 1e-300))  # linear near zero, logarithmic above
     above.set_ylabel("least eigenvalue of He [N·s/m]")
     above.set_title(
-        "environment: passive where Ê is above 0, hopeless below the dotted line", loc="left", fontsize="medium"
+        "environment: passive where Ê is above 0, not certifiable below the dotted line", loc="left", fontsize="medium"
     )
     supplied = np.conj(np.swapaxes(V_hat, 1, 2)) @ Delta_V @ V_hat
     rounding = _ROUNDING * np.linalg.norm(V_hat, axis=(1, 2))

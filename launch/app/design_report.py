@@ -219,7 +219,7 @@ def print_report(console: Console, report: Mapping[str, Any], faults: Sequence[s
         counts |= {kind: node[kind] for kind in ("clipped", "saturated") if node.get(kind)}
         if counts:
             listed = ", ".join(f"{kind} {count}" for kind, count in counts.items())
-            say(console, f"{name}: not admitted, or not as it came: {listed}")
+            say(console, f"{name}: refused or clipped: {listed}")
     if last:
         say(console, last)
 
@@ -349,7 +349,7 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
 
 def print_request(out: Console, file: Path, certificate: Certificate) -> None:
     """Print what the certificate records of the request; this is not proved."""
-    say(out, f"{file}: recorded as asked for, which is no claim and not proved: {asked_text(certificate.asked)}")
+    say(out, f"{file}: requested (not part of the proof): {asked_text(certificate.asked)}")
 
 
 def run_budget(session: Session, out: Console, err: Console, picture: Path | None, as_json: bool) -> int:

@@ -45,6 +45,6 @@ def run_session(prepared: Prepared, console: Console, ways: Reach, options: Star
     if options.record is not None and options.record.suffix == STREAMED:
         cut = "stopped" in outcome.report.get("recording", {})
         whole = f"recording written to {options.record}"
-        say(console, f"error: the recording {options.record} is not whole" if cut else whole)
+        say(console, f"error: the recording {options.record} is incomplete" if cut else whole)
     write_files(outcome, options, partial(say, console))
     return outcome

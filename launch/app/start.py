@@ -98,8 +98,7 @@ def settle_form(session: Session, options: StartOptions) -> SettledForm:
     hosts = hosts_of(options.on, plan, options.remote)
     require_hosts_alone(hosts, options.transport, options.insecure, options.listen is not None)
     if hosts and shutil.which("ssh") is None:
-        text = "found no ssh on PATH; expected the system's client, or the nodes started by hand (--remote)"
-        raise ReachError(f"--on: {text}")
+        raise ReachError("--on needs ssh on PATH: install it, or start the nodes by hand (--remote)")
     keys, stale = _keys(session, options)
     ways = reach(
         plan,
@@ -281,7 +280,7 @@ def _invite(prepared: Prepared, form: SettledForm, hosting: Hosting, console: Co
     last = first + len(graph.links) + len(form.session.observers)
     say(console, f"listening at {ways.listen}; guests need its ports {first} to {last}, of TCP and of UDP")
     if form.stale:
-        say(console, f"{hosting.folder / KEYS}: has keys that the session no longer has: {', '.join(form.stale)}")
+        say(console, f"{hosting.folder / KEYS}: holds keys that the session no longer has: {', '.join(form.stale)}")
 
 
 def drop_outlived(

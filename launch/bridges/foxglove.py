@@ -32,7 +32,7 @@ from manyhands.launch.look.page.security import Doorstep, Token, ViewError
 from manyhands.launch.look.page.server import Connections, address_of, listen
 from manyhands.launch.look.sessions import Running
 from manyhands.nodes.kernel.json_number import json_number
-from manyhands.nodes.monitor.session_state import About, Scene
+from manyhands.nodes.monitor.session_state import About, LiveSession
 from manyhands.nodes.recorder.core import Ticks, trace_messages
 from manyhands.nodes.recorder.format import (
     MESSAGE_ENCODING,
@@ -72,7 +72,7 @@ _LINK: Final = {
         "tanks": {"type": "array", "items": {"type": "number"}, "description": "of the user's and the world's end, J"},
         "limited": {"type": "integer", "description": "ticks in which a tank limited a wave"},
         "silences": {"type": "integer", "description": "times that an end heard nothing and held the tool"},
-        "deaf": {"type": "boolean", "description": "whether an end does so now"},
+        "holding": {"type": "boolean", "description": "whether an end does so now"},
     },
 }
 HEALTH_SCHEMA: Final = object_schema(
@@ -110,7 +110,7 @@ class LiveMessages:
     Nothing is sent before the session's time is known.
 
     Attributes:
-        scene: the state of the session as far as it is known.
+        session: the state of the session as far as it is known.
         time: the session's time.
         channels: every channel by its full name.
         unfit: number of traces that did not have this session's shape, and of ticks beyond all times.
@@ -128,7 +128,7 @@ class LiveMessages:
         """
         if every < 1:
             raise ValueError(f"found one of every {every} ticks; expected at least 1")
-        self.scene, self._recorded, self._every = Scene(about), recorded_of(about), every
+        self.session, self._recorded, self._every = LiveSession(about), recorded_of(about), every
         self.time, self.unfit = SessionTime(self._recorded), 0
         there = live_topics(about)
         self._topics = {node: [one for one in about.topics(node) if (node, one.name) in there] for node in about.nodes}
@@ -160,7 +160,7 @@ class LiveMessages:
             wall: the same in ns since 1970.
             wanted: whether anybody receives a topic; messages of others are not made.
         """
-        match self.scene.take(frame, now):
+        match self.session.take(frame, now):
             case Observation() as observation:
                 yield from self._observed(observation, wall, wanted)
             case Condition() as condition:
@@ -217,7 +217,7 @@ class LiveMessages:
 
     def _conditioned(self, condition: Condition, wall: int, wanted: Callable[[str], bool]) -> Iterator[LiveMessage]:
         """A recording has a condition only where it has changed; here each is sent, for clients that come later."""
-        tick = self.scene.tick
+        tick = self.session.tick
         at = self.time.of(SUPERVISOR, tick)
         at = wall if at is None else at
         name = topic_name(self._recorded.session, SUPERVISOR, CONDITION)
@@ -228,15 +228,15 @@ class LiveMessages:
 
     def _well_being(self, tick: int) -> dict[str, Any]:
         """The health of session and nodes; a rate that is not known yet is left out."""
-        scene = self.scene
+        session = self.session
         return {
             TICK: tick,
-            HEALTH: scene.health,
+            HEALTH: session.health,
             "nodes": {
                 name: {"health": node.health, "state": node.state, TICK: node.tick, **_rate(node.rate)}
-                for name, node in scene.nodes.items()
+                for name, node in session.nodes.items()
             },
-            "wave_links": {name: felt.as_plain() for name, felt in scene.felt_links.items()},
+            "wave_links": {name: felt.as_plain() for name, felt in session.felt_links.items()},
         }
 
 

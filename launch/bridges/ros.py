@@ -49,7 +49,7 @@ from manyhands.launch.look.page.pointer import DEMANDS_PER_S, Hold, Holding, hol
 from manyhands.launch.look.page.security import ViewError, is_loopback
 from manyhands.launch.look.sessions import Running
 from manyhands.launch.recordings.recording import Array
-from manyhands.nodes.monitor.session_state import About, Scene
+from manyhands.nodes.monitor.session_state import About, LiveSession
 from manyhands.nodes.recorder.format import recorded_of
 from manyhands.protocol.channels import DISPLACEMENT, FORCE
 from manyhands.protocol.clock import Clock, Instant, RealtimeClock
@@ -220,7 +220,7 @@ class RosMessages:
         Raises:
             RecordingError: two devices would have one namespace in ROS 2.
         """
-        self._recorded, self._scene, self._every = recorded_of(about), Scene(about), every
+        self._recorded, self._session, self._every = recorded_of(about), LiveSession(about), every
         self._time, self.unfit = SessionTime(self._recorded), 0
         self._devices = device_topics(about.session, self._recorded.devices)
         live = ((one.motion, one.exerted, one.sent) for one in self._devices.values())  # a bag alone has velocities
@@ -246,7 +246,7 @@ class RosMessages:
             wall: the same in ns since 1970.
             wanted: whether anybody receives a topic; messages of others are not made.
         """
-        observation = self._scene.take(frame, now)
+        observation = self._session.take(frame, now)
         if not isinstance(observation, Observation):
             return
         at = self._time.take(observation, wall)

@@ -21,7 +21,7 @@ from typing import Final, Protocol, TypeAlias
 from manyhands.launch.run.directory import run_directories
 from manyhands.launch.run.states import SessionPhase
 from manyhands.nodes.kernel.log import LOG_FOLDER
-from manyhands.nodes.monitor.session_state import ABOUT, About, AboutError, Scene
+from manyhands.nodes.monitor.session_state import ABOUT, About, AboutError, LiveSession
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
 from manyhands.protocol.messages import Condition, Observation
 from manyhands.protocol.transport.broadcast import Visit
@@ -118,12 +118,14 @@ class Seen:
 Seeing: TypeAlias = Iterator[Seen]
 
 
-def watch(source: Source, scene: Scene, clock: Clock, gone: Callable[[], bool], until: Instant | None = None) -> Seeing:
-    """Take the frames of ``source`` into ``scene``, and yield each message in order.
+def watch(
+    source: Source, live: LiveSession, clock: Clock, gone: Callable[[], bool], until: Instant | None = None
+) -> Seeing:
+    """Take the frames of ``source`` into ``live``, and yield each message in order.
 
     Args:
         source: where frames come from.
-        scene: the scene of the session.
+        live: the state of the session.
         clock: the clock that gives the instant of each frame.
         gone: whether the session's supervisor has ended.
         until: when to stop; None for the session's end.
@@ -144,7 +146,7 @@ def watch(source: Source, scene: Scene, clock: Clock, gone: Callable[[], bool], 
             yield Seen(clock.now(), None)
             continue
         at = clock.now()
-        message = scene.take(frame, at)
+        message = live.take(frame, at)
         yield Seen(at, message)
         if isinstance(message, Condition) and message.phase == SessionPhase.OVER:
             return
@@ -174,16 +176,16 @@ def presence(running: Running) -> Iterator[Callable[[], bool]]:
 
 
 @contextmanager
-def visiting(running: Running, clock: Clock, until: Instant | None = None) -> Iterator[tuple[Scene, Seeing]]:
-    """Observe a running session; yields its scene, and the iterator of :func:`watch`.
+def visiting(running: Running, clock: Clock, until: Instant | None = None) -> Iterator[tuple[LiveSession, Seeing]]:
+    """Observe a running session; yields its state, and the iterator of :func:`watch`.
 
     Raises:
         TransportError: its broadcast cannot be received.
     """
-    scene = Scene(running.about)
+    live = LiveSession(running.about)
     with presence(running) as gone:
         visit = Visit(running.directory)
         try:
-            yield scene, watch(visit, scene, clock, gone, until)
+            yield live, watch(visit, live, clock, gone, until)
         finally:
             visit.close()

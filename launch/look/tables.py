@@ -38,7 +38,7 @@ from manyhands.launch.run.states import NodeState
 from manyhands.nodes.kernel.json_number import json_figures, json_number
 from manyhands.nodes.monitor.given import FIGURES
 from manyhands.nodes.monitor.health import Health, summary
-from manyhands.nodes.monitor.session_state import NodeScene, Scene
+from manyhands.nodes.monitor.session_state import LiveNode, LiveSession
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
 from manyhands.protocol.plain import written
 from manyhands.protocol.transport import TransportError
@@ -50,22 +50,22 @@ GLANCE: Final = from_seconds(1.5)
 
 @dataclass(frozen=True, eq=False)
 class Glance:
-    """The scene of a session, and the source of its frames, during a glance."""
+    """The state of a session, and the source of its frames, during a glance."""
 
-    scene: Scene
+    live: LiveSession
     source: Source
 
     @property
     def settled(self) -> bool:
-        """Whether the scene has all that a glance can show: the session's condition and each running node's rate."""
-        condition, nodes = self.scene.condition, self.scene.nodes.values()
+        """Whether the state has all that a glance can show: the session's condition and each running node's rate."""
+        condition, nodes = self.live.condition, self.live.nodes.values()
         return condition is not None and all(
             node.rate is not None for node in nodes if node.state == NodeState.RUNNING and not node.silent
         )
 
 
 def glance(glances: Sequence[Glance], clock: Clock, await_frames: Callable[[Sequence[Glance], Duration], None]) -> None:
-    """Take the sessions' frames into their scenes until each has settled, at most for :data:`GLANCE`.
+    """Take the sessions' frames into their states until each has settled, at most for :data:`GLANCE`.
 
     Args:
         glances: the sessions.
@@ -78,7 +78,7 @@ def glance(glances: Sequence[Glance], clock: Clock, await_frames: Callable[[Sequ
         for one in unsettled:
             frame = one.source.recv(Duration(0))
             while frame is not None:
-                one.scene.take(frame, clock.now())
+                one.live.take(frame, clock.now())
                 frame = one.source.recv(Duration(0)) if clock.now() < until else None
 
 
@@ -93,24 +93,24 @@ def visits(running: Sequence[Running]) -> Iterator[dict[Glance, Visit]]:
             except TransportError:  # it has just ended, or no socket can be in its directory
                 continue
             stack.callback(visit.close)
-            found[Glance(Scene(one.about), visit)] = visit
+            found[Glance(LiveSession(one.about), visit)] = visit
         yield found
 
 
-def look_at(running: Sequence[Running], clock: Clock) -> list[Scene]:
-    """The scenes of these sessions, after a glance at all of them at once."""
+def look_at(running: Sequence[Running], clock: Clock) -> list[LiveSession]:
+    """The states of these sessions, after a glance at all of them at once."""
     with visits(running) as found:
 
         def await_frames(glances: Sequence[Glance], timeout: Duration) -> None:
             await_any([found[one] for one in glances], timeout)
 
         glance(list(found), clock, await_frames)
-        return [one.scene for one in found]
+        return [one.live for one in found]
 
 
-def session_object(scene: Scene) -> dict[str, Any]:
+def session_object(live: LiveSession) -> dict[str, Any]:
     """The object that ``--json`` prints for a session."""
-    about, condition = scene.about, scene.condition
+    about, condition = live.about, live.condition
     return {
         "session": about.session,
         "id": about.id,
@@ -118,11 +118,11 @@ def session_object(scene: Scene) -> dict[str, Any]:
         "clock": about.clock,
         "since": datetime.fromtimestamp(about.started, UTC).isoformat(timespec="milliseconds"),
         "phase": None if condition is None else condition.phase,
-        "tick": scene.tick,
-        "rate": rounded(scene.rate),
-        "health": scene.health.value,
-        "promises": [written(row) for row in scene.promises],
-        **({"seats": {seat.name: seat.as_plain() for seat in scene.lobby}} if about.seats else {}),
+        "tick": live.tick,
+        "rate": rounded(live.rate),
+        "health": live.health.value,
+        "promises": [written(row) for row in live.promises],
+        **({"seats": {seat.name: seat.as_plain() for seat in live.lobby}} if about.seats else {}),
         "nodes": {
             node.name: {
                 "role": node.role.value,
@@ -131,7 +131,7 @@ def session_object(scene: Scene) -> dict[str, Any]:
                 "rate": rounded(node.rate),
                 "health": node.health.value,
             }
-            for node in scene.nodes.values()
+            for node in live.nodes.values()
         },
     }
 
@@ -141,29 +141,29 @@ def rounded(rate: float | None) -> float | None:
     return None if (known := json_number(rate)) is None else round(known, 1)
 
 
-def print_sessions(out: Console, scenes: Sequence[Scene], time: float) -> None:
+def print_sessions(out: Console, sessions: Sequence[LiveSession], time: float) -> None:
     """Print the sessions and their nodes as tables; ``time`` is now, in seconds since 1970."""
-    sessions = _table("running sessions", "session", "pid", "clock", "up since", "tick", "rate [Hz]", "health")
-    for scene in scenes:
-        about = scene.about
-        sessions.add_row(
+    table = _table("running sessions", "session", "pid", "clock", "up since", "tick", "rate [Hz]", "health")
+    for live in sessions:
+        about = live.about
+        table.add_row(
             escape(about.session),
             str(about.pid),
             escape(about.clock),
             _since(about.started, time),
-            str(scene.tick),
-            shown(scene.rate),
-            scene.health.value,
+            str(live.tick),
+            shown(live.rate),
+            live.health.value,
         )
-    out.print(sessions)
-    for scene in scenes:
-        nodes = _table(f"{scene.about.session}: nodes", "node", "role", "state", "rate [Hz]", "health")
-        for node in scene.nodes.values():
+    out.print(table)
+    for live in sessions:
+        nodes = _table(f"{live.about.session}: nodes", "node", "role", "state", "rate [Hz]", "health")
+        for node in live.nodes.values():
             nodes.add_row(escape(node.name), node.role.value, escape(node.state), shown(node.rate), node.health.value)
         out.print(nodes)
-        for line in (summary(scene.promises), *(seat.sentence() for seat in scene.lobby)):
+        for line in (summary(live.promises), *(seat.sentence() for seat in live.lobby)):
             if line:
-                say(out, f"{scene.about.session}: {line}")
+                say(out, f"{live.about.session}: {line}")
 
 
 def shown(rate: float | None) -> str:
@@ -208,52 +208,50 @@ _FIXED: Final = ("node", "role", "state", "tick", "rate\n[Hz]")
 _MOST_SENTENCES: Final = 8  # shown of each kind, the latest ones
 
 
-def top_object(scene: Scene) -> dict[str, Any]:
+def top_object(live: LiveSession) -> dict[str, Any]:
     """The object that ``--json`` prints: that of :func:`session_object`, with figures, links, notices and faults."""
-    found, links = session_object(scene), scene.felt_links
-    for name, node in scene.nodes.items():
+    found, links = session_object(live), live.felt_links
+    for name, node in live.nodes.items():
         plain = json_figures(node.figures)
         keys = {*(figure.name for figure, _ in COLUMNS), *FIGURES} & plain.keys()
         found["nodes"][name]["figures"] = {key: plain[key] for key in sorted(keys)}
-    found["links"] = [
-        {"between": list(link.ends), "health": scene.link_health(link).value} for link in scene.about.links
-    ]
+    found["links"] = [{"between": list(link.ends), "health": live.link_health(link).value} for link in live.about.links]
     found |= {"wave_links": {name: felt.as_plain() for name, felt in links.items()}} if links else {}
-    condition = scene.condition
+    condition = live.condition
     for kind in ("notices", "incidents", "faults"):
         found[kind] = [] if condition is None else list(getattr(condition, kind))
     return found
 
 
-def picture(scene: Scene, width: int) -> RenderableType:
+def picture(live: LiveSession, width: int) -> RenderableType:
     """Table and sentences, for a terminal with ``width`` columns; figures without room are left out."""
-    about, condition = scene.about, scene.condition
+    about, condition = live.about, live.condition
     phase = "connecting" if condition is None else f"{condition.phase}, {condition.elapsed:.0f} s"
-    title = f"{about.session} (process {about.pid}, {about.clock} clock): {phase}; {scene.health}"
+    title = f"{about.session} (process {about.pid}, {about.clock} clock): {phase}; {live.health}"
     titles = [*_FIXED, *(heading(column.title) for _, column in COLUMNS), "health"]
     rows: list[list[str | Text]] = [
-        [*_cells(node), Text(node.health, style=STYLES[node.health])] for node in scene.nodes.values()
+        [*_cells(node), Text(node.health, style=STYLES[node.health])] for node in live.nodes.values()
     ]
     table, _ = figure_table(title, titles, rows, RANKS, width)
-    return Group(table, *(Text(text, style=style) for text, style in sentences(scene)))
+    return Group(table, *(Text(text, style=style) for text, style in sentences(live)))
 
 
-def sentences(scene: Scene) -> Iterator[tuple[str, str]]:
+def sentences(live: LiveSession) -> Iterator[tuple[str, str]]:
     """The sentences below the table, each with a style: seats, promises, links that are not well, notices, incidents,
     faults.
     """
-    for seat in scene.lobby:
+    for seat in live.lobby:
         yield seat.sentence(), STYLES[seat.health]
-    yield from promise_lines(scene.promises, () if scene.condition is None else scene.condition.notices)
-    for link in scene.about.links:
-        health = scene.link_health(link)
+    yield from promise_lines(live.promises, () if live.condition is None else live.condition.notices)
+    for link in live.about.links:
+        health = live.link_health(link)
         if health not in (Health.OK, Health.FREE):
             yield f"link {link.ends[0]} - {link.ends[1]}: {health}", STYLES[health]
-    for node in scene.nodes.values():
+    for node in live.nodes.values():
         yield from ((line, "") for line in world_lines(node.figures))
-    for name, felt in scene.felt_links.items():
-        yield felt.sentence(name), "yellow" if felt.deaf else ""
-    condition = scene.condition
+    for name, felt in live.felt_links.items():
+        yield felt.sentence(name), "yellow" if felt.holding else ""
+    condition = live.condition
     if condition is None:
         return
     warnings = (condition.notices, "notice", "yellow"), (condition.incidents, "incident", "yellow")
@@ -264,25 +262,25 @@ def sentences(scene: Scene) -> Iterator[tuple[str, str]]:
             yield f"{kind}: {text}", style
 
 
-def _cells(node: NodeScene) -> list[str]:
+def _cells(node: LiveNode) -> list[str]:
     figures = figure_cells(node.figures)
     tick = "" if node.received is None else str(node.tick)
     return [node.name, node.role.value, node.state, tick, shown(rounded(node.rate)), *figures]
 
 
-def show_live(scene: Scene, seeing: Seeing, console: Console, stop: Callable[[], bool]) -> None:
+def show_live(live: LiveSession, seeing: Seeing, console: Console, stop: Callable[[], bool]) -> None:
     """Show a session on a terminal until it is over, or ``stop`` returns True (the user pressed q)."""
     shown_at: Instant | None = None
-    with Live(console=console, auto_refresh=False, screen=True, vertical_overflow="crop") as live:
+    with Live(console=console, auto_refresh=False, screen=True, vertical_overflow="crop") as display:
         for seen in seeing:
             if stop():
                 return
             if shown_at is None or seen.at - shown_at >= REFRESH:
                 shown_at = seen.at
-                live.update(picture(scene, console.width), refresh=True)
+                display.update(picture(live, console.width), refresh=True)
 
 
-def show_repeatedly(scene: Scene, seeing: Seeing, show: Callable[[Scene], None]) -> None:
+def show_repeatedly(live: LiveSession, seeing: Seeing, show: Callable[[LiveSession], None]) -> None:
     """Show a session where there is no terminal: every :data:`PRINT_EVERY`, and once more at its end."""
     shown_at: Instant | None = None
     last: Instant | None = None
@@ -291,9 +289,9 @@ def show_repeatedly(scene: Scene, seeing: Seeing, show: Callable[[Scene], None])
         shown_at = seen.at if shown_at is None else shown_at
         if seen.at - shown_at >= PRINT_EVERY:
             shown_at = seen.at
-            show(scene)
+            show(live)
     if last is None or shown_at != last:
-        show(scene)
+        show(live)
 
 
 @contextmanager

@@ -47,8 +47,8 @@ def proved(certificate: Certificate, data: Mapping[str, Any], path: str, session
         )
     if (written := identity(content(certificate))) != certificate.id:
         raise NotCertified(
-            f"{path}: found another order of keys, or other forms of numbers, than manyhands writes; written again, as "
-            f"in a recording, its id would be {written[:16]} instead of {certificate.id[:16]}; design the session anew"
+            f"{path}: the file was re-serialised: its content has the id {written[:16]}, the file says "
+            f"{certificate.id[:16]}; design the session anew"
         )
     if session is not None and (found := _foreign(certificate, session)):
         raise NotCertified(f"{path}: a certificate of another session: {found}; design this session anew")

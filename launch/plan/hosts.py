@@ -42,7 +42,7 @@ def hosts_of(words: Sequence[str], plan: Plan, remote: Collection[str] = ()) -> 
         if name in found:
             raise ReachError(f"--on: found {name} twice; expected one host for each node")
         if name in remote:
-            raise ReachError(f"found {name} with --on and --remote; expected one of them")
+            raise ReachError(f"give either --on or --remote for {name}")
         found[name] = host
     if found and plan.graph.carriers:
         raise ReachError("--on: found colocate: true; expected false, for a node on another machine is one process")
@@ -101,8 +101,6 @@ def require_hosts_alone(hosts: Mapping[str, str], transport: str | None, insecur
     if transport not in (None, "tcp"):
         raise ReachError(f"--on: found --transport {transport}; expected tcp")
     if insecure:
-        raise ReachError("--on: found --insecure; expected keys, which are made for the run without --keys")
+        raise ReachError("--on needs keys, which are made for the run without --keys: leave out --insecure")
     if not listens:
-        raise ReachError(
-            "--on: found no --listen; expected the address HOST:PORT at which those machines reach this one"
-        )
+        raise ReachError("--on needs --listen HOST:PORT, the address at which those machines reach this one")

@@ -61,7 +61,9 @@ def alone_in(folder: Path) -> Iterator[None]:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            raise KeyFileError(f"{folder}: found another run that makes keys there; expected to be alone") from error
+            raise KeyFileError(
+                f"{folder}: found another command that makes keys there; expected to be alone"
+            ) from error
         except OSError as error:
             # some network file systems lock no folders; two simultaneous runs could then make keys that disagree,
             # which every reader reports

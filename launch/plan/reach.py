@@ -155,7 +155,7 @@ def reach(
             f"--transport: found {transport}; expected tcp, which --insecure, --keys, --listen and --remote need"
         )
     if insecure and keys is not None:
-        raise ReachError("found both --insecure and --keys; expected one of them: without encryption keys have no use")
+        raise ReachError("give either --insecure or --keys: without encryption keys have no use")
     session = plan.session
     nodes = session.roles
     for name in remote:
@@ -169,11 +169,11 @@ def reach(
                 f"{_MAX_PORT - most}"
             )
     if remote and listen is None:
-        raise ReachError("--remote: found no --listen; expected the address HOST:PORT that the remote node can reach")
+        raise ReachError("--remote needs --listen HOST:PORT, an address that the remote node can reach")
     if remote and not insecure and keys is None:
         raise ReachError(
-            "--remote: found no --keys; expected the folder that the invitation was made with (manyhands invite); "
-            "the remote node cannot know keys that are made for one run"
+            "--remote needs --keys DIR, the folder that the invitation was made with (manyhands invite): the remote "
+            "node cannot know keys that are made for one run"
         )
     if transport == "tcp" and not insecure and keys is None:
         keys = ephemeral(roster(session), session.name)

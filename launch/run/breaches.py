@@ -400,10 +400,11 @@ class BreachPolicy:
             case Remedy.END:
                 covered = self._covered[device]
                 if breach is Breach.DELAY:
-                    found, allowed = f"a delay of {_ms(measured)}", _ms(covered.tau)
+                    found, allowed = f"its delay ({_ms(measured)})", _ms(covered.tau)
                 else:
-                    found, allowed = "a period", f"at most {_ms(covered.longest_period)}, more after an early force"
-                what = f"{device}: {found} again and again that the certificate does not cover (it assumes {allowed})"
+                    found = "the time between its samples"
+                    allowed = f"{_ms(covered.longest_period)}, more after an early force"
+                what = f"{device}: {found} keeps exceeding what the certificate covers ({allowed})"
                 return [EndSession(f"{what}; the session's faults.breach is stop")]
             case Remedy.SOFTEN:
                 softened = self._soften(device, measured)
@@ -459,7 +460,7 @@ class BreachPolicy:
             who = {name: f"{name} in {_part(late[name])} of its ticks" for name in named}
             periods = {name: _ms(self._covered[name].longest_period) for name in named}
             found = _beyond(who, periods, "more after an early force")
-            text = f"samples came later after the one before than the certificate covers {found} so far"
+            text = f"the time between samples exceeded what the certificate covers {found} so far"
             return [Notice(Cause.PERIOD, f"{text}; {next_}")]
         delays = {
             name: f"{name} in {_part(late[name])} of its ticks, up to {_ms(late[name].longest)}" for name in named
@@ -586,9 +587,8 @@ class Assumptions:
                 self.waited_for.append(name)
         if self.waited_for:
             self.notices[Cause.WAITS] = (
-                f"came late again and again: {', '.join(self.waited_for)}; their tools rest in the ticks that they "
-                "miss, nobody waits for them any more, and no other coupling is softened for that; the report has how "
-                "often and how long (late_couplings)"
+                f"late too often: {', '.join(self.waited_for)}; nobody waits for them any more, and their tools rest "
+                "in the ticks that they miss; the report has how often (late_couplings)"
             )
         late: dict[str, list[int]] = {}
         waited = telemetry.traces.get(names.WAITED_IN)
@@ -717,7 +717,7 @@ class UserIncidents:
         if mover is None:
             return f"{text}; nobody else has moved it"
         return (
-            f"{text}; another party moved it: of others it had received {mover.total:.3g} J, "
+            f"{text}; another party moved it: it had received {mover.total:.3g} J from others, "
             f"{mover.energy:.3g} J of it from {self._who(mover.party)}"
         )
 

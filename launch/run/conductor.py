@@ -13,7 +13,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
 from manyhands.launch.plan.topology import Topology
-from manyhands.launch.run.recovery import Recovery, RestartBudget
+from manyhands.launch.run.recovery import Recovery, Restarts
 from manyhands.launch.run.states import (
     RETURNING,
     TRANSITIONS,
@@ -118,7 +118,7 @@ class Conductor:
         ticks: number of ticks to run; 0 runs until interrupted.
         remote: nodes that are started on other machines; the supervisor cannot see their processes end.
         observers: the endpoint of each observer.
-        budget: how often a node may come back; without restarts, the first death ends the session.
+        restarts: how often a node may come back; without restarts, the first death ends the session.
         together: whether a guest that leaves ends the session, as it does in a session without restarts.
         seats: those of the remote nodes for which the session does not wait: they come and go while it runs.
         ids: the ids of nodes at the sites of wave links, which share one with their site's others alone.
@@ -138,7 +138,7 @@ class Conductor:
     ticks: int
     remote: frozenset[str] = frozenset()
     observers: Mapping[str, str] = field(default_factory=dict)
-    budget: RestartBudget = field(default_factory=RestartBudget)
+    restarts: Restarts = field(default_factory=Restarts)
     together: bool = False
     seats: frozenset[str] = frozenset()
     ids: dict[str, str] = field(default_factory=dict)
@@ -158,7 +158,7 @@ class Conductor:
     def __post_init__(self) -> None:
         self.states = {n: NodeState.LOST if n in self.seats else NodeState.STARTING for n in self.graph.nodes}
         self._reception = Reception(self.graph, self.certificate, self.session, self.ids)
-        self._recovery = Recovery(self.graph, self.remote, self.budget, self.states, self.faults, seats=self.seats)
+        self._recovery = Recovery(self.graph, self.remote, self.restarts, self.states, self.faults, seats=self.seats)
 
     @property
     def incidents(self) -> Incidents:
@@ -373,7 +373,7 @@ class Conductor:
         start = self._recovery.start = Start(now + EPOCH_DELAY_NS, self.ticks)
         for node in present:
             self.states[node] = NodeState.RUNNING
-            self.budget.ran(node, now)
+            self.restarts.ran(node, now)
         # the environment first and the devices last: each node's first signal then finds its peer past the handshake
         return [Send(node, start) for node in reversed(present)]
 
@@ -418,7 +418,7 @@ class Conductor:
         """Whether the session goes on without the guest ``node`` and lets it join again; without restarts, only seats
         may.
         """
-        return node in self.seats or (node in self.remote and self.budget.restarts > 0 and not self.together)
+        return node in self.seats or (node in self.remote and self.restarts.allowed > 0 and not self.together)
 
     def _awaited_again(self, guest: str, why: str) -> list[Instruction]:
         """Take back the welcome of a guest that ended before all had joined. No peer knows of it yet, so it may start
@@ -434,7 +434,7 @@ class Conductor:
         if self.phase is SessionPhase.RUNNING:
             if state is NodeState.LEAVING:
                 return self._withstood(self._recovery.left(node, now))
-            survived = self.budget.restarts > 0 or node in self.seats
+            survived = self.restarts.allowed > 0 or node in self.seats
             if survived and (state is NodeState.RUNNING or state in RETURNING):
                 return self._withstood(self._recovery.lose(node, f"{how} while {state}", now))
         self.states[node] = NodeState.ENDED

@@ -16,7 +16,7 @@ so that a session of hours does not lose it at its fourth mishap. A node that ke
 up. No node returns once the environment is done, because the environment counts the session's ticks.
 
 The nodes of a *seat* are lost from the start on, and come as often as they like: a user takes the seat while the
-session runs, and leaves it for the next one. Nobody waits for them, so no budget limits them.
+session runs, and leaves it for the next one. Nobody waits for them, so nothing limits how often they come.
 """
 
 from __future__ import annotations
@@ -140,15 +140,15 @@ WINDOW: Final = from_seconds(60.0)
 
 
 @dataclass
-class RestartBudget:
+class Restarts:
     """Counts the deaths of each node, and compares them with the number allowed.
 
     Attributes:
-        restarts: number of deaths in a row that a node may come back from; with 0 no node comes back.
+        allowed: number of deaths in a row that a node may come back from; with 0 no node comes back.
         window: after a run of this length, ns, all earlier deaths are forgotten.
     """
 
-    restarts: int = 0
+    allowed: int = 0
     window: Duration = WINDOW
     _deaths: dict[str, int] = field(default_factory=dict)
     _ran_since: dict[str, int] = field(default_factory=dict)
@@ -162,7 +162,7 @@ class RestartBudget:
         since = self._ran_since.pop(node, None)  # removed: a death before the next run follows no stable one
         stable = since is not None and now - since >= self.window
         deaths = self._deaths[node] = 1 if stable else self._deaths.get(node, 0) + 1
-        return deaths <= self.restarts
+        return deaths <= self.allowed
 
 
 RETURN_TIME = from_seconds(60.0)
@@ -176,7 +176,7 @@ class Recovery:
     Attributes:
         graph: the session's nodes and links.
         remote: nodes that are started on other machines.
-        budget: how often a node may come back.
+        restarts: how often a node may come back.
         states: of each node; shared with the conductor.
         faults: receives a sentence for each node that is gone for good; shared with the conductor.
         incidents: those of the session.
@@ -185,12 +185,12 @@ class Recovery:
         rungs: the rung of the ladder that each coupling was asked to change to.
         pids: process ids of those that were started anew here.
         closing: whether the environment has done its ticks, so that no node returns any more.
-        seats: remote nodes that are absent at first, and come and go without a budget.
+        seats: remote nodes that are absent at first, and come and go without a limit.
     """
 
     graph: Topology
     remote: frozenset[str]
-    budget: RestartBudget
+    restarts: Restarts
     states: dict[str, NodeState]
     faults: list[str]
     incidents: Incidents = field(default_factory=Incidents)
@@ -213,7 +213,7 @@ class Recovery:
         return [Send(peer, Absent(seat)) for seat, peer in sorted(absent) if peer not in self.seats]
 
     def lose(self, node: str, how: str, now: int, *, alive: bool = False) -> list[Instruction]:
-        """Take ``node`` out of the session: it is lost, or has failed to return. Its budget is charged for that.
+        """Take ``node`` out of the session: it is lost, or has failed to return. It counts as a death.
 
         Args:
             node: its name.
@@ -222,12 +222,12 @@ class Recovery:
             alive: whether the end of its process is still to come.
         """
         self.note(f"{node} {how}", now)
-        allowed = node in self.seats or self.budget.died(node, now)
+        allowed = node in self.seats or self.restarts.died(node, now)
         out = self._drop(node, self._future(allowed), alive, now)
         if self._awaits(node, NodeState.GONE):
             self.faults.append(
-                f"{node} {how}; it stays away, for its {self.budget.restarts} restarts without a run of "
-                f"{self.budget.window / 1e9:g} s between them are used up (faults.restarts, faults.window)"
+                f"{node} {how}; it stays away: its {self.restarts.allowed} restarts are used up (faults.restarts), "
+                f"and none led to a run of {self.restarts.window / 1e9:g} s (faults.window)"
             )
         return out + self.proceed(now)
 
@@ -258,7 +258,7 @@ class Recovery:
         if node in self.seats:
             self.note(f"{node} has joined", now)
         else:
-            self.budget.ran(node, now)
+            self.restarts.ran(node, now)
             self.incidents.restarts[node] += 1
             self.note(f"{node} is back", now)
         start = replace(self.start, tick=max(1, self.reached))  # tick 0 would mean the session's beginning
@@ -360,7 +360,7 @@ class Recovery:
             elif self.states[peer] in RETURNING:  # its handshake with ``node`` will never be answered
                 self.note(f"{peer} cannot return: {node} was lost meanwhile", now)
                 out += self._end_process(peer)
-                # the peer is not to blame, so its budget is not charged
+                # the peer is not to blame, so its death is not counted
                 out += self._drop(peer, self._future(allowed=True), peer not in self.remote, now)
         return out
 

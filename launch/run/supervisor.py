@@ -32,7 +32,7 @@ from manyhands.launch.run.directory import kept_files, run_directory
 from manyhands.launch.run.outcome import Outcome, Progress, felt_links, lateness_entry, run_report
 from manyhands.launch.run.processes import EndRequest, Interrupt, Processes
 from manyhands.launch.run.recorder import Recorder
-from manyhands.launch.run.recovery import RestartBudget
+from manyhands.launch.run.recovery import Restarts
 from manyhands.launch.run.states import (
     Instruction,
     Kill,
@@ -190,14 +190,14 @@ class Supervisor:
         self._showing: Showing | None = None
         self._show = show
         self._graph = prepared.graph
-        budget = RestartBudget(session.faults.restarts, from_seconds(session.faults.window))
+        restarts = Restarts(session.faults.restarts, from_seconds(session.faults.window))
         self.conductor = Conductor(
             self._graph,
             prepared.id,
             session.name,
             ticks,
             reach.remote,
-            budget=budget,
+            restarts=restarts,
             together=together,
             seats=reach.seats,
         )

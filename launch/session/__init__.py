@@ -8,10 +8,10 @@ format.
 from manyhands.launch.session.design import BlockMatrices, Design, Pole, Weight, Weights
 from manyhands.launch.session.device import BROWSER_HAND, DEFAULT_HAND, Device, Hand
 from manyhands.launch.session.environment import (
-    AskedEnvironment,
     EngineEnvironment,
     Environment,
     MeshEnvironment,
+    ModelEnvironment,
     NetworkEnvironment,
     PythonEnvironment,
     SessionLink,
@@ -41,7 +41,6 @@ __all__ = [
     "ENVIRONMENT",
     "RESERVED",
     "SUPERVISOR",
-    "AskedEnvironment",
     "BlockMatrices",
     "CouplingBlock",
     "Design",
@@ -53,6 +52,7 @@ __all__ = [
     "Interval",
     "LevelInterval",
     "MeshEnvironment",
+    "ModelEnvironment",
     "Motion",
     "NetworkEnvironment",
     "Observer",

@@ -97,8 +97,8 @@ _STIFFNESS_MEANING: Final = (
 )
 
 
-class AskedEnvironment(EnvironmentKind):
-    """An environment whose answer is asked for tick by tick; the design uses nothing but its declared level."""
+class ModelEnvironment(EnvironmentKind):
+    """An environment that a user's model computes tick by tick; the design uses its declared level alone."""
 
     type: str
     model: str
@@ -140,14 +140,14 @@ class AskedEnvironment(EnvironmentKind):
 
     @abstractmethod
     def code(self, ports: tuple[str, ...]) -> tuple[str, dict[str, Any]]:
-        """The factory that makes what is asked, and its parameters."""
+        """The factory that makes the model or the engine, and its parameters."""
 
     def content(self, ports: tuple[str, ...]) -> str | None:
-        """The digest of all that is asked, where that is data of the session alone; None for a model of one's own."""
+        """SHA-256 of its data; None for a user's own code."""
         return None
 
 
-class PythonEnvironment(AskedEnvironment):
+class PythonEnvironment(ModelEnvironment):
     """A model in Python that is asked tick by tick.
 
     With a stiffness the model proposes proxies, and springs of that stiffness exert the forces. Without, the model
@@ -219,7 +219,7 @@ _MODEL_NAME: Final = re.compile(r"[\w.-]{1,100}")
 _NAMES: Final = either({"type": "string"}, list_of({"type": "string"}, MAX_DOF))
 
 
-class EngineEnvironment(AskedEnvironment):
+class EngineEnvironment(ModelEnvironment):
     """A physics engine with a model file: the tools are joined by springs to avatars, bodies of the engine."""
 
     type: Literal["engine"] = Field(description="the kind of environment: engine")
@@ -280,7 +280,7 @@ class EngineEnvironment(AskedEnvironment):
         return tuple(name for body in self.bodies for name in coordinates(body))
 
 
-class MeshEnvironment(AskedEnvironment):
+class MeshEnvironment(ModelEnvironment):
     """A solid that stands still, by its signed distances on a grid, touched by tools with Coulomb friction.
 
     The tools are joined by springs to proxies on its surface.

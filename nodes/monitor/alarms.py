@@ -15,7 +15,7 @@ from enum import StrEnum
 from typing import Final
 
 from manyhands.nodes.monitor.health import PROMISES, Health, PromiseState, grouped, is_present, missed, sentence
-from manyhands.nodes.monitor.session_state import Scene
+from manyhands.nodes.monitor.session_state import LiveSession
 from manyhands.nodes.rows.promises import Promise
 from manyhands.protocol.clock import Instant, from_seconds
 
@@ -100,21 +100,21 @@ _ENFORCED: Final = {
 unless it is worth a notice."""
 
 
-def causes(scene: Scene, now: Instant) -> Iterator[AlarmCause]:
-    """Every cause that is present in this scene, in no order of severity."""
-    yield from _promises(scene)
-    yield from _sentences(scene)
-    for node in scene.nodes.values():
+def causes(live: LiveSession, now: Instant) -> Iterator[AlarmCause]:
+    """Every cause that is present now, in no order of severity."""
+    yield from _promises(live)
+    yield from _sentences(live)
+    for node in live.nodes.values():
         if node.health is Health.LATE:
             text = f"{node.name}: more of its ticks are late than is usual on any machine"
             yield AlarmCause(f"{node.name} late", AlarmLevel.WARNING, text, _LATE_ADVICE)
-    yield from _unheard(scene, now)
+    yield from _unheard(live, now)
 
 
-def _promises(scene: Scene) -> Iterator[AlarmCause]:
+def _promises(live: LiveSession) -> Iterator[AlarmCause]:
     """One cause for each promise that is not kept now, and each of its states."""
-    notices = () if scene.condition is None else scene.condition.notices
-    for row in grouped(row for row in missed(scene.promises) if is_present(row)):
+    notices = () if live.condition is None else live.condition.notices
+    for row in grouped(row for row in missed(live.promises) if is_present(row)):
         promise, broken, noticed = Promise(row.promise), row.state == PromiseState.BROKEN, row.remark in notices
         level = _BROKEN.get(promise, AlarmLevel.FAULT) if broken else _ENFORCED.get(promise)
         if level is None and not noticed:
@@ -126,14 +126,14 @@ def _promises(scene: Scene) -> Iterator[AlarmCause]:
         yield AlarmCause(f"{row.promise} {row.state}", level or AlarmLevel.WARNING, text, advice, since=row.since)
 
 
-def _sentences(scene: Scene) -> Iterator[AlarmCause]:
-    condition = scene.condition
+def _sentences(live: LiveSession) -> Iterator[AlarmCause]:
+    condition = live.condition
     if condition is None:
         return
     for text in condition.faults:
         advice = "The run counts as failed: see its report and logs."
         yield AlarmCause(f"fault: {text}", AlarmLevel.FAULT, text, advice, True)
-    about_promises = {row.remark for row in scene.promises}
+    about_promises = {row.remark for row in live.promises}
     for text in condition.notices:
         if text not in about_promises:
             advice = "An assumption of the certificate was broken: what it proves does not cover this."
@@ -142,9 +142,9 @@ def _sentences(scene: Scene) -> Iterator[AlarmCause]:
         yield AlarmCause(f"incident: {text}", AlarmLevel.NOTE, text, "Nothing: the session survived it.", True)
 
 
-def _unheard(scene: Scene, now: Instant) -> Iterator[AlarmCause]:
-    received = [node.received for node in scene.nodes.values() if node.received is not None]
-    over = scene.condition is not None and scene.condition.phase in ("ending", "over")
+def _unheard(live: LiveSession, now: Instant) -> Iterator[AlarmCause]:
+    received = [node.received for node in live.nodes.values() if node.received is not None]
+    over = live.condition is not None and live.condition.phase in ("ending", "over")
     if received and not over and now - max(received) > UNHEARD:
         yield AlarmCause(
             "unheard",
@@ -172,12 +172,12 @@ class Alarms:
         self._first: float | None = None  # the session's time at the first look that showed it
         self.version = 0
 
-    def look(self, scene: Scene, now: Instant) -> None:
-        """Raise and clear alarms, as the scene at ``now`` requires; ``now`` is a time of the onlooker's own clock."""
-        time = scene.time
-        if self._first is None and scene.condition is not None:
+    def look(self, live: LiveSession, now: Instant) -> None:
+        """Raise and clear alarms, as the session at ``now`` requires; ``now`` is a time of the onlooker's own clock."""
+        time = live.time
+        if self._first is None and live.condition is not None:
             self._first = time
-        for cause in causes(scene, now):
+        for cause in causes(live, now):
             self._seen[cause.key] = now, time
             standing = self._alarms.get(cause.key)
             if standing is None or standing.cleared is not None:

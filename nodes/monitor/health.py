@@ -113,7 +113,7 @@ PROMISES: Final[Mapping[Promise, PromiseText]] = MappingProxyType({
         "then the reserve for lateness rests on the limit of speed, and late ticks take more of its force.",
     ),
     Promise.FORCE: PromiseText(
-        "its forces stay within their limits, about which the certificate is", True,
+        "its forces stay within their limits, as the certificate assumes", True,
         "Raise the limits of force, or soften the world: the certificate does not cover a force that was cut.",
         "The certificate does not cover a force that was cut. Lower the energy and power that the mover may put in "
         "(limits), or let it push less.",
@@ -144,7 +144,7 @@ PROMISES: Final[Mapping[Promise, PromiseText]] = MappingProxyType({
         "The others go on, still certified. See its log, its machine and its network; it is let in again by a ramp.",
     ),
     Promise.PUNCTUALITY: PromiseText(
-        "it does not make the others wait again and again", False,
+        "it does not make the others wait too often", False,
         "Check its user's machine and network; if they cannot be faster, design for a longer tau.",
     ),
     Promise.PACE: PromiseText(
@@ -326,7 +326,7 @@ def sentence(row: PromiseStatus) -> str:
 def cut_forces(rows: Iterable[PromiseStatus]) -> str:
     """Whose forces were cut to their limits, or who moved them, in a sentence about rows of :attr:`Promise.FORCE`."""
     found = [row.remark or f"those of {parties(row.who)}" for row in rows]
-    return f"forces were cut to their limits, and the certificate is about forces within them: {'; '.join(found)}"
+    return f"forces were cut to their limits, and the certificate covers no force beyond them: {'; '.join(found)}"
 
 
 def verdict(rows: Iterable[PromiseStatus]) -> str:

@@ -263,7 +263,7 @@ class HealthModel:
                 continue
             cost = {unit: self._total(node, figure, figures) for unit, figure in counter.cost.items()}
             self._count(counter.promise, node, counter.grows, self._grown(node, counter.grows, figures), at, cost)
-        if figures.get(names.WAVE_DEAF, 0.0) > 0.0:
+        if figures.get(names.WAVE_HOLDING, 0.0) > 0.0:
             self._go_on(Promise.LINK, node, at)
         self._energy(node, at, figures)
         if node in self._given and Promise.GIVEN in self._made:
@@ -548,7 +548,7 @@ class HealthModel:
                     remark = "" if mover is None else f"{party} passed on energy that {mover.party} had put into it"
                     self._entries[Promise.BUDGET, party].remark = remark
         for party in self._terms.linked:
-            if figures.table(names.of(names.WAVE_DEAF)).get(party, 0.0) > 0.0:
+            if figures.table(names.of(names.WAVE_HOLDING)).get(party, 0.0) > 0.0:
                 self._go_on(Promise.LINK, party, at)
         for party, late in lateness_by_coupling(figures).items():
             if (late.frozen or late.waived) and party in self._terms.roles:

@@ -3,9 +3,9 @@
 :class:`About` describes what does not change: nodes, links, virtual world and certificate. The supervisor writes it as
 one JSON file into the run's directory before the nodes start. It holds no key and no block of V.
 
-:class:`Scene` takes in the frames of the session's broadcast (:mod:`manyhands.protocol.transport.broadcast`) and holds
-what changes: phase, ticks, rates, health. A table, a page or a line shows it; nothing here waits, prints or knows of
-sockets.
+:class:`LiveSession` takes in the frames of the session's broadcast (:mod:`manyhands.protocol.transport.broadcast`) and
+holds what changes: phase, ticks, rates, health. A table, a page or a line shows it; nothing here waits, prints or knows
+of sockets.
 """
 
 from __future__ import annotations
@@ -300,8 +300,8 @@ STATE_HEALTH: Final = {
 
 
 @dataclass
-class NodeScene:
-    """The state of one node.
+class LiveNode:
+    """The state of one node of a running session.
 
     Attributes:
         name: the node's.
@@ -393,8 +393,8 @@ class Seat:
         return {"device": self.device, "state": self.state, "felt": felt, "health": self.health.value}
 
 
-class Scene:
-    """The state of a session.
+class LiveSession:
+    """The state of a running session.
 
     Attributes:
         about: what does not change.
@@ -406,7 +406,7 @@ class Scene:
     def __init__(self, about: About) -> None:
         """Begin with the description alone."""
         self.about = about
-        self.nodes = {name: NodeScene(name, node.role) for name, node in about.nodes.items()}
+        self.nodes = {name: LiveNode(name, node.role) for name, node in about.nodes.items()}
         self.condition: Condition | None = None
         self.malformed = 0
 

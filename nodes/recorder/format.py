@@ -22,6 +22,7 @@ from manyhands.nodes.kernel.json_number import json_figures
 from manyhands.nodes.monitor.session_state import PERIOD, About
 from manyhands.nodes.recorder.scene_messages import SCENE_SCHEMAS, SceneMessages
 from manyhands.nodes.rows.figures import FIGURES as DECLARED
+from manyhands.nodes.rows.figures import WAVE_HOLDING
 from manyhands.protocol.channels import CONDITION, TELEMETRY, Columns, Topic, links_at, topic_name, topics_of
 from manyhands.protocol.messages import Condition, Figures, PromiseStatus, Role
 from manyhands.protocol.plain import Added, PlainForm, read, written
@@ -141,7 +142,8 @@ def decode_figures(plain: Any) -> tuple[int, Figures]:
 def _figures_of(found: Mapping[str, Any]) -> Figures:
     """Numbers and tables in an object; names of before protocol 6 are read as those of tables."""
     numbers, tables = dict[str, float](), dict[str, dict[str, float]]()
-    for name, value in found.items():
+    for stated, value in found.items():
+        name = stated.replace("wave_deaf", WAVE_HOLDING, 1)  # its name of before protocol 6
         if isinstance(value, dict):
             tables[name] = {str(key): _finding(number) for key, number in value.items()}
         elif (former := _FORMER.match(name)) is not None and name not in DECLARED:

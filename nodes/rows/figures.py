@@ -342,8 +342,8 @@ WAVE_LEDGER: str = _figure(Figure("wave_ledger", Unit.JOULES, "that entered a wa
 WAVE_TANK: str = _figure(Figure("wave_tank", Unit.JOULES, "in the tank of this end"))
 WAVE_CLIPPED: str = _figure(Figure(
     "wave_clipped", Unit.TICKS, "in which the tank limited a wave", promise=Promise.LINK))
-WAVE_DEAF: str = _figure(Figure(
-    "wave_deaf", Unit.STATE, "whether no wave has come for so long that this end holds the tool"))
+WAVE_HOLDING: str = _figure(Figure(
+    "wave_holding", Unit.STATE, "whether no wave has come for so long that this end holds the tool"))
 WAVE_SILENCES: str = _figure(Figure("wave_silences", Unit.TIMES, "that this began, after the first wave"))
 WAVE_LAG: str = _figure(Figure(
     "wave_lag_us", Unit.MICROSECONDS, "whose sum over both ends is the round trip; that of one says nothing"))
@@ -394,7 +394,7 @@ _figure_of(RUNG)
 _figure_of(WAVE_LEDGER)
 _figure_of(WAVE_TANK)
 _figure_of(WAVE_CLIPPED, Promise.LINK)
-_figure_of(WAVE_DEAF)
+_figure_of(WAVE_HOLDING)
 _figure_of(WAVE_SILENCES, Promise.LINK)
 _figure_of(WAVE_LAG)
 

@@ -36,7 +36,7 @@ from manyhands.nodes.link.peer_link import hello_to
 from manyhands.nodes.link.supervisor_line import NOT_AT_ALL
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.wave_link.faces import UserFace, WorldFace, wave_feedthrough
-from manyhands.nodes.wave_link.play_out import DEAF
+from manyhands.nodes.wave_link.play_out import HOLD_AFTER
 from manyhands.nodes.wave_link.thinning import Turns
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
 from manyhands.protocol.codec import LAYOUTS, WAVE_ID, WaveWriter, decode, encode, type_of
@@ -112,11 +112,11 @@ class _End(Join):
         self._joining = 0 if self._waits or wave.depth is not None else math.ceil(JOINING / common.period)
         self._window = math.ceil(WINDOW / common.period)
         self._needed: deque[float] = deque(maxlen=CALM)  # the depth that each window would have needed
-        self._deepest = DEAF / wave.peer_period
+        self._deepest = HOLD_AFTER / wave.peer_period
         self._ticks = 0  # of the present window
         self._strays = 0
         self._frames: list[bytes] | None = None  # that were read for this end; None where it reads by itself
-        self._silences, self._deaf = 0, True  # a face hears nothing before its first wave
+        self._silences, self._holding = 0, True  # a face hears nothing before its first wave
         self._path: DatagramPath | None = None
         self._by_datagram = may_go_by_datagram(common)
         self._zeros: Floats = [0.0] * len(peer.ports)
@@ -148,13 +148,13 @@ class _End(Join):
         self._begin_life()
 
     def figures(self) -> dict[str, float]:
-        """The account of this end, J; ticks with a limited wave, whether it is deaf; its part of the round trip, us."""
+        """This end's account, J, ticks of limited waves, whether it holds the tool, its part of the round trip, us."""
         face = self.face
         return {
             names.WAVE_LEDGER: face.ledger,
             names.WAVE_TANK: face.tank.level,
             names.WAVE_CLIPPED: float(face.tank.clipped),
-            names.WAVE_DEAF: float(face.deaf),
+            names.WAVE_HOLDING: float(face.holding),
             names.WAVE_SILENCES: float(self._silences),
             names.WAVE_LAG: face.lag * 1e6,
         }
@@ -179,10 +179,10 @@ class _End(Join):
 
     def _note_silence(self) -> None:
         """Count a silence when it begins."""
-        deaf = self.face.deaf
-        if deaf is not self._deaf:
-            self._deaf = deaf
-            self._silences += deaf
+        holding = self.face.holding
+        if holding is not self._holding:
+            self._holding = holding
+            self._silences += holding
 
     def _take_waves(self) -> bool:
         """Take in all waves that are there, of which the newest counts; returns whether a handshake has finished."""
@@ -279,7 +279,7 @@ class _End(Join):
         self._ticks = 0
         self._needed.append(self.face.measured)
         # what happened once in all these windows was an outage, for which no depth is worth its mass; and who hears
-        # nothing for DEAF holds the tool anyway
+        # nothing for HOLD_AFTER holds the tool anyway
         deepest = sorted(self._needed)[-2] if len(self._needed) > 1 else self._needed[-1]
         deepest = min(deepest, self._deepest)
         if len(self._needed) == 1:

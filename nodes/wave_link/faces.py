@@ -18,10 +18,12 @@ from the first message, x_e = b^-1 h U, and has no message to send before that; 
 at s = 0 until the face is ``aligned``, and engages it then. So both faces agree on where the tool is. At the user the
 force comes by a ramp.
 
-**A deaf face** holds the tool: c = h^-1 f_c(k-1) at the user and c = -h^-1 f_e(k-1) at the world, which leaves w = 0 as
+**A silence.** A face that hears nothing for :data:`~manyhands.nodes.wave_link.play_out.HOLD_AFTER` seconds is
+*holding*: it holds the tool by c = h^-1 f_c(k-1) at the user and c = -h^-1 f_e(k-1) at the world, which leaves w = 0 as
 long as the force does not change. It ships nothing. When messages come again, the incoming wave goes over from that
-wave to the time line's by a ramp of :data:`RAMP` seconds. What the line is ahead of what was played is made up slowly,
-by a wave that changes no force by more than :data:`MAKE_UP`; so is a wave that the tank did not pay for.
+wave to the time line's by a ramp of :data:`RAMP` seconds. The *backlog*, what the line is ahead of what was played, is
+made up slowly, by a wave that changes no force by more than :data:`MAKE_UP`. So is a wave that the tank did not pay
+for.
 
 **The gap between both tools** is the right one in the end, -f R/2b, as long as each face keeps
 
@@ -153,7 +155,7 @@ class _Face(ABC):
         self._zero: Floats = [0.0] * len(b)
         self._x = self._f = self._c = self._before = self._slope = self._zero
         self._line = self._zero
-        self._voice = 0.0  # way back through the ramp of F after a face went deaf
+        self._fade = 0.0  # way back through the ramp of F after the face has begun to hold the tool
         self._begin(life)
 
     def renew(self, life: int) -> None:
@@ -164,8 +166,8 @@ class _Face(ABC):
 
     def _begin(self, life: int) -> None:
         self.life, self.n, self.silent = life, 0, 0
-        self._U = self._arrears = self._zero
-        self._played = self._reckoned = self._zero  # P, the sum that was played, and that of the tick before
+        self._U = self._backlog = self._zero
+        self._played = self._played_before = self._zero  # P, the sum that was played, and that of the tick before
         self._along = 0.0  # way through the ramp, from 0 to 1
         self._away = True  # whether the time line is taken up anew
         self._follows = False  # whether c(k) is the time line's own wave
@@ -203,15 +205,15 @@ class _Face(ABC):
             return
         played = min(ticks, self._longest_skip)
         for _ in range(played):
-            self._reckoned = self._played
+            self._played_before = self._played
             self._line = play.advance()
-            self._c = c = self._holding()
+            self._c = c = self._holding_wave()
             if play.jumped:  # the next tick goes over by the ramp
                 play.place(play.depth)
-            elif play.deaf:
-                self._go_deaf()
+            elif play.starved:
+                self._start_holding()
                 self._before = c
-                self._reckon(self._zero, deaf=True)
+                self._keep_sums(self._zero, holding=True)
             elif not self._away and self._along == 1.0:
                 self._stay(c)
         if played < ticks:
@@ -236,7 +238,7 @@ class _Face(ABC):
         tank.ship(s)
 
     @abstractmethod
-    def _holding(self) -> Floats:
+    def _holding_wave(self) -> Floats:
         """The wave that holds the tool under the last force, W^(1/2)."""
 
     def message(self) -> Sums:
@@ -272,9 +274,9 @@ class _Face(ABC):
         return self._x
 
     @property
-    def deaf(self) -> bool:
+    def holding(self) -> bool:
         """Whether no message came for so long that this face holds the tool; so it is before the first one."""
-        return self._play.deaf
+        return self._play.starved
 
     @property
     def depth(self) -> float:
@@ -330,18 +332,18 @@ class _Face(ABC):
         """c(k), paid for; ``moved`` is how far the tool would go without force, m."""
         play = self._play
         self.silent += 1
-        self._reckoned = self._played
+        self._played_before = self._played
         line = play.advance()
-        self._follows = not (play.deaf or self._away or play.jumped or self._along < 1.0)
-        if play.deaf:
-            self._go_deaf()
+        self._follows = not (play.starved or self._away or play.jumped or self._along < 1.0)
+        if play.starved:
+            self._start_holding()
             self._before = c = self._idle(moved)
         elif not self._follows:
             c = self._taken_up(line, moved)
         else:
-            if self._arrears is not self._zero:
-                self._arrears = self._made_up(self._arrears)
-            gain, late, P = self._gain, self._arrears, self._played
+            if self._backlog is not self._zero:
+                self._backlog = self._made_up(self._backlog)
+            gain, late, P = self._gain, self._backlog, self._played
             c = [gain * (line[i] - late[i] - P[i]) for i in range(len(P))]
         self._line = line
         self._c = paid = self.tank.pay(c if self._bounds is None else self._possible(c, self._bounds))
@@ -349,7 +351,7 @@ class _Face(ABC):
             # what the tank did not pay for, or the site cannot do, comes later, and not at once: a longer wave costs
             # more than two short ones
             missing = self._smoothing * self._T
-            self._arrears = [late + missing * (to - at) for late, to, at in zip(self._arrears, c, paid, strict=True)]
+            self._backlog = [late + missing * (to - at) for late, to, at in zip(self._backlog, c, paid, strict=True)]
         return paid
 
     def _possible(self, c: Floats, bounds: SiteBounds) -> Floats:
@@ -359,24 +361,24 @@ class _Face(ABC):
             beyond = max(beyond, abs(c[i]) / most[i])
         return c if beyond == 1.0 else [along / beyond for along in c]
 
-    def _go_deaf(self) -> None:
-        """Hold the tool from the next wave on, where this face does not do so already."""
+    def _start_holding(self) -> None:
+        """Hold the tool from the next wave on."""
         if self._along > 0.0:
-            self._hold, self._voice = 1.0, self._along
+            self._hold, self._fade = 1.0, self._along
         self._along, self._away = 0.0, True
 
     def _taken_up(self, line: Floats, moved: Floats) -> Floats:
         """c(k) on the way from the wave before a silence to that of the time line.
 
         The forces of both faces differ meanwhile. Their impulse is not made up for, so what was played is set anew
-        in each of these ticks; the arrears are what the motion before has left.
+        in each of these ticks; the backlog is what the motion before has left.
         """
         if self._away or self._play.jumped:
             if not self._away:
                 self._before, self._hold = self._c, 1.0
             self._away, self._along = False, 0.0
             self._slope = self._before
-            self._arrears = [
+            self._backlog = [
                 to - at - (self._smoothing - 1.0) * self._T * by
                 for to, at, by in zip(line, self._played, self._slope, strict=True)
             ]
@@ -387,7 +389,7 @@ class _Face(ABC):
             ]
         self._along = min(1.0, self._along + self._T / RAMP)
         behind = (self._smoothing - 1.0) * self._T
-        self._played = [to - late - behind * by for to, late, by in zip(line, self._arrears, self._slope, strict=True)]
+        self._played = [to - late - behind * by for to, late, by in zip(line, self._backlog, self._slope, strict=True)]
         part = _eased(self._along)
         idle = self._before if self._hold == 1.0 else self._idle(moved)
         return [held + part * (to - held) for held, to in zip(idle, self._slope, strict=True)]
@@ -396,13 +398,13 @@ class _Face(ABC):
     def _idle(self, moved: Floats) -> Floats:
         """The wave of a face that does not hear."""
 
-    def _made_up(self, arrears: Floats) -> Floats:
-        """What is left of the arrears after this tick."""
-        size = math.hypot(*arrears)
+    def _made_up(self, backlog: Floats) -> Floats:
+        """What is left of the backlog after this tick."""
+        size = math.hypot(*backlog)
         step = min(self._part * size, self._most)
         if size <= 1e-12:
             return self._zero
-        return [at * (1.0 - step / size) for at in arrears]
+        return [at * (1.0 - step / size) for at in backlog]
 
     def _leave(self, g: Floats, x: Floats, before: Floats, harvests: bool) -> None:
         """Book the outgoing wave a = c + 2 h^-1 g, with g the force on the link, N, and ship energy."""
@@ -417,14 +419,14 @@ class _Face(ABC):
         own = tank.earn(a, harvest)
         self.ledger += own - cost + harvest  # by (S), the energy of the force along the motion
         self.n += 1
-        deaf = self._play.deaf
+        holding = self._play.starved
         if self._follows:
             c, P, U = self._c, self._played, self._U
             self._played = [P[i] + T * c[i] for i in range(len(c))]
             self._U = [U[i] + T * a[i] for i in range(len(c))]
         else:
-            self._reckon(moved, deaf)
-        if not deaf:
+            self._keep_sums(moved, holding)
+        if not holding:
             if self._along < 1.0 and self._hold == 1.0:  # what the wave of the silence costs is paid here
                 own = max(0.0, own - (1.0 - _eased(self._along)) * 0.5 * T * dot(self._before, self._before))
             s = min(own, max(0.0, tank.level - self._reserve))
@@ -433,17 +435,17 @@ class _Face(ABC):
                 s += self._spare * spare
             self._ship(s)
 
-    def _reckon(self, moved: Floats, deaf: bool) -> None:
+    def _keep_sums(self, moved: Floats, holding: bool) -> None:
         """Keep P and U in a tick of a face that holds the tool, or did so a moment ago: h (P + U) = 2 b x, of any F.
 
         Two faces that hold have forces that need not agree, and the impulse of the difference would have to be made up
         for by a motion: 1 N*s is worth 2.5 cm at b = 20 N*s/m. So F stands still in a silence, after a ramp; and then
         it follows the other face's until the ramp back is over.
         """
-        way, before = self._sum_at(moved), self._reckoned
-        if deaf:
-            self._voice = max(0.0, self._voice - self._T / RAMP)
-            part, T = _eased(self._voice), self._T
+        way, before = self._sum_at(moved), self._played_before
+        if holding:
+            self._fade = max(0.0, self._fade - self._T / RAMP)
+            part, T = _eased(self._fade), self._T
             played = zip(before, way, self._c, strict=True)
             self._played = [at + by + part * (T * wave - by) for at, by, wave in played]
         sums = zip(self._U, way, self._played, before, strict=True)
@@ -554,10 +556,10 @@ class UserFace(_Face):
         """A tick as a free end, f_c = 0 and x_c = p: a = c, so that no energy passes. A ramp follows."""
         self._loose, self.free = self._loose - 1, True
         self._x, self._f, self._c = p, self._zero, self.free_wave(moved)
-        self._line, self._reckoned, way = self._play.advance(), self._played, self._sum_at(moved)
+        self._line, self._played_before, way = self._play.advance(), self._played, self._sum_at(moved)
         self._played, self._U = plus(self._played, way), plus(self._U, way)
         self._let_go = self._before = self._slope = self._zero
-        self._hold = self._along = self._voice = 0.0
+        self._hold = self._along = self._fade = 0.0
         self._away, self._follows = True, False
         self.n += 1
         self.silent += 1
@@ -567,12 +569,12 @@ class UserFace(_Face):
         """h^-1 f_c(k-1), which holds the tool; at the beginning of a life that of a force that goes to 0."""
         hold = self._hold
         if hold == 1.0:
-            return self._holding()
+            return self._holding_wave()
         f, T = [hold * force for force in self._let_go], self._T
         w = [(by + bent) / T for by, bent in zip(moved, self._deflection(f), strict=True)]
         return [motion + force for motion, force in zip(self._sum_at(w), self._held(f), strict=True)]
 
-    def _holding(self) -> Floats:
+    def _holding_wave(self) -> Floats:
         """h^-1 f_c(k-1)."""
         return self._held(self._f)
 
@@ -672,7 +674,7 @@ class WorldFace(_Face):
 
     def _idle(self, moved: Floats) -> Floats:
         """-h^-1 f_e(k-1), which holds the tool."""
-        return self._holding()
+        return self._holding_wave()
 
     def _possible(self, c: Floats, bounds: SiteBounds) -> Floats:
         """The same within the bounds, and with p(k) no further than the tool of the site can be."""
@@ -684,7 +686,7 @@ class WorldFace(_Face):
                 break
         return super()._possible(c, bounds)
 
-    def _holding(self) -> Floats:
+    def _holding_wave(self) -> Floats:
         """-h^-1 f_e(k-1)."""
         return [-kept for kept in self._held(self._f)]
 

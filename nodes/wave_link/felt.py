@@ -23,7 +23,7 @@ class FeltLink:
         tanks: the energy in the tanks of the user's and the world's end, J.
         limited: ticks in which a tank limited a wave, at both ends.
         silences: how often an end heard nothing for so long that it held the tool, at both ends.
-        deaf: whether an end does so now.
+        holding: whether an end does so now.
     """
 
     round_trip: float
@@ -32,7 +32,7 @@ class FeltLink:
     tanks: tuple[float, float]
     limited: int
     silences: int
-    deaf: bool
+    holding: bool
 
     def figures(self) -> str:
         """Round trip, felt stiffness and felt mass, with their units."""
@@ -52,7 +52,7 @@ class FeltLink:
             text += f"; waves limited by a tank in {self.limited} {'tick' if self.limited == 1 else 'ticks'}"
         if self.silences:
             text += f"; silent {self.silences} {'time' if self.silences == 1 else 'times'}"
-        return text + ("; an end hears nothing now, and holds the tool" if self.deaf and not over else "")
+        return text + ("; an end hears nothing now, and holds the tool" if self.holding and not over else "")
 
     def as_plain(self) -> dict[str, Any]:
         """As a JSON object."""
@@ -92,10 +92,10 @@ def felt_link(
     """
     lags = user.get(names.WAVE_LAG, math.nan), world.table(names.of(names.WAVE_LAG)).get(coupling, math.nan)
     R = 1e-6 * sum(lags)
-    figures = (names.WAVE_TANK, names.WAVE_CLIPPED, names.WAVE_SILENCES, names.WAVE_DEAF)
+    figures = (names.WAVE_TANK, names.WAVE_CLIPPED, names.WAVE_SILENCES, names.WAVE_HOLDING)
     found = [(user.get(one, math.nan), world.table(names.of(one)).get(coupling, math.nan)) for one in figures]
     if not all(0.0 <= value < math.inf for pair in found for value in pair) or not 0.0 < R < math.inf:
         return None
-    tanks, limited, silences, deaf = found
+    tanks, limited, silences, holding = found
     felt = stiffness_and_mass(impedance, R)
-    return FeltLink(R, *felt, tanks, int(sum(limited)), int(sum(silences)), any(deaf))
+    return FeltLink(R, *felt, tanks, int(sum(limited)), int(sum(silences)), any(holding))

@@ -4,7 +4,7 @@ A receiver knows the sum U of the other face's waves at the ticks n of the messa
 plays the sum, so nothing is lost with a message. The position nu on the sender's time line moves at the sender's rate,
 +-2 %, so that its distance to the newest message (the *depth*, in ticks of the sender) stays near the one wanted.
 Between two messages the sum is a straight line; by Jensen's inequality that never costs more than what was sent. Beyond
-the newest it goes on with its last slope, for at most :data:`DEAF` seconds.
+the newest it goes on with its last slope, for at most :data:`HOLD_AFTER` seconds.
 
 Why a time line: a constant force is a constant wave, of power f^2/(4b). Whoever plays it at a varying rate pays
 half the variance more than was sent, and the missing energy becomes a creep of the tool.
@@ -19,8 +19,8 @@ from typing import Final, TypeAlias
 
 from manyhands.nodes.kernel.arithmetic import Floats, dot, minus
 
-DEAF: Final = 0.03
-"""Time beyond the newest message after which a face counts as deaf, s."""
+HOLD_AFTER: Final = 0.03
+"""Time beyond the newest message after which a face holds the tool, s."""
 
 _MOST: Final = 0.02  # greatest part by which the rate differs from the sender's
 _PULL: Final = 0.5  # time in which the rate makes up for a wrong depth, s
@@ -39,7 +39,7 @@ class PlayOut:
 
     Attributes:
         depth: the depth wanted, ticks of the sender.
-        deaf: whether nothing can be played: nothing was heard yet, or for too long.
+        starved: whether nothing can be played: nothing was heard yet, or for too long.
         first: U of the first message, W^(1/2)*s; empty before it.
         jumped: whether the last :meth:`advance` moved nu by a jump.
         newest: n of the newest message; -1 before the first.
@@ -47,9 +47,9 @@ class PlayOut:
 
     __slots__ = (
         "_ahead",
-        "_deaf_after",
         "_fresh",
         "_gain",
+        "_hold_after",
         "_latest",
         "_mean",
         "_misplaced",
@@ -64,11 +64,11 @@ class PlayOut:
         "_ticks",
         "_total",
         "_weight",
-        "deaf",
         "depth",
         "first",
         "jumped",
         "newest",
+        "starved",
     )
 
     def __init__(self, T: float, sender_T: float, depth: float) -> None:
@@ -83,7 +83,7 @@ class PlayOut:
         self._nominal = T / sender_T
         self._weight = T / _MEAN
         self._gain = sender_T / _PULL
-        self._deaf_after = DEAF / sender_T
+        self._hold_after = HOLD_AFTER / sender_T
         self._span = max(1.0, _SPAN / sender_T)
         self.depth = depth
         self.renew()
@@ -91,7 +91,7 @@ class PlayOut:
     def renew(self) -> None:
         """Forget all that was heard; a new life begins."""
         self.newest, self.first = -1, _NOTHING
-        self.deaf, self.jumped = True, False
+        self.starved, self.jumped = True, False
         self._fresh = self._misplaced = False  # whether a message came, or place was called, since the last advance
         self._nu = self._mean = 0.0
         self._passed: _Known = (0, _NOTHING, 0.0)  # the last message before nu
@@ -128,19 +128,19 @@ class PlayOut:
         fresh, self._fresh = self._fresh, False
         nu = self._nu + self._nominal
         lag = newest - nu
-        astray = (lag - self.depth) * self._period > _ASTRAY or lag < -self._deaf_after
+        astray = (lag - self.depth) * self._period > _ASTRAY or lag < -self._hold_after
         self.jumped = self._misplaced or (fresh and astray)
         self._misplaced = False
         if self.jumped:
             nu = newest - self.depth
-        if self.jumped or self.deaf:
+        if self.jumped or self.starved:
             # in a silence nu runs on at the sender's rate, so that it is right when messages come again
             self._mean = self.depth
         else:
             self._mean += self._weight * (lag - self._mean)
             nu += self._nominal * max(-_MOST, min(_MOST, self._gain * (self._mean - self.depth)))
         self._nu = nu
-        self.deaf = nu > newest + self._deaf_after
+        self.starved = nu > newest + self._hold_after
         if self._ticks:
             self._measure()
         return self._sum(nu)
@@ -202,5 +202,5 @@ class PlayOut:
         start, before, _ = self._since
         if n == start:
             return U
-        part = min(max(0.0, nu - n), self._deaf_after) / (n - start)
+        part = min(max(0.0, nu - n), self._hold_after) / (n - start)
         return [at + part * (at - come) for at, come in zip(U, before, strict=True)]

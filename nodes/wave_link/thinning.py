@@ -2,9 +2,9 @@
 
 A wave holds all before it, so an end may send one in every ``every`` ticks only. What is lost with the others is no
 energy: between two waves the receiver plays a straight line, and by Jensen's inequality that never costs more than what
-was sent (:mod:`manyhands.nodes.wave_link.play_out`). What it costs is time. The receiver knows where a straight line
-goes only when its end is there, so the round trip grows by every - 1 ticks of the sender on each way: by half of them
-in the mean a wave waits to be sent, and as deep is the play-out that is never beyond the newest wave.
+was sent (:mod:`manyhands.nodes.wave_link.play_out`). What it costs is time, ``every - 1`` ticks of the sender on
+each way: on average a wave waits (every - 1)/2 ticks to be sent, and the play-out buffers as many, since it knows where
+a straight line goes only when its end is there.
 
 The ends of different links take turns, so that a world with many of them has the same work in each tick.
 """
@@ -39,5 +39,5 @@ class Turns:
 
     @property
     def depth(self) -> float:
-        """The least mean depth of a play-out that never is beyond the newest wave, ticks of the sender."""
+        """The least mean depth at which a play-out never overtakes the newest wave, ticks of the sender."""
         return 0.5 * (self.every - 1)

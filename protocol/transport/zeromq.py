@@ -21,13 +21,13 @@ import zmq
 from manyhands.protocol.clock import Duration
 from manyhands.protocol.keys import KeyRing
 from manyhands.protocol.limits import (
-    DEAF_BYTES,
     HEARTBEAT_MS,
     HUB_INBOX_FRAMES,
     HUB_QUEUE_FRAMES,
     LINGER_MS,
     LINK_QUEUE_FRAMES,
     MAX_CONTROL_BYTES,
+    SEND_ONLY_BYTES,
     SILENCE_MS,
 )
 from manyhands.protocol.transport import (
@@ -439,7 +439,7 @@ class ZmqTransport:
         """
         socket = self._socket(zmq.PUSH, LINK_QUEUE_FRAMES)
         socket.setsockopt(zmq.RCVHWM, 1)  # this end never reads
-        socket.setsockopt(zmq.MAXMSGSIZE, DEAF_BYTES)
+        socket.setsockopt(zmq.MAXMSGSIZE, SEND_ONLY_BYTES)
         endpoint = self._bind(socket, name, (peer,), address)
         return self._link(socket), endpoint
 

@@ -197,5 +197,5 @@ def test_what_is_felt_over_a_wave_link(m: int, round_trip: float, scale: float, 
 
 
 def test_a_round_trip_is_positive() -> None:
-    with pytest.raises(ValueError, match=r"round trip: found 0\.0 s, expected a finite"):
+    with pytest.raises(ValueError, match=r"round trip: found 0\.0 s; expected a finite"):
         felt_over(np.eye(1), T, 0.0, np.eye(1), 0.0)

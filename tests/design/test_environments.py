@@ -65,7 +65,7 @@ def test_every_name_of_the_table_is_written_by_a_kind() -> None:
 
 @pytest.mark.parametrize("kind", ["rubber", ["network"], None])
 def test_another_name_is_refused_with_all_that_are_known(kind: object) -> None:
-    with pytest.raises(ValueError, match=r"environment\.type: found .*, expected one of 'network', ") as caught:
+    with pytest.raises(ValueError, match=r"environment\.type: found .*; expected one of 'network', ") as caught:
         environment_of({"type": kind}, PORTS)
     assert all(repr(name) in str(caught.value) for name in KINDS)
 

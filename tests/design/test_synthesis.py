@@ -194,10 +194,10 @@ def test_an_environment_that_cannot_be(environment, words: str) -> None:
 def test_a_coupling_of_another_shape_is_the_callers_mistake(problems) -> None:
     loop = problems.example_1()
     for wanted, words in (
-        (SpringDamperGiven(problems.uniform(700.0, 0.1, 2)), "a coupling of 3 ports, found 2"),
+        (SpringDamperGiven(problems.uniform(700.0, 0.1, 2)), "found a coupling of 2 ports; expected 3"),
         (SpringDamperGiven(problems.C27), "different blocks"),
-        (LinearGiven((StateSpace.static([[1e-3]]),) * 2), "expected blocks of V"),
-        (LinearGiven((StateSpace.static(np.eye(3)),)), "expected blocks of V"),
+        (LinearGiven((StateSpace.static([[1e-3]]),) * 2), "found blocks of V with"),
+        (LinearGiven((StateSpace.static(np.eye(3)),)), "found blocks of V with"),
     ):
         with pytest.raises(ValueError, match=words):
             design(loop, wanted)

@@ -18,7 +18,7 @@ from manyhands.launch.plan.topology import topology
 from manyhands.launch.run.breaches import Assumptions, ShiftCoupling, UserIncidents
 from manyhands.launch.run.broadcast import describe
 from manyhands.launch.run.conductor import Conductor
-from manyhands.launch.run.recovery import RestartBudget
+from manyhands.launch.run.recovery import Restarts
 from manyhands.launch.run.states import (
     Instruction,
     Kill,
@@ -104,12 +104,12 @@ class SimulatedSession:
         self.random = self.scheduler.random
         self.graph = topology(prepared.session)
         self._bundles = cut(prepared, RunPlan(clock, None, "wire://hub"))
-        budget = RestartBudget(10**9)
+        budget = Restarts(10**9)
         self._guest, self._witness = guest, witness
         self.health = HealthModel(describe(prepared, clock, "ipc", ticks).terms)
         self._energy = UserIncidents(self.graph, prepared.session.period)
         remote = frozenset(led) if guest is None else frozenset({guest.name})
-        self.conductor = Conductor(self.graph, prepared.id, prepared.session.name, ticks, remote, budget=budget)
+        self.conductor = Conductor(self.graph, prepared.id, prepared.session.name, ticks, remote, restarts=budget)
         sites = prepared.session.sites
         self.conductor.ids.update({name: self._bundles[name].common.certificate for name in sites})
         self.assumptions = Assumptions(prepared, self.graph, clock, self.conductor.rungs)

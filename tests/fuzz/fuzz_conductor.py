@@ -1,6 +1,6 @@
 """Any messages from nodes and strangers to the conductor, in any order, between the ends of processes, deadlines and
 Ctrl-C: it never raises, every message of it can be sent, and a session only moves forward. Nodes come back at most as
-often as their budgets allow, and a message of one node moves no other running node.
+often as their restarts allow, and a message of one node moves no other running node.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from forger import Forger
 import manyhands.launch
 from manyhands.launch.plan.topology import Topology, topology
 from manyhands.launch.run.conductor import Conductor
-from manyhands.launch.run.recovery import RestartBudget
+from manyhands.launch.run.recovery import Restarts
 from manyhands.launch.run.states import (
     Instruction,
     Kill,
@@ -158,7 +158,7 @@ class Watch:
     """A conductor, and beside it what may be known of a session from its messages alone."""
 
     def __init__(self, remote: frozenset[str], restarts: int) -> None:
-        budget = RestartBudget(restarts, Duration(2**63))  # no session runs so long
+        budget = Restarts(restarts, Duration(2**63))  # no session runs so long
         self.conductor = Conductor(GRAPH, CERTIFICATE, SESSION.name, 5, remote, OBSERVERS, budget)
         self.restarts = restarts
         self.begun = False

@@ -16,7 +16,7 @@ USER = {
     names.WAVE_TANK: 5e-3,
     names.WAVE_CLIPPED: 2.0,
     names.WAVE_SILENCES: 0.0,
-    names.WAVE_DEAF: 0.0,
+    names.WAVE_HOLDING: 0.0,
 }
 WORLD = USER | {names.WAVE_LAG: 1000.0, names.WAVE_TANK: 4e-3}
 
@@ -39,12 +39,12 @@ def test_it_has_the_figures_of_both_ends() -> None:
     assert found.round_trip == pytest.approx(6e-3)
     assert found.stiffness == pytest.approx(2.0 * 20.0 / 6e-3)
     assert found.mass == pytest.approx(0.5 * 60.0 * 6e-3)
-    assert (found.tanks, found.limited, found.silences, found.deaf) == ((5e-3, 4e-3), 4, 0, False)
+    assert (found.tanks, found.limited, found.silences, found.holding) == ((5e-3, 4e-3), 4, 0, False)
     assert read(FeltLink, found.as_plain()) == found
 
 
 def test_the_sentence_names_what_a_user_wants_to_know() -> None:
-    found, silent = felt(), felt(USER | {names.WAVE_SILENCES: 1.0, names.WAVE_DEAF: 1.0})
+    found, silent = felt(), felt(USER | {names.WAVE_SILENCES: 1.0, names.WAVE_HOLDING: 1.0})
     assert found is not None
     assert found.sentence("cx") == (
         "wave link of cx: a round trip of 6 ms is felt as 6667 N/m in series with the coupling, and as 180 g; 5 and 4 "

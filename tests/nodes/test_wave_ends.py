@@ -15,7 +15,7 @@ from manyhands.nodes.link.join import OwnEnd, Received
 from manyhands.nodes.link.peer_link import PeerLink, handshake_of
 from manyhands.nodes.wave_link.ends import AT_ONCE, CALM, JOINING, UserEnd, WorldEnd, datagram_socket
 from manyhands.nodes.wave_link.faces import wave_feedthrough
-from manyhands.nodes.wave_link.play_out import DEAF
+from manyhands.nodes.wave_link.play_out import HOLD_AFTER
 from manyhands.protocol.clock import Duration, Instant
 from manyhands.protocol.limits import MAX_STRAY_FRAMES
 from manyhands.protocol.messages import Reaction, Ready, Role, Rung, Start, Tool, Wave
@@ -140,7 +140,7 @@ def test_neither_end_waits_when_nothing_comes() -> None:
         link.user_tick(k, 0.2)
         link.carry(up=False, down=False)
         assert link.world_tick(k + 3, 1000.0) is Received.SIGNAL
-    assert link.world.figures()["wave_deaf"] == 1.0
+    assert link.world.figures()["wave_holding"] == 1.0
     held = link.p[0]
     link.world_tick(500, 1000.0)
     assert link.p[0] == pytest.approx(held, abs=1e-4)
@@ -179,7 +179,7 @@ def test_a_depth_follows_what_comes_late_again_and_again_and_no_single_outage() 
     assert seconds(1, 20) == settled  # once is an outage
     assert 8.0 < seconds(1, 20) < 12.0  # and again and again it is what the depth covers, except in 1 % of the ticks
     seconds(1, 250)
-    assert seconds(1, 250) == DEAF / T  # who hears nothing for so long holds the tool
+    assert seconds(1, 250) == HOLD_AFTER / T  # who hears nothing for so long holds the tool
     assert seconds(CALM + 1, 0) <= 2.0
 
 

@@ -342,5 +342,5 @@ class ShownPage:
 
     def _await_drawing(self) -> None:
         until(self.page, "body", "data-pictures", equals=str(self._sent))
-        tick = self._feed.scene.tick
+        tick = self._feed.live.tick
         until(self.page, "body", "data-tick", equals=str(tick))

@@ -244,7 +244,7 @@ def test_options_that_do_not_fit_are_refused() -> None:
     for option in ("--every", "--layout"):
         done = manyhands_command("view", option, "5")
         assert done.exit_code == 2
-        assert f"{option}: found it without --foxglove" in done.stderr
+        assert f"{option} needs --foxglove" in done.stderr
     done = manyhands_command("view", "--foxglove", "--open", "--host", "192.0.2.7")
     assert done.exit_code == 2
     assert "which would go to foxglove.dev" in done.stderr

@@ -134,9 +134,9 @@ def test_no_label_overlaps_another_wherever_the_bodies_are(name: str, browser: B
             "ledger_margin": 0.0}  # fmt: skip
     lags = {f"{figure}_{seat}": 1e3 for seat in about.seats for figure in ("wave_lag_us", "wave_tank")}
     lags |= {
-        f"{figure}_{seat}": 0.0 for seat in about.seats for figure in ("wave_clipped", "wave_silences", "wave_deaf")
+        f"{figure}_{seat}": 0.0 for seat in about.seats for figure in ("wave_clipped", "wave_silences", "wave_holding")
     }
-    own = {"wave_lag_us": 2500.0, "wave_tank": 0.01, "wave_clipped": 0.0, "wave_silences": 0.0, "wave_deaf": 0.0}
+    own = {"wave_lag_us": 2500.0, "wave_tank": 0.01, "wave_clipped": 0.0, "wave_silences": 0.0, "wave_holding": 0.0}
     couplings = [node for node, known in about.nodes.items() if known.role is Role.COUPLING]
     frozen = {f"frozen:{coupling}@50": 1.0 for coupling in couplings[1:]}
     free = {node: "free" for seat in list(about.seats)[1:] for node in (seat, about.seats[seat])}
@@ -182,7 +182,7 @@ def test_the_page_names_who_and_since_when_in_the_sessions_time(browser: Browser
 
 def test_the_lobby_shows_who_is_in_and_which_seat_is_free(browser: Browser) -> None:
     played = Played(HOSTED)
-    own = {"wave_lag_us": 4e3, "wave_tank": 0.01, "wave_clipped": 0.0, "wave_silences": 0.0, "wave_deaf": 0.0}
+    own = {"wave_lag_us": 4e3, "wave_tank": 0.01, "wave_clipped": 0.0, "wave_silences": 0.0, "wave_holding": 0.0}
     of_world = Figures({}, {f"{name}_of": {"vl": value} for name, value in (own | {"wave_lag_us": 1e3}).items()})
     played.stand(0.0, {"environment": of_world, "coupling": own}, vr="free", right="free")
     shown = ShownPage(browser, played.feed, 390, "dark")

@@ -59,7 +59,7 @@ GROUPS: Final[Mapping[str, Mapping[str, ListedCommand]]] = {
     },
     "Record": {
         "record": ListedCommand("recordings", "Record a running session from now on."),
-        "info": ListedCommand("recordings", "Report what a recording holds and whether it is whole."),
+        "info": ListedCommand("recordings", "Report what a recording holds and whether it is intact."),
         "plot": ListedCommand("recordings", "Draw a recording."),
         "export": ListedCommand("recordings", "Write a recording as a table."),
         "replay": ListedCommand("recordings", "Run a recorded session again and compare each bit."),

@@ -52,8 +52,8 @@ def check_driver(
         bool,
         typer.Option(
             "--push/--no-push",
-            help="Exert forces. With --no-push the device is only read, nothing is asked, and all about forces is "
-            "not judged. The keys for the session file are what the driver states, with a push and without.",
+            help="Exert forces. With --no-push the device is only read, without a question, and nothing about forces "
+            "is judged. The keys for the session file are what the driver states, with a push and without.",
         ),
     ] = True,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask before a push of hardware.")] = False,
@@ -108,9 +108,7 @@ def check_model(
     ] = None,
     stiffness: Annotated[
         float | None,
-        typer.Option(
-            "--stiffness", metavar="N/m", help="That of the springs to the proxies, for a model with proxy()."
-        ),
+        typer.Option("--stiffness", metavar="N/m", help="The springs to the proxies, for a model with proxy()."),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -175,7 +173,7 @@ def _agreed(force: float, travel: float) -> bool:
     """Whether the user at the terminal agrees to a push; no terminal is no."""
     question = f"this pushes real hardware with {force:g} N, up to {1e3 * travel:g} mm at a time; nobody may hold it"
     if not sys.stdin.isatty():
-        say(err, f"{question}: found no terminal to ask at; expected --yes or --no-push")
+        say(err, f"{question}: there is no terminal to ask at; give --yes or --no-push")
         return False
     say(err, f"{question}. Push it? [y/N]")
     return sys.stdin.readline().strip().lower() in ("y", "yes")

@@ -49,7 +49,7 @@ def design(
         typer.Option(
             "--part",
             metavar="NAME",
-            help="With wave links: only this coupling's site, or in-tick, or environment.",
+            help="With wave links: design one part, a coupling's site, in-tick or environment.",
             autocompletion=part_names,
         ),
     ] = None,
@@ -143,7 +143,7 @@ def sweep(
     output: Annotated[
         Path,
         typer.Option(
-            "-o", metavar="FILE", help="Where the table goes (.csv); FILE.journal keeps what is done, to go on from."
+            "-o", metavar="FILE", help="Where the table goes (.csv); it goes on from FILE.journal, if there is one."
         ),
     ],
     vary: Annotated[

@@ -24,22 +24,22 @@ def mesh(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="An STL or OBJ file with a closed surface.")],
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="OUT", help="The grid's file; the mesh's name with .grid without it."),
+        typer.Option("-o", "--output", metavar="OUT", help="The grid's file; by default that of the mesh, as .grid."),
     ] = None,
     unit: Annotated[
         str,
         typer.Option(
-            "--unit", metavar="|".join(UNITS), help="Of the coordinates in the file.", autocompletion=one_word_of(UNITS)
+            "--unit", metavar="|".join(UNITS), help="The unit of the coordinates.", autocompletion=one_word_of(UNITS)
         ),
     ] = "mm",
     cell: Annotated[
         float | None,
-        typer.Option("--cell", metavar="M", help="Between nodes, in m; a 64th of the longest side without it."),
+        typer.Option("--cell", metavar="M", help="Between nodes, in m; by default a 64th of the longest side."),
     ] = None,
     band: Annotated[
         int,
         typer.Option(
-            "--band", metavar="COUNT", help="Cells on both sides of the surface: a tool's radius may be these less two."
+            "--band", metavar="COUNT", help="Cells on each side of the surface: a tool's radius may be two less."
         ),
     ] = 4,
 ) -> None:

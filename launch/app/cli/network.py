@@ -38,7 +38,7 @@ from manyhands.launch.app.keys import run_keys
 from manyhands.launch.files import require_target
 from manyhands.launch.look.display import say
 from manyhands.launch.look.graph import FORMATS, format_of, show, show_access
-from manyhands.launch.look.graph.parts import drawing_of_scene, drawing_of_session
+from manyhands.launch.look.graph.parts import drawing_of_live, drawing_of_session
 from manyhands.launch.look.sessions import find_session
 from manyhands.launch.look.tables import look_at
 from manyhands.launch.output import pipe_may_close
@@ -62,7 +62,7 @@ AllowedCode = Annotated[
     typer.Option(
         "--allow-code",
         metavar="PACKAGE.MODULE:FACTORY",
-        help="Let the file have this driver or model run here, with your rights.",
+        help="Let this driver or model of the file run here, with your rights.",
     ),
 ]
 
@@ -104,13 +104,13 @@ def graph(
     """Show a session's processes and links, or their access rights; for a running session, the state of each."""
     with errors():
         if (session is None) is (running is None):
-            refuse("found neither SESSION nor --running NAME, or both; expected a file, or the name of a running one")
+            refuse("give either SESSION or --running NAME")
         if form is not None:
             require_one_of("--format", form, FORMATS)
             if as_json:
-                refuse("found --format and --json; expected one of them")
+                refuse("give either --format or --json")
         if running is not None and (access or overrides):
-            refuse("found --access or --set with --running; expected them with a session file")
+            refuse("--access and --set need a session file: leave out --running")
         if access and form not in (None, "text"):
             refuse(f"--access: found --format {form}; expected text or --json")
         if output is not None:
@@ -123,10 +123,10 @@ def graph(
         elif session is not None:
             show(drawing_of_session(Plan(load_named(session, overrides))), out, shape, output)
         else:
-            scenes = look_at([find_session(running)], RealtimeClock())
-            if not scenes:
-                refuse(f"--running: found that {running} cannot be looked at; expected one that runs")
-            show(drawing_of_scene(scenes[0]), out, shape, output)
+            sessions = look_at([find_session(running)], RealtimeClock())
+            if not sessions:
+                refuse(f"--running: no running session {running}")
+            show(drawing_of_live(sessions[0]), out, shape, output)
         if output is not None:
             say(err, f"written to {output}")
 
@@ -138,7 +138,7 @@ def invite(
         list[str] | None,
         typer.Argument(
             metavar="[NODE]...",
-            help="Devices, couplings, the environment, or observers; without, the keys alone are made.",
+            help="Devices, couplings, the environment, or observers; without any, keys alone are made.",
             autocompletion=node_names,
         ),
     ] = None,
@@ -176,19 +176,19 @@ def invite(
         wanted = nodes or []
         require_one_of("--clock", clock, CLOCKS)
         if (keys is None) is not insecure:
-            refuse("found neither --keys nor --insecure, or both; expected --keys DIR, where the keys are or are made")
+            refuse("give either --keys DIR, where the keys are or are made, or --insecure")
         if insecure and (renew or not wanted):
-            refuse("found --insecure, with which there are no keys; expected NODE, and no --renew")
+            refuse("--insecure makes no keys: name a NODE, and leave out --renew")
         if wanted and as_json:
-            refuse("found --json with NODE; expected it for keys alone")
+            refuse("--json prints keys alone: leave out NODE")
         if not wanted and (output is not None or certificate is not None):
-            refuse(f"found no NODE for {'-o' if output is not None else '--certificate'}; expected one of the session")
+            refuse(f"{'-o' if output is not None else '--certificate'} needs a NODE of the session")
         loaded, _ = settle_colocation(load_named(session, overrides), Where.APART)  # as the launch with --remote will
         if keys is not None and not wanted:
             end(run_keys(loaded, keys, renew, out, err, as_json))
             return
         if certificate is None and not uncertified:
-            refuse("found no --certificate; expected the file that the session will be launched with")
+            refuse("give --certificate FILE, with which the session will be launched")
         files = bundle_files_of(loaded, wanted, output)
         options = StartOptions(clock, certificate=certificate, uncertified=uncertified)
         prepared = prepare_settled(SettledDelay(loaded), options, err)
@@ -227,7 +227,7 @@ def node(
         typer.Option(
             "--bundle",
             metavar="BUNDLE",
-            help="The node's bundle (manyhands invite); -: bundle and key come over standard input, from launch --on.",
+            help="The node's bundle (manyhands invite); with -, launch --on sends bundle and key to standard input.",
         ),
     ],
     connect: Annotated[str, typer.Option("--connect", metavar="tcp://HOST:PORT", help="Where the session listens.")],
@@ -308,7 +308,7 @@ def join(
     invitation: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[INVITATION]", help="The file with the host's line; without, you are asked for the line."
+            metavar="[INVITATION]", help="The file with the host's line; without it, you are asked for the line."
         ),
     ] = None,
     address: Annotated[

@@ -30,7 +30,7 @@ from manyhands.launch.look.tables import (
 )
 from manyhands.launch.look.topics import DEFAULT_WINDOW, EchoLines, Pacing, find_topic, sentence, session_of
 from manyhands.launch.output import pipe_may_close, print_json
-from manyhands.nodes.monitor.session_state import Scene
+from manyhands.nodes.monitor.session_state import LiveSession
 from manyhands.protocol.clock import Instant, RealtimeClock, from_seconds
 
 commands = typer.Typer()
@@ -60,9 +60,9 @@ def echo(
         running = find_session(session or session_of(topic))
         named = find_topic(running.about, topic)
         lines = EchoLines(named, running.about.period_of(named.node), count, every)
-        with visiting(running, RealtimeClock()) as (scene, seeing):
+        with visiting(running, RealtimeClock()) as (live, seeing):
             for seen in seeing:
-                text = "\n".join(lines.lines(seen.message, scene.tick))
+                text = "\n".join(lines.lines(seen.message, live.tick))
                 if text:
                     typer.echo(text)
                 if lines.done:
@@ -119,43 +119,43 @@ def top(
     with errors(), pipe_may_close():
         if all_:
             if session is not None:
-                refuse(f"found --all and --running {session}; expected one of them")
+                refuse("give either --all or --running NAME")
             _show_all(as_json)
             return
         running = find_session(session)
         clock = RealtimeClock()
         if once:
-            for scene in look_at([running], clock):
+            for live in look_at([running], clock):
                 if as_json:
-                    print_json(top_object(scene))
+                    print_json(top_object(live))
                 else:
-                    out.print(picture(scene, out.width))
+                    out.print(picture(live, out.width))
             end(0)
             return
 
-        def show(scene: Scene) -> None:
+        def show(live: LiveSession) -> None:
             if as_json:
-                typer.echo(json.dumps(top_object(scene), allow_nan=False))
+                typer.echo(json.dumps(top_object(live), allow_nan=False))
             else:
-                out.print(picture(scene, out.width))
+                out.print(picture(live, out.width))
 
-        with visiting(running, clock) as (scene, seeing):
+        with visiting(running, clock) as (live, seeing):
             if as_json or not out.is_terminal:
-                show_repeatedly(scene, seeing, show)
+                show_repeatedly(live, seeing, show)
             else:
                 with quit_key() as stop:
-                    show_live(scene, seeing, out, stop)
-        say(err, f"{running.about.session}: observed until tick {scene.tick}")
+                    show_live(live, seeing, out, stop)
+        say(err, f"{running.about.session}: observed until tick {live.tick}")
 
 
 def _show_all(as_json: bool) -> None:
-    scenes = look_at(running_sessions(), RealtimeClock())
-    if not scenes:
+    sessions = look_at(running_sessions(), RealtimeClock())
+    if not sessions:
         say(err, "no session is running; start one with: manyhands launch SESSION")
     if as_json:
-        print_json([session_object(scene) for scene in scenes])
-    elif scenes:
-        print_sessions(out, scenes, time.time())
+        print_json([session_object(live) for live in sessions])
+    elif sessions:
+        print_sessions(out, sessions, time.time())
 
 
 Port = Annotated[
@@ -229,7 +229,7 @@ def view(
     of the devices in ROS 2, by the protocol of rmw_zenoh.
     """
     if ros and foxglove:
-        refuse("found --foxglove and --ros; expected one of them")
+        refuse("give either --foxglove or --ros")
     for option, given, fits, needed in (
         ("--every", every is not None, foxglove or ros, "--foxglove or --ros"),
         ("--layout", layout is not None, foxglove, "--foxglove"),
@@ -237,11 +237,11 @@ def view(
         ("--servo", servo, ros, "--ros"),
     ):
         if given and not fits:
-            refuse(f"{option}: found it without {needed}; expected both, or neither")
+            refuse(f"{option} needs {needed}")
     if ros:
         for option, given in (("--open", open_), ("--token-file", token_file is not None)):
             if given:
-                refuse(f"{option}: found it with --ros; expected one of them")
+                refuse(f"give either {option} or --ros")
         _view_in_ros(session, host, port, router, every, servo)
     elif foxglove:
         _view_in_foxglove(session, host, port, token_file, open_, every, layout)
@@ -306,7 +306,7 @@ def _view_in_foxglove(
 ) -> None:
     with errors("view", "foxglove"), _counting() as refused:
         if open_ and (token_file is not None or not is_loopback(host)):
-            refuse("--open: found it with --foxglove and a token, which would go to foxglove.dev; expected one of them")
+            refuse("--open would send the token to foxglove.dev: leave it out, and open Foxglove yourself")
         running, token = _begin(session, host, token_file, page=False)
         from manyhands.launch.bridges.foxglove import PORT, application_address, serve_foxglove
         from manyhands.launch.bridges.layouts import live_topics, save_layout
@@ -335,15 +335,15 @@ def _view_in_ros(
         from manyhands.launch.look.page.feed import EVERY
 
         if port is not None and router is not None:
-            refuse("--port: found it with --router; expected one of them: with --port, nodes connect to this program")
+            refuse("give either --port, at which nodes connect to this program, or --router")
         if not is_loopback(host):
-            refuse(f"--host: found {host} with --ros; expected a loopback address, for nobody needs a token there")
+            refuse(f"--host: found {host}; expected a loopback address, since --ros asks nobody for a token")
         shown = f"[{host}]" if ":" in host else host
         access = ZenohAccess(router or ROUTER) if port is None else ZenohAccess(f"{shown}:{port}", listens=True)
         if servo and not access.is_local:
             refuse(
-                f"--servo: found the router {access.address}; expected one of this machine, for nobody needs a token "
-                "there: reach it with ssh -L 7447:127.0.0.1:7447"
+                f"--servo: found the router {access.address}; expected one of this machine, since --servo asks nobody "
+                "for a token: reach another with ssh -L 7447:127.0.0.1:7447"
             )
         domain, running = domain_of(os.environ), find_session(session)
         if not access.is_local:

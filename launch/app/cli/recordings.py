@@ -77,7 +77,7 @@ def record(
         if duration is not None and not 0.0 < duration <= 1e9:
             refuse(f"--duration: found {duration:g} s; expected more than 0 s, and at most 1e9 s")
         if directory is not None and session is not None:
-            refuse(f"found both {directory} and --running {session}; expected one of them")
+            refuse("give either DIR or --running NAME")
         running = find_session(session) if directory is None else session_in(directory)
         name, announced = running.about.session, False
         with claimed(output), Interrupt() as interrupt, status(err, f"waiting for {name}") as shown:
@@ -160,7 +160,7 @@ def _print(found: Info, damages: list[Damage]) -> None:
     for device, least in found.accounts.items():
         say(out, f"least interface account of {device}: {joules(least)}")
     if found.cut is not None:
-        say(out, f"not whole: {found.cut}")
+        say(out, f"incomplete: {found.cut}")
     for damage in damages:
         say(out, f"damaged: bytes {damage.begin} to {damage.end}: {damage.what}")
     if not damages:
@@ -378,7 +378,7 @@ def plot(
         if to is not None:
             require_one_of("--format", to, ("png", "svg"))
             if output is not None:
-                refuse(f"--format: found it beside -o {output}, whose suffix is the format; expected one of them")
+                refuse("give either --format or -o FILE, whose suffix is the format")
         target = output if output is not None else file.with_suffix(f".{to or 'png'}")
         wanted = None if topics is None else tuple(name.strip() for name in topics.split(","))
         draw(file, target, err, wanted, start, end)

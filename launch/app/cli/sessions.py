@@ -41,7 +41,7 @@ def sessions(
     with errors(), pipe_may_close():
         if schema:
             if name is not None:
-                refuse(f"--schema: found the session {name!r} as well; expected one of the two")
+                refuse("give either NAME or --schema")
             from manyhands.launch.session.schema import session_schema
 
             sys.stdout.write(json.dumps(session_schema(), indent=1, ensure_ascii=False) + "\n")
@@ -60,7 +60,7 @@ def sessions(
 
 @commands.command(epilog="Example: manyhands new my-session --from ball")
 def new(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Of the new session; its file is NAME.yaml.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="The name of the new session; its file is NAME.yaml.")],
     template: Annotated[
         str,
         typer.Option(
@@ -78,7 +78,7 @@ def new(
         load_named(template, [f"session={name}"])  # the name is one that a session may have
         require_target(target)
         if target.exists():
-            raise TargetError(f"{target}: found a file; expected a name that is free, for its file is never replaced")
+            raise TargetError(f"{target}: found a file; expected a free name, since no file is replaced")
         with replacing(target) as file:
             file.write(re.sub(r"^session: .*$", f"session: {name}", text, count=1, flags=re.MULTILINE).encode())
         say(err, f"{target}: a copy of {template}; next: manyhands design {target}")

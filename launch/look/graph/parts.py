@@ -1,6 +1,6 @@
 """The elements of every drawing of a session: nodes in layers, links between them, and the health of each. Pure.
 
-A drawing of a session file has no health; that of a running session takes it from the session's scene. The same graph,
+A drawing of a session file has no health; that of a running session takes it from its live state. The same graph,
 and the capability table, are here as the objects that ``--json`` prints.
 """
 
@@ -14,7 +14,7 @@ from manyhands.launch.look.tables import rounded
 from manyhands.launch.plan.access import DATA, joins
 from manyhands.launch.plan.plan import Plan
 from manyhands.nodes.monitor.health import Health
-from manyhands.nodes.monitor.session_state import Scene
+from manyhands.nodes.monitor.session_state import LiveSession
 from manyhands.protocol.messages import Role
 
 LAYERS: Final = {Role.DEVICE: 0, Role.COUPLING: 1, Role.ENVIRONMENT: 2}
@@ -159,21 +159,21 @@ def drawing_of_session(plan: Plan) -> Drawing:
     )
 
 
-def drawing_of_scene(scene: Scene) -> Drawing:
+def drawing_of_live(live: LiveSession) -> Drawing:
     """The graph of a running session, with the health of each node and link."""
-    about = scene.about
+    about = live.about
     carriers = {name: node.process for name, node in about.nodes.items() if node.process is not None}
     roles = {name: node.role for name, node in about.nodes.items()}
     parts = []
     for name, node in about.nodes.items():
-        seen = scene.nodes[name]
+        seen = live.nodes[name]
         parts.append(Part(name, node.role, node.ports, node.process, (), seen.health, seen.state, rounded(seen.rate)))
-    ties = [_link(link.ends, link.ports, roles, scene.link_health(link)) for link in about.links]
+    ties = [_link(link.ends, link.ports, roles, live.link_health(link)) for link in about.links]
     return Drawing(
         about.session,
         (*parts, *_observers(about.observers)),
         (*ties, *_carriers(carriers), *_looks(about.observers, roles)),
-        scene.health,
+        live.health,
         about.pid,
     )
 

@@ -25,7 +25,7 @@ from manyhands.nodes.kernel.json_number import json_figures, json_number
 from manyhands.nodes.monitor.alarms import Alarms
 from manyhands.nodes.monitor.given import GivenForce, shares_cell
 from manyhands.nodes.monitor.health import PROMISES, cells, condensed, is_present, summary
-from manyhands.nodes.monitor.session_state import About, Scene
+from manyhands.nodes.monitor.session_state import About, LiveSession
 from manyhands.nodes.monitor.tracks import BUCKETS, WINDOW, Decimated, Tracks
 from manyhands.nodes.recorder.format import MAX_TIME_NS, Recorded
 from manyhands.nodes.rows.promises import Promise
@@ -53,31 +53,31 @@ class Feed:
     """Makes the messages about one session for its pages.
 
     Attributes:
-        scene: the state of the session as far as it is known.
+        live: the state of the session as far as it is known.
         over: whether the session is over.
     """
 
     def __init__(self, about: About) -> None:
         """A feed of the session ``about`` that has not received a frame."""
-        self.scene, self.over = Scene(about), False
+        self.live, self.over = LiveSession(about), False
         self._tracks, self._alarms = Tracks(about), Alarms()
 
     def take(self, frame: bytes, now: Instant) -> None:
         """Take in a frame of the broadcast that came at ``now``."""
-        message = self.scene.take(frame, now)
+        message = self.live.take(frame, now)
         if isinstance(message, Observation):
             self._tracks.take(message)
-        elif self.scene.condition is not None and self.scene.condition.phase == "over":
+        elif self.live.condition is not None and self.live.condition.phase == "over":
             self.over = True
 
     def look(self, now: Instant) -> None:
         """Raise and clear alarms; once the session is over, alarms stay as they are."""
         if not self.over:
-            self._alarms.look(self.scene, now)
+            self._alarms.look(self.live, now)
 
     def session(self) -> str:
         """The first message of a page, with what does not change (JSON)."""
-        about = self.scene.about
+        about = self.live.about
         tracks = {
             key.name: {
                 "node": key.node,
@@ -94,22 +94,22 @@ class Feed:
 
     def picture(self, cursor: Cursor, held: dict[str, str]) -> str:
         """The session's present state with what is new since ``cursor``, which is moved on (JSON)."""
-        scene = self.scene
+        live = self.live
         message: dict[str, Any] = {
             "type": "picture",
             "over": self.over,
-            "phase": "" if scene.condition is None else scene.condition.phase,
-            "elapsed": None if scene.condition is None else scene.condition.elapsed,
-            "health": scene.health,
-            "tick": scene.tick,
-            "rate": _rounded(scene.rate),
-            "promises": [_shown(row) for row in condensed(scene.promises)],
-            "present": summary(scene.promises),
-            "lobby": [{"text": seat.sentence(), "health": seat.health} for seat in scene.lobby],
-            "energy": "; ".join(line for node in scene.nodes.values() for line in world_lines(node.figures)),
-            "wave_links": [felt.sentence(name) for name, felt in scene.felt_links.items()],
+            "phase": "" if live.condition is None else live.condition.phase,
+            "elapsed": None if live.condition is None else live.condition.elapsed,
+            "health": live.health,
+            "tick": live.tick,
+            "rate": _rounded(live.rate),
+            "promises": [_shown(row) for row in condensed(live.promises)],
+            "present": summary(live.promises),
+            "lobby": [{"text": seat.sentence(), "health": seat.health} for seat in live.lobby],
+            "energy": "; ".join(line for node in live.nodes.values() for line in world_lines(node.figures)),
+            "wave_links": [felt.sentence(name) for name, felt in live.felt_links.items()],
             "nodes": self._nodes(cursor),
-            "links": [scene.link_health(link) for link in scene.about.links],
+            "links": [live.link_health(link) for link in live.about.links],
             "tracks": self._new_buckets(cursor),
             "held": held,
         }
@@ -119,11 +119,11 @@ class Feed:
         return json.dumps(message)
 
     def _nodes(self, cursor: Cursor) -> dict[str, Any]:
-        scene, out = self.scene, dict[str, Any]()
-        for name, node in scene.nodes.items():
+        live, out = self.live, dict[str, Any]()
+        for name, node in live.nodes.items():
             out[name] = {"state": node.state, "health": node.health, "tick": node.tick, "rate": _rounded(node.rate)}
-            if node.role is Role.DEVICE and scene.about.certificate is not None:
-                out[name]["covered"] = scene.covered_tau(name)
+            if node.role is Role.DEVICE and live.about.certificate is not None:
+                out[name]["covered"] = live.covered_tau(name)
             if node.received is not None and cursor.received.get(name) != node.received:
                 cursor.received[name] = node.received
                 out[name]["figures"] = json_figures(node.figures, _rounded)

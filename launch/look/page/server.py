@@ -292,7 +292,7 @@ class Pages:
             if token_of(text) is not None:
                 continue  # a page sends its token even where none is required
             why: str | None = None
-            match demand_of(text, watch.feed.scene.about):
+            match demand_of(text, watch.feed.live.about):
                 case Hold() as demand:
                     why = watch.holding.hold(page, demand, now)
                 case LetGo(device):

@@ -241,8 +241,8 @@ def test_a_mode_that_does_not_decay_is_reported() -> None:
 @pytest.mark.parametrize(
     ("Delta_G", "Delta_V", "message"),
     [
-        (np.eye(2), np.eye(3), "Delta_G to be a symmetric 3 x 3"),
-        (np.eye(3), np.triu(np.ones((3, 3))), "Delta_V to be a symmetric 3 x 3"),
+        (np.eye(2), np.eye(3), r"Delta_G: found the shape \(2, 2\); expected a symmetric 3 x 3"),
+        (np.eye(3), np.triu(np.ones((3, 3))), r"Delta_V: found the shape \(3, 3\); expected a symmetric 3 x 3"),
         (np.eye(3), -np.eye(3), "Delta_V to be finite and positive definite"),
         (np.eye(3), np.full((3, 3), 0.1) + np.eye(3), "Delta_V to have the structure"),
     ],

@@ -66,7 +66,7 @@ def test_a_missing_direction_is_refused(K) -> None:
 def test_what_is_no_coupling_is_refused(problems) -> None:
     with pytest.raises(ValueError, match="symmetric"):
         SpringDamper(np.array([[1.0, 0.1], [0.0, 1.0]]), np.eye(2))
-    with pytest.raises(ValueError, match="2 x 2 matrix, found 3 x 3"):
+    with pytest.raises(ValueError, match="found 3 x 3; expected a 2 x 2 matrix"):
         SpringDamper(np.eye(2), np.eye(3))
     with pytest.raises(ValueError, match="different blocks"):
         problems.C27.restrict(problems.decentralised)

@@ -49,11 +49,11 @@ def test_joined_systems_act_on_their_own_ports_only(problems, data: st.DataObjec
 @pytest.mark.parametrize(
     ("names", "blocks", "words"),
     [
-        (("a", "b"), ((0, 1), (1,)), "exactly one block"),
-        (("a",), ((0, 2),), "exactly one block"),
-        (("a", "b"), ((0,), ()), "exactly one block"),
-        (("a", "a"), ((0,), (1,)), "distinct name"),
-        (("a",), ((0,), (1,)), "one distinct name for each block"),
+        (("a", "b"), ((0, 1), (1,)), "expected every port in exactly one"),
+        (("a",), ((0, 2),), "expected every port in exactly one"),
+        (("a", "b"), ((0,), ()), "expected every port in exactly one"),
+        (("a", "a"), ((0,), (1,)), "expected one of its own for each block"),
+        (("a",), ((0,), (1,)), "expected one of its own for each block"),
     ],
 )
 def test_what_is_no_partition_is_refused(names, blocks, words: str) -> None:

@@ -134,8 +134,8 @@ def _thrice(h: StateSpace) -> StateSpace:
     ("change", "words"),
     [
         ({"mass": [0.0]}, "1 positive masses"),
-        ({"mass": [0.2, 0.2]}, "1 x 2 matrix, found 1 x 1"),
-        ({"damping": [1.0, 2.0]}, "1 x 1 matrix, found 1 x 2"),
+        ({"mass": [0.2, 0.2]}, "found 1 x 1; expected a 1 x 2 matrix"),
+        ({"damping": [1.0, 2.0]}, "found 1 x 2; expected a 1 x 1 matrix"),
         ({"damping": [float("nan")]}, "finite"),
         ({"operator": StateSpace.static(np.eye(2))}, "operator of 1 x 1"),
     ],

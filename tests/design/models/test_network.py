@@ -135,8 +135,8 @@ def test_an_indefinite_matrix_has_no_factor() -> None:
         (("p",), (("m", 0.0),), (), "mass m: found 0.0 kg"),
         (("p",), (("m", float("nan")),), (), "mass m: found nan kg"),
         (("p",), (("m", float("inf")),), (), "mass m: found inf kg"),
-        (("p",), (("p", 1.0),), (), "distinct names"),
-        (("p",), ((GROUND, 1.0),), (), "distinct names"),
+        (("p",), (("p", 1.0),), (), "expected distinct ones"),
+        (("p",), ((GROUND, 1.0),), (), "expected distinct ones"),
     ],
 )
 def test_what_is_no_network_is_refused(ports, masses, links, words: str) -> None:

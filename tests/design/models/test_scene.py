@@ -281,8 +281,8 @@ MESH = Obstacle(
 @pytest.mark.parametrize(
     ("parts", "error"),
     [
-        ({"bodies": (BALL, BALL)}, "distinct names"),
-        ({"bodies": (replace(BALL, name="ground"),)}, "distinct names"),
+        ({"bodies": (BALL, BALL)}, "expected distinct ones"),
+        ({"bodies": (replace(BALL, name="ground"),)}, "expected distinct ones"),
         ({"bodies": (replace(BALL, mass=0.0),)}, "masses"),
         ({"bodies": (replace(BALL, radius=-0.1),)}, "radius"),
         ({"bodies": (replace(BALL, shape="cone"),)}, "body ball: found the shape 'cone'"),

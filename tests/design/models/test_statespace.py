@@ -22,7 +22,11 @@ def random_system(seed: int, n: int, p: int, m: int) -> StateSpace:
 
 @pytest.mark.parametrize(
     ("data", "words"),
-    [([1.0, 2.0], "1 dimension"), ([[1.0, np.nan]], "finite"), ([[1.0], [2.0]], "1 x 1 matrix, found 2 x 1")],
+    [
+        ([1.0, 2.0], "1 dimension"),
+        ([[1.0, np.nan]], "finite"),
+        ([[1.0], [2.0]], "found 2 x 1; expected a 1 x 1 matrix"),
+    ],
 )
 def test_a_matrix_is_refused(data: object, words: str) -> None:
     with pytest.raises(ValueError, match=words):
@@ -39,7 +43,7 @@ def test_a_matrix_is_a_read_only_copy() -> None:
 
 
 def test_a_transposed_input_matrix_is_refused() -> None:
-    with pytest.raises(ValueError, match="expected a 2 x 3 matrix, found 3 x 2"):
+    with pytest.raises(ValueError, match="found 3 x 2; expected a 2 x 3 matrix"):
         StateSpace(np.eye(2), np.ones((3, 2)), np.ones((3, 2)), np.zeros((3, 3)))
 
 

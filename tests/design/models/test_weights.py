@@ -54,10 +54,10 @@ def test_a_band_is_flat_inside_and_falls_on_both_sides() -> None:
         ((1.0,), (0.0, 0.0), "denominator: found zero"),
         ((1.0,), (), "denominator: found 0 coefficients"),
         ((1.0, 0.0), (2.0,), "numerator of degree 1 over a denominator of degree 0"),
-        ((1.0,), (1.0, -1.0), "pole of modulus 1, expected a stable weight"),
+        ((1.0,), (1.0, -1.0), "pole of modulus 1; expected a stable weight"),
         ((1.0,), (1.0, 2.0), "pole of modulus 2"),
         ((float("nan"),), (1.0,), "numerator: .* expected finite"),
-        ((1.0,), (1.0,) * (MOST_DEGREE + 2), "denominator: found 18 coefficients, expected 1 to 17"),
+        ((1.0,), (1.0,) * (MOST_DEGREE + 2), "denominator: found 18 coefficients; expected 1 to 17"),
     ],
 )
 def test_refused(num: tuple[float, ...], den: tuple[float, ...], message: str) -> None:
@@ -68,11 +68,11 @@ def test_refused(num: tuple[float, ...], den: tuple[float, ...], message: str) -
 def test_refused_in_continuous_time() -> None:
     with pytest.raises(ValueError, match="pole of modulus"):
         Filter.from_continuous((1.0,), (1.0, 0.0), 1e-3)  # an integrator
-    with pytest.raises(ValueError, match=r"found a static gain of 16\.\d+ after rounding, expected 16: several poles"):
+    with pytest.raises(ValueError, match=r"found a static gain of 16\.\d+ after rounding; expected 16: several poles"):
         Filter.from_continuous((1.0,), tuple(np.poly([-0.5] * 4)), 1e-3)
     with pytest.raises(ValueError, match="period: found 0"):
         Filter.from_continuous((1.0,), (1.0,), 0.0)
-    with pytest.raises(ValueError, match="found 20 to 10 Hz, expected 0 <= low < high < 500 Hz"):
+    with pytest.raises(ValueError, match="found 20 to 10 Hz; expected 0 <= low < high < 500 Hz"):
         Filter.emphasise(20, 10, 1e-3)
     with pytest.raises(ValueError, match="found 0 to 600 Hz"):
         Filter.emphasise(0, 600, 1e-3)

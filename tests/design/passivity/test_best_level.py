@@ -130,7 +130,7 @@ def test_a_silent_output_has_every_level() -> None:
 
 
 def test_a_partition_must_fit() -> None:
-    with pytest.raises(ValueError, match="partition of 2 ports, found one of 1"):
+    with pytest.raises(ValueError, match="found a partition of 1 ports; expected 2"):
         greatest_input_level(StateSpace.static(np.eye(2)), Partition(("a",), ((0,),)))
 
 

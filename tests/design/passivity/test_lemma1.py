@@ -141,7 +141,7 @@ def test_gains(gain: list[list[float]], holds: bool) -> None:
 @pytest.mark.parametrize(
     ("Delta", "words"),
     [
-        (np.eye(3), "Delta: expected a 2 x 2 matrix, found 3 x 3"),
+        (np.eye(3), "Delta: found 3 x 3; expected a 2 x 2 matrix"),
         (np.array([[1.0, 1.0], [0.0, 1.0]]), "Delta: expected a symmetric matrix"),
         (np.full((2, 2), np.nan), "Delta: expected finite"),
     ],
@@ -152,7 +152,7 @@ def test_bad_levels_are_refused(Delta: np.ndarray, words: str) -> None:
 
 
 def test_an_unsquare_system_is_refused() -> None:
-    with pytest.raises(ValueError, match="as many outputs as inputs"):
+    with pytest.raises(ValueError, match="as many of both"):
         analyse(StateSpace.static([[1.0, 2.0]]))
 
 

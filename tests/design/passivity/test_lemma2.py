@@ -75,5 +75,5 @@ def test_the_expression_is_the_matrix(seed: int, n: int, m: int) -> None:
 def test_it_contains_the_inverse_of_Delta() -> None:
     with pytest.raises(ValueError, match="positive definite"):
         lemma2_matrix(StateSpace.static(np.eye(2)), np.zeros((0, 0)), np.diag([1.0, 0.0]))
-    with pytest.raises(ValueError, match="Phi: expected a 2 x 2 matrix"):
+    with pytest.raises(ValueError, match="Phi: found 3 x 3; expected a 2 x 2 matrix"):
         storage_by_lemma2(StateSpace.static(np.eye(2)), np.eye(2), np.eye(3))

@@ -297,7 +297,7 @@ def test_a_full_level_of_two_axes(problems: Any) -> None:
 def test_levels_and_poles_that_do_not_fit(problems: Any) -> None:
     E, p = problems.network.environment(T), problems.decentralised
     loop = NormalisedLoop(E, 1.37 * np.eye(3), 0.5, T, p, SHAPING)
-    with pytest.raises(ValueError, match="poles and a level for 3 blocks, found 1 and 3"):
+    with pytest.raises(ValueError, match="found 1 poles and 3 levels of blocks; expected 3"):
         design_fixed_poles(loop, ((),), small_levels(p))
     with pytest.raises(ValueError, match="coupling cx: expected a positive definite 1 x 1 level"):
         design_fixed_poles(loop, ((),) * 3, small_levels(p, 0.0))

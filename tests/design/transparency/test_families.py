@@ -71,9 +71,9 @@ def test_states_pass_in_the_order_of_the_signal(problems: Any) -> None:
 def test_what_does_not_fit_is_refused(problems: Any) -> None:
     E = problems.network.environment(problems.T)
     aim = Transparency("closed-loop", W1, W2)
-    with pytest.raises(ValueError, match="found 'loopshaping', expected 'loop-shaping' or 'closed-loop'"):
+    with pytest.raises(ValueError, match="found 'loopshaping'; expected 'loop-shaping' or 'closed-loop'"):
         Transparency("loopshaping", W1, W2)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="expected E and V of the same 3 ports"):
+    with pytest.raises(ValueError, match="found E of 3 outputs and V of 2 x 2; expected 3 ports"):
         weighted(E, StateSpace.static(np.eye(2)), aim)
     with pytest.raises(ValueError, match=r"I \+ D_E D_V is singular"):
         weighted(E, StateSpace.static(-np.linalg.inv(E.D)), aim)
@@ -81,12 +81,12 @@ def test_what_does_not_fit_is_refused(problems: Any) -> None:
         NormalisedLoop(E, DELTA_D, 0.5, 1e-3, problems.decentralised)
     with pytest.raises(ValueError, match="coupling outer: found a least eigenvalue -1"):
         NormalisedLoop(E, np.diag([1.0, 1.0, -1.0]), 0.5, 1e-3, PARTITION)
-    with pytest.raises(ValueError, match="found 3 x 3 and 2 x 2"):
+    with pytest.raises(ValueError, match="found E of 3 x 3 and Delta_D of 2 x 2"):
         NormalisedLoop(E, np.eye(2), 0.5, 1e-3, PARTITION)
-    with pytest.raises(ValueError, match=r"positive period and kappa, found 0\.001 and 0"):
+    with pytest.raises(ValueError, match=r"found the period 0\.001 and kappa 0"):
         NormalisedLoop(E, np.eye(3), 0.0, 1e-3, PARTITION)
     floating = StateSpace(np.eye(1), np.ones((1, 3)), np.ones((3, 1)), np.eye(3))
-    with pytest.raises(ValueError, match="environment: found a pole of modulus 1, expected a stable E"):
+    with pytest.raises(ValueError, match="environment: found a pole of modulus 1; expected a stable E"):
         NormalisedLoop(floating, DELTA_D, 0.5, 1e-3, PARTITION)
 
 
@@ -122,7 +122,7 @@ def test_a_basis_is_orthonormal_and_has_its_poles(basis: PoleBasis) -> None:
     ("poles", "message"),
     [
         ((1.0 + 0j,), "expected one inside the unit circle"),
-        ((0.5 + 0.1j,), "expected its conjugate next, found none"),
+        ((0.5 + 0.1j,), "found none; expected its conjugate next"),
         ((0.5 + 0.1j, 0.5 + 0.1j), "expected its conjugate next"),
         ((complex("nan"),), "expected one inside"),
     ],

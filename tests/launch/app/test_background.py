@@ -105,9 +105,9 @@ def test_a_run_is_entered_once_and_from_any_thread(certificate: mh.Certificate) 
     """Only the main thread may handle signals; a run beside a program needs none."""
     run = mh.run(WALL, 0.1, clock="simulated", certificate=certificate)
     assert repr(run) == "BackgroundRun(wall, simulated clock, not started)"
-    with pytest.raises(RuntimeError, match="found a run that was not entered"):
+    with pytest.raises(RuntimeError, match="the run has not begun"):
         run.progress  # noqa: B018
-    with pytest.raises(RuntimeError, match="found a run that is not over"):
+    with pytest.raises(RuntimeError, match="the run is not over"):
         run.report  # noqa: B018
 
     def work() -> None:
@@ -118,7 +118,7 @@ def test_a_run_is_entered_once_and_from_any_thread(certificate: mh.Certificate) 
     thread.start()
     thread.join(WITHIN)
     assert run.report["duration"] == pytest.approx(0.1)
-    with pytest.raises(RuntimeError, match="found a run that was entered before"), run:
+    with pytest.raises(RuntimeError, match="a run is entered once"), run:
         pass
 
 

@@ -190,7 +190,7 @@ class TestSentences:
         assert incidents.receive("environment", self.told(99, moved={"cx/cy": 1.0})) == []
         (sentence,) = incidents.receive("environment", self.told(199, moved={"cx/cy": 2.0, "cz/cy": 0.5, "cx/cz": 9.0}))
         assert sentence.startswith("dy was beyond its limits")
-        assert sentence.endswith("of others it had received 2.5 J, 2 J of it from cx (dx)")
+        assert sentence.endswith("it had received 2.5 J from others, 2 J of it from cx (dx)")
 
     @pytest.mark.parametrize("colocate", ["true", "false"])
     def test_a_device_in_one_process_with_its_coupling_is_named_with_it(self, colocate: str) -> None:
@@ -204,7 +204,7 @@ class TestSentences:
         incidents.receive("left", self.told(150, let_go=1.0))
         (sentence,) = incidents.receive("environment", self.told(199, moved={"right_seat/left_seat": 14.8}))
         assert sentence.startswith("left was beyond its limits")
-        assert sentence.endswith("of others it had received 14.8 J, 14.8 J of it from right_seat (right)")
+        assert sentence.endswith("it had received 14.8 J from others, 14.8 J of it from right_seat (right)")
 
     def test_a_device_that_moved_itself_is_reported_so(self) -> None:
         incidents = self.incidents()

@@ -187,7 +187,7 @@ def test_a_session_that_is_over_is_not_recorded(prepared: Prepared, tmp_path: Pa
         ([], "found no running session"),
         (["."], "found no running session's directory"),
         (["--running", "example-1"], "found no running session"),
-        ([".", "--running", "example-1"], "expected one of them"),
+        ([".", "--running", "example-1"], "give either DIR or --running NAME"),
         (["--duration", "0"], "--duration: found 0 s"),
         (["-o", "run.csv"], "expected one of .mcap"),
         (["-o", "nowhere/run.mcap"], "found no folder nowhere"),

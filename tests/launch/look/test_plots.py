@@ -469,7 +469,7 @@ class TestCommand:
         [
             (["run.mcap", "-o", "out.pdf"], "found the suffix '.pdf'; expected .png or .svg"),
             (["run.mcap", "-o", "none/out.png"], "found no folder"),
-            (["run.mcap", "-o", "out.png", "--format", "svg"], "--format: found it beside -o"),
+            (["run.mcap", "-o", "out.png", "--format", "svg"], "give either --format or -o FILE"),
             (["run.mcap", "--format", "pdf"], "--format: found 'pdf'; expected png or svg"),
             (["run.mcap", "--show", "speed"], "found 'speed'"),
             (["run.mcap", "--from", "9"], "--from: found 9 s; expected at most 0.049 s"),

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from manyhands.launch.look.sessions import LOOK, Running, presence, watch
-from manyhands.nodes.monitor.session_state import Scene
+from manyhands.nodes.monitor.session_state import LiveSession
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Condition, Observation
 
@@ -20,7 +20,7 @@ from ...support.observed_frames import ABOUT, MS, Frames, condition, telemetry
 
 def test_messages_are_printed_in_order_with_instants_until_the_session_ends() -> None:
     frames = Frames({10: [telemetry("d", 100)], 20: [condition()], 30: [condition("over")], 40: [telemetry("d", 200)]})
-    scene = Scene(ABOUT)
+    scene = LiveSession(ABOUT)
     seen = list(watch(frames, scene, frames.clock, lambda: False))
     assert [(one.at // MS, type(one.message)) for one in seen] == [
         (10, Observation), (20, Condition), (30, Condition),
@@ -37,7 +37,7 @@ def test_silence_is_reported_and_watching_ends_with_the_supervisor() -> None:
         looks.append(frames.clock.now() // MS)
         return frames.clock.now() > 900 * MS
 
-    seen = list(watch(frames, Scene(ABOUT), frames.clock, gone))
+    seen = list(watch(frames, LiveSession(ABOUT), frames.clock, gone))
     assert [(one.at // MS, one.message is None) for one in seen] == [
         (200, True), (350, True), (360, False), (560, True), (760, True),
     ]  # fmt: skip
@@ -46,10 +46,10 @@ def test_silence_is_reported_and_watching_ends_with_the_supervisor() -> None:
 
 def test_at_its_deadline_it_ends_even_where_frames_come_without_end() -> None:
     frames = Frames({ms: [telemetry("d", 100 + ms)] for ms in range(5000)})
-    seen = list(watch(frames, Scene(ABOUT), frames.clock, lambda: False, Instant(1000 * MS)))
+    seen = list(watch(frames, LiveSession(ABOUT), frames.clock, lambda: False, Instant(1000 * MS)))
     assert seen[-1].at == 1000 * MS
     quiet = Frames({})
-    list(watch(quiet, Scene(ABOUT), quiet.clock, lambda: False, Instant(450 * MS)))
+    list(watch(quiet, LiveSession(ABOUT), quiet.clock, lambda: False, Instant(450 * MS)))
     assert quiet.clock.now() == 450 * MS
     assert quiet.waits == [LOOK, LOOK, 50 * MS]
 

@@ -26,7 +26,7 @@ from manyhands.launch.look.tables import (
     top_object,
 )
 from manyhands.nodes.monitor import given
-from manyhands.nodes.monitor.session_state import Scene
+from manyhands.nodes.monitor.session_state import LiveSession
 from manyhands.protocol.clock import Duration, Instant
 from manyhands.protocol.messages import Figures
 
@@ -47,7 +47,7 @@ def minute(extra: dict[int, list[bytes]] | None = None, seconds: int = 3) -> dic
 def glanced(*sessions: Frames) -> tuple[list[Glance], float]:
     """What is seen of sessions that share a clock, and how long it took, s."""
     clock = sessions[0].clock
-    glances = [Glance(Scene(ABOUT), frames) for frames in sessions]
+    glances = [Glance(LiveSession(ABOUT), frames) for frames in sessions]
 
     def await_frames(unsettled: Sequence[Glance], timeout: Duration) -> None:
         assert timeout <= GLANCE
@@ -61,7 +61,7 @@ def test_a_glance_ends_as_soon_as_all_rates_are_known() -> None:
     (one,), took = glanced(Frames(minute()))
     assert one.settled
     assert took == pytest.approx(0.6, abs=0.02)
-    assert one.scene.rate == pytest.approx(1000.0, rel=0.05)
+    assert one.live.rate == pytest.approx(1000.0, rel=0.05)
 
 
 def test_who_does_not_run_is_not_waited_for() -> None:
@@ -70,13 +70,13 @@ def test_who_does_not_run_is_not_waited_for() -> None:
     frames = {at: [condition(cx="lost") if f == condition() else f for f in some] for at, some in frames.items()}
     (one,), took = glanced(Frames(frames))
     assert took < 0.7
-    assert session_object(one.scene)["nodes"]["cx"]["health"] == "away"
+    assert session_object(one.live)["nodes"]["cx"]["health"] == "away"
 
 
 def test_a_silent_session_is_awaited_for_a_bounded_time() -> None:
     (one,), took = glanced(Frames({}))
     assert took == pytest.approx(GLANCE / 1e9, abs=0.02)
-    said = session_object(one.scene)
+    said = session_object(one.live)
     assert (said["phase"], said["rate"], said["tick"], said["health"]) == (None, None, 0, "waiting")
     json.dumps(said, allow_nan=False)
 
@@ -88,7 +88,7 @@ def shown(text: io.StringIO) -> list[list[str]]:
 def test_a_list_has_a_row_for_each_session_and_node() -> None:
     (one,), _ = glanced(Frames(minute()))
     text = io.StringIO()
-    print_sessions(Console(file=text, width=140), [one.scene], ABOUT.started + 3700.0)
+    print_sessions(Console(file=text, width=140), [one.live], ABOUT.started + 3700.0)
     session, *nodes = shown(text)
     assert session[:3] == ["s", "17", "realtime"]
     assert session[3].endswith("(1:01:40)")
@@ -97,14 +97,14 @@ def test_a_list_has_a_row_for_each_session_and_node() -> None:
     assert [row[0] for row in nodes] == list(ABOUT.nodes)
 
 
-def scene_of(*frames: bytes) -> Scene:
-    scene = Scene(ABOUT)
+def scene_of(*frames: bytes) -> LiveSession:
+    scene = LiveSession(ABOUT)
     for number, frame in enumerate(frames):
         scene.take(frame, Instant(number * 100 * MS))
     return scene
 
 
-def printed(scene: Scene, width: int) -> str:
+def printed(scene: LiveSession, width: int) -> str:
     text = io.StringIO()
     Console(file=text, width=width, highlight=False).print(picture(scene, width))
     return text.getvalue()
@@ -173,7 +173,7 @@ SEATED = replace(ABOUT, seats={"cx": "d"})
 
 
 def test_a_free_seat_is_free_and_nothing_is_wrong_with_its_links() -> None:
-    scene = Scene(SEATED)
+    scene = LiveSession(SEATED)
     scene.take(judged(condition(d="free", cx="free"), about=SEATED), Instant(0))
     text = printed(scene, 140)
     assert "seat cx: free" in text
@@ -229,7 +229,7 @@ def test_as_json() -> None:
 
 def test_a_terminal_is_drawn_at_most_five_times_a_second() -> None:
     frames, text = Frames(minute()), io.StringIO()
-    scene, console = Scene(ABOUT), Console(file=text, width=100, height=30, force_terminal=True)
+    scene, console = LiveSession(ABOUT), Console(file=text, width=100, height=30, force_terminal=True)
     seeing = watch(frames, scene, frames.clock, lambda: False)
     show_live(scene, seeing, console, stop=lambda: frames.clock.now() >= 2000 * MS)
     assert frames.clock.now() == 2000 * MS
@@ -238,7 +238,7 @@ def test_a_terminal_is_drawn_at_most_five_times_a_second() -> None:
 
 def test_without_a_terminal_it_prints_every_two_seconds_and_finally() -> None:
     frames = Frames(minute({5000: [condition("over")]}, seconds=5))
-    scene, told = Scene(ABOUT), []
+    scene, told = LiveSession(ABOUT), []
     show_repeatedly(
         scene, watch(frames, scene, frames.clock, lambda: False), lambda seen: told.append(frames.clock.now() / 1e9)
     )

@@ -13,7 +13,7 @@ import pytest
 from mcap.reader import make_reader
 
 from manyhands.launch.look.topics import EchoLines, NoTopic, Pacing, find_topic, named_topics, sentence, session_of
-from manyhands.nodes.monitor.session_state import Scene
+from manyhands.nodes.monitor.session_state import LiveSession
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import Recorded
 from manyhands.protocol.channels import TOPICS
@@ -24,7 +24,7 @@ from ...support.observed_frames import ABOUT, MS, condition, telemetry
 
 
 def read(frame: bytes) -> Observation | Condition | None:
-    return Scene(ABOUT).take(frame, Instant(0))
+    return LiveSession(ABOUT).take(frame, Instant(0))
 
 
 class TestNames:

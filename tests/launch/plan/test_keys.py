@@ -278,7 +278,7 @@ def test_two_runs_at_once_are_refused(folder: Path) -> None:
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)
-        assert "another run that makes keys there" in refusal(TWO, folder)
+        assert "another command that makes keys there" in refusal(TWO, folder)
     finally:
         os.close(descriptor)
     assert make_keys(TWO, folder).new == ("dy", "cdy")

@@ -53,11 +53,11 @@ def test_an_address() -> None:
         ("ipc", {"insecure": True}, "--transport: found ipc; expected tcp"),
         ("ipc", {"listen": Listen("127.0.0.1", 1)}, "--transport: found ipc; expected tcp"),
         ("tcp", {"remote": frozenset({"dw"})}, "--remote: found 'dw'; expected one of"),
-        ("tcp", {"remote": frozenset({"dx"}), "insecure": True}, "--remote: found no --listen"),
+        ("tcp", {"remote": frozenset({"dx"}), "insecure": True}, "--remote needs --listen"),
         (
             "tcp",
             {"remote": frozenset({"dx"}), "listen": Listen("127.0.0.1", 7400)},
-            "--remote: found no --keys",
+            "--remote needs --keys",
         ),
         ("tcp", {"listen": Listen("127.0.0.1", 65530)}, "after which 7 more are used; expected at most 65528"),
     ],
@@ -69,7 +69,7 @@ def test_wishes_that_do_not_go_together(session: Session, transport: str, wishes
 
 
 def test_keys_and_no_encryption_do_not_go_together(session: Session) -> None:
-    with pytest.raises(ReachError, match="found both --insecure and --keys"):
+    with pytest.raises(ReachError, match="give either --insecure or --keys"):
         reach(Plan(session), "tcp", insecure=True, keys=ephemeral(roster(session), session.name))
 
 

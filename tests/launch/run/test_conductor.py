@@ -8,7 +8,7 @@ import pytest
 
 from manyhands.launch.plan.topology import Topology, topology
 from manyhands.launch.run.conductor import Conductor
-from manyhands.launch.run.recovery import RestartBudget
+from manyhands.launch.run.recovery import Restarts
 from manyhands.launch.run.states import Kill, NodeState, ReleaseName, Send, SessionPhase, Terminate
 from manyhands.launch.session import load_session
 from manyhands.protocol.codec import ForeignHello, Malformed
@@ -47,7 +47,7 @@ def hello(sender: str, **changes: object) -> NodeHello:
 
 def conductor(*remote: str, ticks: int = 5, restarts: int = 0, together: bool = False) -> Conductor:
     observers = {"watch": "ipc:///s/watch", "scope": "ipc:///s/scope"}
-    budget = RestartBudget(restarts)
+    budget = Restarts(restarts)
     return Conductor(GRAPH, "c", "example-1", ticks, frozenset(remote), observers, budget, together)
 
 

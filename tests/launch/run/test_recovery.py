@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from manyhands.launch.plan.topology import LinkPlan, Topology
 from manyhands.launch.run.conductor import EPOCH_DELAY_NS, Conductor
-from manyhands.launch.run.recovery import LINK_TRANSITIONS, RETURN_TIME, LinkEvent, LinkState, RestartBudget
+from manyhands.launch.run.recovery import LINK_TRANSITIONS, RETURN_TIME, LinkEvent, LinkState, Restarts
 from manyhands.launch.run.states import NodeState, ReleaseName, Send, SessionPhase, StartProcess, Terminate
 from manyhands.protocol.clock import from_seconds
 from manyhands.protocol.messages import (
@@ -52,7 +52,7 @@ WINDOW = from_seconds(60.0)
 
 
 def conductor(restarts: int = 3, *remote: str, ticks: int = TICKS) -> Conductor:
-    return Conductor(GRAPH, CERTIFICATE, "s", ticks, frozenset(remote), budget=RestartBudget(restarts, WINDOW))
+    return Conductor(GRAPH, CERTIFICATE, "s", ticks, frozenset(remote), restarts=Restarts(restarts, WINDOW))
 
 
 def session(restarts: int = 3, *remote: str, ticks: int = TICKS) -> FakeSession:
@@ -244,7 +244,7 @@ class Test_offers:
         assert Send("dx", Welcome()) in c.receive("dx", hello_of(GRAPH, "dx", {}, 77), 0)
 
 
-class Test_the_budget:
+class Test_the_restarts:
     def test_without_one_the_first_death_ends_the_session(self) -> None:
         c = session(restarts=0).conductor
         assert c.exited("dx", -9, 0) == [Terminate()]
@@ -258,7 +258,7 @@ class Test_the_budget:
         assert s.conductor.states["dx"] is NodeState.GONE
         assert s.conductor.phase is SessionPhase.RUNNING
         (fault,) = s.conductor.faults
-        assert fault.startswith("dx was killed by SIGKILL while running; it stays away, for its 2 restarts")
+        assert fault.startswith("dx was killed by SIGKILL while running; it stays away: its 2 restarts are used up")
         for victim in ("cx", "environment"):  # its peers come back without it
             s.kill(victim)
             s.settle()
@@ -527,7 +527,7 @@ class Test_nodes_that_are_started_elsewhere:
         c.receive("dx", Ready(), 0)
         assert Send("dx", Return("cx", "tcp://cx-dx.anew")) in c.receive("cx", Ready(), 0)
 
-    def test_it_has_a_budget_too(self) -> None:
+    def test_its_deaths_are_counted_too(self) -> None:
         c = session(1, "dx").conductor
         c.silent("dx", 0)
         c.receive("cx", Offer("dx", "tcp://anew"), 0)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from manyhands.launch.plan.topology import LinkPlan, Topology
 from manyhands.launch.run.conductor import Conductor
-from manyhands.launch.run.recovery import RETURN_TIME, RestartBudget
+from manyhands.launch.run.recovery import RETURN_TIME, Restarts
 from manyhands.launch.run.states import NodeState, ReleaseName, Send, SessionPhase
 from manyhands.protocol.limits import MAX_PIECE_BYTES
 from manyhands.protocol.messages import Fault, Fetch, Figures, Piece, Report, Role, Stop, Telemetry
@@ -39,8 +39,8 @@ LEFT = Report(50, Figures())
 
 def hosted(restarts: int = 0, *, ticks: int = 0, together: bool = False) -> FakeSession:
     """A session whose seats nobody has taken."""
-    budget = RestartBudget(restarts)
-    conductor = Conductor(GRAPH, CERTIFICATE, "s", ticks, SEATS, budget=budget, together=together, seats=SEATS)
+    budget = Restarts(restarts)
+    conductor = Conductor(GRAPH, CERTIFICATE, "s", ticks, SEATS, restarts=budget, together=together, seats=SEATS)
     return FakeSession(GRAPH, conductor, SEATS)
 
 

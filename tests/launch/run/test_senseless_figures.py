@@ -25,7 +25,7 @@ from manyhands.launch.run.outcome import rows_of
 from manyhands.launch.session import load_session
 from manyhands.nodes.kernel.bundle import REALTIME
 from manyhands.nodes.monitor.health import missed, verdict
-from manyhands.nodes.monitor.session_state import Scene
+from manyhands.nodes.monitor.session_state import LiveSession
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import Instant
@@ -54,7 +54,7 @@ def everything(value: float) -> dict[str, float]:
 def read_everywhere(prepared: Prepared, heard: Heard, told: list[tuple[str, Telemetry]], folder: Path) -> None:
     """Show a session to all that look at it, while it runs and afterwards."""
     about = describe(prepared, REALTIME, "ipc", 0)
-    scene, feed, now = Scene(about), Feed(about), Instant(1_000_000_000)
+    scene, feed, now = LiveSession(about), Feed(about), Instant(1_000_000_000)
     core = RecorderCore(recorded_of(prepared, REALTIME), {}, 0)
     frames = [observation_frame(node, telemetry) for node, telemetry in told]
     for frame in (*frames, condition_frame(heard.progress())):

@@ -7,7 +7,6 @@ import pytest
 
 from manyhands.launch.session import (
     BROWSER_HAND,
-    AskedEnvironment,
     BlockMatrices,
     CouplingBlock,
     Design,
@@ -16,6 +15,7 @@ from manyhands.launch.session import (
     Faults,
     Hand,
     MeshEnvironment,
+    ModelEnvironment,
     Motion,
     NetworkEnvironment,
     Observer,
@@ -94,7 +94,7 @@ def test_every_part_of_a_session_has_a_section() -> None:
         return set(model.__subclasses__()).union(*(parts(part) for part in model.__subclasses__()))
 
     own = {part for part in parts(SessionModel) if part.__module__.startswith("manyhands.")}
-    assert own - {AskedEnvironment, EnvironmentKind, ShapedThing} == {
+    assert own - {ModelEnvironment, EnvironmentKind, ShapedThing} == {
         model for models in MODELS.values() for model in models
     }
 

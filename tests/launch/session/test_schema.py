@@ -254,7 +254,7 @@ def test_a_command_prints_it() -> None:
     assert (done.exit_code, json.loads(done.stdout)) == (0, SCHEMA)
     both = manyhands_command("sessions", "ball", "--schema")
     assert both.exit_code == 2
-    assert both.stderr == "error: --schema: found the session 'ball' as well; expected one of the two\n"
+    assert both.stderr == "error: give either NAME or --schema\n"
 
 
 @pytest.mark.usefixtures("own_interrupt")

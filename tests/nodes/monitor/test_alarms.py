@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from manyhands.nodes.monitor.alarms import HOLD, MOST_ALARMS, UNHEARD, Alarm, AlarmLevel, Alarms
 from manyhands.nodes.monitor.given import FIGURES
 from manyhands.nodes.monitor.health import Health
-from manyhands.nodes.monitor.session_state import About, Scene
+from manyhands.nodes.monitor.session_state import About, LiveSession
 from manyhands.protocol.clock import Instant, from_seconds
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
@@ -29,8 +29,8 @@ def at(seconds: float) -> Instant:
     return Instant(START + from_seconds(seconds))
 
 
-def looked(*frames: bytes, about: About = ABOUT) -> tuple[Scene, Alarms]:
-    scene, alarms = Scene(about), Alarms()
+def looked(*frames: bytes, about: About = ABOUT) -> tuple[LiveSession, Alarms]:
+    scene, alarms = LiveSession(about), Alarms()
     for frame in (*frames, judged(*frames, about=about)):
         assert scene.take(frame, START) is not None
     alarms.look(scene, START)
@@ -226,7 +226,7 @@ def test_no_alarm_but_a_note_stands_beside_a_health_that_is_ok(
     if noticed:  # a notice comes of the same figures as its row
         rows = tuple(replace(row, remark=f"{row.promise}!") if row.state != "kept" else row for row in shown.promises)
         shown = replace(shown, promises=rows, notices=tuple(dict.fromkeys(row.remark for row in rows if row.remark)))
-    scene, alarms = Scene(ABOUT), Alarms()
+    scene, alarms = LiveSession(ABOUT), Alarms()
     for frame in (*frames, encode(shown)):
         scene.take(frame, START)
     alarms.look(scene, START)

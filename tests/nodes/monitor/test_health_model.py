@@ -111,7 +111,7 @@ ENFORCED, BROKEN, KEPT = PromiseState.ENFORCED, PromiseState.BROKEN, PromiseStat
          Figures({}, {"waited_ticks": {"cx": 53.0}, "waited_us": {"cx": 117e3}, "frozen_late": {"cx": 2.0}}),
          Promise.PUNCTUALITY, ENFORCED, "cx", {"ticks": 53.0, "s": 0.117, "times": 2.0}),
         (SEATED, "cx", {"wave_clipped": 4.0}, Promise.LINK, ENFORCED, "cx", {"ticks": 4.0}),
-        (SEATED, "world", Figures({}, {"wave_silences_of": {"cx": 1.0}, "wave_deaf_of": {"cx": 1.0}}),
+        (SEATED, "world", Figures({}, {"wave_silences_of": {"cx": 1.0}, "wave_holding_of": {"cx": 1.0}}),
          Promise.LINK, ENFORCED, "cx", {"times": 1.0}),
     ],
 )  # fmt: skip
@@ -265,18 +265,22 @@ def test_an_account_that_is_no_number_is_not_called_kept(bad: float) -> None:
 
 
 def test_a_free_seat_breaks_no_promise() -> None:
-    found = model(SEATED, ("world", 1000, Figures({"frozen": 1.0}, {"wave_deaf_of": {"cx": 1.0}})))
+    found = model(SEATED, ("world", 1000, Figures({"frozen": 1.0}, {"wave_holding_of": {"cx": 1.0}})))
     free = {"cx": "free", "dx": "free"}
     found.look(RUNNING | free, (), 1.1)
     assert missed(found.rows()) == []
     found.look(RUNNING, (), 1.2)
     found.take(
-        "world", 2000, Figures({"frozen:cx@1900": 1.0}, {"wave_silences_of": {"cx": 1.0}, "wave_deaf_of": {"cx": 1.0}})
+        "world",
+        2000,
+        Figures({"frozen:cx@1900": 1.0}, {"wave_silences_of": {"cx": 1.0}, "wave_holding_of": {"cx": 1.0}}),
     )
     assert {row.promise for row in missed(found.rows()) if row.until is None} == {"presence", "wave link"}
     found.look(RUNNING | free, (), 2.2)
     found.take(
-        "world", 9000, Figures({"frozen:cx@8950": 1.0}, {"wave_silences_of": {"cx": 1.0}, "wave_deaf_of": {"cx": 1.0}})
+        "world",
+        9000,
+        Figures({"frozen:cx@8950": 1.0}, {"wave_silences_of": {"cx": 1.0}, "wave_holding_of": {"cx": 1.0}}),
     )
     assert [row for row in missed(found.rows()) if is_present(row)] == []
 
@@ -347,7 +351,7 @@ FIGURES = drawn_figures(
     ["tau_breaches", "clipped", "ledger_margin", "interface_min", "interface_ticks", "let_go", "frozen:cx@7",
      "returned:cx@9", "frozen:dx@3", "began@5"],
     {name: ["cx", "x"] for name in
-     ("wave_silences_of", "wave_deaf_of", "scaled", "waited_ticks", "waited_us", "frozen_late")},
+     ("wave_silences_of", "wave_holding_of", "scaled", "waited_ticks", "waited_us", "frozen_late")},
     st.floats(),
 )  # fmt: skip
 STATES = st.dictionaries(NODES, st.sampled_from(["running", "lost", "free", "starting", "odd"]))

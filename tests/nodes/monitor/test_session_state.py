@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from manyhands.nodes.monitor.health import Health
 from manyhands.nodes.monitor.health_model import HealthModel
-from manyhands.nodes.monitor.session_state import LATE_SHARE, RATE_OVER, About, LinkAbout, NodeAbout, Scene
+from manyhands.nodes.monitor.session_state import LATE_SHARE, RATE_OVER, About, LinkAbout, LiveSession, NodeAbout
 from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.codec import encode
@@ -35,19 +35,19 @@ class Seen:
     """A scene whose frames come by a clock of the test's own."""
 
     def __init__(self) -> None:
-        self.scene, self.at = Scene(about()), 0
+        self.live, self.at = LiveSession(about()), 0
         self.model = HealthModel(about().terms)
 
     def tell(self, node: str, tick: int, after: int = STEP, **numbers: float) -> None:
         self.at += after
         figures = Figures(numbers)
         self.model.take(node, tick, figures)
-        self.scene.take(encode(Observation(node, tick, figures, {"x": np.zeros((1, 1))})), Instant(self.at))
+        self.live.take(encode(Observation(node, tick, figures, {"x": np.zeros((1, 1))})), Instant(self.at))
 
     def condition(self, silent: tuple[str, ...] = (), phase: str = "running", **states: str) -> None:
         stand = {"d": "running", "c": "running", "environment": "running", **states}
         self.model.look(stand, silent, self.at / 1e9)
-        self.scene.take(encode(Condition(phase, 1.0, stand, silent, promises=self.model.rows())), Instant(self.at))
+        self.live.take(encode(Condition(phase, 1.0, stand, silent, promises=self.model.rows())), Instant(self.at))
 
     def telemetries(self, node: str, count: int, ticks: int = 100, late: int = 0) -> None:
         """So many telemetries, with so many ticks and late ones between any two."""
@@ -68,15 +68,15 @@ def test_couplings_may_move_to_their_devices_where_each_is_of_one_and_all_is_on_
 def test_the_rate_counts_ticks_between_looks_half_a_second_apart() -> None:
     seen = Seen()
     seen.tell("d", 100)
-    assert seen.scene.nodes["d"].rate is None
+    assert seen.live.nodes["d"].rate is None
     for number in range(2, 6):
         seen.tell("d", 100 * number)
-        assert seen.scene.nodes["d"].rate is None  # not yet half a second
+        assert seen.live.nodes["d"].rate is None  # not yet half a second
     seen.tell("d", 600)
-    assert seen.scene.nodes["d"].rate == pytest.approx(1000.0)
+    assert seen.live.nodes["d"].rate == pytest.approx(1000.0)
     for number in range(1, 1 + RATE_OVER // STEP):
         seen.tell("d", 600 + 50 * number)
-    assert seen.scene.nodes["d"].rate == pytest.approx(500.0)
+    assert seen.live.nodes["d"].rate == pytest.approx(500.0)
 
 
 @pytest.mark.parametrize("restarted", [{"tick": 40, "late": 300.0}, {"tick": 5000, "late": 0.0}])
@@ -85,13 +85,13 @@ def test_a_new_process_that_counts_from_nothing_is_looked_at_anew(restarted: dic
     seen = Seen()
     seen.condition()
     seen.telemetries("d", 8, late=50)
-    assert seen.scene.nodes["d"].health is Health.LATE
+    assert seen.live.nodes["d"].health is Health.LATE
     seen.tell("d", int(restarted["tick"]), late=restarted["late"])
-    assert (seen.scene.nodes["d"].rate, seen.scene.nodes["d"].health) == (None, Health.OK)
+    assert (seen.live.nodes["d"].rate, seen.live.nodes["d"].health) == (None, Health.OK)
     for number in range(1, 6):
         seen.tell("d", int(restarted["tick"]) + 100 * number, late=restarted["late"])
-    assert seen.scene.nodes["d"].rate == pytest.approx(1000.0)
-    assert seen.scene.nodes["d"].health is Health.OK
+    assert seen.live.nodes["d"].rate == pytest.approx(1000.0)
+    assert seen.live.nodes["d"].health is Health.OK
 
 
 @pytest.mark.parametrize(
@@ -120,13 +120,13 @@ def test_how_a_node_is(state: str, silent: bool, late: int, health: Health) -> N
     seen.condition()
     seen.telemetries("d", 6, late=late)
     seen.condition(silent=("d",) if silent else (), d=state)
-    assert seen.scene.nodes["d"].health is health
-    rated = seen.scene.nodes["d"].rate is not None
+    assert seen.live.nodes["d"].health is health
+    rated = seen.live.nodes["d"].rate is not None
     assert rated == (state == "running" and not silent)  # a lost or silent node has no rate
 
 
 def test_before_anything_is_heard_all_wait() -> None:
-    scene = Scene(about())
+    scene = LiveSession(about())
     assert (scene.tick, scene.rate, scene.frozen, scene.condition) == (0, None, (), None)
     assert scene.health is Health.WAITING
     assert scene.link_health(scene.about.links[0]) is Health.WAITING
@@ -135,11 +135,11 @@ def test_before_anything_is_heard_all_wait() -> None:
 def test_links_show_their_worse_end_and_sessions_their_worst_node() -> None:
     seen = Seen()
     seen.condition(silent=("c",), d="lost")
-    inner, outer = (seen.scene.link_health(link) for link in seen.scene.about.links)
+    inner, outer = (seen.live.link_health(link) for link in seen.live.about.links)
     assert (inner, outer) == (Health.SILENT, Health.AWAY)
-    assert seen.scene.health is Health.AWAY
+    assert seen.live.health is Health.AWAY
     seen.condition()
-    assert seen.scene.health is Health.OK
+    assert seen.live.health is Health.OK
 
 
 @pytest.mark.parametrize(
@@ -151,21 +151,21 @@ def test_frozen_couplings_are_the_sessions_health(frozen: float, health: Health)
     seen.condition()
     seen.tell("environment", 100, **({"frozen:c@50": frozen} if frozen != 0.0 else {}))
     seen.condition()
-    assert seen.scene.health is health
-    assert seen.scene.frozen == (("c",) if frozen == 1.0 else ())
-    assert seen.scene.nodes["c"].health is health  # it is named
-    assert [seen.scene.link_health(link) for link in seen.scene.about.links] == [health, health]
+    assert seen.live.health is health
+    assert seen.live.frozen == (("c",) if frozen == 1.0 else ())
+    assert seen.live.nodes["c"].health is health  # it is named
+    assert [seen.live.link_health(link) for link in seen.live.about.links] == [health, health]
     seen.condition(d="lost")
-    assert seen.scene.health is Health.AWAY  # which is worse
+    assert seen.live.health is Health.AWAY  # which is worse
 
 
 def test_the_sessions_rate_is_the_environments() -> None:
     seen = Seen()
     seen.telemetries("d", 6, ticks=50)
-    assert seen.scene.rate is None
+    assert seen.live.rate is None
     seen.telemetries("environment", 6)
-    assert seen.scene.rate == pytest.approx(1000.0)
-    assert seen.scene.tick == 600
+    assert seen.live.rate == pytest.approx(1000.0)
+    assert seen.live.tick == 600
 
 
 @given(st.lists(st.one_of(
@@ -178,7 +178,7 @@ def test_the_sessions_rate_is_the_environments() -> None:
     st.just(Stop("no word of a broadcast's")),
 ), max_size=20))  # fmt: skip
 def test_whatever_comes_is_taken_in_or_counted(frames: list[bytes | Observation | Condition | Stop]) -> None:
-    scene, taken = Scene(about()), 0
+    scene, taken = LiveSession(about()), 0
     for number, frame in enumerate(frames):
         got = scene.take(frame if isinstance(frame, bytes) else encode(frame), Instant(number * STEP))
         known = isinstance(frame, Condition) or (isinstance(frame, Observation) and frame.node in scene.nodes)

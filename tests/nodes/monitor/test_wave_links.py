@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from manyhands.nodes.monitor.health import Health
-from manyhands.nodes.monitor.session_state import About, AboutError, Scene
+from manyhands.nodes.monitor.session_state import About, AboutError, LiveSession
 from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.codec import encode
@@ -42,16 +42,16 @@ def test_a_period_that_makes_no_sense_is_refused(tmp_path: Path, period: object)
 
 
 def test_its_tick_is_the_sessions() -> None:
-    scene = Scene(LINKED)
+    scene = LiveSession(LINKED)
     scene.take(telemetry("d", 4000), Instant(0))
     scene.take(telemetry("cy", 990), Instant(0))
     assert scene.tick == 1000
 
 
 def test_what_is_felt_of_a_link_is_known_once_both_ends_have_reported() -> None:
-    scene = Scene(LINKED)
+    scene = LiveSession(LINKED)
     figures = {"wave_lag_us": 1312.5, "wave_tank": 5e-3, "wave_clipped": 0.0, "wave_silences": 0.0,
-               "wave_deaf": 0.0}  # fmt: skip
+               "wave_holding": 0.0}  # fmt: skip
     scene.take(telemetry("cx", 4000, **figures), Instant(0))
     assert scene.felt_links == {}
     scene.take(
@@ -61,7 +61,7 @@ def test_what_is_felt_of_a_link_is_known_once_both_ends_have_reported() -> None:
     assert scene.felt_links["cx"].round_trip == pytest.approx(2.625e-3)
 
 
-CALM = {"wave_tank": 5e-3, "wave_clipped": 0.0, "wave_silences": 0.0, "wave_deaf": 0.0}
+CALM = {"wave_tank": 5e-3, "wave_clipped": 0.0, "wave_silences": 0.0, "wave_holding": 0.0}
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ CALM = {"wave_tank": 5e-3, "wave_clipped": 0.0, "wave_silences": 0.0, "wave_deaf
     ],
 )
 def test_the_lobby_shows_who_is_in(states: dict[str, str], figures: bool, line: str, health: Health) -> None:
-    scene = Scene(replace(LINKED, seats={"cx": "d"}))
+    scene = LiveSession(replace(LINKED, seats={"cx": "d"}))
     if figures:
         scene.take(telemetry("cx", 4000, wave_lag_us=4e3, **CALM), Instant(0))
         world = {names.of(name): {"cx": value} for name, value in {**CALM, "wave_lag_us": 1e3}.items()}
@@ -96,4 +96,4 @@ def test_the_lobby_shows_who_is_in(states: dict[str, str], figures: bool, line: 
 def test_the_delay_that_is_covered_is_that_of_the_devices_own_certificate() -> None:
     assert ABOUT.certificate is not None
     certificate = replace(ABOUT.certificate, tau=1e-4, taus={"d": 2e-4})
-    assert Scene(replace(LINKED, certificate=certificate)).covered_tau("d") == 2e-4
+    assert LiveSession(replace(LINKED, certificate=certificate)).covered_tau("d") == 2e-4

@@ -91,13 +91,16 @@ class Test_layout:
     def test_names_with_prefixes_of_before_protocol_6_are_read_as_tables(self) -> None:
         former = {"late": 3.0, "tau_us_p99": 9.0, "moved_a/b_c": 1.0, "moved_b_c/a": 2.0, "wave_lag_us_b_c": 4.0,
                   "rung_a": 1.0, "driver_heat": 40.0, "held_a": 7.0, "held:a@3": 2.0, "unexerted_most": 0.5,
-                  "waited_us_a": 6.0, "frozen_ticks": 5.0}  # fmt: skip
+                  "waited_us_a": 6.0, "frozen_ticks": 5.0, "wave_deaf": 1.0, "wave_deaf_a": 0.0}  # fmt: skip
         _, figures = decode_figures({"tick": 3, "figures": former})
-        assert dict(figures) == {"late": 3.0, "held:a@3": 2.0, "unexerted_most": 0.5, "frozen_ticks": 5.0}
+        assert dict(figures) == {
+            "late": 3.0, "held:a@3": 2.0, "unexerted_most": 0.5, "frozen_ticks": 5.0, "wave_holding": 1.0
+        }  # fmt: skip
         assert figures.tables == {
             "tau_us": {"p99": 9.0},
             "moved": {"a/b_c": 1.0, "b_c/a": 2.0},
             "wave_lag_us_of": {"b_c": 4.0},
+            "wave_holding_of": {"a": 0.0},
             "rung_of": {"a": 1.0},
             "driver": {"heat": 40.0},
             "held": {"a": 7.0},

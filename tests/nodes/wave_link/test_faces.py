@@ -104,15 +104,15 @@ def test_the_force_comes_by_a_ramp() -> None:
     assert pair.f_c[-1] == pytest.approx(-2.0 * B[0, 0] / R * (pair.x_c[-1] - pair.x_e[-1]), rel=0.02)
 
 
-def test_a_deaf_face_holds_the_tool_and_ships_nothing() -> None:
+def test_a_silent_line_leaves_a_face_that_holds_the_tool_and_ships_nothing() -> None:
     pair = Pair(E_0=0.05).press(3e-3, 1000)
     assert steps(pair.f_c[300:]) < 0.2
     pair.up = pair.down = False
     held, at = pair.f_c[-1], pair.x_c[-1]
     for _ in range(50):
         pair.tick(3e-3)
-    assert pair.user.deaf
-    assert pair.world.deaf
+    assert pair.user.holding
+    assert pair.world.holding
     shipped = pair.user.tank.shipped, pair.world.tank.shipped
     for _ in range(2000):
         pair.tick(3e-3)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.nodes.wave_link.play_out import DEAF, PlayOut
+from manyhands.nodes.wave_link.play_out import HOLD_AFTER, PlayOut
 
 T = 1e-3
 SLOPE = 0.8
@@ -110,21 +110,21 @@ def test_what_is_owed_is_what_waits() -> None:
     assert line.owed == 0.0
 
 
-def test_a_line_is_deaf_after_30_ms_and_runs_on() -> None:
+def test_a_line_is_starved_after_30_ms_and_runs_on() -> None:
     """So it is at the right place when messages come again, without a jump."""
     line = PlayOut(T, T, 2.0)
-    assert line.deaf
+    assert line.starved
     for n in range(100):
         line.hear(n, [SLOPE * T * n])
         line.advance()
-        assert not line.deaf
-    silent = [(line.advance()[0], line.deaf) for _ in range(500)]
-    assert [deaf for _, deaf in silent].index(True) == pytest.approx(DEAF / T + 2, abs=1)
+        assert not line.starved
+    silent = [(line.advance()[0], line.starved) for _ in range(500)]
+    assert [starved for _, starved in silent].index(True) == pytest.approx(HOLD_AFTER / T + 2, abs=1)
     assert silent[20][0] == pytest.approx(SLOPE * T * (97 + 21), rel=1e-3)  # the last slope
     assert silent[-1][0] == pytest.approx(SLOPE * T * (99 + 30), rel=1e-3)  # and no further
     line.hear(600, [SLOPE * T * 600])
     assert line.advance()[0] == pytest.approx(SLOPE * T * 598, rel=1e-3)
-    assert not line.deaf
+    assert not line.starved
     assert not line.jumped
 
 

@@ -97,7 +97,7 @@ def test_a_changed_certificate_of_0_6_0_is_found(tmp_path: Path) -> None:
 
 
 def test_what_was_asked_is_shown_and_called_no_claim(feasible: Path) -> None:
-    line = "recorded as asked for, which is no claim and not proved: coupling spring-damper, objective feasible"
+    line = "requested (not part of the proof): coupling spring-damper, objective feasible"
     done = manyhands_command("verify", feasible, "--session", "example1.yaml")
     assert done.exit_code == 0, done.stderr
     assert f"{feasible}: {line}, algorithm convex" in done.stdout.splitlines()
@@ -192,4 +192,4 @@ def test_a_certificate_file_that_would_change_its_id_is_refused(feasible: Path, 
     assert manyhands_command("verify", path).exit_code == 0
     done = manyhands_command("simulate", "example1.yaml", "--certificate", path, "--duration", "0.01")
     assert done.exit_code == 3
-    assert "found another order of keys, or other forms of numbers, than manyhands writes" in done.stderr
+    assert "turned.json: the file was re-serialised: its content has the id" in done.stderr

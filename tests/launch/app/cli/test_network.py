@@ -86,9 +86,9 @@ def test_invitations_that_cannot_be(folder: Path) -> None:
     assert "found no node or observer 'dw'; expected one of dx, dy, dz" in stranger.stderr
     base = ("invite", "example1.yaml", "dx", "-o", folder / "x.bundle")
     for arguments, found in (
-        (("--certificate", folder / "c.json"), "found neither --keys nor --insecure, or both"),
-        (("--certificate", folder / "c.json", "--keys", folder / "keys", "--insecure"), "or both"),
-        (("--keys", folder / "keys"), "found no --certificate"),
+        (("--certificate", folder / "c.json"), "give either --keys DIR"),
+        (("--certificate", folder / "c.json", "--keys", folder / "keys", "--insecure"), "give either --keys DIR"),
+        (("--keys", folder / "keys"), "give --certificate FILE"),
         (("--insecure", "--certificate", folder / "c.json", "--clock", "sundial"), "--clock: found 'sundial'"),
     ):
         done = manyhands_command(*base, *arguments)
@@ -122,9 +122,9 @@ def test_the_keys_alone(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.stderr
     assert json.loads(done.stdout)["keys"]["dx"]["key"] == "new"
     for more, found in (
-        (("-o", tmp_path / "x"), "found no NODE for -o"),
-        (("--certificate", tmp_path / "x"), "found no NODE for --certificate"),
-        (("--insecure",), "found neither --keys nor --insecure, or both"),
+        (("-o", tmp_path / "x"), "-o needs a NODE"),
+        (("--certificate", tmp_path / "x"), "--certificate needs a NODE"),
+        (("--insecure",), "give either --keys DIR"),
     ):
         refused = manyhands_command("invite", "example1.yaml", "--keys", tmp_path / "keys", *more)
         assert (refused.exit_code, found in refused.stderr) == (2, True), refused.stderr
@@ -145,13 +145,13 @@ def test_an_invitation_needs_a_folder_that_exists(folder: Path) -> None:
         (("--listen", "127.0.0.1:7400"), "--transport: found ipc; expected tcp"),
         (("--insecure",), "--transport: found ipc; expected tcp"),
         (("--transport", "tcp", "--listen", "0.0.0.0:7400"), "found 0.0.0.0; expected the one address"),
-        (("--transport", "tcp", "--remote", "dx"), "--remote: found no --listen"),
+        (("--transport", "tcp", "--remote", "dx"), "--remote needs --listen"),
         (("--on", "dx=-x", "--listen", "127.0.0.1:7400"), "--on: found 'dx=-x'; expected NODE=HOST"),
         (("--on", "dw=lab", "--listen", "127.0.0.1:7400"), "--on: found 'dw'; expected one of"),
         (("--on", "dx=lab", "--on", "dx=lab"), "--on: found dx twice"),
-        (("--on", "dx=lab"), "--on: found no --listen"),
+        (("--on", "dx=lab"), "--on needs --listen"),
         (("--on", "dx=lab", "--transport", "ipc", "--listen", "127.0.0.1:7400"), "--on: found --transport ipc"),
-        (("--transport", "tcp", "--remote", "dx", "--listen", "127.0.0.1:7400"), "--remote: found no --keys"),
+        (("--transport", "tcp", "--remote", "dx", "--listen", "127.0.0.1:7400"), "--remote needs --keys"),
         (("--transport", "udp"), "--transport: found 'udp'; expected ipc or tcp"),
     ],
 )

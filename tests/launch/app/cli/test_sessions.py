@@ -60,7 +60,7 @@ def test_a_file_is_never_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     Path("mine.yaml").write_text("mine")
     done = manyhands_command("new", "mine")
     assert done.exit_code == 2
-    assert done.stderr.startswith("error: mine.yaml: found a file; expected a name that is free")
+    assert done.stderr.startswith("error: mine.yaml: found a file; expected a free name")
     assert Path("mine.yaml").read_text() == "mine"
 
 

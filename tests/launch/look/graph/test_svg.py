@@ -16,12 +16,12 @@ from rich.console import Console
 
 from manyhands.launch.files import TargetError
 from manyhands.launch.look.graph import format_of, show
-from manyhands.launch.look.graph.parts import Drawing, Part, Tie, drawing_of_scene, drawing_of_session, graph_object
+from manyhands.launch.look.graph.parts import Drawing, Part, Tie, drawing_of_live, drawing_of_session, graph_object
 from manyhands.launch.look.graph.svg import Box, layout, svg
 from manyhands.launch.look.graph.text import mermaid
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.session import Session, load_session
-from manyhands.nodes.monitor.session_state import Health, NodeAbout, Scene
+from manyhands.nodes.monitor.session_state import Health, LiveSession, NodeAbout
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Role
 
@@ -36,8 +36,8 @@ def example() -> Session:
     return load_session(SESSIONS / "example1-operator.yaml", [observers])
 
 
-def scene(silent: tuple[str, ...] = ("cx",), **states: str) -> Scene:
-    seen = Scene(ABOUT)
+def scene(silent: tuple[str, ...] = ("cx",), **states: str) -> LiveSession:
+    seen = LiveSession(ABOUT)
     for number in range(1, 8):
         for name in ABOUT.nodes:
             seen.take(telemetry(name, 100 * number), Instant(100_000_000 * number))
@@ -108,7 +108,7 @@ def test_the_picture_of_a_file() -> None:
 
 
 def test_the_picture_shows_each_nodes_state_in_colour_and_words() -> None:
-    root = ET.fromstring(svg(drawing_of_scene(scene(d="lost"))))
+    root = ET.fromstring(svg(drawing_of_live(scene(d="lost"))))
     assert root.findtext(f"{SVG}title") == "s: away"
     kinds = {(g.get("class") or ""): g for g in root.iter(f"{SVG}g") if "node" in (g.get("class") or "")}
     assert set(kinds) == {"node device told away", "node coupling told silent", "node coupling told ok",
@@ -126,7 +126,7 @@ def test_a_coupling_in_its_devices_process_has_no_link_to_it() -> None:
     assert [(tie.ends, tie.label) for tie in joined] == [((f"d{n}", f"c{n}"), "one process") for n in "xyz"]
     assert "coupling, in dx" in {line for part in drawing.parts for line in part.label}
     nodes = {**ABOUT.nodes, "cx": NodeAbout(Role.COUPLING, ("d.x",), "d")}
-    running = drawing_of_scene(Scene(replace(ABOUT, nodes=nodes)))
+    running = drawing_of_live(LiveSession(replace(ABOUT, nodes=nodes)))
     assert [tie.ends for tie in running.ties if tie.why == "one process"] == [("d", "cx")]
 
 
@@ -153,7 +153,7 @@ def test_whatever_a_name_is_it_is_text(name: str, port: str, title: str) -> None
 
 
 def test_mermaid_of_a_running_session() -> None:
-    lines = mermaid(drawing_of_scene(scene())).splitlines()
+    lines = mermaid(drawing_of_live(scene())).splitlines()
     assert lines[0] == "flowchart LR"
     assert '  n1["cx<br/>coupling<br/>d.x<br/>silent: running"]' in lines
     assert '  n0 <-->|"x → ← f_v, silent"| n1' in [line.replace("#95;", "_") for line in lines]
@@ -165,7 +165,7 @@ def test_mermaid_of_a_running_session() -> None:
 
 
 def test_as_json_and_text_of_a_running_session() -> None:
-    said = graph_object(drawing_of_scene(scene()))
+    said = graph_object(drawing_of_live(scene()))
     assert said["links"][0] == {
         "between": ["environment", "cx"],
         "ports": ["d.x"],
@@ -177,7 +177,7 @@ def test_as_json_and_text_of_a_running_session() -> None:
     }  # fmt: skip
     assert said["observers"] == {"scope": {"reads": ["cx/tool", "telemetry"]}}
     text = io.StringIO()
-    show(drawing_of_scene(scene()), Console(file=text, width=140), "text", None)
+    show(drawing_of_live(scene()), Console(file=text, width=140), "text", None)
     rows = [[c.strip() for c in line.split("│")[1:-1]] for line in text.getvalue().splitlines() if line[:1] == "│"]
     assert ["cx", "coupling", "d.x", "running", "silent"] in rows
     assert ["d", "cy", "d.y", "sample (x, m)", "force (f_v, N)", "ok"] in rows
@@ -209,7 +209,7 @@ def test_a_file_holds_what_would_have_been_printed(
     console = Console(file=text, width=140)
     for output in (None, path):
         show(drawing_of_session(Plan(example())), console, form, output)
-        show(drawing_of_scene(scene()), console, form, output)
+        show(drawing_of_live(scene()), console, form, output)
         if output is None:
             printed = capsys.readouterr().out or text.getvalue()
     assert capsys.readouterr().out == ""

@@ -140,7 +140,7 @@ def test_health_is_never_ok_beside_a_warning() -> None:
 def test_the_page_learns_the_end_and_strange_frames_are_counted() -> None:
     feed = fed(conditioned("over"), b"strange", observed("nobody", 1, {}))
     assert picture(feed, Cursor())["over"] is True
-    assert feed.scene.malformed == 2
+    assert feed.live.malformed == 2
 
 
 @pytest.fixture
@@ -359,7 +359,7 @@ def test_a_watch_receives_what_a_broadcast_shows_and_its_end(tmp_path: Path) -> 
     async def look() -> None:
         watching = asyncio.create_task(watch.run())
         tick = 0
-        while watch.feed.scene.tick == 0:  # a visitor that is just coming in misses what is shown meanwhile
+        while watch.feed.live.tick == 0:  # a visitor that is just coming in misses what is shown meanwhile
             tick += 100
             broadcast.show(moving(tick))
             await asyncio.sleep(0.005)
@@ -371,7 +371,7 @@ def test_a_watch_receives_what_a_broadcast_shows_and_its_end(tmp_path: Path) -> 
 
     try:
         asyncio.run(asyncio.wait_for(look(), 60.0))
-        assert watch.feed.scene.tick > 0
+        assert watch.feed.live.tick > 0
     finally:
         os.waitpid(child, 0)
         watch.close()
