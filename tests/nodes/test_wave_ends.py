@@ -13,7 +13,7 @@ import pytest
 from manyhands.nodes.kernel.bundle import REALTIME, SIMULATED, Common, Peer, WaveEnd, own_start
 from manyhands.nodes.link.join import OwnEnd, Received
 from manyhands.nodes.link.peer_link import PeerLink, handshake_of
-from manyhands.nodes.wave_link.ends import AT_ONCE, CALM, JOINING, UserEnd, WorldEnd, datagram_socket
+from manyhands.nodes.wave_link.ends import AT_ONCE, CALM, JOINING, UserEnd, WaveLinks, WorldEnd, datagram_socket
 from manyhands.nodes.wave_link.faces import wave_feedthrough
 from manyhands.nodes.wave_link.play_out import HOLD_AFTER
 from manyhands.protocol.clock import Duration, Instant
@@ -225,6 +225,40 @@ def test_datagrams_arrive_where_users_elsewhere_can_reach(where: str) -> None:
     assert host == where.partition(":")[0]
 
 
+class CountedReads:
+    """A socket for datagrams of which only the reading is counted."""
+
+    def __init__(self) -> None:
+        self.reads, self.closed = 0, False
+
+    def read(self) -> None:
+        self.reads += 1
+
+    def close(self) -> None:
+        self.closed = True
+
+
+@pytest.mark.parametrize("alone", [True, False])
+def test_a_world_of_wave_links_alone_reads_them_together(alone: bool) -> None:
+    """Elsewhere each end reads its own link when the tick hears it; the datagrams are read once a tick in either."""
+    others = () if alone else (Peer("d", Role.COUPLING, ("a",), True),)
+    own = OwnEnd(
+        common(Role.ENVIRONMENT, REALTIME, COUPLING, *others),
+        StoppedClock(),  # type: ignore[arg-type]
+        waves={"c": WaveEnd(B, None, 0.005, T, DEEP)},
+    )
+    kind, datagrams, coming = WaveLinks(own), CountedReads(), MessageLink()
+    kind._datagrams = datagrams  # type: ignore[assignment]
+    end = kind.join(COUPLING, coming)  # type: ignore[arg-type]
+    assert isinstance(end, WorldEnd)
+    coming.say(Wave(1, (0.1,), 0.0))
+    kind.read()
+    assert (len(coming.coming), datagrams.reads) == (0 if alone else 1, 1)
+    assert end.hear([0.0], 0, NOT_AT_ALL, Ears()) is Received.SIGNAL
+    kind.close()
+    assert datagrams.closed
+
+
 def test_a_second_call_in_a_tick_moves_nothing() -> None:
     link = Link()
     link.user_tick(0, 0.01)
@@ -263,7 +297,9 @@ def test_a_lost_peer_ends_a_life_and_the_next_begins_with_a_handshake() -> None:
     link.user.greet(again, handshake_of(link.user))  # type: ignore[arg-type]
     link.user_tick(500, 0.01)
     assert not [message for message in again.said if isinstance(message, Wave)]  # not before hands are shaken
+    assert link.world.tick == 299
     link.world.lose()
+    assert link.world.tick == -1  # or its last position would count for a tick in which nothing came
     assert link.world_tick(300, 1000.0) is Received.NOTHING
     # waves of the life before change nothing in the next one
     assert link.world.face.n == 0
