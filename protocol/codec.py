@@ -93,7 +93,7 @@ from manyhands.protocol.messages import (
     Welcome,
     is_presentable,
 )
-from manyhands.protocol.plain import NotFinite, PlainForm, Unfit, form_of, same, shown
+from manyhands.protocol.plain import NotFinite, PlainForm, Unfit, form_of, optional, same, shown
 
 _WIRE_FLOAT: Final = np.dtype("<f8")
 
@@ -141,6 +141,9 @@ def _read_finite(value: object) -> float:
     return number
 
 
+FINITE: Final = PlainForm(_plain_number, _read_finite)
+
+
 # --- text
 
 
@@ -150,29 +153,30 @@ def _read_text(value: object) -> str:
     return value
 
 
-def _word(limit: int) -> Callable[[object], str]:
+def _word(limit: int) -> PlainForm:
     def read(value: object) -> str:
         if type(value) is not str or not 1 <= len(value) <= limit or not value.isprintable():
             raise Unfit(f"found {shown(value)}; expected a printable name of 1 to {limit} characters")
         return value
 
-    return read
+    return PlainForm(same, read)
 
 
-_read_name = _word(MAX_NAME)
+NAME: Final = _word(MAX_NAME)
+TEXT: Final = PlainForm(same, _read_text)
 
 
 # --- collections
 
 
-def _mapping(pack: Callable[[Any], object], read: Callable[[object], Any]) -> PlainForm:
+def _mapping(of: PlainForm) -> PlainForm:
     def pack_all(value: Mapping[str, Any]) -> object:
-        return {key: pack(item) for key, item in value.items()}
+        return {key: of.write(item) for key, item in value.items()}
 
     def read_all(value: object) -> dict[str, Any]:
         if type(value) is not dict or len(value) > MAX_ENTRIES:
             raise Unfit(f"found {shown(value)}; expected a map of at most {MAX_ENTRIES} entries")
-        return {_read_name(key): read(item) for key, item in value.items()}
+        return {NAME.read(key): of.read(item) for key, item in value.items()}
 
     return PlainForm(pack_all, read_all)
 
@@ -194,7 +198,7 @@ def _read_numbers(value: object) -> dict[str, float]:
 def _pack_figures(value: Any) -> object:
     if not isinstance(value, Figures):
         raise Unfit(f"found {shown(value)}; expected figures")
-    return [_pack_numbers(value), {name: _pack_numbers(table) for name, table in value.tables.items()}]
+    return [_pack_numbers(value), TABLES.write(value.tables)]
 
 
 def _read_figures(value: object) -> Figures:
@@ -216,13 +220,13 @@ def _are_names(value: Mapping[Any, object]) -> bool:
 
 _FLOAT_ALONE: Final = {float}
 _STR_ALONE: Final = {str}
-_each_number: Final = _mapping(_plain_number, _read_number).read
+_each_number: Final = _mapping(PlainForm(_plain_number, _read_number)).read
 
 
 def _read_ports(value: object) -> tuple[str, ...]:
     if type(value) is not list or not 1 <= len(value) <= MAX_PORTS:
         raise Unfit(f"found {shown(value)}; expected an array of 1 to {MAX_PORTS} ports")
-    ports = tuple(_read_name(port) for port in value)
+    ports = tuple(NAME.read(port) for port in value)
     if len(set(ports)) != len(ports):
         raise Unfit(f"found {shown(list(ports))}; expected every port once")
     return ports
@@ -232,49 +236,33 @@ def _pack_tuple(value: Any) -> object:
     return list(value) if isinstance(value, tuple) else value
 
 
-def _list_of(what: str, most: int, read: Callable[[object], Any], pack: Callable[[Any], object] = same) -> PlainForm:
+def _list_of(what: str, most: int, of: PlainForm) -> PlainForm:
     def pack_all(value: Any) -> object:
-        return [pack(item) for item in value] if isinstance(value, tuple) else value
+        return [of.write(item) for item in value] if isinstance(value, tuple) else value
 
     def read_all(value: object) -> tuple[Any, ...]:
         if type(value) is not list or len(value) > most:
             raise Unfit(f"found {shown(value)}; expected an array of at most {most} {what}")
-        return tuple(read(item) for item in value)
+        return tuple(of.read(item) for item in value)
 
     return PlainForm(pack_all, read_all)
 
 
-def _pack_status(value: Any) -> object:
-    if not isinstance(value, PromiseStatus):
-        raise Unfit(f"found {shown(value)}; expected the status of a promise")
-    since, until = (None if at is None else _plain_number(at) for at in (value.since, value.until))
-    return [value.promise, value.state, list(value.who), since, until, NUMBERS.write(value.cost), value.remark]
+def _record(kind: type[Any], *forms: PlainForm) -> PlainForm:
+    """A data class as the array of its fields."""
+    names = tuple(field.name for field in dataclasses.fields(kind))
 
+    def pack(value: Any) -> object:
+        if not isinstance(value, kind):
+            raise Unfit(f"found {shown(value)}; expected a {kind.__name__}")
+        return [form.write(getattr(value, name)) for name, form in zip(names, forms, strict=True)]
 
-def _read_status(value: object) -> PromiseStatus:
-    if type(value) is not list or len(value) != 7:
-        raise Unfit(f"found {shown(value)}; expected [promise, state, who, since, until, cost, remark]")
-    promise, state, who, *times, cost, remark = value
-    since, until = (None if at is None else _read_finite(at) for at in times)
-    return PromiseStatus(
-        _read_name(promise), _read_name(state), NAMES.read(who), since, until, NUMBERS.read(cost), _read_text(remark)
-    )
+    def read(value: object) -> Any:
+        if type(value) is not list or len(value) != len(names):
+            raise Unfit(f"found {shown(value)}; expected [{', '.join(names)}]")
+        return kind(*(form.read(item) for form, item in zip(forms, value, strict=True)))
 
-
-def _pack_feedthrough(value: Any) -> object:
-    return None if value is None else [[_plain_number(entry) for entry in row] for row in value]
-
-
-def _read_feedthrough(value: object) -> tuple[tuple[float, ...], ...] | None:
-    """Rows of finite floats; the handshake checks that they fit the ports, and can name the ports in its refusal."""
-    if value is None:
-        return None
-    if type(value) is not list or len(value) > MAX_PORTS:
-        raise Unfit(f"found {shown(value)}; expected nil or at most {MAX_PORTS} rows")
-    for row in value:
-        if type(row) is not list or len(row) > MAX_PORTS:
-            raise Unfit(f"found {shown(row)}; expected a row of at most {MAX_PORTS} numbers")
-    return tuple(tuple(_read_finite(entry) for entry in row) for row in value)
+    return PlainForm(pack, read)
 
 
 # --- arrays
@@ -330,24 +318,17 @@ def _read_sums(value: object) -> tuple[float, ...]:
     return tuple(read_values(value).tolist())
 
 
-def _raw(size: int) -> PlainForm:
-    """A field of ``size`` bytes, which no message quotes: they may be secret."""
+def _raw(least: int, most: int) -> PlainForm:
+    """A field of so many bytes, which no message quotes: they may be secret."""
+    expected = f"{most} bytes" if least == most else f"{least} to {most} bytes"
 
     def read(value: object) -> bytes:
-        if type(value) is not bytes or len(value) != size:
+        if type(value) is not bytes or not least <= len(value) <= most:
             found = f"{len(value)} bytes" if isinstance(value, bytes) else type(value).__name__
-            raise Unfit(f"found {found}; expected {size} bytes")
+            raise Unfit(f"found {found}; expected {expected}")
         return value
 
     return PlainForm(same, read)
-
-
-def _read_piece(value: object) -> bytes:
-    """The content of a piece, which no message quotes."""
-    if type(value) is not bytes or not 1 <= len(value) <= MAX_PIECE_BYTES:
-        found = f"{len(value)} bytes" if isinstance(value, bytes) else type(value).__name__
-        raise Unfit(f"found {found}; expected 1 to {MAX_PIECE_BYTES} bytes")
-    return value
 
 
 def _pack_trace(value: Any) -> object:
@@ -368,35 +349,35 @@ def _read_trace(value: object) -> Values:
     return _doubles(data).reshape(rows, columns)
 
 
-NAME: Final = PlainForm(same, _read_name)
-TEXT: Final = PlainForm(same, _read_text)
 ROLE: Final = form_of(Role)
 REFUSAL_CODE: Final = form_of(RefusalCode)
 COUNT: Final = integer(0, MAX_COUNT)
 PID: Final = integer(1, MAX_PID)
 PORT_NUMBER: Final = integer(1, 65535)
 PORTS: Final = PlainForm(_pack_tuple, _read_ports)
-FEEDTHROUGH: Final = PlainForm(_pack_feedthrough, _read_feedthrough)
-ENDPOINT: Final = PlainForm(same, _word(MAX_ENDPOINT))
-ENDPOINTS: Final = _mapping(same, ENDPOINT.read)
-NAMES: Final = _list_of("names", MAX_ENTRIES, _read_name)
-SENTENCES: Final = _list_of("sentences", MAX_SENTENCES, _read_text)
-STATES: Final = _mapping(same, _read_name)
-ELAPSED: Final = PlainForm(_plain_number, _read_finite)
+FEEDTHROUGH: Final = optional(_list_of("rows", MAX_PORTS, _list_of("numbers", MAX_PORTS, FINITE)))
+"""The handshake checks that the rows fit the ports, and can name the ports in its refusal."""
+
+ENDPOINT: Final = _word(MAX_ENDPOINT)
+ENDPOINTS: Final = _mapping(ENDPOINT)
+NAMES: Final = _list_of("names", MAX_ENTRIES, NAME)
+SENTENCES: Final = _list_of("sentences", MAX_SENTENCES, TEXT)
+STATES: Final = _mapping(NAME)
 RUNG: Final = integer(0, MAX_RUNG)
 VALUES: Final = PlainForm(pack_values, read_values)
 SUMS: Final = PlainForm(_pack_sums, _read_sums)
-ENERGY: Final = PlainForm(_plain_number, _read_finite)
-CONNECTION: Final = _raw(CONNECTION_BYTES)
-SECRET: Final = _raw(SECRET_BYTES)
+CONNECTION: Final = _raw(CONNECTION_BYTES, CONNECTION_BYTES)
+SECRET: Final = _raw(SECRET_BYTES, SECRET_BYTES)
 PLACE: Final = integer(0, MAX_PART_BYTES - 1)
 LENGTH: Final = integer(1, MAX_PART_BYTES)
-PIECE: Final = PlainForm(same, _read_piece)
+PIECE: Final = _raw(1, MAX_PIECE_BYTES)
 NUMBERS: Final = PlainForm(_pack_numbers, _read_numbers)
-TABLES: Final = _mapping(_pack_numbers, _read_numbers)
+TABLES: Final = _mapping(NUMBERS)
 FIGURES: Final = PlainForm(_pack_figures, _read_figures)
-PROMISES: Final = _list_of("promises", MAX_SENTENCES, _read_status, _pack_status)
-TRACES: Final = _mapping(_pack_trace, _read_trace)
+MOMENT: Final = optional(FINITE)
+STATUS: Final = _record(PromiseStatus, NAME, NAME, NAMES, MOMENT, MOMENT, NUMBERS, TEXT)
+PROMISES: Final = _list_of("promises", MAX_SENTENCES, STATUS)
+TRACES: Final = _mapping(PlainForm(_pack_trace, _read_trace))
 
 
 USUAL: Final = struct.Struct(">BBBQBQBH")
@@ -583,7 +564,7 @@ LAYOUTS: Final[dict[type[Message], _Layout]] = {
     Shift: (14, (NAME, RUNG)),
     Rung: (15, (RUNG,)),
     **{kind: (number, (COUNT, COUNT, VALUES)) for number, kind in _SIGNALS.items()},
-    Wave: (WAVE_ID, (COUNT, SUMS, ENERGY)),
+    Wave: (WAVE_ID, (COUNT, SUMS, FINITE)),
     PathKey: (21, (CONNECTION, SECRET, PORT_NUMBER)),
     Fetch: (22, (PLACE,)),
     Piece: (23, (PLACE, LENGTH, PIECE)),
@@ -591,7 +572,7 @@ LAYOUTS: Final[dict[type[Message], _Layout]] = {
     Report: (33, (COUNT, FIGURES)),
     Fault: (34, (TEXT,)),
     Observation: (35, (NAME, COUNT, FIGURES, TRACES)),
-    Condition: (36, (NAME, ELAPSED, STATES, NAMES, *[SENTENCES] * 3, PROMISES)),
+    Condition: (36, (NAME, FINITE, STATES, NAMES, *[SENTENCES] * 3, PROMISES)),
     Grasp: (37, (VALUES,)),
     Release: (38, ()),
 }

@@ -111,6 +111,11 @@ def read(kind: type[T], data: object) -> T:
     return value
 
 
+def optional(of: PlainForm) -> PlainForm:
+    """Null, or what ``of`` says."""
+    return PlainForm(*(lambda value, way=way: None if value is None else way(value) for way in of))
+
+
 def by_kind(**kinds: type[Any]) -> PlainForm:
     """A union of data classes; the key ``kind``, before their own, has the name that the class has here."""
     names = {of: name for name, of in kinds.items()}
@@ -134,8 +139,7 @@ def form_of(annotation: Any) -> PlainForm:
     if origin is Annotated:
         return _annotated(*parts)
     if origin in (UnionType, Union) and NoneType in parts and len(parts) == 2:
-        of = form_of(parts[parts[0] is NoneType])
-        return PlainForm(*(lambda value, way=way: None if value is None else way(value) for way in of))
+        return optional(form_of(parts[parts[0] is NoneType]))
     if origin is tuple:
         return _tuple(parts)
     if isinstance(origin, type) and issubclass(origin, Mapping):
