@@ -11,12 +11,10 @@ of that node's rows.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from functools import cached_property
-from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, TypeAlias
 
@@ -39,6 +37,7 @@ from manyhands.launch.recordings.recording import (
     RecordingError,
     data_frame,
     require_suffix,
+    write_csv,
 )
 from manyhands.nodes.kernel.bundle import REALTIME
 from manyhands.nodes.recorder.format import Recorded
@@ -381,7 +380,6 @@ Traces = Mapping[tuple[str, str], RecordedTrace]
 
 TICK: Final = "tick"
 TIME: Final = "time_s"
-_ROWS: Final = 2048  # rows that are converted to text at a time
 
 
 def chosen(run: RecordedRun, patterns: Sequence[str]) -> dict[tuple[str, str], RecordedTrace]:
@@ -465,17 +463,7 @@ def export(
 
 
 def _save_csv(run: RecordedRun, traces: Traces, file: BinaryIO, progress: Progress) -> None:
-    time, ticks = run.time, run.ticks
-    rows = [_at_session_ticks(run, node, trace) for (node, _), trace in traces.items()]
-    text = TextIOWrapper(file, encoding="utf-8", newline="")
-    writer = csv.writer(text)
-    writer.writerow([TICK, TIME, *(name for key, trace in traces.items() for name in column_names(key[0], trace))])
-    for begin in range(0, ticks, _ROWS):
-        end = min(begin + _ROWS, ticks)
-        block = np.hstack([time[begin:end, None], *(values[begin:end] for values in rows)])
-        writer.writerows([tick, *map(repr, row)] for tick, row in enumerate(block.tolist(), run.first + begin))
-        progress(end / ticks)
-    text.detach()  # flushes it, and leaves the file open
+    write_csv(file, table_columns(run, traces), progress)
 
 
 def table_columns(run: RecordedRun, traces: Traces) -> dict[str, NDArray[Any]]:
