@@ -19,13 +19,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from manyhands.design.budget import Felt, Stiffness, environment_share, felt_over, stiffest
-from manyhands.design.files import replacing
 from manyhands.design.models.brief import brief_names, brief_repr
 from manyhands.design.models.statespace import Matrix
 from manyhands.design.problem import HapticLoop
 from manyhands.design.series import counted_parts
-from manyhands.extras import require
-from manyhands.launch.files import TargetError, require_target
 from manyhands.launch.plan.loop import haptic_loop
 from manyhands.launch.plan.sites import site
 from manyhands.launch.recordings.recording import data_frame
@@ -39,7 +36,6 @@ if TYPE_CHECKING:
 
 TICK_PARTS = (0.0, 0.125, 0.25, 0.5, 0.75, 1.0)  # the delays shown, in periods, besides the session's own delay
 PERIODS = (0.25e-3, 0.5e-3, 1e-3, 2e-3, 4e-3)  # s: the periods shown, besides the session's own period
-PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 
 ROUND_TRIPS = (1e-3, 2e-3, 4e-3, 6e-3, 10e-3, 20e-3, 40e-3, 60e-3, 100e-3, 200e-3, 400e-3)
 """s: the round trips shown of a wave link, besides the session's own."""
@@ -422,26 +418,26 @@ def plot_budget(found: DelayBudget, path: Path) -> None:
 
     With wave links the picture is about them instead: what is felt over the round trip, with a panel for each link.
 
-    Raises:
-        TargetError: the suffix is not that of a plot, or the folder does not exist.
+    The path is one that :func:`manyhands.launch.look.figures.require_picture` accepts.
     """
-    require_picture(path)
-    if found.wave_links:
-        _plot_wave_links(found.loop.session, found.wave_links[:_MOST_PANELS], path)
-        return
-    from matplotlib.figure import Figure  # the plotter takes most of a second to import; the tables do not need it
+    from manyhands.launch.look.figures import new_figure, save  # the plotter takes most of a second to import
 
-    panels = _groups(found.devices)[:_MOST_PANELS]
-    figure = Figure(figsize=(8.0, 0.6 + 3.6 * len(panels)), layout="constrained", facecolor="white")
-    rows = figure.subplots(len(panels), 1, squeeze=False, sharex=True)[:, 0]
-    for axes, (names, device) in zip(rows, panels, strict=True):
+    links, groups = found.wave_links[:_MOST_PANELS], _groups(found.devices)[:_MOST_PANELS]
+    count = len(links or groups)
+    figure = new_figure(8.0, 0.6 + 3.6 * count)
+    rows = figure.subplots(count, 1, squeeze=False, sharex=True)[:, 0]
+    for axes, link in zip(rows, links, strict=False):
+        draw_wave_link(axes, link)
+    for axes, (names, device) in zip(rows, () if links else groups, strict=False):
         draw_budget(axes, found, device)
         axes.set_title(names, loc="left", fontsize="medium")
-        axes.set_xlabel("delay τ inside the tick [ms]" if axes is rows[-1] else "")
-    figure.legend(handles=budget_keys(found), loc="outside lower center", ncols=4, fontsize="small", frameon=False)
-    figure.suptitle(f"{found.loop.session}: stiffest coupling", x=0.01, ha="left", fontsize="medium")
-    with replacing(path) as file:
-        figure.savefig(file, format=path.suffix[1:], dpi=130)
+    for axes in rows[:-1]:
+        axes.set_xlabel("")
+    if not links:
+        figure.legend(handles=budget_keys(found), loc="outside lower center", ncols=4, fontsize="small", frameon=False)
+    what = "what is felt over wave links" if links else "stiffest coupling"
+    figure.suptitle(f"{found.loop.session}: {what}", x=0.01, ha="left", fontsize="medium")
+    save(figure, path)
 
 
 def draw_budget(axes: Axes, found: DelayBudget, device: DeviceBudget) -> None:
@@ -497,20 +493,6 @@ def _colours(count: int) -> Any:
     return colormaps["viridis"](np.linspace(0.0, 0.8, count))
 
 
-def _plot_wave_links(name: str, links: Sequence[WaveLinkBudget], path: Path) -> None:
-    """Plot the felt stiffness over the round trip, with a panel for each link."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8.0, 0.6 + 3.6 * len(links)), layout="constrained", facecolor="white")
-    rows = figure.subplots(len(links), 1, squeeze=False, sharex=True)[:, 0]
-    for axes, link in zip(rows, links, strict=True):
-        draw_wave_link(axes, link)
-        axes.set_xlabel("round trip R [ms]" if axes is rows[-1] else "")
-    figure.suptitle(f"{name}: what is felt over wave links", x=0.01, ha="left", fontsize="medium")
-    with replacing(path) as file:
-        figure.savefig(file, format=path.suffix[1:], dpi=130)
-
-
 def draw_wave_link(axes: Axes, link: WaveLinkBudget) -> None:
     """Draw the felt stiffness over the round trip, at each period of the site, beside the loop through the delay."""
     times = np.geomspace(ROUND_TRIPS[0], ROUND_TRIPS[-1], _PLOTTED_DELAYS)
@@ -531,19 +513,6 @@ def draw_wave_link(axes: Axes, link: WaveLinkBudget) -> None:
     axes.set_ylabel("stiffness [N/m]")
     axes.grid(alpha=0.3, which="both")
     axes.legend(fontsize="small", frameon=False)
-
-
-def require_picture(path: Path) -> None:
-    """Refuse an output file for a plot that cannot be written; a command calls this before its work.
-
-    Raises:
-        MissingExtra: nothing here can draw.
-        TargetError: the folder does not exist, or the suffix is not one of :data:`PLOT_SUFFIXES`.
-    """
-    require("plot")
-    require_target(path)
-    if path.suffix not in PLOT_SUFFIXES:
-        raise TargetError(f"{path}: found the suffix {path.suffix!r}; expected one of {', '.join(PLOT_SUFFIXES)}")
 
 
 def _groups(devices: Sequence[DeviceBudget]) -> list[tuple[str, DeviceBudget]]:

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from matplotlib.figure import Figure
 from rich.console import Console
 
 from manyhands.design.certificate import save as save_certificate
@@ -23,8 +22,9 @@ from manyhands.launch.app.start import announce, drop_outlived, prepare_settled,
 from manyhands.launch.audit.simulation import Simulation
 from manyhands.launch.files import EXIT_FAILED, EXIT_OK
 from manyhands.launch.look.display import say, status
+from manyhands.launch.look.figures import new_figure
+from manyhands.launch.look.figures import save as save_picture
 from manyhands.launch.look.plots import VELOCITY, draw_panel, picture_of_run
-from manyhands.launch.look.plots import save as save_picture
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.plan.reach import IPC
 from manyhands.launch.recordings.curves import Array, Curve, Panel
@@ -87,7 +87,7 @@ def accounts(run: RecordedRun, tank: float) -> Row:
 def plot(rows: Sequence[Row], path: Path) -> None:
     """Plot rows into one file, one above the other, over the same time axis."""
     height = (_ONE if len(rows) == 1 else _OF_SEVERAL) * len(rows)
-    figure = Figure(figsize=(_WIDTH, height), layout="constrained", facecolor="white")
+    figure = new_figure(_WIDTH, height)
     all_axes = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
     for axes, row in zip(all_axes, rows, strict=True):
         if row.bound is not None:

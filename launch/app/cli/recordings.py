@@ -340,7 +340,7 @@ def plot(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording: .mcap, or .npz or .csv of simulate.")],
     output: Annotated[
         Path | None,
-        typer.Option("-o", metavar="OUT", help="Write the plot here (.png or .svg); by default beside FILE."),
+        typer.Option("-o", metavar="OUT", help="Write the plot here (.png, .svg or .pdf); by default beside FILE."),
     ] = None,
     to: Annotated[
         str | None,
