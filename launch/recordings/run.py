@@ -25,33 +25,14 @@ from manyhands.design.files import replacing
 from manyhands.design.models.brief import brief_names, brief_repr
 from manyhands.extras import require
 from manyhands.launch.recordings.curves import backward_difference
-from manyhands.launch.recordings.reading import (
-    MOST_MISSING,
-    cut_at,
-    read_topics,
-    require_beginning,
-    span_of,
-)
-from manyhands.launch.recordings.recording import (
-    Array,
-    RecordingError,
-    data_frame,
-    require_suffix,
-    write_csv,
-)
+from manyhands.launch.recordings.reading import MOST_MISSING, cut_at, read_topics, require_beginning, span_of
+from manyhands.launch.recordings.recording import Array, RecordingError, data_frame, require_suffix, write_csv
 from manyhands.nodes.kernel.bundle import REALTIME
 from manyhands.nodes.recorder.format import Recorded
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.own_ticks import own_span, own_tick, own_ticks_before, session_tick
 from manyhands.nodes.rows.tick_events import Kind, events_in
-from manyhands.protocol.channels import (
-    DISPLACEMENT,
-    FORCE,
-    INSTANTS,
-    LEDGER,
-    Topic,
-    topic_name,
-)
+from manyhands.protocol.channels import DISPLACEMENT, FORCE, INSTANTS, LEDGER, Topic, topic_name
 from manyhands.protocol.messages import Condition, Figures, Role
 
 if TYPE_CHECKING:
