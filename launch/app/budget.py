@@ -15,14 +15,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from manyhands.design.budget import Felt, Stiffness, environment_share, felt_over, stiffest
 from manyhands.design.models.brief import brief_names, brief_repr
 from manyhands.design.models.statespace import Matrix
 from manyhands.design.problem import HapticLoop
 from manyhands.design.series import counted_parts
+from manyhands.launch.look.display import titled_table
 from manyhands.launch.plan.loop import haptic_loop
 from manyhands.launch.plan.sites import site
 from manyhands.launch.recordings.recording import data_frame
@@ -280,10 +279,8 @@ def print_series(console: Console, found: Sequence[SeriesStiffness], tau: float)
     """Print what counting the world's springs in series allows each coupling; ``tau`` is the session's, s."""
     if not found:
         return
-    table = Table(title="with the world's own springs in series", title_justify="left")
-    table.add_column("port")
-    for column in ("τ [ms]", "its spring [N/m]", "counted", "without [N/m]", "certified below [N/m]"):
-        table.add_column(escape(column), justify="right")
+    columns = ("τ [ms]", "its spring [N/m]", "counted", "without [N/m]", "certified below [N/m]")
+    table = titled_table("with the world's own springs in series", ["port"], columns)
     ports = list(dict.fromkeys(row.port for row in found))
     for port in ports[:_MOST_ROWS]:
         for i, row in enumerate(row for row in found if row.port == port):
@@ -339,10 +336,8 @@ def print_budget(console: Console, found: DelayBudget) -> None:
     groups = _groups(found.devices)
     shown = groups[:_MOST_ROWS]
     title = f"{loop.session}: stiffest coupling, T = {_ms(loop.period)} ms"
-    table = Table(title=title, title_justify="left")
-    table.add_column("devices")
-    for column in ("τ [ms]", "τ/T", "certified below [N/m]", "Colgate's limit [N/m]", "κ"):
-        table.add_column(escape(column), justify="right")
+    columns = ("τ [ms]", "τ/T", "certified below [N/m]", "Colgate's limit [N/m]", "κ")
+    table = titled_table(title, ["devices"], columns)
     for names, device in shown:
         for i, row in enumerate(device.against_delay):
             mark = " (session)" if row.tau == loop.tau else ""
@@ -352,11 +347,9 @@ def print_budget(console: Console, found: DelayBudget) -> None:
             )  # fmt: skip
         table.add_section()
     console.print(table)
-    table = Table(title="the same against the period", title_justify="left")
-    table.add_column("devices")
     own = [f"τ = {_ms(loop.tau)} ms"] if loop.tau > 0.0 else []
-    for column in ("T [ms]", "τ = 0", *own, "τ = T", "Colgate, τ = 0", "Colgate, τ = T"):
-        table.add_column(escape(column), justify="right")
+    of_periods = ("T [ms]", "τ = 0", *own, "τ = T", "Colgate, τ = 0", "Colgate, τ = T")
+    table = titled_table("the same against the period", ["devices"], of_periods)
     for names, device in shown:
         for i, period in enumerate(found.periods):
             rows = {row.tau: row for row in device.against_period if period == row.T}
@@ -380,12 +373,8 @@ def print_wave_links(console: Console, found: Sequence[WaveLinkBudget]) -> None:
     """Print a table for each wave link: what is felt over its round trip, beside what a loop through it could be."""
     for link in found[:_MOST_ROWS]:
         title = f"{link.name}: over a wave link, τ = {_ms(link.tau)} ms at the site"
-        table = Table(title=title, title_justify="left")
-        table.add_column(escape("R [ms]"), justify="right")
-        for T in link.periods:
-            table.add_column(escape(f"felt, {1e-3 / T:.3g} kHz [N/m]"), justify="right")
-        for column in ("felt mass [g]", "least mass [g]", "loop through R [N/m]"):
-            table.add_column(escape(column), justify="right")
+        felt_at = [f"felt, {1e-3 / T:.3g} kHz [N/m]" for T in link.periods]
+        table = titled_table(title, (), ("R [ms]", *felt_at, "felt mass [g]", "least mass [g]", "loop through R [N/m]"))
         for round_trip in link.round_trips:
             rows = [link.at(T, round_trip) for T in link.periods]
             mark = " (session)" if round_trip == link.round_trip else ""

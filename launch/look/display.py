@@ -12,6 +12,7 @@ from typing import Final, Protocol
 from rich import box
 from rich.cells import cell_len
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import Progress as ProgressBar
 from rich.table import Table
 from rich.text import Text
@@ -40,6 +41,16 @@ def cell(figure: Figure, column: Column, figures: Figures) -> str:
 def figure_cells(figures: Figures) -> list[str]:
     """A node's cells of all :data:`COLUMNS`."""
     return [cell(figure, column, figures) for figure, column in COLUMNS]
+
+
+def titled_table(title: str, words: Sequence[str], numbers: Sequence[str] = ()) -> Table:
+    """An empty table with columns of words, which are folded and never cut, and then of numbers, at the right."""
+    table = Table(title=escape(title), title_justify="left")
+    for name in words:
+        table.add_column(escape(name), overflow="fold")
+    for name in numbers:
+        table.add_column(escape(name), justify="right")
+    return table
 
 
 def figure_table(
