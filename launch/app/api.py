@@ -397,13 +397,7 @@ def plot(
     if isinstance(what, DelayBudget):
         _plot_budget(what, quantity, ax)
         return ax
-    from manyhands.launch.look.plots import (
-        VELOCITY,
-        draw_delays,
-        draw_panel,
-        picture_of_recording,
-        picture_of_run,
-    )
+    from manyhands.launch.look.plots import VELOCITY, draw_delays, draw_panel, picture_of_recording, picture_of_run
     from manyhands.launch.recordings.run import RecordedRun
 
     wanted = [quantity or VELOCITY]

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rich.console import Console
-from rich.table import Table
 
 from manyhands.launch.audit.audit import Audit, AuditVerdict
 from manyhands.launch.audit.findings import Check, CheckVerdict, UncheckedTicks, verdicts
 from manyhands.launch.audit.replay import Replayed
-from manyhands.launch.look.display import promise_lines, say
+from manyhands.launch.look.display import promise_lines, say, titled_table
 from manyhands.launch.recordings.integrity import Damage
 from manyhands.nodes.monitor.health import PROMISES, PromiseState, grouped, missed, parties
 from manyhands.nodes.rows.promises import Promise
@@ -51,11 +50,8 @@ def print_replayed(out: Console, name: str, found: Replayed) -> None:
 def print_audit(out: Console, name: str, audit: Audit) -> None:
     """Print a line for each party, then broken checks, broken assumptions, and the ticks that were not checked."""
     certificate, *checks = audit.checks
-    table = Table(title=f"{audit.session} ({audit.clock}), {audit.ticks} ticks", title_justify="left")
-    for column in ("party", "recomputed and compared"):
-        table.add_column(column)
-    for column in ("numbers", "least ledger [J]", "differ"):
-        table.add_column(column, justify="right")
+    title = f"{audit.session} ({audit.clock}), {audit.ticks} ticks"
+    table = titled_table(title, ("party", "recomputed and compared"), ("numbers", "least ledger [J]", "differ"))
     for party in dict.fromkeys(check.party for check in checks):
         own = [check for check in checks if check.party == party]
         done = dict.fromkeys(check.name for check in own if check.verdict is not CheckVerdict.UNCHECKED)

@@ -15,17 +15,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from manyhands.design.budget import Felt, Stiffness, environment_share, felt_over, stiffest
-from manyhands.design.files import replacing
 from manyhands.design.models.brief import brief_names, brief_repr
 from manyhands.design.models.statespace import Matrix
 from manyhands.design.problem import HapticLoop
 from manyhands.design.series import counted_parts
-from manyhands.extras import require
-from manyhands.launch.files import TargetError, require_target
+from manyhands.launch.look.display import titled_table
 from manyhands.launch.plan.loop import haptic_loop
 from manyhands.launch.plan.sites import site
 from manyhands.launch.recordings.recording import data_frame
@@ -39,7 +35,6 @@ if TYPE_CHECKING:
 
 TICK_PARTS = (0.0, 0.125, 0.25, 0.5, 0.75, 1.0)  # the delays shown, in periods, besides the session's own delay
 PERIODS = (0.25e-3, 0.5e-3, 1e-3, 2e-3, 4e-3)  # s: the periods shown, besides the session's own period
-PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 
 ROUND_TRIPS = (1e-3, 2e-3, 4e-3, 6e-3, 10e-3, 20e-3, 40e-3, 60e-3, 100e-3, 200e-3, 400e-3)
 """s: the round trips shown of a wave link, besides the session's own."""
@@ -284,10 +279,8 @@ def print_series(console: Console, found: Sequence[SeriesStiffness], tau: float)
     """Print what counting the world's springs in series allows each coupling; ``tau`` is the session's, s."""
     if not found:
         return
-    table = Table(title="with the world's own springs in series", title_justify="left")
-    table.add_column("port")
-    for column in ("τ [ms]", "its spring [N/m]", "counted", "without [N/m]", "certified below [N/m]"):
-        table.add_column(escape(column), justify="right")
+    columns = ("τ [ms]", "its spring [N/m]", "counted", "without [N/m]", "certified below [N/m]")
+    table = titled_table("with the world's own springs in series", ["port"], columns)
     ports = list(dict.fromkeys(row.port for row in found))
     for port in ports[:_MOST_ROWS]:
         for i, row in enumerate(row for row in found if row.port == port):
@@ -343,10 +336,8 @@ def print_budget(console: Console, found: DelayBudget) -> None:
     groups = _groups(found.devices)
     shown = groups[:_MOST_ROWS]
     title = f"{loop.session}: stiffest coupling, T = {_ms(loop.period)} ms"
-    table = Table(title=title, title_justify="left")
-    table.add_column("devices")
-    for column in ("τ [ms]", "τ/T", "certified below [N/m]", "Colgate's limit [N/m]", "κ"):
-        table.add_column(escape(column), justify="right")
+    columns = ("τ [ms]", "τ/T", "certified below [N/m]", "Colgate's limit [N/m]", "κ")
+    table = titled_table(title, ["devices"], columns)
     for names, device in shown:
         for i, row in enumerate(device.against_delay):
             mark = " (session)" if row.tau == loop.tau else ""
@@ -356,11 +347,9 @@ def print_budget(console: Console, found: DelayBudget) -> None:
             )  # fmt: skip
         table.add_section()
     console.print(table)
-    table = Table(title="the same against the period", title_justify="left")
-    table.add_column("devices")
     own = [f"τ = {_ms(loop.tau)} ms"] if loop.tau > 0.0 else []
-    for column in ("T [ms]", "τ = 0", *own, "τ = T", "Colgate, τ = 0", "Colgate, τ = T"):
-        table.add_column(escape(column), justify="right")
+    of_periods = ("T [ms]", "τ = 0", *own, "τ = T", "Colgate, τ = 0", "Colgate, τ = T")
+    table = titled_table("the same against the period", ["devices"], of_periods)
     for names, device in shown:
         for i, period in enumerate(found.periods):
             rows = {row.tau: row for row in device.against_period if period == row.T}
@@ -384,12 +373,8 @@ def print_wave_links(console: Console, found: Sequence[WaveLinkBudget]) -> None:
     """Print a table for each wave link: what is felt over its round trip, beside what a loop through it could be."""
     for link in found[:_MOST_ROWS]:
         title = f"{link.name}: over a wave link, τ = {_ms(link.tau)} ms at the site"
-        table = Table(title=title, title_justify="left")
-        table.add_column(escape("R [ms]"), justify="right")
-        for T in link.periods:
-            table.add_column(escape(f"felt, {1e-3 / T:.3g} kHz [N/m]"), justify="right")
-        for column in ("felt mass [g]", "least mass [g]", "loop through R [N/m]"):
-            table.add_column(escape(column), justify="right")
+        felt_at = [f"felt, {1e-3 / T:.3g} kHz [N/m]" for T in link.periods]
+        table = titled_table(title, (), ("R [ms]", *felt_at, "felt mass [g]", "least mass [g]", "loop through R [N/m]"))
         for round_trip in link.round_trips:
             rows = [link.at(T, round_trip) for T in link.periods]
             mark = " (session)" if round_trip == link.round_trip else ""
@@ -422,26 +407,26 @@ def plot_budget(found: DelayBudget, path: Path) -> None:
 
     With wave links the picture is about them instead: what is felt over the round trip, with a panel for each link.
 
-    Raises:
-        TargetError: the suffix is not that of a plot, or the folder does not exist.
+    The path is one that :func:`manyhands.launch.look.figures.require_picture` accepts.
     """
-    require_picture(path)
-    if found.wave_links:
-        _plot_wave_links(found.loop.session, found.wave_links[:_MOST_PANELS], path)
-        return
-    from matplotlib.figure import Figure  # the plotter takes most of a second to import; the tables do not need it
+    from manyhands.launch.look.figures import new_figure, save  # the plotter takes most of a second to import
 
-    panels = _groups(found.devices)[:_MOST_PANELS]
-    figure = Figure(figsize=(8.0, 0.6 + 3.6 * len(panels)), layout="constrained", facecolor="white")
-    rows = figure.subplots(len(panels), 1, squeeze=False, sharex=True)[:, 0]
-    for axes, (names, device) in zip(rows, panels, strict=True):
+    links, groups = found.wave_links[:_MOST_PANELS], _groups(found.devices)[:_MOST_PANELS]
+    count = len(links or groups)
+    figure = new_figure(8.0, 0.6 + 3.6 * count)
+    rows = figure.subplots(count, 1, squeeze=False, sharex=True)[:, 0]
+    for axes, link in zip(rows, links, strict=False):
+        draw_wave_link(axes, link)
+    for axes, (names, device) in zip(rows, () if links else groups, strict=False):
         draw_budget(axes, found, device)
         axes.set_title(names, loc="left", fontsize="medium")
-        axes.set_xlabel("delay τ inside the tick [ms]" if axes is rows[-1] else "")
-    figure.legend(handles=budget_keys(found), loc="outside lower center", ncols=4, fontsize="small", frameon=False)
-    figure.suptitle(f"{found.loop.session}: stiffest coupling", x=0.01, ha="left", fontsize="medium")
-    with replacing(path) as file:
-        figure.savefig(file, format=path.suffix[1:], dpi=130)
+    for axes in rows[:-1]:
+        axes.set_xlabel("")
+    if not links:
+        figure.legend(handles=budget_keys(found), loc="outside lower center", ncols=4, fontsize="small", frameon=False)
+    what = "what is felt over wave links" if links else "stiffest coupling"
+    figure.suptitle(f"{found.loop.session}: {what}", x=0.01, ha="left", fontsize="medium")
+    save(figure, path)
 
 
 def draw_budget(axes: Axes, found: DelayBudget, device: DeviceBudget) -> None:
@@ -497,20 +482,6 @@ def _colours(count: int) -> Any:
     return colormaps["viridis"](np.linspace(0.0, 0.8, count))
 
 
-def _plot_wave_links(name: str, links: Sequence[WaveLinkBudget], path: Path) -> None:
-    """Plot the felt stiffness over the round trip, with a panel for each link."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8.0, 0.6 + 3.6 * len(links)), layout="constrained", facecolor="white")
-    rows = figure.subplots(len(links), 1, squeeze=False, sharex=True)[:, 0]
-    for axes, link in zip(rows, links, strict=True):
-        draw_wave_link(axes, link)
-        axes.set_xlabel("round trip R [ms]" if axes is rows[-1] else "")
-    figure.suptitle(f"{name}: what is felt over wave links", x=0.01, ha="left", fontsize="medium")
-    with replacing(path) as file:
-        figure.savefig(file, format=path.suffix[1:], dpi=130)
-
-
 def draw_wave_link(axes: Axes, link: WaveLinkBudget) -> None:
     """Draw the felt stiffness over the round trip, at each period of the site, beside the loop through the delay."""
     times = np.geomspace(ROUND_TRIPS[0], ROUND_TRIPS[-1], _PLOTTED_DELAYS)
@@ -531,19 +502,6 @@ def draw_wave_link(axes: Axes, link: WaveLinkBudget) -> None:
     axes.set_ylabel("stiffness [N/m]")
     axes.grid(alpha=0.3, which="both")
     axes.legend(fontsize="small", frameon=False)
-
-
-def require_picture(path: Path) -> None:
-    """Refuse an output file for a plot that cannot be written; a command calls this before its work.
-
-    Raises:
-        MissingExtra: nothing here can draw.
-        TargetError: the folder does not exist, or the suffix is not one of :data:`PLOT_SUFFIXES`.
-    """
-    require("plot")
-    require_target(path)
-    if path.suffix not in PLOT_SUFFIXES:
-        raise TargetError(f"{path}: found the suffix {path.suffix!r}; expected one of {', '.join(PLOT_SUFFIXES)}")
 
 
 def _groups(devices: Sequence[DeviceBudget]) -> list[tuple[str, DeviceBudget]]:

@@ -13,19 +13,19 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from matplotlib.figure import Figure
 from rich.console import Console
 
 from manyhands.design.certificate import save as save_certificate
 from manyhands.launch.app.design_report import print_certificate, print_report
 from manyhands.launch.app.session_run import run_session
-from manyhands.launch.app.start import announce, drop_outlived, prepare_settled, settle_delay, settle_form
+from manyhands.launch.app.start import start
 from manyhands.launch.audit.simulation import Simulation
 from manyhands.launch.files import EXIT_FAILED, EXIT_OK
 from manyhands.launch.look.display import say, status
+from manyhands.launch.look.figures import new_figure
+from manyhands.launch.look.figures import save as save_picture
 from manyhands.launch.look.plots import VELOCITY, draw_panel, picture_of_run
-from manyhands.launch.look.plots import save as save_picture
-from manyhands.launch.plan.prepare import prepare
+from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.reach import IPC
 from manyhands.launch.recordings.curves import Array, Curve, Panel
 from manyhands.launch.recordings.recording import Recording
@@ -87,7 +87,7 @@ def accounts(run: RecordedRun, tank: float) -> Row:
 def plot(rows: Sequence[Row], path: Path) -> None:
     """Plot rows into one file, one above the other, over the same time axis."""
     height = (_ONE if len(rows) == 1 else _OF_SEVERAL) * len(rows)
-    figure = Figure(figsize=(_WIDTH, height), layout="constrained", facecolor="white")
+    figure = new_figure(_WIDTH, height)
     all_axes = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
     for axes, row in zip(all_axes, rows, strict=True):
         if row.bound is not None:
@@ -128,17 +128,15 @@ def run_demo(
         The exit code: 0 when every promise was kept, and every device came to rest.
     """
     recorded = folder / "run.mcap"
-    options = StartOptions(clock, ticks, record=recorded, report=folder / "report.json")
-    form = settle_form(sessions["example1"], options)
-    settled = settle_delay(form, options, err)
     folder.mkdir(parents=True, exist_ok=True)
-    decentralised = prepare_settled(settled, options, err)
-    for certificate in decentralised.certificates:
-        print_certificate(out, certificate)
-        save_certificate(certificate, folder / "certificate.json")
-    announce(decentralised, form, settled, options, err)
-    outcome = run_session(decentralised, err, form.ways, options)
-    drop_outlived(form, settled, outcome, options, _QUIET)
+
+    def designed(prepared: Prepared) -> None:
+        for certificate in prepared.certificates:
+            print_certificate(out, certificate)
+            save_certificate(certificate, folder / "certificate.json")
+
+    options = StartOptions(clock, ticks, record=recorded, report=folder / "report.json")
+    outcome = start(sessions["example1"], options, err, designed)
     print_report(out, outcome.report, outcome.faults)
     if outcome.code:
         return outcome.code

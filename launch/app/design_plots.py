@@ -16,15 +16,14 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
 from matplotlib.colors import LogNorm
-from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from manyhands.design.files import replacing
 from manyhands.design.frequency_responses import closed_loop, coupling_response, frequencies, response
 from manyhands.design.models.coupling import Partition
 from manyhands.design.models.statespace import Matrix, StateSpace
+from manyhands.launch.look.figures import BLUE, GREEN, VERMILLION, new_figure, save
 
 Complex = NDArray[np.complex128]
 Filter = Callable[[complex], complex]
@@ -55,10 +54,6 @@ def shaped_response(
 
 MOST_STATES, MOST_PORTS = 400, 100  # of E; above, the plots over frequency would take minutes and gigabytes
 
-# Okabe and Ito's colours, which every kind of colour vision can distinguish
-BLUE, VERMILLION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
-
-_DPI = 130
 _ROUNDING = 1e-12  # relative rounding error of V_hat, from the difference V - K of nearly equal matrices
 _NAMED_PORTS, _NAMED_BLOCKS, _WRITTEN_PORTS = 40, 24, 8  # above these numbers, a map has no such labels
 
@@ -161,7 +156,7 @@ def plot_singular_values(
         shaped: points x m x m.
         gamma: the level to draw; None for none.
     """
-    figure = Figure(figsize=(8.0, 7.0), layout="constrained", facecolor="white")
+    figure = new_figure(8.0, 7.0)
     above, below = figure.subplots(2, 1, sharex=True)
     draw_impedances(above, omega, impedances)
     above.set_xlabel("")
@@ -177,7 +172,7 @@ def plot_singular_values(
     below.set_xscale("log")
     below.set_yscale("log")
     _finish(below)
-    return _save(figure, folder / "singular-values.png")
+    return save(figure, folder / "singular-values.png")
 
 
 def draw_impedances(axes: Axes, omega: NDArray[np.float64], impedances: Mapping[str, Complex]) -> None:
@@ -221,7 +216,7 @@ def plot_passivity(
         Delta_V: its level, m x m, N*s/m.
         Delta_G: level of the devices behind their samplers, m x m, N*s/m.
     """
-    figure = Figure(figsize=(8.0, 7.0), layout="constrained", facecolor="white")
+    figure = new_figure(8.0, 7.0)
     above, below = figure.subplots(2, 1, sharex=True)
     bound = float(np.linalg.eigvalsh(Delta_G)[0])
     above.plot(omega, _least(E_hat), color=BLUE, linewidth=1.8, label="Ê alone")
@@ -245,7 +240,7 @@ def plot_passivity(
     for axes in (above, below):
         axes.set_xscale("log")
         _finish(axes)
-    return _save(figure, folder / "passivity.png")
+    return save(figure, folder / "passivity.png")
 
 
 def plot_structure(folder: Path, static: Matrix, partition: Partition, ports: Sequence[str]) -> Path:
@@ -257,9 +252,9 @@ def plot_structure(folder: Path, static: Matrix, partition: Partition, ports: Se
         partition: the structure of V.
         ports: names of the m ports.
     """
-    figure = Figure(figsize=(7.0, 6.0), layout="constrained", facecolor="white")
+    figure = new_figure(7.0, 6.0)
     draw_structure(figure.subplots(), static, partition, ports)
-    return _save(figure, folder / "structure.png")
+    return save(figure, folder / "structure.png")
 
 
 def draw_structure(axes: Axes, static: Matrix, partition: Partition, ports: Sequence[str]) -> None:
@@ -307,7 +302,7 @@ def plot_convergence(folder: Path, history: Sequence[float], label: str) -> Path
         history: the numbers; the axis is logarithmic if all are positive.
         label: name of the quantity.
     """
-    figure = Figure(figsize=(8.0, 3.6), layout="constrained", facecolor="white")
+    figure = new_figure(8.0, 3.6)
     axes = figure.subplots()
     axes.plot(range(1, len(history) + 1), history, "o-", color=BLUE, markersize=4, linewidth=1.4, label=label)
     if min(history) > 0.0:
@@ -317,7 +312,7 @@ def plot_convergence(folder: Path, history: Sequence[float], label: str) -> Path
     axes.set_ylabel(label)
     axes.set_title(f"convergence: {history[-1]:.4g} after {len(history)}", loc="left", fontsize="medium")
     axes.grid(alpha=0.3, which="both")
-    return _save(figure, folder / "convergence.png")
+    return save(figure, folder / "convergence.png")
 
 
 def _singular_band(
@@ -363,10 +358,3 @@ def _finish(axes: Axes) -> None:
     axes.grid(alpha=0.3)
     axes.margins(x=0.0)
     axes.legend(loc="best", fontsize="small", framealpha=0.9, edgecolor="none")
-
-
-def _save(figure: Figure, path: Path) -> Path:
-    """Write a plot whole or not at all; returns ``path``."""
-    with replacing(path) as file:
-        figure.savefig(file, format=path.suffix[1:], dpi=_DPI)
-    return path

@@ -336,15 +336,20 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
     else:
         print_findings(out, proof.findings)
         print_request(out, file, certificate)
-    for finding in failing:
-        because = f" ({finding.argument})" if finding.argument else ""
-        say(err, f"{file}: not proved: {finding.condition}: found {finding.value:.6g}{because}")
+    say_failing(err, [(str(file), finding) for finding in failing])
     if failing:
         return EXIT_NOT_CERTIFIED
     if not as_json:
         proved = certificate.loop.environment.verdict(certificate.loop.partition.names[0])
         say(out, f"{certificate.loop.session}: {proved}; certificate {certificate.id}")
     return EXIT_OK
+
+
+def say_failing(err: Console, failing: Sequence[tuple[str, Finding]]) -> None:
+    """Say which conditions are not proved, each with the file that it is of."""
+    for name, finding in failing:
+        because = f" ({finding.argument})" if finding.argument else ""
+        say(err, f"{name}: not proved: {finding.condition}: found {finding.value:.6g}{because}")
 
 
 def print_request(out: Console, file: Path, certificate: Certificate) -> None:

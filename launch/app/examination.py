@@ -29,7 +29,7 @@ from manyhands.launch.doctor.profile import (
 from manyhands.launch.doctor.rates import form_figures, print_rates, rates_object
 from manyhands.launch.doctor.wakeup import Spread
 from manyhands.launch.files import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_OK
-from manyhands.launch.look.display import say
+from manyhands.launch.look.display import say, titled_table
 from manyhands.launch.output import print_json
 from manyhands.launch.plan.loop import haptic_loop
 from manyhands.launch.plan.plan import Plan
@@ -97,12 +97,12 @@ def machine_rows(machine: Machine) -> dict[str, str]:
 
 def print_measured(console: Console, measured: Measured, period: float) -> None:
     """Print how late a process wakes, and how long a tick takes."""
-    table = _durations(f"how late a process wakes, T = {period * 1e3:g} ms [µs]", "way")
+    title, columns = f"how late a process wakes, T = {period * 1e3:g} ms [µs]", ("median", "p99", "p99.9", "max")
+    table = titled_table(title, ["way"], columns)
     for way, spread in measured.waking.late.items():
         table.add_row(_WAYS[way], *_row(spread))
     console.print(table)
-    table = _durations("a tick from sample to force, of a session at rest [µs]", "way")
-    table.add_column("late", justify="right")
+    table = titled_table("a tick from sample to force, of a session at rest [µs]", ["way"], (*columns, "late"))
     for found in measured.ticking:
         table.add_row(found.way.text, *_row(found.tau), f"{found.late / found.ticks:.2%}")
     console.print(table)
@@ -111,10 +111,8 @@ def print_measured(console: Console, measured: Measured, period: float) -> None:
 def print_worth(console: Console, measured: Measured, worth: Worth, found: tuple[Advice, ...]) -> None:
     """Print the stiffness that can be certified with the measured delays, and the advice."""
     loop = worth.loop
-    table = Table(title=escape(f"{loop.session}: weakest device, T = {loop.period * 1e3:g} ms"), title_justify="left")
-    table.add_column("certified stiffness below [N/m]")
-    for column in ("at the median", "at p99.9"):
-        table.add_column(column, justify="right")
+    title = f"{loop.session}: weakest device, T = {loop.period * 1e3:g} ms"
+    table = titled_table(title, ["certified stiffness below [N/m]"], ("at the median", "at p99.9"))
     limit = f"{worth.weakest(0.0):.0f}"
     table.add_row("no delay", limit, limit)
     for ticking in measured.ticking:
@@ -124,14 +122,6 @@ def print_worth(console: Console, measured: Measured, worth: Worth, found: tuple
     say(console, "This session is at rest among springs; the report of a run has its own delays (manyhands launch).")
     for one in found:
         say(console, f"- {one.change}\n    buys: {one.buys}")
-
-
-def _durations(title: str, first: str) -> Table:
-    table = Table(title=escape(title), title_justify="left")
-    table.add_column(first)
-    for column in ("median", "p99", "p99.9", "max"):
-        table.add_column(column, justify="right")
-    return table
 
 
 def _row(spread: Spread) -> list[str]:

@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
-from rich.table import Table
 
 from manyhands.launch.files import EXIT_OK
-from manyhands.launch.look.display import say
+from manyhands.launch.look.display import say, titled_table
 from manyhands.launch.output import print_json
 from manyhands.launch.plan.keys import PRIVATE, PUBLIC, SUFFIX, KeyState, Made, make_keys, private_path
 from manyhands.launch.plan.topology import roster
@@ -39,9 +38,7 @@ def run_keys(session: Session, folder: Path, renew: Sequence[str], out: Console,
     if as_json:
         print_json(_object(session, folder, made, states))
     else:
-        table = Table(title=f"{session.name}: keys", title_justify="left")
-        for column in ("name", "role", "key"):
-            table.add_column(column)
+        table = titled_table(f"{session.name}: keys", ("name", "role", "key"))
         for name, role in roster(session).items():
             table.add_row(name, role.value, states[name].value)
         out.print(table)

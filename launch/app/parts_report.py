@@ -29,6 +29,7 @@ from manyhands.launch.app.design_report import (
     print_findings,
     print_request,
     progress_on,
+    say_failing,
 )
 from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK, TargetError, require_target
 from manyhands.launch.look.display import say
@@ -256,9 +257,7 @@ def run_verify_world(
         print_findings(out, proof.findings)
         for name, other in others.items():
             print_request(out, Path(name), certificate_of(other, Path(name)))
-    for path, finding in failing:
-        because = f" ({finding.argument})" if finding.argument else ""
-        say(err, f"{path}: not proved: {finding.condition}: found {finding.value:.6g}{because}")
+    say_failing(err, failing)
     if failing:
         return EXIT_NOT_CERTIFIED
     if not as_json:

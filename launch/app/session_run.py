@@ -6,10 +6,12 @@ from functools import partial
 
 from rich.console import Console
 
-from manyhands.launch.look.display import LiveTable, not_admitted, say
+from manyhands.launch.look.display import say
+from manyhands.launch.look.live import LiveTable, not_admitted
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.reach import Reach
 from manyhands.launch.recordings.recording import STREAMED
+from manyhands.launch.run.broadcast import describe
 from manyhands.launch.run.options import StartOptions
 from manyhands.launch.run.outcome import Outcome
 from manyhands.launch.run.supervised import run_prepared, write_files
@@ -28,7 +30,8 @@ def run_session(prepared: Prepared, console: Console, ways: Reach, options: Star
         RecordingError, TargetError, OSError: a file cannot be written.
     """
     title = f"{prepared.session.name} ({options.clock}, {ways.transport}), certificate {prepared.id[:16]}"
-    with LiveTable(console, title, prepared.graph, options.ticks, prepared.session) as table:
+    about = describe(prepared, options.clock, ways.transport, options.ticks, ways.remote, ways.seats)
+    with LiveTable(console, title, about) as table:
         outcome = run_prepared(prepared, ways, options, show=table)
     for notice in outcome.notices:
         if notice not in table.announced:

@@ -1,7 +1,7 @@
 """How a session starts, whoever starts it: its form, its delay, its certificates, and its run.
 
-Each step is a function, and :func:`start` takes them in turn. Python and the demonstration take the same steps and do
-something of their own between them. A hosted session differs in three of them: a seat's delay is stated and not
+Each step is a function, and :func:`start` takes them in turn. Python takes the same steps and does something of its own
+between them. A hosted session differs in three of them: a seat's delay is stated and not
 measured, its certificates are kept from one start to the next, and its guests need their invitations.
 """
 
@@ -295,13 +295,19 @@ def drop_outlived(
         say(console, f"{session.name}: the delays were not those measured before; the next {what} measures them anew")
 
 
-def start(session: Session, options: StartOptions, console: Console) -> Outcome:
+def start(
+    session: Session,
+    options: StartOptions,
+    console: Console,
+    designed: Callable[[Prepared], None] = lambda _prepared: None,
+) -> Outcome:
     """Start a session, and run it to its end.
 
     Args:
         session: the session.
         options: how it is started.
         console: where progress, notices and faults go.
+        designed: called with the session and its certificates, before it runs.
 
     Raises:
         RecordingError, TargetError, OSError: a file cannot be written.
@@ -315,6 +321,7 @@ def start(session: Session, options: StartOptions, console: Console) -> Outcome:
             warn_insecure(console)
         settled = settle_delay(form, options, console)
         prepared = prepare_settled(settled, options, console)
+        designed(prepared)
         announce(prepared, form, settled, options, console)
         outcome = run_session(prepared, console, form.ways, options)
         drop_outlived(form, settled, outcome, options, console)

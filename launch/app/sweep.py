@@ -10,7 +10,6 @@ then computed again one by one, each in a pool that is not broken, so that the o
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 import os
@@ -21,7 +20,6 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from dataclasses import dataclass
 from functools import partial
-from io import TextIOWrapper
 from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
@@ -37,7 +35,7 @@ from manyhands.design.models.brief import brief_names
 from manyhands.launch.app.api import Source, load
 from manyhands.launch.files import TargetError, claimed, require_target
 from manyhands.launch.plan.sites import whole
-from manyhands.launch.recordings.recording import data_frame, require_format
+from manyhands.launch.recordings.recording import data_frame, require_format, write_csv
 from manyhands.launch.session import Session
 
 if TYPE_CHECKING:
@@ -120,13 +118,8 @@ class Sweep:
         """
         path = Path(path)
         require_format(path, (".csv",))
-        columns = self.columns()
         with replacing(path) as file:
-            text = TextIOWrapper(file, encoding="utf-8", newline="")
-            writer = csv.writer(text)
-            writer.writerow(columns)
-            writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
-            text.detach()  # flushes it, and leaves the file open
+            write_csv(file, self.columns())
 
     def __repr__(self) -> str:
         varied = brief_names([*dict.fromkeys(key for case in self.cases for key in case)])

@@ -30,12 +30,13 @@ import platform
 import signal
 import stat
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Self
 
 import numpy as np
 import zmq
+from pydantic import TypeAdapter
 
 from manyhands import __version__
 from manyhands.design.files import open_regular, replacing
@@ -63,7 +64,7 @@ LEAST_KEPT: Final = 1.0
 LEAST_TICKS: Final = 1000
 """Ticks without which a run says nothing of a profile that was too careful."""
 
-_FORMAT: Final = 2
+_FORMAT: Final = 3  # of the file
 _MOST_BYTES: Final = 2**20  # a session of a thousand nodes has a key of some 100 kB
 
 
@@ -92,12 +93,19 @@ class Lateness:
         p995: the quantile that a design covers, :data:`QUANTILE`.
         p999: the 99.9th percentile.
         max: the longest.
+
+    Raises:
+        ValueError: they do not grow from above 0, or are not finite.
     """
 
     p50: float
     p995: float
     p999: float
     max: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.p50 <= self.p995 <= self.p999 <= self.max < math.inf:
+            raise ValueError(f"found {self}; expected percentiles that grow from above 0")
 
     @classmethod
     def of(cls, nanoseconds: Sequence[int]) -> Self:
@@ -124,6 +132,9 @@ class Profile:
         seconds: how long was measured, s.
         measured: when, in s since the epoch.
         others: as tau, of the devices of each other period, by that period, s.
+
+    Raises:
+        ValueError: a number is negative, or not finite.
     """
 
     key: Mapping[str, Any]
@@ -133,6 +144,10 @@ class Profile:
     seconds: float
     measured: float
     others: Mapping[float, Lateness] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not all(0.0 <= number < math.inf for number in (self.period, self.late, self.seconds, self.measured)):
+            raise ValueError(f"found {self}; expected numbers of at least 0")
 
     def age(self, now: float) -> float:
         """Seconds since the measurement at ``now``, in s since the epoch."""
@@ -224,6 +239,7 @@ def profile_key(plan: Plan, transport: str, encrypted: bool, places: Mapping[str
     graph, system = plan.graph, platform.uname()
     number = {name: index for index, name in enumerate(graph.nodes)}
     return {
+        "format": _FORMAT,
         "version": __version__,
         "host": system.node,
         "kernel": f"{system.system} {system.release} {system.version}",
@@ -268,11 +284,10 @@ def kept_profile(key: Mapping[str, Any], now: float, folder: Path | None = None)
             status = os.fstat(file.fileno())
             if status.st_uid != os.geteuid() or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
                 return None
-            plain = json.loads(file.read(_MOST_BYTES))
-    except (OSError, ValueError, RecursionError):
+            profile = _FILE.validate_json(file.read(_MOST_BYTES), strict=True)
+    except (OSError, ValueError):
         return None
-    profile = _from_plain(plain, key)
-    return profile if profile is not None and 0.0 <= profile.age(now) <= MOST_AGE else None
+    return profile if profile.key == dict(key) and 0.0 <= profile.age(now) <= MOST_AGE else None
 
 
 def keep_profile(profile: Profile, folder: Path | None = None) -> bool:
@@ -289,9 +304,8 @@ def keep_profile(profile: Profile, folder: Path | None = None) -> bool:
     path = _path(profile.key, folder)
     path.parent.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     path.parent.mkdir(mode=0o700, exist_ok=True)
-    content = {"format": _FORMAT, **asdict(profile), "others": [[T, asdict(own)] for T, own in profile.others.items()]}
     with replacing(path, mode=0o600) as file:
-        file.write(json.dumps(content, indent=1, allow_nan=False).encode() + b"\n")
+        file.write(_FILE.dump_json(profile, indent=1) + b"\n")
     return True
 
 
@@ -310,36 +324,4 @@ def _path(key: Mapping[str, Any], folder: Path | None) -> Path:
     return (cache_folder() if folder is None else folder) / f"{digest[:32]}.json"
 
 
-def _from_plain(plain: object, key: Mapping[str, Any]) -> Profile | None:
-    """The profile in the content of a file, or None: a file may be damaged, or of a different version."""
-    if not isinstance(plain, dict) or plain.get("format") != _FORMAT or plain.get("key") != dict(key):
-        return None
-    others = plain.get("others")
-    if not isinstance(others, list) or not all(isinstance(one, list) and len(one) == 2 for one in others):
-        return None
-    tau, numbers = _lateness(plain.get("tau")), _numbers(plain, _NUMBERS)
-    of_others = {period: _lateness(delays) for period, delays in others if isinstance(period, float)}
-    known = {period: delays for period, delays in of_others.items() if delays is not None}
-    if tau is None or numbers is None or len(known) < len(others):
-        return None
-    period, late, seconds, measured = numbers
-    return Profile(key, tau, period, late, seconds, measured, known)
-
-
-def _lateness(plain: object) -> Lateness | None:
-    percentiles = _numbers(plain, _PERCENTILES) if isinstance(plain, dict) else None
-    if percentiles is None or not 0.0 < percentiles[0] <= percentiles[1] <= percentiles[2] <= percentiles[3]:
-        return None
-    return Lateness(*percentiles)
-
-
-def _numbers(plain: Mapping[str, Any], names: Sequence[str]) -> list[float] | None:
-    """The numbers of these names; None unless each is finite and not negative."""
-    values = [plain.get(name) for name in names]
-    numbers = [float(value) for value in values if isinstance(value, int | float) and not isinstance(value, bool)]
-    whole = len(numbers) == len(values) and all(0.0 <= number < math.inf for number in numbers)
-    return numbers if whole else None
-
-
-_PERCENTILES: Final = ("p50", "p995", "p999", "max")
-_NUMBERS: Final = ("period", "late", "seconds", "measured")
+_FILE: Final = TypeAdapter(Profile)

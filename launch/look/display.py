@@ -1,4 +1,4 @@
-"""What a person sees while a session runs: a table that updates, or plain lines where there is no terminal.
+"""What people are told: messages, progress bars, the figures of nodes as a table, and sentences about a session.
 
 Which figures of a node every such table shows is declared with them (:mod:`manyhands.nodes.rows.figures`).
 """
@@ -7,30 +7,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from types import TracebackType
-from typing import Final, Protocol, Self
+from typing import Final, Protocol
 
 from rich import box
 from rich.cells import cell_len
-from rich.console import Console, Group, RenderableType
-from rich.live import Live
+from rich.console import Console
+from rich.markup import escape
 from rich.progress import Progress as ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from manyhands.launch.output import has_room, lost_at
-from manyhands.launch.plan.topology import Topology
-from manyhands.launch.run.outcome import Progress, felt_links
-from manyhands.launch.run.states import NodeState, SessionPhase
-from manyhands.launch.session import Session
 from manyhands.nodes.environment.chatter import MOST as MOST_REVERSALS
 from manyhands.nodes.monitor.given import GivenForce, shares_cell
 from manyhands.nodes.monitor.health import PromiseState, condensed, is_present, missed, sentence
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.figures import Column, Figure
-from manyhands.nodes.rows.own_ticks import session_tick
 from manyhands.nodes.rows.promises import Promise
-from manyhands.protocol.messages import Figures, PromiseStatus, Telemetry
+from manyhands.protocol.messages import Figures, PromiseStatus
 
 COLUMNS: Final = tuple((figure, column) for figure in names.FIGURES.values() for column in figure.columns)
 """The figures that tables show, each with its column, in the order of the columns."""
@@ -48,6 +41,16 @@ def cell(figure: Figure, column: Column, figures: Figures) -> str:
 def figure_cells(figures: Figures) -> list[str]:
     """A node's cells of all :data:`COLUMNS`."""
     return [cell(figure, column, figures) for figure, column in COLUMNS]
+
+
+def titled_table(title: str, words: Sequence[str], numbers: Sequence[str] = ()) -> Table:
+    """An empty table with columns of words, which are folded and never cut, and then of numbers, at the right."""
+    table = Table(title=escape(title), title_justify="left")
+    for name in words:
+        table.add_column(escape(name), overflow="fold")
+    for name in numbers:
+        table.add_column(escape(name), justify="right")
+    return table
 
 
 def figure_table(
@@ -228,149 +231,5 @@ def say(console: Console, text: str) -> None:
     console.print(printable(text), markup=False, emoji=False, soft_wrap=not console.is_terminal)
 
 
-_FIXED: Final = ("node", "role", "tick", "rate\n[Hz]")
-
 RANKS: Final = {**{heading(column.title): column.rank for _, column in COLUMNS}, "role": 8}
 """The columns that a narrow table leaves out; a name often makes the role clear."""
-
-_LINE_EVERY = 2.0  # s between two lines of progress without a terminal
-
-
-class LiveTable:
-    """Shows a run's progress on a console; call it with each :class:`Progress`.
-
-    It never waits for a console that takes no output now, since the session would wait as well.
-
-    Attributes:
-        announced: notices that were printed while the session ran, and need not be repeated at its end.
-    """
-
-    def __init__(
-        self, console: Console, title: str, graph: Topology, ticks: int, session: Session | None = None
-    ) -> None:
-        """Show the nodes of ``graph`` under ``title``.
-
-        Args:
-            console: the console.
-            title: of the table.
-            graph: the nodes.
-            ticks: of the session; 0 for no end.
-            session: the session, whose wave links are shown below the table; None for none.
-        """
-        self._session = session
-        self._console, self._title, self._graph, self._ticks = console, title, graph, ticks
-        # the supervisor's loop refreshes it, so no second thread is needed
-        self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
-        self._rates: dict[str, tuple[float, int, float]] = {}
-        self._line_at = 0.0
-        self._phase: SessionPhase | None = None
-        self._printed: set[str] = set()
-        self._lacking: set[str] = set()  # devices of which a line has said that they lack their force
-        self.announced: set[str] = set()
-        self._lost: str | None = None
-
-    def __enter__(self) -> Self:
-        if self._live is not None:
-            self._live.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._live is not None:
-            self._live.stop()
-
-    def __call__(self, progress: Progress) -> str | None:
-        """Show ``progress``; when the console is lost, returns an incident that reports it, once."""
-        if self._lost is None and has_room(self._console.file):
-            self._show(progress)
-            self._lost = lost_at(self._console.file)
-            if self._lost is not None:
-                return f"the display was lost ({self._lost}); the session goes on without it"
-        return None
-
-    def _show(self, progress: Progress) -> None:
-        if self._live is not None:
-            self._live.update(self._render(progress), refresh=True)
-            return
-        if progress.phase is not self._phase:
-            self._phase = progress.phase
-            say(self._console, f"{self._title}: {progress.phase}")
-        for incident in progress.incidents:
-            if incident not in self._printed:
-                say(self._console, f"! {incident}")
-        self._printed = {*progress.incidents}
-        for row in progress.promises:
-            if row.promise == Promise.PACE and row.remark and row.remark not in self.announced:
-                self.announced.add(row.remark)
-                say(self._console, f"! {row.remark}")
-            if row.promise == Promise.GIVEN and row.remark and not self._lacking.issuperset(row.who):
-                self._lacking.update(row.who)  # its figures change with every message
-                say(self._console, f"! {row.remark}")
-        if progress.elapsed - self._line_at >= _LINE_EVERY:
-            self._line_at = progress.elapsed
-            rates = {} if self._session is None else self._session.own_rates
-            done = max((session_tick(t.tick, rates.get(n, 1.0)) for n, t in progress.telemetry.items()), default=0)
-            say(self._console, f"{progress.phase}: tick {done}{self._of()}, {late_line(progress.telemetry)}")
-
-    def _of(self) -> str:
-        return f" of {self._ticks}" if self._ticks else ""
-
-    def _render(self, progress: Progress) -> RenderableType:
-        titles = [*_FIXED, *(heading(column.title) for _, column in COLUMNS)]
-        rows: list[list[str]] = []
-        for name, role in self._graph.nodes.items():
-            telemetry = progress.telemetry.get(name)
-            away = progress.states[name] in _AWAY
-            if telemetry is None or progress.phase is SessionPhase.STARTING or away:
-                rows.append([name, role.value, progress.states[name], *[""] * (1 + len(COLUMNS))])
-                continue
-            rate = "silent" if name in progress.silent else self._rate(name, telemetry, progress.elapsed)
-            rows.append([name, role.value, str(telemetry.tick), rate, *figure_cells(telemetry.figures)])
-        table, _ = figure_table(f"{self._title}: {progress.phase}", titles, rows, RANKS, self._console.width)
-        notices = [*progress.notices, *progress.incidents[-_INCIDENTS_SHOWN:], *not_admitted(progress.refused)]
-        energy = [Text(line) for latest in progress.telemetry.values() for line in world_lines(latest.figures)]
-        figures = {name: latest.figures for name, latest in progress.telemetry.items()}
-        felt = {} if self._session is None else felt_links(self._session, figures)
-        energy += [Text(one.sentence(name)) for name, one in felt.items()]
-        stands = (Text(line, style=style) for line, style in promise_lines(progress.promises, progress.notices))
-        return Group(table, *stands, *energy, *(Text(f"! {notice}", style="yellow") for notice in notices))
-
-    def _rate(self, name: str, telemetry: Telemetry, elapsed: float) -> str:
-        """Ticks per second since a telemetry message of at least half a second ago."""
-        then, tick, shown = self._rates.get(name, (elapsed, telemetry.tick, 0.0))
-        if elapsed - then >= 0.5:
-            shown = (telemetry.tick - tick) / (elapsed - then)
-            then, tick = elapsed, telemetry.tick
-        self._rates[name] = (then, tick, shown)
-        return f"{shown:.0f}" if shown else ""
-
-
-def late_line(telemetry: Mapping[str, Telemetry]) -> str:
-    """The part of its ticks in which each device was late, the most first; a few of them, and how many more.
-
-    Args:
-        telemetry: the latest of each node.
-    """
-    parts = {
-        n: t.figures[names.LATE] / t.tick for n, t in telemetry.items() if t.figures.get(names.LATE) and t.tick > 0
-    }
-    worst = sorted(parts, key=lambda name: -parts[name])
-    shown = ", ".join(f"{name} {parts[name]:.1%}" for name in worst[:_LATE_SHOWN])
-    more = f" and {len(worst) - _LATE_SHOWN} more" if len(worst) > _LATE_SHOWN else ""
-    return f"late ticks: {shown}{more}" if shown else "none late"
-
-
-def not_admitted(refused: Mapping[str, int]) -> list[str]:
-    """One line with what the supervisor did not admit, by kind; none if there was nothing."""
-    counts = ", ".join(f"{kind} {count}" for kind, count in refused.items())
-    return [f"not admitted by the supervisor: {counts}"] if counts else []
-
-
-_AWAY = {state.value for state in NodeState} - {
-    NodeState.RUNNING.value,
-    NodeState.REPORTED.value,
-    NodeState.ENDED.value,
-}
-_INCIDENTS_SHOWN = 5
-_LATE_SHOWN = 4

@@ -5,8 +5,7 @@ A :class:`Picture` states what is shown, and holds no drawing. Its quantities fo
 instants of their samples where these are recorded. :func:`draw`
 is the way from a recording's file to its picture's, with progress.
 
-Matplotlib is used without a screen and without its global state; SVG keeps text as text. Texts come from files of any
-origin: none is read as mathematics, and none is longer than a line.
+Texts come from files of any origin: none is read as mathematics, and none is longer than a line.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from __future__ import annotations
 import json
 import math
 import textwrap
-import warnings
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -23,14 +21,12 @@ from types import MappingProxyType
 from typing import Final
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from manyhands.design.files import replacing
-from manyhands.launch.files import TargetError, require_target
 from manyhands.launch.look.display import progress_bar
+from manyhands.launch.look.figures import COLOURS, new_figure, require_picture, save
 from manyhands.launch.recordings.curves import (
     Array,
     Curve,
@@ -318,54 +314,17 @@ def _certified_tau(attachments: Mapping[str, bytes]) -> float | None:
     return 1e6 * tau if isinstance(tau, (int, float)) and 0.0 <= tau < math.inf else None
 
 
-FORMATS: Final = ("png", "svg")
 MOST_LINES = 12
 """A panel with more curves shows the band that they fill."""
 
 MOST_MARKS_LISTED = 30
 
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe and Ito's
 _GAP, _MARK, _BAD = "0.85", "0.35", "#B00020"
-_DPI = 130
 _WIDTH = 10.0  # inches
 _PANEL, _HISTOGRAM, _LINE, _HEAD = 2.1, 2.6, 0.16, 0.7  # heights, inches
 _LONGEST_LABEL, _LINE_LENGTH = 24, 150  # characters
 _BINS = 120
 _NEAR = 0.045  # of the width: marks nearer than this share one label
-
-
-def require_picture(path: Path) -> None:
-    """Refuse a name that no picture can be written to, before the work begins.
-
-    Raises:
-        TargetError: the folder does not exist, or the suffix is none of :data:`FORMATS`.
-    """
-    require_target(path)
-    if path.suffix.removeprefix(".") not in FORMATS:
-        expected = " or ".join(f".{one}" for one in FORMATS)
-        raise TargetError(f"{path}: found the suffix {path.suffix!r}; expected {expected}")
-
-
-def write_picture(picture: Picture, path: Path) -> None:
-    """Draw ``picture`` into a file, in the format of its suffix, whole or not at all.
-
-    Raises:
-        TargetError: the name is no picture's, or its folder does not exist.
-    """
-    require_picture(path)
-    save(figure_of(picture), path)
-
-
-def save(figure: Figure, path: Path) -> None:
-    """Write a figure whole or not at all; the same figure gives the same bytes."""
-    with (
-        rc_context({"svg.fonttype": "none", "svg.hashsalt": "manyhands"}),
-        warnings.catch_warnings(),
-        replacing(path) as file,
-    ):
-        warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from", UserWarning)  # a box stands for it
-        metadata = {"Date": None} if path.suffix == ".svg" else None
-        figure.savefig(file, format=path.suffix[1:], dpi=_DPI, metadata=metadata)
 
 
 def figure_of(picture: Picture) -> Figure:
@@ -374,7 +333,7 @@ def figure_of(picture: Picture) -> Figure:
     heights = [_PANEL] * len(picture.panels)
     heights += [_HISTOGRAM] if picture.delays is not None else []
     heights += [_LINE * (len(lines) + 1)] if lines else []
-    figure = Figure(figsize=(_WIDTH, sum(heights) + _HEAD), layout="constrained", facecolor="white")
+    figure = new_figure(_WIDTH, sum(heights) + _HEAD)
     figure.suptitle(plain(picture.title, _LINE_LENGTH), x=0.01, ha="left", fontsize="medium", fontweight="bold")
     grid = figure.add_gridspec(len(heights), 1, height_ratios=heights)
     time = picture.time
@@ -446,7 +405,7 @@ def _time_of(curve: Curve, time: Array) -> Array:
 
 
 def _draw_line(axes: Axes, time: Array, curve: Curve, number: int) -> None:
-    colour, style = _COLOURS[number % len(_COLOURS)], "-" if number < len(_COLOURS) else "--"
+    colour, style = COLOURS[number % len(COLOURS)], "-" if number < len(COLOURS) else "--"
     shown = thinned(curve.values)
     t, values = time[shown], curve.values[shown]
     axes.plot(t, values, color=colour, linestyle=style, linewidth=0.9, label=label(curve.label))
@@ -457,7 +416,7 @@ def _draw_line(axes: Axes, time: Array, curve: Curve, number: int) -> None:
 
 def _draw_band(axes: Axes, time: Array, curves: Sequence[Curve]) -> None:
     starts, least, greatest = band(curves)
-    axes.fill_between(time[starts], least, greatest, step="post", color=_COLOURS[0], alpha=0.35, linewidth=0.8,
+    axes.fill_between(time[starts], least, greatest, step="post", color=COLOURS[0], alpha=0.35, linewidth=0.8,
                       label=f"all {len(curves)}, from the\nleast to the greatest")  # fmt: skip
     peaks = [(np.nanmax(np.abs(curve.values), initial=0.0), number) for number, curve in enumerate(curves)]
     peak, which = max(peaks, key=lambda found: found[0])
@@ -484,8 +443,8 @@ def draw_delays(axes: Axes, delays: Delays) -> None:
     shown = known if len(known) <= MOST_LINES else [Curve(f"all {len(known)} devices", every)]
     for number, curve in enumerate(shown):
         counts, _ = np.histogram(curve.values, edges)
-        axes.stairs(counts, edges, color=_COLOURS[number % len(_COLOURS)], linewidth=1.0, label=label(curve.label),
-                    linestyle="-" if number < len(_COLOURS) else "--")  # fmt: skip
+        axes.stairs(counts, edges, color=COLOURS[number % len(COLOURS)], linewidth=1.0, label=label(curve.label),
+                    linestyle="-" if number < len(COLOURS) else "--")  # fmt: skip
     periods = ((period, "period T", "-") for period in delays.periods)
     for limit, name, style in ((delays.certified, "τ of the certificate", "--"), *periods):
         if limit:
@@ -556,7 +515,7 @@ def draw(
 
     Args:
         file: .mcap, .npz or .csv.
-        target: .png or .svg.
+        target: .png, .svg or .pdf.
         console: for progress.
         quantities: what to show; None for :data:`SHOWN`.
         start: s since tick 0; None for the beginning.
@@ -571,7 +530,7 @@ def draw(
     with progress_bar(console, f"reading {file.name}") as tell:
         picture = between(_picture(file, quantities, tell), start, end)
     with progress_bar(console, f"drawing {target.name}"):
-        write_picture(picture, target)
+        save(figure_of(picture), target)
 
 
 def _picture(file: Path, quantities: Sequence[str] | None, tell: Callable[[float], None]) -> Picture:

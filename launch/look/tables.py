@@ -223,16 +223,22 @@ def top_object(live: LiveSession) -> dict[str, Any]:
     return found
 
 
-def picture(live: LiveSession, width: int) -> RenderableType:
-    """Table and sentences, for a terminal with ``width`` columns; figures without room are left out."""
+def picture(live: LiveSession, width: int, title: str | None = None) -> RenderableType:
+    """Table and sentences, for a terminal with ``width`` columns; figures without room are left out.
+
+    Args:
+        live: the session.
+        width: of the terminal.
+        title: names the session; by default its name, process and clock.
+    """
     about, condition = live.about, live.condition
     phase = "connecting" if condition is None else f"{condition.phase}, {condition.elapsed:.0f} s"
-    title = f"{about.session} (process {about.pid}, {about.clock} clock): {phase}; {live.health}"
+    named = title or f"{about.session} (process {about.pid}, {about.clock} clock)"
     titles = [*_FIXED, *(heading(column.title) for _, column in COLUMNS), "health"]
     rows: list[list[str | Text]] = [
         [*_cells(node), Text(node.health, style=STYLES[node.health])] for node in live.nodes.values()
     ]
-    table, _ = figure_table(title, titles, rows, RANKS, width)
+    table, _ = figure_table(f"{named}: {phase}; {live.health}", titles, rows, RANKS, width)
     return Group(table, *(Text(text, style=style) for text, style in sentences(live)))
 
 

@@ -20,7 +20,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import Any, BinaryIO, Final
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
@@ -53,7 +53,6 @@ _OF_DATA: Final = {
 _DATA_END_BYTES: Final = FRAME.size + CRC.size
 _FOOTER_BYTES: Final = FRAME.size + 20
 _TAIL: Final = _FOOTER_BYTES + len(MCAP0_MAGIC)
-_PIECE: Final = 2**20
 
 
 @dataclass(frozen=True)
@@ -71,6 +70,10 @@ class Damage:
     end: int
     what: str
     cut: bool = False
+
+    def as_plain(self) -> dict[str, Any]:
+        """As a JSON object."""
+        return {"begin": self.begin, "end": self.end, "what": self.what}
 
 
 def findings(path: Path, progress: Callable[[float], None] | None = None) -> list[Damage]:

@@ -18,13 +18,7 @@ from numpy.typing import NDArray
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.nodes.recorder.format import METADATA, SUPERVISOR, TICK, Recorded, decode_condition, decode_figures
 from manyhands.nodes.rows.own_ticks import own_tick, session_tick
-from manyhands.protocol.channels import (
-    CONDITION,
-    TELEMETRY,
-    Columns,
-    Topic,
-    topic_name,
-)
+from manyhands.protocol.channels import CONDITION, TELEMETRY, Columns, Topic, topic_name
 from manyhands.protocol.messages import Condition, Figures
 
 if TYPE_CHECKING:

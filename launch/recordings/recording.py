@@ -9,7 +9,7 @@ spreadsheet. A third, ``.mcap``, is written while the session runs by a process 
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from io import TextIOWrapper
 from pathlib import Path
@@ -37,6 +37,8 @@ RUN_SUFFIXES = (*SUFFIXES, STREAMED)
 ``.mcap``."""
 
 _EXTRAS = {STREAMED: "record", ".parquet": "parquet"}  # what a format needs
+
+_ROWS = 2048  # rows that are converted to text at a time
 
 MOST_MISSING_TICKS = 1_000_000  # of one device in all; more than that is no loss but ticks that make no sense
 
@@ -117,18 +119,31 @@ class Recording:
                         certificate=self.certificate,
                     )
                 else:
-                    self._save_csv(file)
+                    write_csv(file, self.columns())
         except OSError as error:
             raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
 
-    def _save_csv(self, file: BinaryIO) -> None:
-        text = TextIOWrapper(file, encoding="utf-8", newline="")
-        writer = csv.writer(text)
-        columns = self.columns()
-        writer.writerow(columns)
-        ticks, *values = (column.tolist() for column in columns.values())
-        writer.writerows([tick, *map(repr, row)] for tick, *row in zip(ticks, *values, strict=True))
-        text.detach()  # flushes it, and leaves the file open
+
+def write_csv(
+    file: BinaryIO, columns: Mapping[str, NDArray[Any]], progress: Callable[[float], None] | None = None
+) -> None:
+    """Write a table: its names in the first row, then a row for each entry of the columns, every number exact.
+
+    Args:
+        file: open for writing; it stays open.
+        columns: of one length, by name.
+        progress: called with the part that is done, 0 to 1.
+    """
+    text = TextIOWrapper(file, encoding="utf-8", newline="")
+    writer = csv.writer(text)
+    writer.writerow(columns)
+    rows = max(map(len, columns.values()), default=0)
+    for begin in range(0, rows, _ROWS):
+        block = (column[begin : begin + _ROWS].tolist() for column in columns.values())
+        writer.writerows(zip(*block, strict=True))
+        if progress is not None:
+            progress(min(begin + _ROWS, rows) / rows)
+    text.detach()  # flushes it, and leaves the file open
 
 
 def data_frame(columns: Mapping[str, NDArray[Any]], index: str | None = None) -> pandas.DataFrame:

@@ -11,12 +11,10 @@ of that node's rows.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from functools import cached_property
-from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, TypeAlias
 
@@ -27,32 +25,14 @@ from manyhands.design.files import replacing
 from manyhands.design.models.brief import brief_names, brief_repr
 from manyhands.extras import require
 from manyhands.launch.recordings.curves import backward_difference
-from manyhands.launch.recordings.reading import (
-    MOST_MISSING,
-    cut_at,
-    read_topics,
-    require_beginning,
-    span_of,
-)
-from manyhands.launch.recordings.recording import (
-    Array,
-    RecordingError,
-    data_frame,
-    require_suffix,
-)
+from manyhands.launch.recordings.reading import MOST_MISSING, cut_at, read_topics, require_beginning, span_of
+from manyhands.launch.recordings.recording import Array, RecordingError, data_frame, require_suffix, write_csv
 from manyhands.nodes.kernel.bundle import REALTIME
 from manyhands.nodes.recorder.format import Recorded
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.own_ticks import own_span, own_tick, own_ticks_before, session_tick
 from manyhands.nodes.rows.tick_events import Kind, events_in
-from manyhands.protocol.channels import (
-    DISPLACEMENT,
-    FORCE,
-    INSTANTS,
-    LEDGER,
-    Topic,
-    topic_name,
-)
+from manyhands.protocol.channels import DISPLACEMENT, FORCE, INSTANTS, LEDGER, Topic, topic_name
 from manyhands.protocol.messages import Condition, Figures, Role
 
 if TYPE_CHECKING:
@@ -381,7 +361,6 @@ Traces = Mapping[tuple[str, str], RecordedTrace]
 
 TICK: Final = "tick"
 TIME: Final = "time_s"
-_ROWS: Final = 2048  # rows that are converted to text at a time
 
 
 def chosen(run: RecordedRun, patterns: Sequence[str]) -> dict[tuple[str, str], RecordedTrace]:
@@ -465,17 +444,7 @@ def export(
 
 
 def _save_csv(run: RecordedRun, traces: Traces, file: BinaryIO, progress: Progress) -> None:
-    time, ticks = run.time, run.ticks
-    rows = [_at_session_ticks(run, node, trace) for (node, _), trace in traces.items()]
-    text = TextIOWrapper(file, encoding="utf-8", newline="")
-    writer = csv.writer(text)
-    writer.writerow([TICK, TIME, *(name for key, trace in traces.items() for name in column_names(key[0], trace))])
-    for begin in range(0, ticks, _ROWS):
-        end = min(begin + _ROWS, ticks)
-        block = np.hstack([time[begin:end, None], *(values[begin:end] for values in rows)])
-        writer.writerows([tick, *map(repr, row)] for tick, row in enumerate(block.tolist(), run.first + begin))
-        progress(end / ticks)
-    text.detach()  # flushes it, and leaves the file open
+    write_csv(file, table_columns(run, traces), progress)
 
 
 def table_columns(run: RecordedRun, traces: Traces) -> dict[str, NDArray[Any]]:

@@ -22,14 +22,7 @@ from numpy.typing import NDArray
 
 from manyhands.design.files import open_regular
 from manyhands.launch.recordings.arrays import read_arrays
-from manyhands.launch.recordings.reading import (
-    MOST_MISSING,
-    Gatherer,
-    cut_at,
-    read_topics,
-    require_beginning,
-    span_of,
-)
+from manyhands.launch.recordings.reading import MOST_MISSING, Gatherer, cut_at, read_topics, require_beginning, span_of
 from manyhands.launch.recordings.recording import Array, Recording, RecordingError, one_period, require_format
 from manyhands.nodes.recorder.coverage import Coverage, missing_by_party
 from manyhands.nodes.rows.own_ticks import own_span

@@ -46,10 +46,10 @@ from manyhands.launch.session.fields import (
     OSP_ENTRY,
     OSP_LEVEL,
     STIFFNESS,
-    Check,
     Completed,
     Described,
     Dof,
+    FieldCheck,
     Items,
     LevelInterval,
     Name,
@@ -123,7 +123,7 @@ def _passivity(operator: RationalMatrix) -> PassivityFinding:
 
 
 @dataclass(frozen=True, slots=True)
-class Intents(Check):
+class Intents(FieldCheck):
     """The check of an intended force or motion for every axis."""
 
     what: Quantity

@@ -80,7 +80,7 @@ def defaulted(value: object, description: str) -> Any:
     return Field(default=value, validate_default=True, description=description)
 
 
-class Check:
+class FieldCheck:
     """A check of one value, which returns it or refuses, with the form that it accepts.
 
     It annotates the type of a field: values pass through it first. Where the type allows ``None``, a value may also be
@@ -104,7 +104,7 @@ class Check:
         return core_schema.with_info_before_validator_function(field, handler(source))
 
 
-class ValueCheck(Check):
+class ValueCheck(FieldCheck):
     """A check that needs nothing but the value, and is called with it."""
 
     __slots__ = ()
@@ -123,7 +123,7 @@ class ValueCheck(Check):
 class _OfField:
     """A check of a field, as pydantic calls it."""
 
-    check: Check
+    check: FieldCheck
     optional: bool
 
     @property
@@ -147,14 +147,14 @@ class Described(ValueCheck):
 
 
 @dataclass(frozen=True, slots=True)
-class Completed(Check):
+class Completed(FieldCheck):
     """A check that is a function of a value and of its part, and completes a value that is absent."""
 
     check: Callable[[object, ValidationInfo], Any]
     json_schema: JsonSchema
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """As of :class:`Check`; the function gets ``None`` as well."""
+        """As of :class:`FieldCheck`; the function gets ``None`` as well."""
         return core_schema.with_info_before_validator_function(_OfField(self, False), handler(source))
 
     def in_part(self, value: object, info: ValidationInfo) -> Any:
@@ -409,7 +409,7 @@ def each_named(check: Callable[[object], Any], values: Mapping[str, object]) -> 
 
 
 @dataclass(frozen=True, slots=True)
-class PerAxis(Check):
+class PerAxis(FieldCheck):
     """One value for all axes, or a list with one for each; the result is a tuple of ``dof`` values."""
 
     check: ValueCheck

@@ -25,13 +25,7 @@ from manyhands.launch.recordings.arrays import read_arrays
 from manyhands.launch.session.errors import listed, one_of, show
 from manyhands.launch.session.fields import PortLimits, Problem, Quantity, SessionModel, problems_of, refusal, refuse
 from manyhands.launch.session.forms import JsonSchema, either, list_of, mapping_of
-from manyhands.launch.session.limits import (
-    MAX_DOF,
-    MAX_MOTION_NUMBERS,
-    MAX_TRACE_BYTES,
-    MAX_TRACE_LINE,
-    MAX_TRACE_ROWS,
-)
+from manyhands.launch.session.limits import MAX_DOF, MAX_MOTION_NUMBERS, MAX_TRACE_BYTES, MAX_TRACE_LINE, MAX_TRACE_ROWS
 from manyhands.nodes.kernel.intent import IntentError, SampledSignal
 
 _ROW: Final = "rows of two numbers, 't,value', with t in s increasing from 0"

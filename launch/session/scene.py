@@ -35,8 +35,8 @@ from manyhands.launch.session.fields import (
     DAMPING,
     MASS,
     STIFFNESS,
-    Check,
     Described,
+    FieldCheck,
     Items,
     NamedParts,
     Problem,
@@ -157,7 +157,7 @@ class ShapedThing(SessionModel):
 
 
 @dataclass(frozen=True, slots=True)
-class _Motion(Check):
+class _Motion(FieldCheck):
     """The check of a driven body's motion: x, y and z, each a number, a formula in t or a trace."""
 
     _axis: ClassVar[Intents] = Intents(Quantity("a motion", "m"))

@@ -14,13 +14,14 @@ from zmq.utils import z85
 
 from manyhands.design.certificate import save
 from manyhands.launch.app.design_report import print_report
-from manyhands.launch.look.display import LiveTable
+from manyhands.launch.look.live import LiveTable
 from manyhands.launch.plan.keys import Keys, ephemeral, load_folder, make_keys
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.plan.reach import reach
 from manyhands.launch.plan.topology import roster, topology
 from manyhands.launch.run import directory as run_directories
+from manyhands.launch.run.broadcast import describe
 from manyhands.launch.run.outcome import Progress
 from manyhands.launch.run.states import SessionPhase
 from manyhands.launch.run.supervisor import Supervisor
@@ -50,7 +51,7 @@ def test_private_keys_are_in_files_of_their_owners_and_nowhere_else(kept: bool, 
     seen: dict[str, bytes] = {}
     modes: dict[str, int] = {}
 
-    with LiveTable(screen, "secrets", graph, 0) as table:
+    with LiveTable(screen, "secrets", describe(prepared, "simulated", "tcp", 3000)) as table:
 
         def look(progress: Progress) -> None:
             table(progress)

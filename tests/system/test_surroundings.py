@@ -17,8 +17,9 @@ import pytest
 from rich.cells import cell_len
 from rich.console import Console
 
-from manyhands.launch.look.display import LiveTable
-from manyhands.launch.plan.topology import topology
+from manyhands.launch.look.live import LiveTable
+from manyhands.launch.plan.prepare import prepare
+from manyhands.launch.run.broadcast import describe
 from manyhands.launch.run.outcome import Progress
 from manyhands.launch.run.states import NodeState, SessionPhase
 from manyhands.launch.session import load_session
@@ -108,11 +109,12 @@ def test_real_time_works_without_rights_display_or_unicode(tmp_path: Path) -> No
 
 @pytest.mark.parametrize("width", [1, 2, 7, 20, 60])
 def test_a_narrow_terminal_cuts_the_display_and_nothing_else(width: int) -> None:
-    written, graph = io.StringIO(), topology(load_session(ALONE))
+    written, prepared = io.StringIO(), prepare(load_session(ALONE))
+    graph = prepared.graph
     console = Console(file=written, force_terminal=True, width=width)
     telemetry = {node: Telemetry(10**6, Figures({names.LATE: 3.0}), {}) for node in graph.nodes}
     states = dict.fromkeys(graph.nodes, NodeState.RUNNING.value)
-    with LiveTable(console, "alone", graph, 0) as table:
+    with LiveTable(console, "alone", describe(prepared, "realtime", "ipc", 0)) as table:
         assert table(Progress(SessionPhase.RUNNING, states, {}, telemetry, 1.0, ("τ is long",), {"no_key": 3})) is None
     shown = re.sub("\x1b\\[[0-9;?]*[A-Za-z]", "", written.getvalue())
     assert 0 < max(map(cell_len, shown.replace("\r", "\n").split("\n"))) <= width

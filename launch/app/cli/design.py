@@ -127,11 +127,12 @@ def budget(
     'couplings.cx.wave_link={mass: 0.5, round_trip: 0.16}' shows what is felt over a wave link.
     """
     with errors("design"):
-        from manyhands.launch.app.budget import require_picture
         from manyhands.launch.app.start import SettledForm, settle_delay
 
         loaded = load_named(session, overrides)
         if picture is not None:
+            from manyhands.launch.look.figures import require_picture
+
             require_picture(picture)
         loaded = settle_delay(SettledForm(loaded), StartOptions(SIMULATED), err).session
         end(run_budget(loaded, out, err, picture, as_json))

@@ -125,7 +125,7 @@ def info(
             found = read_info(file, lambda part: progress(part / 2))
             damages = findings(file, lambda part: progress((1 + part) / 2))
         if as_json:
-            damaged = [{"begin": damage.begin, "end": damage.end, "what": damage.what} for damage in damages]
+            damaged = [damage.as_plain() for damage in damages]
             say(out, json.dumps({"file": str(file), **found.as_plain(), "damaged": damaged}))
         else:
             _print(found, damages)
@@ -276,7 +276,7 @@ def replay(
         with progress_bar(err, "running it again", run.ticks) as tell:
             found = replayed(prepared, run, tell)
         if as_json:
-            print_json(found.as_plain() | {"file": str(file), "damage": _plain(damage)})
+            print_json(found.as_plain() | {"file": str(file), "damage": [one.as_plain() for one in damage]})
         else:
             print_replayed(out, str(file), found)
         end(EXIT_OK if found.identical and not damage else EXIT_FAILED)
@@ -302,7 +302,7 @@ def audit(file: McapPath, as_json: Json = False) -> None:
         with progress_bar(err, "recomputing", work_of(run)) as tell:
             found = audited(file, run, lambda text: tell(text=text), lambda done: tell(done, "recomputing"), damage)
         if as_json:
-            print_json(found.as_plain() | {"file": str(file), "damage": _plain(damage)})
+            print_json(found.as_plain() | {"file": str(file), "damage": [one.as_plain() for one in damage]})
         else:
             print_audit(out, str(file), found)
         end(EXIT_OK if found.holds else EXIT_FAILED)
@@ -320,10 +320,6 @@ def _read(file: Path) -> tuple[RecordedRun, Sequence[Damage]]:
         size = file.stat().st_size
         damage = [Damage(size, size + 1, run.cut, cut=True)]
     return run, damage
-
-
-def _plain(damage: Sequence[Damage]) -> list[dict[str, object]]:
-    return [{"begin": found.begin, "end": found.end, "what": found.what} for found in damage]
 
 
 def _warn_of_version(run: RecordedRun) -> None:
@@ -344,7 +340,7 @@ def plot(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording: .mcap, or .npz or .csv of simulate.")],
     output: Annotated[
         Path | None,
-        typer.Option("-o", metavar="OUT", help="Write the plot here (.png or .svg); by default beside FILE."),
+        typer.Option("-o", metavar="OUT", help="Write the plot here (.png, .svg or .pdf); by default beside FILE."),
     ] = None,
     to: Annotated[
         str | None,

@@ -9,9 +9,8 @@ from collections.abc import Iterable
 
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
-from manyhands.launch.look.display import say
+from manyhands.launch.look.display import say, titled_table
 from manyhands.launch.look.graph.parts import Drawing
 from manyhands.launch.plan.access import Capability
 from manyhands.launch.plan.plan import Plan
@@ -28,7 +27,7 @@ _SAID_ONCE = (
 def print_graph(out: Console, drawing: Drawing) -> None:
     """Print nodes with their ports, and links with their signals both ways; of a running session with their health."""
     runs = drawing.health is not None
-    nodes = _table(f"{drawing.title}: nodes", "node", "role", "ports", *(["state", "health"] if runs else []))
+    nodes = titled_table(f"{drawing.title}: nodes", ("node", "role", "ports", *(["state", "health"] if runs else [])))
     for part in drawing.nodes:
         role = part.role.value if part.process is None else f"{part.role.value}, in {part.process}"
         stands = [] if part.health is None else [part.state, part.health.value]
@@ -36,7 +35,9 @@ def print_graph(out: Console, drawing: Drawing) -> None:
     for part in drawing.observers:
         nodes.add_row(*map(escape, (part.name, part.role.value, f"reads {', '.join(part.reads)}")))
     out.print(nodes)
-    links = _table(f"{drawing.title}: links", "from", "to", "ports", "there", "back", *(["health"] if runs else []))
+    links = titled_table(
+        f"{drawing.title}: links", ("from", "to", "ports", "there", "back", *(["health"] if runs else []))
+    )
     for tie, channels in drawing.links():  # from the hand to the environment, the direction of a tick
         there, back = (", ".join(map(_signal, names)) for names in channels)
         stands = [] if tie.health is None else [tie.health.value]
@@ -46,7 +47,9 @@ def print_graph(out: Console, drawing: Drawing) -> None:
 
 def print_access(out: Console, plan: Plan) -> None:
     """Print the capability table, one row for each node and channel."""
-    table = _table(f"{plan.session.name}: who may read and write what", "node", "role", "", "channel", "which ports")
+    table = titled_table(
+        f"{plan.session.name}: who may read and write what", ("node", "role", "", "channel", "which ports")
+    )
     for rows in _by_node_and_channel(plan.access):
         first = rows[0]
         direction = "to" if first.action == "write" else "from"
@@ -68,13 +71,6 @@ def _signal(name: str) -> str:
     """A channel with its quantity, such as ``sample (x, m)``."""
     channel = CHANNELS[name]
     return f"{name} ({channel.symbol}, {channel.unit})" if channel.symbol else name
-
-
-def _table(title: str, *columns: str) -> Table:
-    table = Table(title=escape(title), title_justify="left")
-    for column in columns:
-        table.add_column(column, overflow="fold")  # a name is folded and never cut, since the tables show access rights
-    return table
 
 
 _SHAPES = {

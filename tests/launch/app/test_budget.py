@@ -29,7 +29,6 @@ from manyhands.launch.app.budget import (
     wave_link_budgets,
     wave_links_object,
 )
-from manyhands.launch.files import TargetError
 from manyhands.launch.session import Session
 from manyhands.launch.session.shipped import load_named
 
@@ -189,19 +188,6 @@ def test_the_picture(suffix: str, tmp_path: Path) -> None:
         assert width > 800
         assert height > 800
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
-
-
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("budget.xls", "expected one of .png"),
-        ("budget", "found the suffix ''"),
-        ("no/b.png", "expected one that exists"),
-    ],
-)
-def test_a_picture_that_cannot_be_written(name: str, words: str, tmp_path: Path) -> None:
-    with pytest.raises(TargetError, match=words):
-        plot_budget(budget(loop([1.37])), tmp_path / name)
 
 
 def linked(*overrides: str) -> Session:

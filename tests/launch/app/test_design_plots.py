@@ -16,6 +16,7 @@ from manyhands.design.models.network import GROUND, Network, NetworkLink
 from manyhands.design.models.statespace import Matrix, StateSpace
 from manyhands.launch.app import design_plots
 from manyhands.launch.app.design_plots import closed_loop, coupling_response, frequencies, plot_design, response
+from manyhands.launch.look import figures as kit
 
 T = 1e-3
 DELTA_D = 1.37 * np.eye(3)
@@ -59,7 +60,7 @@ def figures(monkeypatch: pytest.MonkeyPatch) -> dict[str, Figure]:
         kept[path.name] = figure
         return path
 
-    monkeypatch.setattr(design_plots, "_save", keep)
+    monkeypatch.setattr(design_plots, "save", keep)
     return kept
 
 
@@ -84,7 +85,7 @@ def line(axes: Axes, label: str) -> tuple[Matrix, Matrix]:
 
 
 def test_four_pictures_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(design_plots, "_DPI", 30)  # the same, sooner
+    monkeypatch.setattr(kit, "DPI", 30)  # the same, sooner
     said: list[str] = []
     paths = draw(tmp_path / "new" / "folder", history=[3.0, 0.2, 1e-5], progress=said.append)
     names = ["singular-values.png", "passivity.png", "structure.png", "convergence.png"]

@@ -251,7 +251,6 @@ def test_a_file_of_another_user_is_not_used(tmp_path: Path, monkeypatch: pytest.
 
 BROKEN: dict[str, Callable[[dict[str, Any]], object]] = {
     "no object": lambda _: [1],
-    "another format": lambda plain: plain | {"format": 1},
     "another key": lambda plain: plain | {"key": {"period": 1.0}},
     "no delays": lambda plain: plain | {"tau": None},
     "a delay that is missing": lambda plain: plain | {"tau": {"p50": 1.0}},
@@ -261,9 +260,10 @@ BROKEN: dict[str, Callable[[dict[str, Any]], object]] = {
     "a truth": lambda plain: plain | {"period": True},
     "a negative number": lambda plain: plain | {"late": -0.1},
     "no other periods": lambda plain: plain | {"others": None},
-    "another period without delays": lambda plain: plain | {"others": [[1e-3]]},
-    "another period that is no number": lambda plain: plain | {"others": [["T", plain["tau"]]]},
-    "other delays that do not grow": lambda plain: plain | {"others": [[1e-3, plain["tau"] | {"p50": 9e9}]]},
+    "another period without delays": lambda plain: plain | {"others": {"0.001": None}},
+    "another period that is no number": lambda plain: plain | {"others": {"T": plain["tau"]}},
+    "other delays that do not grow": lambda plain: plain | {"others": {"0.001": plain["tau"] | {"p50": 9e9}}},
+    "the format of version 0.6": lambda plain: plain | {"format": 2, "others": [[1e-3, plain["tau"]]]},
 }
 
 
@@ -275,7 +275,7 @@ def test_a_damaged_file_is_no_profile(change: Callable[[dict[str, Any]], object]
     assert kept_profile(KEY, NOW, tmp_path) is None
 
 
-@pytest.mark.parametrize("content", [b"", b"{", b"\xff", b"[" * 100_000, b'{"format": 2, "late": NaN}'])
+@pytest.mark.parametrize("content", [b"", b"{", b"\xff", b"[" * 100_000, b'{"late": NaN}'])
 def test_what_is_no_json_is_no_profile(content: bytes, tmp_path: Path) -> None:
     keep_profile(a_profile(), tmp_path)
     (file,) = tmp_path.iterdir()

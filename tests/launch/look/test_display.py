@@ -9,11 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from manyhands.launch.look.display import COLUMNS, RANKS, LiveTable, figure_table, heading, late_line, say
-from manyhands.launch.plan.topology import Topology
+from manyhands.launch.look.display import COLUMNS, RANKS, figure_table, heading, say
+from manyhands.launch.look.live import LiveTable, late_line
 from manyhands.launch.run.outcome import Progress
 from manyhands.launch.run.states import SessionPhase
 from manyhands.protocol.messages import Figures, PromiseStatus, Telemetry
+
+from ...support.observed_frames import ABOUT
 
 TITLES = ("node", "role", "tick", "rate\n[Hz]", *(heading(column.title) for _, column in COLUMNS))
 cells = st.text(st.characters(categories=["L", "N"], max_codepoint=255), max_size=12)
@@ -72,7 +74,7 @@ def test_late_ticks_are_each_devices_own(late: dict[str, int], said: str) -> Non
 
 def test_a_line_says_once_that_a_hand_lacks_its_force_though_its_figures_change() -> None:
     out = io.StringIO()
-    table = LiveTable(Console(file=out, width=200), "s", Topology({}, {}, ()), 0)
+    table = LiveTable(Console(file=out, width=200), "s", ABOUT)
     for n in range(3):
         row = PromiseStatus("force given", "broken", ("dx",), 1.0, remark=f"dx was given {n} %")
         table(Progress(SessionPhase.RUNNING, {}, {}, {}, 0.1 * n, (), {}, promises=(row,)))

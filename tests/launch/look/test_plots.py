@@ -14,7 +14,8 @@ from typer.testing import CliRunner
 
 from manyhands.launch.app.cli import app
 from manyhands.launch.files import TargetError
-from manyhands.launch.look import plots
+from manyhands.launch.look import figures
+from manyhands.launch.look.figures import require_picture, save
 from manyhands.launch.look.plots import (
     MOST_LINES,
     MOST_MARKS_LISTED,
@@ -29,7 +30,6 @@ from manyhands.launch.look.plots import (
     picture_of_recording,
     picture_of_run,
     plain,
-    write_picture,
 )
 from manyhands.launch.recordings.curves import COLUMNS, Curve, Panel, alone, backward_difference, band, gaps, thinned
 from manyhands.launch.recordings.recording import Recording
@@ -381,27 +381,29 @@ class TestFigures:
 
 class TestFiles:
     def small(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(plots, "_DPI", 30)  # the same, sooner
+        monkeypatch.setattr(figures, "DPI", 30)  # the same, sooner
 
     def test_png_and_svg(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.small(monkeypatch)
         run = of_users(1, 50)
         marks = (Mark(0.01, "a <tag> & $1 \u4e2d"),)  # the last has no glyph in our fonts
         picture = Picture("a <b> $2$", PERIOD, 0, 50, picture_of_run(run).panels, marks=marks)
-        for name in ("a.png", "a.svg", "b.svg"):
-            write_picture(picture, tmp_path / name)
+        for name in ("a.png", "a.svg", "b.svg", "a.pdf", "b.pdf"):
+            save(figure_of(picture), tmp_path / name)
         assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
         assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
+        assert (tmp_path / "a.pdf").read_bytes()[:4] == b"%PDF"
+        assert (tmp_path / "a.pdf").read_bytes() == (tmp_path / "b.pdf").read_bytes()
         texts = {
             "".join(text.itertext()) for text in ElementTree.parse(tmp_path / "a.svg").iter() if "text" in text.tag
         }
         assert {"a <b> $2$", "1 0.010 s a <tag> & $1 \u4e2d", "u0", "x [m]", "time [s]"} <= texts
-        assert len([*tmp_path.iterdir()]) == 3
+        assert len([*tmp_path.iterdir()]) == 5
 
-    @pytest.mark.parametrize("name", ["a.pdf", "a", "none/a.png"])
+    @pytest.mark.parametrize("name", ["a.gif", "a", "none/a.png"])
     def test_names_of_no_picture(self, name: str, tmp_path: Path) -> None:
-        with pytest.raises(TargetError, match=r"expected \.png or \.svg|found no folder"):
-            write_picture(picture_of_run(of_users(1, 50)), tmp_path / name)
+        with pytest.raises(TargetError, match=r"expected one of \.png, \.svg, \.pdf|found no folder"):
+            require_picture(tmp_path / name)
 
     def test_whole_or_not_at_all(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         path = tmp_path / "a.png"
@@ -413,7 +415,7 @@ class TestFiles:
 
         monkeypatch.setattr("matplotlib.figure.Figure.savefig", broken)
         with pytest.raises(OSError, match="No space"):
-            write_picture(picture, path)
+            save(figure_of(picture), path)
         assert path.read_bytes() == b"older"
         assert [*tmp_path.iterdir()] == [path]
 
@@ -432,7 +434,7 @@ def recorded_file(path: Path, ticks: int) -> Recorded:
 class TestCommand:
     @pytest.fixture(autouse=True)
     def small(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(plots, "_DPI", 30)
+        monkeypatch.setattr(figures, "DPI", 30)
 
     def call(self, *arguments: str | Path) -> tuple[int, str, str]:
         found = CliRunner().invoke(app, ["plot", *map(str, arguments)])
@@ -467,7 +469,7 @@ class TestCommand:
     @pytest.mark.parametrize(
         ("arguments", "words"),
         [
-            (["run.mcap", "-o", "out.pdf"], "found the suffix '.pdf'; expected .png or .svg"),
+            (["run.mcap", "-o", "out.gif"], "found the suffix '.gif'; expected one of .png, .svg, .pdf"),
             (["run.mcap", "-o", "none/out.png"], "found no folder"),
             (["run.mcap", "-o", "out.png", "--format", "svg"], "give either --format or -o FILE"),
             (["run.mcap", "--format", "pdf"], "--format: found 'pdf'; expected png or svg"),

@@ -13,7 +13,7 @@ import pytest
 from rich.console import Console
 
 from manyhands.launch.app.design_report import print_report
-from manyhands.launch.look.display import LiveTable
+from manyhands.launch.look.live import LiveTable
 from manyhands.launch.look.page.feed import Cursor, Feed
 from manyhands.launch.look.tables import picture, session_object, top_object
 from manyhands.launch.plan.prepare import Prepared, prepare
@@ -67,8 +67,8 @@ def read_everywhere(prepared: Prepared, heard: Heard, told: list[tuple[str, Tele
     json.dumps([session_object(scene), top_object(scene)], allow_nan=False)
     console.print(picture(scene, 200))
     json.loads(feed.picture(Cursor(), {}), parse_constant=lambda word: pytest.fail(f"found {word} on the page"))
-    LiveTable(console, "t", heard.graph, 0, prepared.session)(heard.progress())
-    console.print(LiveTable(console, "t", heard.graph, 0, prepared.session)._render(heard.progress()))
+    LiveTable(console, "t", about)(heard.progress())
+    console.print(LiveTable(console, "t", about)._render(heard.progress()))
     outcome = heard.supervisor.outcome(None)
     plain = json.loads(json.dumps(outcome.report, allow_nan=False))
     print_report(console, plain)

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from manyhands.launch.look.display import LiveTable
+from manyhands.launch.look.live import LiveTable
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.reach import IPC
 from manyhands.launch.plan.topology import topology
@@ -237,7 +237,7 @@ class Test_silence:
 def test_the_table_shows_lost_nodes_silent_nodes_and_incidents(faulty: Faulty) -> None:
     shown = StringIO()
     console = Console(file=shown, width=220, force_terminal=True)
-    table = LiveTable(console, "t", faulty.graph, 0)
+    table = LiveTable(console, "t", faulty.supervisor._about)
     for name in faulty.graph.nodes:
         faulty.say(name, Telemetry(100, Figures({names.RUNG: 2.0, names.FROZEN: 1.0}), {}))
     faulty.progress()
@@ -254,7 +254,7 @@ def test_the_table_shows_lost_nodes_silent_nodes_and_incidents(faulty: Faulty) -
 
 def test_lines_tell_each_incident_once(faulty: Faulty) -> None:
     shown = StringIO()
-    table = LiveTable(Console(file=shown, width=220), "t", faulty.graph, 0)
+    table = LiveTable(Console(file=shown, width=220), "t", faulty.supervisor._about)
     faulty.dies("dx")
     for _ in range(3):
         table(faulty.progress())
@@ -266,7 +266,7 @@ def test_lines_tell_each_incident_once(faulty: Faulty) -> None:
 
 def test_a_session_slower_than_its_period_reports_so_once_and_at_once(faulty: Faulty) -> None:
     shown = StringIO()
-    table = LiveTable(Console(file=shown, width=220), "t", faulty.graph, 0)
+    table = LiveTable(Console(file=shown, width=220), "t", faulty.supervisor._about)
     faulty.supervisor._began = Instant(0)
     for second in range(1, 30):
         faulty.clock.at = second * 10**9

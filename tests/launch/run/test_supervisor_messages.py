@@ -18,11 +18,12 @@ from hypothesis.extra import numpy as hnp
 from rich.console import Console
 
 from manyhands.launch.app.design_report import print_report
-from manyhands.launch.look.display import LiveTable
+from manyhands.launch.look.live import LiveTable
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.reach import IPC, Reach
 from manyhands.launch.plan.topology import Topology, topology
 from manyhands.launch.run import supervisor as supervisor_module
+from manyhands.launch.run.broadcast import describe
 from manyhands.launch.run.outcome import Progress
 from manyhands.launch.run.states import SessionPhase
 from manyhands.launch.run.supervisor import Supervisor, most_ticks
@@ -135,7 +136,7 @@ def test_no_message_is_an_error(prepared: Prepared, run: bool, conversation: lis
     heard = Heard(prepared, run)
     shown = StringIO()
     console = Console(file=shown, width=200, force_terminal=True)
-    table = LiveTable(console, "t", heard.graph, 0)
+    table = LiveTable(console, "t", describe(prepared, "realtime", "ipc", 0))
     for sender, what in conversation:
         heard.say(sender, what)
         table(heard.progress())
