@@ -40,8 +40,8 @@ class LiveTable:
     def __init__(self, console: Console, title: str, about: About) -> None:
         """Show the session ``about`` under ``title``."""
         self._console, self._title, self._about = console, title, about
-        self._live_session = LiveSession(about)
-        self._taken: dict[str, Telemetry] = {}  # the telemetry of each node that the scene has
+        self._session = LiveSession(about)
+        self._taken: dict[str, Telemetry] = {}  # the telemetry of each node that the table has
         # the supervisor's loop refreshes it, so no second thread is needed
         self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
         self._line_at = 0.0
@@ -104,9 +104,9 @@ class LiveTable:
                 frames.append(observation_frame(name, replace(latest, traces={})))
         for frame in (*frames, condition_frame(progress)):
             if frame is not None:  # one that is too long for a frame is no loss: the next one repeats it
-                self._live_session.take(frame, now)
+                self._session.take(frame, now)
         refused = (Text(f"! {line}", style="yellow") for line in not_admitted(progress.refused))
-        return Group(picture(self._live_session, self._console.width, self._title), *refused)
+        return Group(picture(self._session, self._console.width, self._title), *refused)
 
 
 def late_line(telemetry: Mapping[str, Telemetry]) -> str:

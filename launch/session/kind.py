@@ -1,8 +1,8 @@
-"""What the others ask of the environment of a session: one class a kind, with its keys and its answers.
+"""What plan, run and reports ask of the environment of a session: one class a kind, with its keys and its answers.
 
-The plan, the run and the reports ask these questions, and know no kind by its name. The answers here are those of an
-environment of which nothing is to be drawn or asked; a kind states only where its own differ. A kind is one line in the
-table of :mod:`manyhands.launch.session.environment`.
+None of them knows a kind by its name. The answers here are those of an environment of which nothing is to be drawn or
+asked; a kind states only where its own differ. A kind is one line in the table of
+:mod:`manyhands.launch.session.environment`.
 """
 
 from abc import abstractmethod

@@ -1,10 +1,10 @@
-"""When the ticks are of a world that nobody's signal paces: all its users are there by wave links.
+"""When a world has its ticks, where no user is in the tick whose signal could pace it: all come by wave links.
 
-Tick by tick the world's clock decides. A tick that ends too late is made up for, for the world's time would otherwise
-stand still meanwhile: the next one begins at once. Two things let go of ticks. A process that was held up for a period
-or more begins with the present one, and what was missed is missing in no wave, for waves are sums. And where
-:data:`UNRESTED` ticks in a row were late, the machine is too slow for the world. Ticks are then let go until one
-can be waited for: a loop that never waits would be ended as a runaway
+Tick by tick the world's clock decides. A tick that ends too late is made up for, so that the world's time does not
+stand still meanwhile: the next one begins at once. Ticks are left out in two cases. A process that was held up for a
+period or more begins with the present tick, and no wave lacks what was left out, since waves are sums. And where
+:data:`UNRESTED` ticks in a row were late, the machine is too slow for the world. Ticks are then left out until one can
+be waited for: a loop that never waits would be ended as a runaway
 (:data:`manyhands.nodes.kernel.realtime.RUNAWAY_TIME`).
 """
 

@@ -1,4 +1,4 @@
-"""A guest: a node that joins a session of a different machine by invitation, with its bundle and its key alone.
+"""A guest: a node that joins a session on another machine, with its bundle and its key alone.
 
 The bundle names the node and the peers that it may talk to. The user names the supervisor's endpoint. A guest has no
 parent process to watch: it ends when its connection to the supervisor is lost, at the supervisor's Stop, or on Ctrl-C.

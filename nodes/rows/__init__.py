@@ -1,1 +1,1 @@
-"""What a node reports: the names of its figures and traces (``telemetry``), its events, and which ticks are its own."""
+"""What a node reports: its figures (``figures``), its events, its promises, and which ticks are its own."""

@@ -1,4 +1,4 @@
-"""The energy account of one face of a wave link: its tank, and the two rules on which passivity rests.
+"""The tank of one face of a wave link: its energy, and the two rules on which passivity rests.
 
 With L the energy in the tank, G what this face has shipped, and T the period, a tick does
 
