@@ -14,6 +14,7 @@ import hypothesis
 import pytest
 from hypothesis.internal.conjecture import providers
 
+from .support import designs
 from .support.cases import EXAMPLES, WIDE_EXAMPLES, cases
 
 hypothesis.settings.register_profile(
@@ -46,6 +47,24 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if isinstance(item, pytest.Function) and hypothesis.is_hypothesis_test(item.obj):
             item.add_marker(pytest.mark.wide)
+
+
+SOLVER = ("tests/design/", "tests/attack/")
+"""Whose tests ask the solver itself, as those that are marked ``solver`` do."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Before any fixture of the test: whether it may be given what another test had designed."""
+    designs.serving = item.get_closest_marker("solver") is None and not item.nodeid.startswith(SOLVER)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def designed_once() -> Iterator[None]:
+    """One and the same design is asked of the solver once in a process of the tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        designs.remember(patch)
+        yield
 
 
 def _descriptors() -> dict[int, str]:

@@ -71,7 +71,7 @@ def run(harness: str, seconds: int, work: Path) -> Ran:
     """Fuzz with one harness."""
     kept, found, by_hand = (work / harness / name for name in ("corpus", "found", "seeds"))
     seeds.write(harness, by_hand)
-    for folder in (kept, found):
+    for folder in (kept, found, CORPUS / harness):
         folder.mkdir(parents=True, exist_ok=True)
     before = set(kept.iterdir())
     log = work / harness / "log"
@@ -96,6 +96,7 @@ def merge(harness: str, work: Path) -> int:
     What an earlier run took is reconsidered, so that the corpus does not grow from run to run.
     """
     home, kept = CORPUS / harness, work / harness / "corpus"
+    home.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         base, pool = Path(folder) / "base", Path(folder) / "pool"
         pool.mkdir()

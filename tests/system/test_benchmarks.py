@@ -77,7 +77,6 @@ def test_the_memory_of_a_run(tmp_path: Path) -> None:
     assert len(rows(said)) == 1 + 8
 
 
-@pytest.mark.alone
 def test_the_users_of_one_environment(tmp_path: Path) -> None:
     file = tmp_path / "users.json"
     said = run("users.py", "--users", "3", "--seconds", "0.3", "--repeats", "1", "--json", file)
@@ -91,7 +90,6 @@ def test_the_users_of_one_environment(tmp_path: Path) -> None:
     assert len(rows(said)) == 2
 
 
-@pytest.mark.alone
 def test_what_a_datagram_costs() -> None:
     said = rows(run("datagrams.py", "--rounds", "1", "--count", "20", "--seconds", "0.3"))
     assert len(said) == (1 + 9) + (1 + 3)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from ..support.commands import MANYHANDS, manyhands_command, read_until, run, started
+from ..support.commands import forked, manyhands_command, read_until, run, started
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), ROOT / "protocol" / "SPEC.md"]
@@ -33,13 +33,17 @@ def commands(text: str) -> list[tuple[list[str], int]]:
 
 @pytest.mark.usefixtures("own_interrupt")
 def test_the_readmes_commands_run_as_they_stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those that start processes are processes themselves; the others run in this one, where all is imported."""
+    """Those that start processes are processes themselves; the others run in this one, where all is imported.
+
+    A run lasts as long as it is useful to a reader; here it is over sooner.
+    """
     monkeypatch.chdir(tmp_path)
     found = commands((ROOT / "README.md").read_text())
     assert len(found) >= 6
-    for arguments, expected in found:
+    for stated, expected in found:
+        arguments = [*stated, "--duration", "0.2"] if stated[0] in ("launch", "simulate") else stated
         if arguments[0] in ("launch", "doctor"):
-            process = subprocess.run([*MANYHANDS, *arguments], capture_output=True, text=True, check=False)
+            process = forked(*arguments)
             code, errors = process.returncode, process.stderr
         else:
             done = manyhands_command(*arguments)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shlex
-import subprocess
 import sys
 import tomllib
 from pathlib import Path
@@ -16,7 +15,7 @@ from manyhands.extras import EXTRAS
 from manyhands.launch.app.cli import GROUPS
 from manyhands.nodes.kernel.realtime import FIFO_PRIORITY, NETWORK_NICE
 
-from ..support.commands import MANYHANDS, manyhands_command
+from ..support.commands import forked, manyhands_command
 from ..support.installed import NEEDED
 from .test_docs import commands
 
@@ -49,7 +48,7 @@ def test_its_commands_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     own = [command for command in found if command not in already]
     assert len(own) >= 3
     for arguments, expected in own:
-        done = subprocess.run([*MANYHANDS, *arguments], capture_output=True, text=True, check=False)
+        done = forked(*arguments)
         assert done.returncode == expected, f"{arguments}: {done.stderr}"
 
 

@@ -39,7 +39,7 @@ from manyhands.protocol.keys import save_private
 from manyhands.protocol.transport.zeromq import ZmqTransport
 
 from ..support.capture import free_ports
-from ..support.commands import MANYHANDS, read_until, run, started
+from ..support.commands import Command, read_until, run, started
 
 SESSIONS = Path(__file__).parents[2] / "launch" / "sessions"
 OBSERVERS = """
@@ -116,8 +116,8 @@ def machine(tmp_path: Path) -> Path:
 def guest(name: str, machine: Path, listen: Listen, *options: str) -> Iterator[subprocess.Popen[str]]:
     """``manyhands node`` on another machine; killed if the test fails before it ends."""
     arguments = ["node", name, "--bundle", f"{name}.bundle", "--connect", f"tcp://{listen.host}:{listen.port}"]
-    with subprocess.Popen(
-        [*MANYHANDS, *arguments, *options],
+    with Command(
+        [*arguments, *options],
         cwd=machine,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,

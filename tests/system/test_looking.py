@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from ..support.commands import MANYHANDS, manyhands_command, read_until
+from ..support.commands import Command, manyhands_command, read_until
 
 ROLES = {"d": "device", "cx": "coupling", "cy": "coupling", "cz": "coupling", "environment": "environment"}
 PERIOD = 0.005  # s; observers see no more at 1 kHz, and on a machine with little time the session takes it from them
@@ -30,7 +30,6 @@ def session() -> Iterator[subprocess.Popen[str]]:
     """One session for all tests, in a temporary directory of its own; observers have to look there."""
     folder = tempfile.mkdtemp(prefix="mh", dir="/tmp")
     command = [
-        *MANYHANDS,
         "launch",
         "example1-operator.yaml",
         "--set",
@@ -42,7 +41,7 @@ def session() -> Iterator[subprocess.Popen[str]]:
         "--set",
         "observers={scope: {reads: [cx/tool]}}",
     ]
-    with subprocess.Popen(
+    with Command(
         command, env={**os.environ, "TMPDIR": folder}, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
     ) as process:
         process.folder = folder  # type: ignore[attr-defined]  # where it runs
@@ -90,8 +89,7 @@ def settled(*arguments: object, key: str) -> Any:
 @contextmanager
 def onlooker(*arguments: str) -> Iterator[subprocess.Popen[str]]:
     """An observing command in a process of its own."""
-    command = [*MANYHANDS, *arguments]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with Command(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             yield process
         finally:

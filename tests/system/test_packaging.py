@@ -8,10 +8,12 @@ from __future__ import annotations
 import json
 import re
 import shlex
+import signal
 import subprocess
 import sys
 import tarfile
 import zipfile
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -21,7 +23,9 @@ from packaging.metadata import Metadata
 from manyhands.extras import EXTRAS
 from manyhands.launch.app.cli import app
 
+from ..support.capture import free_ports
 from ..support.installed import NEEDED, ROOT, Distributions, build, install_base, run
+from .test_seats import Said, command, hosted, invitation_to, report_of
 
 ROOMS = ("design", "protocol", "nodes", "launch")
 
@@ -128,6 +132,22 @@ def test_a_guest_and_every_kind_of_node_need_the_base_alone(base: Path, tmp_path
         done = subprocess.run([base / "manyhands", *arguments], cwd=tmp_path, capture_output=True, text=True)
         assert done.returncode == 2
         assert done.stderr.startswith(words)
+
+
+def test_a_guest_takes_a_seat_with_the_base_alone(base: Path, tmp_path: Path) -> None:
+    """No SciPy for its simulated hand, no library of recordings, no solver."""
+    home, away = tmp_path / "home", tmp_path / "away"
+    with ExitStack() as stack:
+        host = stack.enter_context(hosted(home, f"127.0.0.1:{free_ports(4)[0]}"))
+        path = invitation_to("right_seat", home, away)
+        join = command("join", path.name, "--yes", cwd=away, program=[str(base / "manyhands")])
+        guest = Said(stack.enter_context(join))
+        host.joined("right_seat")
+        host.go_on(1000)
+        assert guest.end(signal.SIGINT) == 130
+        host.left("right_seat")
+        assert host.end(signal.SIGINT) == 130
+    assert "right_seat" in report_of(home)["nodes"]
 
 
 def test_without_its_extra_each_command_names_it_and_writes_nothing(base: Path, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from ..support.commands import MANYHANDS, manyhands_command, run
+from ..support.commands import MANYHANDS, forked, manyhands_command, run
 
 ROOT = Path(__file__).parents[2]
 PAGES = {"drivers": ("my_joystick.py", "joystick.yaml"), "models": ("my_world.py", "room.yaml")}
@@ -21,8 +21,9 @@ EITHER = ["drivers", pytest.param("models", marks=pytest.mark.long)]
 
 def manyhands(*arguments: str, cwd: Path, path: str = "") -> subprocess.CompletedProcess[str]:
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-    if path:
-        environment["PYTHONPATH"] = path
+    if not path:
+        return forked(*arguments, cwd=cwd, environment=environment)
+    environment["PYTHONPATH"] = path
     return subprocess.run(
         [*MANYHANDS, *arguments], cwd=cwd, env=environment, capture_output=True, text=True, check=False, timeout=120
     )

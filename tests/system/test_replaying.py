@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -13,7 +12,7 @@ from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Observation
 
-from ..support.commands import MANYHANDS, run
+from ..support.commands import forked, run
 
 TRACES = ("x", "f_v", "ledger", "tau_us", "instants", "interface")  # what a device in wall time owes in every tick
 TICKS = 250  # no multiple of the ticks between two telemetry messages
@@ -28,8 +27,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def told(code: int, *arguments: str | Path) -> str:
     """The output of a command that ends with ``code``."""
-    command = [*MANYHANDS, *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    done = forked(*arguments)
     assert done.returncode == code, done.stdout + done.stderr
     return done.stdout
 

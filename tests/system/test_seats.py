@@ -26,8 +26,7 @@ from manyhands.launch.recordings.run import read_run
 from manyhands.launch.session.session import ENVIRONMENT
 
 from ..support.capture import free_ports
-from ..support.commands import MANYHANDS, manyhands_command
-from ..support.installed import build, install_base
+from ..support.commands import MANYHANDS, Command, manyhands_command
 from ..support.wan import Wire, wan
 
 DEADLINE = 60.0  # s, for anything that is awaited; far more than it takes
@@ -132,8 +131,9 @@ def command(
 
     Its input has the line ``answer``; an empty one never comes, and without one there is no input.
     """
-    with subprocess.Popen(
-        [*within, *program, *map(str, arguments)],
+    kind, first = (Command, ()) if program is MANYHANDS and not within else (subprocess.Popen, (*within, *program))
+    with kind(
+        [*first, *map(str, arguments)],
         cwd=cwd,
         stdin=subprocess.DEVNULL if answer is None else subprocess.PIPE,
         stdout=subprocess.DEVNULL,
@@ -221,26 +221,6 @@ def require_unaccused(recording: Path) -> None:
     innocent = ("holds", "enforced", "missing", "unchecked")
     accused = [check for check in told["checks"] if check["verdict"] not in innocent]
     assert accused == []
-
-
-@pytest.mark.alone
-def test_a_guest_needs_the_base_of_the_package_alone(tmp_path: Path) -> None:
-    """The wheel, and none of the extras: no SciPy for its simulated hand, no library of recordings, no solver."""
-    home, away = tmp_path / "home", tmp_path / "away"
-    (tmp_path / "dist").mkdir()
-    installed = install_base(tmp_path / "base", build(tmp_path / "dist").wheel)
-    address = f"127.0.0.1:{free_ports(4)[0]}"
-    with ExitStack() as stack:
-        host = stack.enter_context(hosted(home, address))
-        path = invitation_to("right_seat", home, away)
-        join = command("join", path.name, "--yes", cwd=away, program=[str(installed / "manyhands")])
-        guest = Said(stack.enter_context(join))
-        host.joined("right_seat")
-        host.go_on(1000)
-        assert guest.end(signal.SIGINT) == 130
-        host.left("right_seat")
-        assert host.end(signal.SIGINT) == 130
-    assert "right_seat" in report_of(home)["nodes"]
 
 
 @pytest.mark.alone

@@ -31,10 +31,9 @@ from manyhands.launch.session.fields import Quantity
 from manyhands.launch.session.schema import session_schema
 from manyhands.launch.session.yaml import KeyPath, parse_tree, read_tree
 
+from ...support.broken_sessions import BROKEN
 from ...support.cases import cases
 from ...support.commands import manyhands_command
-from .test_broken import BROKEN
-from .test_broken import TABLE as BROKEN_FILES
 from .test_properties import PLAINS, junk, paths, sessions, spoil
 from .test_reference import EXAMPLES, OVERRIDES, base
 
@@ -43,7 +42,6 @@ SCHEMA = session_schema()
 VALID = Draft7Validator(SCHEMA)
 
 FILES = [path for folder in ("launch/sessions", "tests", "examples") for path in (ROOT / folder).rglob("*.yaml")]
-GOOD_FILES = [path for path in FILES if path.parent != BROKEN]
 BLOCKS = {
     f"{path.relative_to(ROOT)}:{number}": block
     for path in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md"))
@@ -108,7 +106,7 @@ def test_it_is_a_schema_of_its_draft() -> None:
     assert SCHEMA["$schema"] == Draft7Validator.META_SCHEMA["$schema"]
 
 
-@pytest.mark.parametrize("path", GOOD_FILES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_it_accepts_every_session_of_the_repository(path: Path) -> None:
     session = load_session(path)
     assert problem(read_tree(path).data) is None
@@ -201,9 +199,9 @@ def test_it_accepts_every_way_to_write_a_value(override: str) -> None:
     assert problem(data) is None
 
 
-@pytest.mark.parametrize("name", BROKEN_FILES)
-def test_it_refuses_what_is_wrong_in_form(name: str) -> None:
-    path = BROKEN / f"{name}.yaml"
+@pytest.mark.parametrize("name", BROKEN)
+def test_it_refuses_what_is_wrong_in_form(name: str, tmp_path: Path) -> None:
+    path = BROKEN[name].write(name, tmp_path)
     if name in NO_DATA:
         with pytest.raises(SessionError):
             read_tree(path)

@@ -61,6 +61,7 @@ def test_a_linked_users_death_is_not_felt_by_the_other(overrides: tuple[str, ...
     assert 0.0 < largest_step(f) <= STEP * steps_of(overrides)
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("victims", [("cx",), ("environment",)], ids="+".join)
 def test_in_real_time_a_process_comes_back(victims: tuple[str, ...]) -> None:
     session = prepared(*LINKED, "design.tau=0.001", "design.period_tolerance=1.0")

@@ -14,7 +14,7 @@ from click.testing import Result
 from manyhands.design import synthesis
 from manyhands.design.certificate import identity, load
 from manyhands.design.proof import prove
-from manyhands.launch.app import cli
+from manyhands.launch.app import cli, design_plots
 
 from ....support.commands import manyhands_command
 
@@ -38,7 +38,8 @@ def proved(path: Path) -> bool:
     return all(finding.holds for finding in prove(load(path)[1]))
 
 
-def test_design_draws_into_a_folder(tmp_path: Path) -> None:
+def test_design_draws_into_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(design_plots, "_DPI", 30)  # the same, sooner
     folder = tmp_path / "pictures" / "of example 1"
     result = manyhands_command("design", "example1.yaml", "--plot", folder, "-o", tmp_path / "c.json")
     assert result.exit_code == 0, result.stderr
@@ -200,6 +201,7 @@ def ctrl_c() -> None:
     signal.raise_signal(signal.SIGINT)
 
 
+@pytest.mark.solver
 def test_ctrl_c_keeps_the_best_so_far_and_writes_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file, calls = tmp_path / "c.json", []
     monkeypatch.setattr(synthesis, "design", interrupting(6, calls, ctrl_c))
@@ -213,6 +215,7 @@ def test_ctrl_c_keeps_the_best_so_far_and_writes_it(tmp_path: Path, monkeypatch:
     assert "not converged" in load(file)[0].method["algorithm"]
 
 
+@pytest.mark.solver
 @pytest.mark.parametrize("arguments", [[], GIVEN], ids=["search", "given"])
 def test_ctrl_c_before_anything_is_found_writes_nothing(
     arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -226,6 +229,7 @@ def test_ctrl_c_before_anything_is_found_writes_nothing(
     assert "Traceback" not in result.stderr
 
 
+@pytest.mark.solver
 def test_a_second_ctrl_c_ends_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file, calls = tmp_path / "c.json", []
 
@@ -242,6 +246,7 @@ def test_a_second_ctrl_c_ends_at_once(tmp_path: Path, monkeypatch: pytest.Monkey
     assert len(calls) == 6
 
 
+@pytest.mark.solver
 def test_an_interrupt_answered_with_the_best_result_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever the method: the flag of what was found is what decides, not the signal alone."""
     honest = synthesis._springs

@@ -20,13 +20,14 @@ from ....support.commands import manyhands_command
 PERCENTILES = ["p50", "p99", "p999", "max"]
 DOCUMENT = Path(__file__).parents[4] / "docs" / "doctor.md"
 
-pytestmark = [pytest.mark.alone, pytest.mark.usefixtures("own_interrupt")]  # it measures the machine
+pytestmark = pytest.mark.usefixtures("own_interrupt")
 
 
 def doctor(*arguments: str) -> Result:
     return manyhands_command("doctor", *arguments)
 
 
+@pytest.mark.alone  # it measures the machine
 def test_the_object_has_what_was_measured_and_what_it_means() -> None:
     before = os.sched_getscheduler(0), os.sched_getaffinity(0)
     result = doctor("--duration", "1", "--json")
@@ -60,6 +61,7 @@ def test_the_object_has_what_was_measured_and_what_it_means() -> None:
         assert f"`{key}`" in text, f"docs/doctor.md does not tell what {key!r} is"
 
 
+@pytest.mark.alone  # it measures the machine
 def test_people_get_tables_of_any_session() -> None:
     result = doctor("example1-centralised", "--duration", "1")  # one coupling with three devices, nothing pinned
     assert result.exit_code == 0, result.stderr
