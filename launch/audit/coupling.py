@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from manyhands.launch.audit.events import Course, Happening
 from manyhands.launch.audit.findings import EVERY, Progress, Recomputed, gaps_of, no_progress
 from manyhands.launch.recordings.run import there
-from manyhands.nodes.coupling.core import CouplingCore
+from manyhands.nodes.coupling.port import CouplingPort
 from manyhands.nodes.kernel.bundle import CouplingBundle
 
 Array = NDArray[np.float64]
@@ -53,41 +53,30 @@ def recompute_coupling(
     for device in devices:
         resampled |= device.resampled
     sampled, excused = there(x), np.zeros(len(p), dtype=np.bool_)
-    core: CouplingCore | None = _core_of(bundle, 0)
+    port: CouplingPort | None = CouplingPort(bundle)
     for k in np.flatnonzero(there(p) & there(f)).tolist():
         happened = course.before.get(k, nothing)
         if happened.began:
-            core = _core_of(bundle, 0)
+            port = CouplingPort(bundle)
         if happened.unknown:
-            core = None
-        if core is None:
+            port = None
+        if port is None:
             continue
         if happened.rung is not None:
-            core = _changed(bundle, core, happened.rung)
+            port.change(happened.rung)
         if sampled[k]:
-            now = core.free_position(x[k].tolist())
+            now = port.up(x[k].tolist())
             excused[k] = resampled[k] and now != p[k].tolist()
             if not excused[k]:
                 out.signal[k] = now
         if k in course.rungs:
-            core = _changed(bundle, core, course.rungs[k])
-        core.absorb(f[k].tolist())
-        if core.ledger is not None:
-            out.ledger[k] = core.ledger.total
+            port.change(course.rungs[k])
+        port.f = f[k].tolist()
+        port.book()
+        if port.ledger is not None:
+            out.ledger[k] = port.ledger.total
         if k % EVERY == 0:
             progress(k)
     out.gaps += [replace(gap, why=f"{gap.why}: from there on it is not checked") for gap in course.unknown]
     out.gaps += gaps_of(excused, _SAID_BEFORE)
     return out
-
-
-def _core_of(bundle: CouplingBundle, rung: int) -> CouplingCore:
-    of = bundle.rungs[rung]
-    return CouplingCore(of.block, of.K, of.level, bundle.common.period, bundle.limits.force)
-
-
-def _changed(bundle: CouplingBundle, before: CouplingCore, rung: int) -> CouplingCore:
-    """The block at another rung: at rest, with the ledger of the block before."""
-    core = _core_of(bundle, rung)
-    core.succeed(before)
-    return core

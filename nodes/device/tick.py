@@ -22,6 +22,7 @@ loop.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Final
@@ -32,6 +33,8 @@ from manyhands.nodes.device.interface import DeviceInterface, interface_of
 from manyhands.nodes.device.plugin import PluginDriver
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import WALL, DeviceBundle
+from manyhands.nodes.kernel.passivity import Ledger
+from manyhands.nodes.rows.two_port import Row
 from manyhands.protocol.clock import Instant, from_seconds
 
 Instants = tuple[Instant, Instant, Instant]
@@ -50,6 +53,7 @@ class DeviceTick(ABC):
         interface: of a device in wall time; None for one in its own.
         x: the displacement of the tick's row, m.
         sent: the displacement that the couplings receive, m.
+        held: the force of the tick, within what limits and account allow, N.
         x_a: the displacement when the force was applied, m; None where it is not known.
         instants: of the last tick, of a device in wall time.
     """
@@ -68,7 +72,7 @@ class DeviceTick(ABC):
         self.driver = driver
         self.guard = guard or Guard(bundle.limits, common.period, common.ports)
         self.core = DeviceCore(*bundle.promises[0], common.period, bundle.allowed.energy)
-        self.x = self.sent = self._zero
+        self.x = self.sent = self.held = self._zero
         self.x_a: Floats | None = None
         self.instants: Instants = NO_INSTANTS
 
@@ -96,6 +100,11 @@ class DeviceTick(ABC):
                 self.driver.apply(interface.exerted, at, interface.until)
         return self.sent
 
+    @property
+    def ledger(self) -> Ledger:
+        """The device's energy ledger."""
+        return self.core.ledger
+
     @abstractmethod
     def release(self, at: Instant) -> None:
         """Exert no force from ``at`` on."""
@@ -114,6 +123,13 @@ class DeviceTick(ABC):
     @abstractmethod
     def book(self) -> None:
         """Do the accounts of the force that was exerted."""
+
+    @abstractmethod
+    def row(self) -> Row:
+        """x, f_v, the ledger's total; of a device in wall time also e(k), x at the instant of the force, the instants.
+
+        A part without numbers stands for what a device in its own time has not.
+        """
 
     def skipped(self) -> None:
         """The session has gone on to a later tick: the answer to the motion sent last will not be known."""
@@ -141,8 +157,6 @@ class DeviceTick(ABC):
 class OwnTimeTick(DeviceTick):
     """A device in its own time: each sample is one period."""
 
-    _held: Floats
-
     def release(self, at: Instant) -> None:
         """Exert no force."""
         self.driver.release(at)
@@ -158,7 +172,7 @@ class OwnTimeTick(DeviceTick):
 
     def exert(self, asked: Floats, at: Instant) -> Floats:
         """Exert what the limits allow."""
-        self._held = held = self.guard.clip(asked)
+        self.held = held = self.guard.clip(asked)
         self.driver.apply(held, at)
         return held
 
@@ -166,10 +180,14 @@ class OwnTimeTick(DeviceTick):
         """Count the period in the ledger."""
         # not before the force is applied: ZeroMQ's thread may send x(k) only while this one waits
         if self._exerted is not None:
-            self._exerted(self._held)
+            self._exerted(self.held)
         work = self.driver.intended_work()
         self.core.sample(self.x)
-        self.core.apply(self._held, work)
+        self.core.apply(self.held, work)
+
+    def row(self) -> Row:
+        """x, f_v and the ledger's total."""
+        return self.x, self.held, (self.core.ledger.total,), (), (), ()
 
 
 class WallTimeTick(DeviceTick):
@@ -184,7 +202,8 @@ class WallTimeTick(DeviceTick):
         """Begin at rest; arguments as of :class:`DeviceTick`."""
         super().__init__(bundle, driver, guard)
         self.interface = self.wall_interface = interface_of(bundle)
-        self._asked = self._held = self._zero
+        self._asked = self._zero
+        self._unknown: Floats = [math.nan] * len(self._zero)
         self._applied = Instant(0)
         self._moved: Sequence[float] | None = None
         self._until: Instant | None = None
@@ -203,11 +222,11 @@ class WallTimeTick(DeviceTick):
         self._count(self.driver.intended_work())
 
     def exert(self, asked: Floats, at: Instant, recorded: Floats | None = None) -> Floats:
-        """Exert what limits and account allow; where the force was recorded, N, exert that, and return the other."""
+        """Exert what limits and account allow, or the recorded force."""
         held, until = self.wall_interface.force(asked, self.guard.clip(asked), at)
         if self.guard.leaving:
             self.wall_interface.given.leaves()
-        self._held = exerted = held if recorded is None else recorded
+        self.held = exerted = held if recorded is None else recorded
         self._moved = self.driver.apply(exerted, at, until)
         self._asked, self._applied, self._until = asked, at, until
         return held
@@ -216,7 +235,7 @@ class WallTimeTick(DeviceTick):
         """Do the accounts: e(k) from what the driver measured, the ledger from what the couplings know."""
         moved, interface = self._moved, self.wall_interface
         self.x_a = None if moved is None else list(map(float, moved))
-        exerted = self._held if self._exerted is None else self._exerted(self._held)
+        exerted = self.held if self._exerted is None else self._exerted(self.held)
         ended = interface.applied(self.x_a, self._applied, exerted, self._until)
         self.instants = (self._row_at, self._applied, ended)
         # not before the force is applied: ZeroMQ's thread may send x(k) only while this one waits
@@ -224,6 +243,11 @@ class WallTimeTick(DeviceTick):
         self.core.sample(self.sent, interface.speed)
         self.core.ledger.allowed = interface.allowed
         self.core.apply(self._asked, self.work)
+
+    def row(self) -> Row:
+        """x, f_v, the ledger's total, e(k), x at the instant of the force, and the instants."""
+        energy, x_a = self.wall_interface.account.energy, self._unknown if self.x_a is None else self.x_a
+        return self.x, self.held, (self.core.ledger.total,), (energy,), x_a, self.instants
 
     def _count(self, work: float) -> None:
         """Count the work of the intention up to the latest sample, J."""

@@ -319,9 +319,8 @@ def test_a_coupling_that_changed_its_rung_is_followed(prepared: Prepared) -> Non
     for k in range(TICKS):
         p[k] = core.free_position(x[k].tolist())
         if k == 150:
-            of, before = bundle.rungs[rung], core
-            core = CouplingCore(of.block, of.K, of.level, bundle.common.period, bundle.limits.force)
-            core.succeed(before)
+            of = bundle.rungs[rung]
+            core.change(of.block, of.K, of.level)
         core.absorb(f[k].tolist())
         assert core.ledger is not None
         energy[k] = core.ledger.total
