@@ -51,6 +51,7 @@ class DeviceTick(ABC):
         guard: its limits.
         core: its ledger.
         interface: of a device in wall time; None for one in its own.
+        moved: the displacement that the driver gave last, m.
         x: the displacement of the tick's row, m.
         sent: the displacement that the couplings receive, m.
         held: the force of the tick, within what limits and account allow, N.
@@ -72,11 +73,11 @@ class DeviceTick(ABC):
         self.driver = driver
         self.guard = guard or Guard(bundle.limits, common.period, common.ports)
         self.core = DeviceCore(*bundle.promises[0], common.period, bundle.allowed.energy)
-        self.x = self.sent = self.held = self._zero
+        self.moved = self.x = self.sent = self.held = self._zero
         self.x_a: Floats | None = None
         self.instants: Instants = NO_INSTANTS
 
-    def sample(self, turn: int, at: Instant, first: bool = True) -> Floats:
+    def sample(self, turn: int, at: Instant, first: bool = True, recorded: Floats | None = None) -> Floats:
         """Take a sample; returns the displacement that the couplings receive, m.
 
         In wall time the first sample of a tick is sent, and is the tick's row; in its own time every sample is.
@@ -85,9 +86,12 @@ class DeviceTick(ABC):
             turn: counts the samples from 0.
             at: the instant.
             first: whether it is the first of its tick.
+            recorded: the displacement to take in place of the driver's own, m; None for that.
         """
         # a copy: a driver may fill the same list or array every time
-        x = list(map(float, self.driver.sample(turn, at)))
+        self.moved = x = list(map(float, self.driver.sample(turn, at)))
+        if recorded is not None:
+            x = recorded
         last, period, interface = self._at, self._period, self.interface
         goal = self.guard.report(x, max(1, -((last - at + period // 2) // period)))
         self._at, self._first = at, first
@@ -114,10 +118,11 @@ class DeviceTick(ABC):
         """End a period at ``at`` in which no force came: exert none, and count the intention's work."""
 
     @abstractmethod
-    def exert(self, asked: Floats, at: Instant) -> Floats:
+    def exert(self, asked: Floats, at: Instant, recorded: Floats | None = None) -> Floats:
         """Take the couplings' answer, N, and exert what limits and account allow of it from ``at`` on; returns that.
 
-        Both lists are kept until the next call.
+        Where the force was ``recorded``, N, that is exerted, and the other is returned. All lists are kept until the
+        next call.
         """
 
     @abstractmethod
@@ -170,10 +175,11 @@ class OwnTimeTick(DeviceTick):
         self.core.sample(self.x)
         self.core.apply(self._zero, work)
 
-    def exert(self, asked: Floats, at: Instant) -> Floats:
-        """Exert what the limits allow."""
-        self.held = held = self.guard.clip(asked)
-        self.driver.apply(held, at)
+    def exert(self, asked: Floats, at: Instant, recorded: Floats | None = None) -> Floats:
+        """Exert what the limits allow, or the recorded force."""
+        held = self.guard.clip(asked)
+        self.held = exerted = held if recorded is None else recorded
+        self.driver.apply(exerted, at)
         return held
 
     def book(self) -> None:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Sequence
+from itertools import accumulate
 from typing import Protocol, TypeAlias
 
 import numpy as np
@@ -55,7 +56,7 @@ class RowBuffer:
         filled: the number of rows.
     """
 
-    __slots__ = ("_columns", "_every", "_traces", "_wanted", "filled")
+    __slots__ = ("_every", "_traces", "_values", "_wanted", "_widths", "filled")
 
     def __init__(self, role: Role, first: int, every: int) -> None:
         """No row yet.
@@ -67,7 +68,7 @@ class RowBuffer:
         """
         self._traces = tuple(topic.trace for topic in TOPICS[role])
         self._wanted, self._every = first, every
-        self._columns = [array("d") for _ in self._traces]
+        self._values, self._widths = array("d"), [0]
         self.filled = 0
 
     @property
@@ -77,14 +78,18 @@ class RowBuffer:
 
     def add(self, row: Row) -> None:
         """Write down a tick's row, of which every part has as many numbers as in the row before."""
-        for column, part in zip(self._columns, row, strict=True):
-            column.extend(part)
+        if self.filled == 0:
+            self._widths = [len(part) for part in row]
+        numbers: Floats = []
+        for part in row:
+            numbers.extend(part)
+        self._values.fromlist(numbers)
         self.filled += 1
 
     def take(self) -> dict[str, NDArray[np.float64]]:
         """The rows since the last call, as traces, ticks x columns; without traces of which they have no numbers."""
-        rows, columns = self.filled, self._columns
-        self.filled, self._wanted = 0, self._every
-        self._columns = [array("d") for _ in self._traces]
-        found = zip(self._traces, columns, strict=True)
-        return {name: np.frombuffer(column).reshape(rows, -1) for name, column in found if column}
+        rows = np.frombuffer(self._values).reshape(self.filled, -1)
+        self.filled, self._wanted, self._values = 0, self._every, array("d")
+        ends = list(accumulate(self._widths))
+        found = zip(self._traces, self._widths, ends, strict=True)
+        return {name: rows[:, end - width : end] for name, width, end in found if width}
