@@ -23,11 +23,12 @@ Some checks need no state of a party (:mod:`manyhands.launch.audit.checks`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Final
+from types import MappingProxyType
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,24 +44,33 @@ from manyhands.launch.audit.checks import (
     period_assumed,
     tools_agree,
 )
-from manyhands.launch.audit.coupling import recompute_coupling
+from manyhands.launch.audit.coupling import FollowedCoupling
+from manyhands.launch.audit.device import (
+    ENDED,
+    GIVEN,
+    SENT,
+    TOLERANCE,
+    DeviceRows,
+    FollowedInOwnTime,
+    FollowedInWallTime,
+)
 from manyhands.launch.audit.device import ROUNDING as FREE_ROUNDING
-from manyhands.launch.audit.device import RecomputedInWallTime, WallRows, recompute_device, recompute_in_wall_time
-from manyhands.launch.audit.environment import ROUNDING, Blocks, increments, recompute_environment
+from manyhands.launch.audit.environment import ROUNDING, Blocks, FollowedEnvironment, increments
 from manyhands.launch.audit.events import Course, course_of
-from manyhands.launch.audit.findings import EXACT, Check, CheckVerdict, Recomputed, UncheckedTicks, compare
+from manyhands.launch.audit.findings import EXACT, Check, CheckVerdict, UncheckedTicks, compare
 from manyhands.launch.audit.prepared import prepared_of
 from manyhands.launch.audit.presence import Presence, fitted
 from manyhands.launch.audit.press import Press, presses
 from manyhands.launch.audit.promises import promises_of
+from manyhands.launch.audit.recompute import Array, Follower, Recomputed, recompute
 from manyhands.launch.audit.replay import hand_of
 from manyhands.launch.audit.wave_link import (
     EndRows,
+    FollowedUserEnd,
+    FollowedWorldEnd,
     end_checks,
     heard_from,
     ledger_of_both,
-    user_end,
-    world_end,
 )
 from manyhands.launch.plan import bundles as cutting
 from manyhands.launch.plan.loop import NotCertified
@@ -78,7 +88,6 @@ from manyhands.launch.recordings.run import (
     there,
 )
 from manyhands.launch.session.session import ENVIRONMENT
-from manyhands.nodes.device.core import Guard
 from manyhands.nodes.environment.clutch import LET_GO
 from manyhands.nodes.kernel.bundle import (
     SIMULATED,
@@ -100,8 +109,6 @@ from manyhands.protocol.clock import from_seconds
 from manyhands.protocol.messages import PromiseStatus
 from manyhands.protocol.plain import written
 
-Array = NDArray[np.float64]
-
 FREE_SUMS: Final = (
     f"{FREE_ROUNDING:g} units in the last place of the energy exchanged so far for each free period, since the order "
     "of the sums differs; exact before the first"
@@ -114,6 +121,46 @@ def let_go_source(offsets: int) -> str:
     if offsets:
         text += f"; and in {offsets} ticks LET_GO = {LET_GO:g} m times the force, the offset that a clutch may drop"
     return text
+
+
+class Claim(NamedTuple):
+    """What follows for one field of a party.
+
+    Attributes:
+        check: the name of the check.
+        field: the field that is compared with the trace of its name.
+        what: the claim, a sentence.
+        of_motion: whether it needs the device's motion to be known.
+    """
+
+    check: str
+    field: str
+    what: str
+    of_motion: bool = False
+
+
+LEDGER_CLAIM: Final = Claim("ledger", names.LEDGER, "its ledger follows at the certificate's level", True)
+OWN_TIME_CLAIMS: Final = (
+    Claim("signal", names.DISPLACEMENT, "x follows from f_v by the device and its hand", True),
+    LEDGER_CLAIM,
+)
+WALL_TIME_CLAIMS: Final = (
+    Claim("signal", names.DISPLACEMENT, "x at s_k follows from f_v, a_k and s_k by the device and its hand", True),
+    Claim("applied", names.APPLIED, "x at a_k follows likewise", True),
+    Claim("exerted", names.FORCE, "it exerts what its couplings asked for, as far as its limits and its account allow"),
+    Claim("interface", names.INTERFACE, "its account e_k follows from motion, forces, s_k and a_k"),
+)
+ENDED_CLAIM: Final = Claim("ended", ENDED, "the force before ended when the device states")
+COUPLING_CLAIMS: Final = (
+    Claim("signal", names.FREE_POSITION, "p follows from x and f_v by the certificate's block"),
+    LEDGER_CLAIM,
+)
+ENVIRONMENT_CLAIMS: Final = (
+    Claim("tools", names.TOOL_POSITION, "x_e follows from p of all couplings"),
+    Claim("masses", names.MASS_POSITION, "q follows from p of all couplings"),
+    Claim("forces", names.FORCE, "f_v follows from p of all couplings"),
+    Claim("ledger", names.LEDGER, "its ledger follows from p of all couplings"),
+)
 
 
 _WAVE_TRACES: Final = (names.FREE_POSITION, names.FORCE, names.WAVE, names.TANK)
@@ -332,27 +379,16 @@ class _AuditRun:
         )
         out: list[Check] = []
         for name, device in devices.items():
-            if device.time == WALL:
-                out += self._in_wall_time(name, device, x, f, blocks.f, courses[name])
-            else:
-                self._follow_guard(name, device, x, f, blocks.f, courses[name])
-                out += self._device(name, device, courses[name])
-                jumped = np.array(
-                    [k for k, happened in courses[name].before.items() if happened.may_be_zero], dtype=np.intp
-                )
-                sent_on = np.ix_(jumped, self._ports[name])
-                f[sent_on] = np.where(f[sent_on] == 0.0, np.nan, f[sent_on])  # a zero force is in no coupling's row
-            self._next()
+            out += self._device(name, device, x, f, blocks.f, courses[name])
         for name, coupling in couplings.items():
             own, course = self._ports[name], courses[name]
-            of_devices = [courses[device] for device in self._session.devices_of(name)]
-            again = recompute_coupling(
-                coupling, x[:, own], blocks.p[:, own], blocks.f[:, own], course, of_devices, self._report
-            )
-            out += self._compared(
-                name, names.FREE_POSITION, "p follows from x and f_v by the certificate's block", again
-            )
-            self._next()
+            resampled = course.resampled
+            for of in self._session.devices_of(name):
+                resampled |= courses[of].resampled
+            block = FollowedCoupling(coupling, x[:, own], blocks.p[:, own], blocks.f[:, own], resampled)
+            again = self._again(block, course)
+            again.gaps += block.excused
+            out += self._compared(name, again, COUPLING_CLAIMS)
         return out + forces_agree(self._run, blocks, f, self._presence.owed)
 
     def _assumed(self, name: str, bundle: DeviceBundle, course: Course) -> list[Check]:
@@ -365,56 +401,8 @@ class _AuditRun:
             period_assumed(self._run, name, tolerance, enforced),
         ]
 
-    def _follow_guard(self, name: str, bundle: DeviceBundle, x: Array, f: Array, asked: Array, course: Course) -> None:
-        """Replace x and f of a device that has let go by the x that it sent its couplings and the forces it was asked
-        for.
-
-        Both follow from its displacement to the bit under the simulated clock alone. In real time they are unknown from
-        the first time that it lets go.
-
-        Args:
-            name: the device.
-            bundle: its part of the session.
-            x: recorded, ticks x ports, m; changed in place.
-            f: exerted by the devices, N; changed in place where it agrees with ``asked``.
-            asked: handed on by their couplings, N.
-            course: what happened between its rows.
-        """
-        own, run = self._ports[name], self._run
-        if run.recorded.clock != SIMULATED:
-            let_go = changed_after(run.figures.get(name, ()), names.LET_GO)
-            leaves = (k for k, happened in course.before.items() if happened.leaves)
-            begin = min((k for k in (let_go, *leaves) if k is not None), default=len(x))
-            x[begin:, own] = f[begin:, own] = np.nan
-            return
-        guard: Guard | None = None
-        for k in range(len(x)):
-            at = x[k, own].tolist()
-            if not np.all(np.isfinite(at)):
-                guard = None  # a new process begins with a new guard
-                continue
-            guard = guard or Guard(bundle.limits, bundle.common.period, bundle.common.ports)
-            x[k, own] = guard.report(at)
-            wanted = asked[k, own].tolist()
-            if guard.let_go and guard.clip(wanted.copy()) == f[k, own].tolist():
-                f[k, own] = wanted
-
-    def _device(self, name: str, bundle: DeviceBundle, course: Course) -> list[Check]:
-        run = self._run
-        again = recompute_device(
-            bundle,
-            lambda: hand_of(bundle, self._session, self._run.recorded.clock),
-            rows_of(run, name, names.DISPLACEMENT),
-            rows_of(run, name, names.FORCE),
-            course,
-            self._report,
-        )
-        return self._compared(name, names.DISPLACEMENT, "x follows from f_v by the device and its hand", again)
-
-    def _in_wall_time(
-        self, name: str, bundle: DeviceBundle, x: Array, f: Array, asked: Array, course: Course
-    ) -> list[Check]:
-        """Check a device in wall time, and replace its x and f by what its couplings received and asked for.
+    def _device(self, name: str, bundle: DeviceBundle, x: Array, f: Array, asked: Array, course: Course) -> list[Check]:
+        """Check a device, and replace its x and f by what its couplings received and asked for.
 
         Where these cannot be computed, its x and f are taken for them as long as neither its guard nor its interface
         has changed anything, by its figures.
@@ -427,114 +415,64 @@ class _AuditRun:
             asked: handed on by their couplings, N.
             course: what happened between its rows.
         """
-        run, own = self._run, self._ports[name]
+        run, own, wall = self._run, self._ports[name], bundle.time == WALL
         figures = run.figures.get(name, ())
-        rows = WallRows(
+        let_go = changed_after(figures, names.LET_GO)
+        guarded = wall or run.recorded.clock == SIMULATED
+        if not guarded:
+            leaves = (k for k, happened in course.before.items() if happened.leaves)
+            let_go = min((k for k in (let_go, *leaves) if k is not None), default=None)
+        rows = DeviceRows(
             x=rows_of(run, name, names.DISPLACEMENT),
             f=rows_of(run, name, names.FORCE),
             asked=asked[:, own],
-            instants=rows_of(run, name, names.INSTANTS),
-            applied=rows_of(run, name, names.APPLIED),
-            let_go=changed_after(figures, names.LET_GO),
+            instants=rows_of(run, name, names.INSTANTS) if wall else np.full((len(x), 3), np.nan),
+            applied=rows_of(run, name, names.APPLIED) if wall else np.full((len(x), len(own)), np.nan),
+            let_go=let_go,
             stopped=grown_in(figures, names.SUSPENDED, len(x)),
             unexerted=changed_after(figures, names.UNEXERTED),
         )
-        again = recompute_in_wall_time(
-            bundle, lambda: hand_of(bundle, self._session, run.recorded.clock), rows, course, self._report
+        device = (FollowedInWallTime if wall else FollowedInOwnTime)(
+            bundle, lambda: hand_of(bundle, self._session, run.recorded.clock), rows, guarded
         )
-        known = there(again.sent)
-        unknown = self._unknown(name, known, course)
-        same = known & (again.exerted == rows.f).all(axis=1)
-        x[np.ix_(known, own)], x[np.ix_(unknown, own)] = again.sent[known], np.nan
+        again = self._again(device, course)
+        known = there(again[SENT])
+        unknown = self._unknown(name, known, course, wall)
+        same = known & there(rows.asked) & (again[names.FORCE] == rows.f).all(axis=1)
+        x[np.ix_(known, own)], x[np.ix_(unknown, own)] = again[SENT][known], np.nan
         f[np.ix_(same, own)], f[np.ix_(unknown, own)] = asked[np.ix_(same, own)], np.nan
+        if not wall:
+            jumped = [k for k, happened in course.before.items() if happened.may_be_zero]
+            sent_on = np.ix_(np.array(jumped, dtype=np.intp), own)
+            f[sent_on] = np.where(f[sent_on] == 0.0, np.nan, f[sent_on])  # a zero force is in no coupling's row
+            return self._compared(name, again, OWN_TIME_CLAIMS, device.motion_gaps)
         return [
-            *self._wall_signals(name, rows, again),
+            *self._compared(name, again, WALL_TIME_CLAIMS, device.motion_gaps),
+            *self._given(name, figures, again[GIVEN], again.gaps),
+            *self._compared(name, again, (ENDED_CLAIM,), recorded={ENDED: rows.instants[:, 2:]}),
             ordered(run, name, rows.instants, course, self._presence.owed[name], from_seconds(bundle.timing.latency)),
             account_bounded(name, rows_of(run, name, names.INTERFACE), rows.instants[:, 1], bundle.allowance),
-            self._compare(
-                "ledger",
-                name,
-                "its ledger follows at the certificate's level",
-                ("E",),
-                rows_of(run, name, names.LEDGER),
-                again.ledger,
-                gaps=[*again.motion_gaps, *again.gaps],
-                tolerance=again.tolerance,
-                source=EXACT if not again.tolerance.any() else FREE_SUMS,
-            ),
+            *self._compared(name, again, (LEDGER_CLAIM,), device.motion_gaps),
         ]
 
-    def _unknown(self, name: str, known: NDArray[np.bool_], course: Course) -> NDArray[np.bool_]:
-        """By tick, whether what its couplings received of a device in wall time may differ from its own rows.
+    def _unknown(self, name: str, known: NDArray[np.bool_], course: Course, wall: bool) -> NDArray[np.bool_]:
+        """By tick, whether what its couplings received of a device may differ from its own rows.
 
         Args:
             name: the device.
             known: by tick, whether it can be computed.
             course: what happened between its rows.
+            wall: whether it is in wall time.
         """
         figures, ticks = self._run.figures.get(name, ()), len(known)
         counts = (names.LET_GO, names.INTERFACE_TICKS, names.INTERFACE_OFFSET)
         changed = [tick for count in counts if (tick := changed_after(figures, count)) is not None]
         changed += [k for k, happened in course.before.items() if happened.leaves]
         unknown: NDArray[np.bool_] = ~known & (np.arange(ticks) >= min(changed, default=ticks))
-        astray = [k for k, happened in course.before.items() if happened.may_be_zero or happened.unknown]
-        unknown[astray] |= ~known[astray]
+        if wall:
+            astray = [k for k, happened in course.before.items() if happened.may_be_zero or happened.unknown]
+            unknown[astray] |= ~known[astray]
         return unknown
-
-    def _wall_signals(self, name: str, rows: WallRows, again: RecomputedInWallTime) -> list[Check]:
-        """What a device in wall time recorded, compared with what is computed from the forces and instants."""
-        run = self._run
-        ports, gaps, of_motion = run.recorded.ports[name], again.gaps, [*again.motion_gaps, *again.gaps]
-        return [
-            self._compare(
-                "signal",
-                name,
-                "x at s_k follows from f_v, a_k and s_k by the device and its hand",
-                ports,
-                rows.x,
-                again.x,
-                gaps=of_motion,
-            ),
-            compare(
-                "applied",
-                name,
-                "x at a_k follows likewise",
-                ports,
-                rows.applied,
-                again.applied,
-                gaps=of_motion,
-                owed=self._presence.owed[name]
-                & (there(rows.applied) | there(again.applied)),  # not every device measures it
-            ),
-            self._compare(
-                "exerted",
-                name,
-                "it exerts what its couplings asked for, as far as its limits and its account allow",
-                ports,
-                rows.f,
-                again.exerted,
-                gaps=gaps,
-            ),
-            self._compare(
-                "interface",
-                name,
-                "its account e_k follows from motion, forces, s_k and a_k",
-                ("e",),
-                rows_of(run, name, names.INTERFACE),
-                again.account,
-                gaps=gaps,
-            ),
-            *self._given(name, run.figures.get(name, ()), again.given, gaps),
-            self._compare(
-                "ended",
-                name,
-                "the force before ended when the device states",
-                ("ended",),
-                rows.instants[:, 2:],
-                again.ended,
-                gaps=gaps,
-            ),
-        ]
 
     def _course(self, name: str, bundle: DeviceBundle | CouplingBundle) -> Course:
         """What happened to a device or a coupling between its rows."""
@@ -560,32 +498,11 @@ class _AuditRun:
             {name: wave_feedthrough(wave.b, bundle.common.period) for name, wave in bundle.waves.items()},
         )
         sign = first_sign(run, ENVIRONMENT)
-        tools, ledger = rows_of(run, ENVIRONMENT, names.TOOL_POSITION), rows_of(run, ENVIRONMENT, names.LEDGER)
-        again = recompute_environment(bundle, blocks, tools, ledger, sign, self._report)
-        self._next()
-        ports, gaps = bundle.common.ports, again.gaps
-        out = [
-            self._compare(
-                "tools", ENVIRONMENT, "x_e follows from p of all couplings", ports, tools, again.tools, gaps=gaps
-            ),
-            self._compare(
-                "forces", ENVIRONMENT, "f_v follows from p of all couplings", ports, blocks.f, again.forces, gaps=gaps
-            ),
-            self._compare(
-                "ledger",
-                ENVIRONMENT,
-                "its ledger follows from p of all couplings",
-                ("E",),
-                ledger,
-                again.ledger,
-                gaps=gaps,
-            ),
-            tools_agree(blocks, ports, ENVIRONMENT, tools, sign, self._presence.owed[ENVIRONMENT]),
-        ]
-        if bundle.masses:
-            masses = rows_of(run, ENVIRONMENT, names.MASS_POSITION)
-            what = "q follows from p of all couplings"
-            out.insert(1, self._compare("masses", ENVIRONMENT, what, bundle.masses, masses, again.masses, gaps=gaps))
+        tools, ports = rows_of(run, ENVIRONMENT, names.TOOL_POSITION), bundle.common.ports
+        again = self._again(FollowedEnvironment(bundle, blocks, tools, sign), Course({}, {}, len(tools)))
+        claims = [claim for claim in ENVIRONMENT_CLAIMS if claim.field != names.MASS_POSITION or bundle.masses]
+        out = self._compared(ENVIRONMENT, again, claims, recorded={names.FORCE: blocks.f}, masses=bundle.masses)
+        out.append(tools_agree(blocks, ports, ENVIRONMENT, tools, sign, self._presence.owed[ENVIRONMENT]))
         if bundle.Phi_E is not None:
             out.append(self._work(bundle, bundle.Phi_E, blocks, sign[0]))
         for name, wave in bundle.waves.items():
@@ -626,7 +543,7 @@ class _AuditRun:
             bundle.energy_at_start,
             int(held) if 0.0 < held < math.inf else 0,
         )
-        return self._compare(
+        return compare(
             "work",
             ENVIRONMENT,
             "its ledger gains in each tick the work at the couplings' ends and the dissipation by Phi_E",
@@ -636,6 +553,7 @@ class _AuditRun:
             gaps=own.gaps,
             tolerance=own.tolerance,
             source=let_go_source(own.offsets),
+            owed=self._presence.owed[ENVIRONMENT],
         )
 
     def _wave_link(
@@ -648,8 +566,8 @@ class _AuditRun:
         own, its = (
             EndRows(*(self._of_link(node, name, trace) for trace in _WAVE_TRACES)) for node in (name, ENVIRONMENT)
         )
-        user = user_end(coupling.common, coupling, coupling.wave, own, course)
-        other = world_end(world.common, wave, its, name, run.figures.get(ENVIRONMENT, ()))
+        user = FollowedUserEnd(coupling.common, coupling, coupling.wave, own, course).end()
+        other = FollowedWorldEnd(world.common, wave, its, name, run.figures.get(ENVIRONMENT, ())).end()
         ports = run.recorded.ports[name]
         return [
             *end_checks(name, name, ports, user, user=True),
@@ -671,14 +589,52 @@ class _AuditRun:
             begin = end
         raise AssertionError("every coupling of the audit's bundles with a wave link is one of the recording's")
 
-    def _compared(self, name: str, trace: str, what: str, again: Recomputed) -> list[Check]:
-        """Compare a party's signal and its ledger."""
-        run = self._run
-        columns, signal = run.recorded.ports[name], rows_of(run, name, trace)
-        out = [self._compare("signal", name, what, columns, signal, again.signal, gaps=again.gaps)]
-        if self._has_ledger(name):
-            kept, text = rows_of(run, name, names.LEDGER), "its ledger follows at the certificate's level"
-            out.append(self._compare("ledger", name, text, ("E",), kept, again.ledger, gaps=again.gaps))
+    def _again(self, follower: Follower, course: Course) -> Recomputed:
+        """A party's fields, computed again, with progress."""
+        again = recompute(follower, course, lambda tick: self._progress(self._done + tick))
+        self._done += self._run.ticks
+        self._progress(self._done)
+        return again
+
+    def _compared(
+        self,
+        party: str,
+        again: Recomputed,
+        claims: Iterable[Claim],
+        motion_gaps: Sequence[UncheckedTicks] = (),
+        recorded: Mapping[str, Array] = MappingProxyType({}),
+        masses: tuple[str, ...] = (),
+    ) -> list[Check]:
+        """Compare a party's fields with what was recorded of them, in the ticks that it owed.
+
+        Args:
+            party: its node.
+            again: its fields, computed again.
+            claims: what to compare; a ledger that it does not keep is left out.
+            motion_gaps: why its motion could not be computed.
+            recorded: what was recorded of fields that are no trace of the node.
+            masses: of the environment.
+        """
+        out, run = [], self._run
+        columns = {names.MASS_POSITION: masses, names.LEDGER: ("E",), names.INTERFACE: ("e",), ENDED: ("ended",)}
+        for name, field, what, of_motion in claims:
+            if field == names.LEDGER and not self._has_ledger(party):
+                continue
+            told = recorded[field] if field in recorded else rows_of(run, party, field)
+            owed: NDArray[np.bool_] = self._presence.owed[party]
+            tolerance: Array | float = 0.0
+            if field == names.APPLIED:
+                owed = owed & (there(told) | there(again[field]))  # not every device measures it
+            if field == names.LEDGER and TOLERANCE in again.fields:
+                tolerance = np.nan_to_num(again[TOLERANCE])
+            gaps = [*motion_gaps, *again.gaps] if of_motion else again.gaps
+            ports, source = run.recorded.ports[party], FREE_SUMS if np.any(tolerance) else EXACT
+            out.append(
+                compare(
+                    name, party, what, columns.get(field, ports), told, again[field], gaps=gaps,
+                    tolerance=tolerance, source=source, owed=owed,
+                )
+            )  # fmt: skip
         return out
 
     def _has_ledger(self, name: str) -> bool:
@@ -711,29 +667,3 @@ class _AuditRun:
         what = "its hand was given so much of the force that was asked for, by force and by time"
         found = np.where(said[:, None], again, np.nan)
         return [compare("given", name, what, FIGURES, told, found, gaps=gaps, owed=said)] if said.any() else []
-
-    def _compare(
-        self,
-        name: str,
-        party: str,
-        what: str,
-        columns: Sequence[str],
-        recorded: Array,
-        recomputed: Array,
-        *,
-        gaps: Sequence[UncheckedTicks] = (),
-        tolerance: Array | float = 0.0,
-        source: str = EXACT,
-    ) -> Check:
-        """:func:`compare` in the ticks that the party owed."""
-        owed = self._presence.owed[party]
-        return compare(
-            name, party, what, columns, recorded, recomputed, gaps=gaps, tolerance=tolerance, source=source, owed=owed
-        )
-
-    def _report(self, tick: int) -> None:
-        self._progress(self._done + tick)
-
-    def _next(self) -> None:
-        self._done += self._run.ticks
-        self._progress(self._done)

@@ -10,84 +10,71 @@ So in a row after free periods, and in the first row after a gap, p may differ; 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.launch.audit.events import Course, Happening
-from manyhands.launch.audit.findings import EVERY, Progress, Recomputed, gaps_of, no_progress
+from manyhands.launch.audit.events import Happening
+from manyhands.launch.audit.findings import UncheckedTicks, gaps_of
+from manyhands.launch.audit.recompute import Array, Follower
 from manyhands.launch.recordings.run import there
-from manyhands.nodes.coupling.core import CouplingCore
+from manyhands.nodes.coupling.port import CouplingPort
 from manyhands.nodes.kernel.bundle import CouplingBundle
-
-Array = NDArray[np.float64]
+from manyhands.nodes.rows.figures import FREE_POSITION, LEDGER
 
 _SAID_BEFORE: Final = "a device of it had sampled again after p was computed: p is not checked"
 
 
-def recompute_coupling(
-    bundle: CouplingBundle,
-    x: Array,
-    p: Array,
-    f: Array,
-    course: Course,
-    devices: Sequence[Course] = (),
-    progress: Progress = no_progress,
-) -> Recomputed:
-    """The p and the ledger of a coupling block, from the displacements and the forces of its ports.
+class FollowedCoupling(Follower):
+    """The p and the ledger of a coupling block, from the displacements and the forces of its ports."""
 
-    Args:
-        bundle: the coupling's part of the session.
-        x: recorded by its devices, ticks x ports, m; NaN where one of them has no row.
-        p: recorded, ticks x ports, m; used only to see whether a device had sampled again.
-        f: recorded, the force that was handed on, ticks x ports, N.
-        course: what happened between the coupling's rows.
-        devices: the same of its devices.
-        progress: called now and then with the number of ticks that are done.
-    """
-    out, nothing = Recomputed.nothing(*p.shape), Happening()
-    resampled = course.resampled
-    for device in devices:
-        resampled |= device.resampled
-    sampled, excused = there(x), np.zeros(len(p), dtype=np.bool_)
-    core: CouplingCore | None = _core_of(bundle, 0)
-    for k in np.flatnonzero(there(p) & there(f)).tolist():
-        happened = course.before.get(k, nothing)
-        if happened.began:
-            core = _core_of(bundle, 0)
-        if happened.unknown:
-            core = None
-        if core is None:
-            continue
-        if happened.rung is not None:
-            core = _changed(bundle, core, happened.rung)
-        if sampled[k]:
-            now = core.free_position(x[k].tolist())
-            excused[k] = resampled[k] and now != p[k].tolist()
-            if not excused[k]:
-                out.signal[k] = now
-        if k in course.rungs:
-            core = _changed(bundle, core, course.rungs[k])
-        core.absorb(f[k].tolist())
-        if core.ledger is not None:
-            out.ledger[k] = core.ledger.total
-        if k % EVERY == 0:
-            progress(k)
-    out.gaps += [replace(gap, why=f"{gap.why}: from there on it is not checked") for gap in course.unknown]
-    out.gaps += gaps_of(excused, _SAID_BEFORE)
-    return out
+    def __init__(
+        self, bundle: CouplingBundle, x: Array, p: Array, f: Array, resampled: NDArray[np.bool_] | None = None
+    ) -> None:
+        """Take what was recorded.
 
+        Args:
+            bundle: the coupling's part of the session.
+            x: by its devices, ticks x ports, m; NaN where one of them has no row.
+            p: ticks x ports, m; used only to see whether a device had sampled again.
+            f: the force that was handed on, ticks x ports, N.
+            resampled: the ticks in which the coupling or a device of it may have been elsewhere when it sent its
+                signal than its row states; None for none.
+        """
+        self._bundle, self._x, self._p, self._f, self._sampled = bundle, x, p, f, there(x)
+        self.ticks, ports = p.shape
+        self._resampled = np.zeros(self.ticks, dtype=np.bool_) if resampled is None else resampled
+        self._excused = np.zeros(self.ticks, dtype=np.bool_)
+        self.rows = np.flatnonzero(there(p) & there(f)).tolist()
+        self.fields = {FREE_POSITION: ports, LEDGER: 1}
 
-def _core_of(bundle: CouplingBundle, rung: int) -> CouplingCore:
-    of = bundle.rungs[rung]
-    return CouplingCore(of.block, of.K, of.level, bundle.common.period, bundle.limits.force)
+    @property
+    def excused(self) -> list[UncheckedTicks]:
+        """The ticks whose p is not that of the recorded displacement, since a device had sampled again."""
+        return gaps_of(self._excused, _SAID_BEFORE)
 
+    def begin(self, joins: bool) -> None:
+        """The block begins at rest, at rung 0."""
+        self._port = CouplingPort(self._bundle)
 
-def _changed(bundle: CouplingBundle, before: CouplingCore, rung: int) -> CouplingCore:
-    """The block at another rung: at rest, with the ledger of the block before."""
-    core = _core_of(bundle, rung)
-    core.succeed(before)
-    return core
+    def change(self, rung: int) -> None:
+        """The block goes on at another rung, at rest."""
+        self._port.change(rung)
+
+    def row(self, k: int, happened: Happening, rung: int | None) -> Mapping[str, Sequence[float]]:
+        """p(k) and the ledger."""
+        port, out = self._port, dict[str, Sequence[float]]()
+        if self._sampled[k]:
+            p = port.up(self._x[k].tolist())
+            self._excused[k] = self._resampled[k] and p != self._p[k].tolist()
+            if not self._excused[k]:
+                out[FREE_POSITION] = p
+        if rung is not None:
+            port.change(rung)
+        port.f = self._f[k].tolist()  # as it was handed on, within the limits or not
+        port.book()
+        if port.ledger is not None:
+            out[LEDGER] = [port.ledger.total]
+        return out

@@ -16,30 +16,28 @@ are checked at every tick, to rounding. That holds for a user's own model as wel
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.launch.audit.events import Course
+from manyhands.launch.audit.events import Course, Happening
 from manyhands.launch.audit.findings import UncheckedTicks, gaps_of
+from manyhands.launch.audit.recompute import Array, Follower, Lost
 from manyhands.launch.recordings.run import there
 from manyhands.nodes.environment.clutch import LET_GO
-from manyhands.nodes.environment.core import environment_core
+from manyhands.nodes.environment.core import environment_core, row_of
 from manyhands.nodes.kernel.arithmetic import Saturation
 from manyhands.nodes.kernel.bundle import CouplingBundle, EnvironmentBundle
 from manyhands.nodes.kernel.factory import MESH
-
-Array = NDArray[np.float64]
-Progress = Callable[[int], None]
+from manyhands.nodes.rows import figures as names
 
 ROUNDING = 64.0
 """Units in the last place of the greatest product of a tick, by which another order of its sums may change it."""
 
 _EPSILON = float(np.finfo(np.float64).eps)
-_EVERY = 1000  # ticks between two reports of progress
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,91 +117,59 @@ class Blocks:
         return out, size
 
 
-@dataclass(frozen=True, eq=False)
-class RecomputedEnvironment:
-    """The environment's signals, computed by its own core; NaN where they could not be.
+class FollowedEnvironment(Follower):
+    """Tools, masses, forces and ledger of the environment, from p of all couplings."""
 
-    Attributes:
-        tools: x_e, ticks x m, m.
-        masses: q, ticks x masses, m.
-        forces: those that the couplings hand on, ticks x m, N.
-        ledger: ticks x 1, J.
-        gaps: the ticks that could not be computed, with the reason.
-    """
+    def __init__(self, bundle: EnvironmentBundle, blocks: Blocks, tools: Array, sign: tuple[int, str]) -> None:
+        """Take what was recorded.
 
-    tools: Array
-    masses: Array
-    forces: Array
-    ledger: Array
-    gaps: list[UncheckedTicks]
+        Args:
+            bundle: the environment's part of the session.
+            blocks: the couplings' recorded signals.
+            tools: recorded x_e, ticks x m, m; used from ``sign`` on, to see whether a clutch has moved.
+            sign: the first tick at which a clutch may have moved, and why.
+        """
+        self._bundle, self._blocks, self._tools, self._sign = bundle, blocks, tools, sign
+        self.ticks, m = blocks.p.shape
+        self.rows = range(self.ticks)
+        if bundle.model is not None and bundle.model.factory != MESH:
+            why = f"the code of the model {bundle.model.factory} is not run by an audit: its forces are not checked"
+            self.rows, self.gaps = (), [UncheckedTicks(0, self.ticks, why)]
+        masses = len(bundle.masses)
+        self.fields = {names.TOOL_POSITION: m, names.MASS_POSITION: masses, names.FORCE: m, names.LEDGER: 1}
+        # the core does not read p of a block that is held
+        self._p = np.where(blocks.holding & np.isnan(blocks.p), 0.0, blocks.p)
+        self._complete = there(self._p)
+        self._limits = [(blocks.ports[name], Saturation(most)) for name, most in blocks.limits.items()]
+        parts = enumerate(blocks.ports.items())
+        self._held = [(block, its.tolist(), blocks.held[name]) for block, (name, its) in parts if name in blocks.held]
 
+    def begin(self, joins: bool) -> None:
+        """The environment begins at rest."""
+        if self.rows:
+            self._core = environment_core(self._bundle, self._blocks.D_V, tuple(self._blocks.ports.values()))
 
-def recompute_environment(
-    bundle: EnvironmentBundle,
-    blocks: Blocks,
-    tools: Array,
-    ledger: Array,
-    sign: tuple[int, str],
-    progress: Progress,
-) -> RecomputedEnvironment:
-    """The environment's signals, from p of all couplings.
-
-    Args:
-        bundle: the environment's part of the session.
-        blocks: the couplings' recorded signals.
-        tools: recorded x_e, ticks x m, m; used from ``sign`` on, to see whether a clutch has moved.
-        ledger: recorded, ticks x 1, J.
-        sign: the first tick at which a clutch may have moved, and why.
-        progress: called now and then with the number of ticks that are done.
-    """
-    ticks, m = blocks.p.shape
-    out = RecomputedEnvironment(
-        np.full((ticks, m), np.nan),
-        np.full((ticks, len(bundle.masses)), np.nan),
-        np.full((ticks, m), np.nan),
-        np.full((ticks, 1), np.nan),
-        [],
-    )
-    if bundle.model is not None and bundle.model.factory != MESH:
-        why = f"the code of the model {bundle.model.factory} is not run by an audit: its forces are not checked"
-        out.gaps.append(UncheckedTicks(0, ticks, why))
-        return out
-    core = environment_core(bundle, blocks.D_V, tuple(blocks.ports.values()))
-    limits = [(blocks.ports[name], Saturation(most)) for name, most in blocks.limits.items()]
-    holding = blocks.holding
-    p = np.where(holding & np.isnan(blocks.p), 0.0, blocks.p)  # the core does not read p of a block that is held
-    complete, begin, why = there(p), *sign
-    held = [
-        (block, blocks.ports[name].tolist(), name) for block, name in enumerate(blocks.ports) if name in blocks.held
-    ]
-    for k in range(ticks):
-        if not complete[k]:
-            if k < ticks - 1 and complete[k:].any():
-                out.gaps.append(UncheckedTicks(k, ticks, "a coupling has no row there: what follows is not checked"))
-            break
+    def row(self, k: int, happened: Happening, rung: int | None) -> Mapping[str, Sequence[float]]:
+        """x_e, q, the forces that the couplings hand on, and the ledger."""
+        core, blocks, (begin, why) = self._core, self._blocks, self._sign
+        if not self._complete[k]:
+            later = self._complete[k:].any()
+            raise Lost("a coupling has no row there: what follows is not checked" if later else "")
         answered: dict[int, float] = {}  # forces of blocks that are held, by port
-        for block, ports, name in held:
-            if blocks.held[name][k]:
+        for block, ports, held in self._held:
+            if held[k]:
                 answered.update(zip(ports, core.holding_force(block, blocks.p[k, ports].tolist()), strict=True))
                 core.clutches.hold(block)
-        f = core.react(p[k].tolist())
+        f = core.react(self._p[k].tolist())
         core.settle()
         for port, force in answered.items():
             f[port] = force
-        found = np.array(_forces(f, limits, m))
-        if k >= begin and not (core.tools == tools[k].tolist() and np.array_equal(found, blocks.f[k], equal_nan=True)):
-            out.gaps.append(
-                UncheckedTicks(k, ticks, f"{why}, and a clutch has moved: forces and masses are not checked")
-            )
-            break
-        out.tools[k], out.forces[k] = core.tools, found
-        if bundle.masses:
-            out.masses[k] = core.masses
-        if core.ledger is not None:
-            out.ledger[k] = core.ledger.total
-        if k % _EVERY == 0:
-            progress(k)
-    return out
+        found = _forces(f, self._limits, len(self._tools[k]))
+        tools = self._tools[k].tolist()
+        if k >= begin and not (core.tools == tools and np.array_equal(found, blocks.f[k], equal_nan=True)):
+            raise Lost(f"{why}, and a clutch has moved: forces and masses are not checked")
+        row = dict(zip((names.TOOL_POSITION, names.MASS_POSITION, names.LEDGER), row_of(core), strict=True))
+        return {name: numbers for name, numbers in row.items() if len(numbers)} | {names.FORCE: found}
 
 
 def _forces(f: list[float], limits: list[tuple[NDArray[np.intp], Saturation]], m: int) -> list[float]:

@@ -6,8 +6,8 @@ recomputed, and what is absent from the recording or no finite number.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, Final
 
@@ -203,44 +203,3 @@ def first_of(wrong: NDArray[np.bool_], columns: Sequence[str], recorded: Array, 
 def verdicts(checks: Sequence[Check]) -> Mapping[CheckVerdict, int]:
     """Number of checks with each verdict."""
     return {verdict: sum(check.verdict is verdict for check in checks) for verdict in CheckVerdict}
-
-
-Progress = Callable[[int], None]
-
-EVERY: Final = 1000
-"""Ticks between two reports of progress."""
-
-
-@dataclass(eq=False)
-class Recomputed:
-    """A party's signals, computed again; NaN where they could not be.
-
-    Attributes:
-        signal: x of a device or p of a coupling, ticks x ports, m.
-        ledger: ticks x 1, J.
-        gaps: the ticks that could not be computed, with the reason.
-    """
-
-    signal: Array
-    ledger: Array
-    gaps: list[UncheckedTicks] = field(default_factory=list)
-
-    @classmethod
-    def nothing(cls, ticks: int, ports: int) -> Recomputed:
-        """All NaN, before anything is computed."""
-        return cls(np.full((ticks, ports), np.nan), np.full((ticks, 1), np.nan))
-
-
-def lose(gaps: list[UncheckedTicks], tick: int, ticks: int, why: str) -> None:
-    """Note that a party cannot be computed from ``tick`` on, of ``ticks``, for the reason ``why``."""
-    gaps.append(UncheckedTicks(tick, ticks, f"{why}: from there on it is not checked"))
-
-
-def find_again(gaps: list[UncheckedTicks], tick: int) -> None:
-    """Note that a new process begins at ``tick``, so that the last gap, if it goes on, ends there."""
-    if gaps and gaps[-1].end > tick:
-        gaps[-1] = replace(gaps[-1], end=tick)
-
-
-def no_progress(_tick: int) -> None:
-    """Progress that is not reported."""

@@ -1,7 +1,7 @@
-"""The sampled-data loop of a session in one process: the cores of the nodes without their processes.
+"""The sampled-data loop of a session in one process: the parties of the nodes, joined without processes.
 
-The simulation starts from the same bundles and takes the same steps in the same order as the processes. A run of the
-processes under the simulated clock therefore has the same numbers, bit for bit.
+The simulation starts from the same bundles, and its parties take the same steps in the same order as in the processes.
+A run of the processes under the simulated clock therefore has the same numbers, bit for bit.
 
 A list of faults states when a coupling falls silent. The environment then freezes the coupling's ports and sends them
 no force, and the devices' hands go on without a force. A coupling that returns starts at rest, as a new process would.
@@ -9,8 +9,8 @@ no force, and the devices' hands go on without a force. A coupling that returns 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -24,19 +24,22 @@ from manyhands.launch.recordings.run import RecordedRun
 from manyhands.launch.run.directory import kept_files
 from manyhands.launch.session import Session
 from manyhands.launch.session.session import ENVIRONMENT
-from manyhands.nodes.coupling.core import CouplingCore
-from manyhands.nodes.device.core import DeviceCore, Guard
+from manyhands.nodes.coupling.port import CouplingPort
 from manyhands.nodes.device.drivers import Driver, driver_of
-from manyhands.nodes.environment.core import environment_core
+from manyhands.nodes.device.tick import DeviceTick, tick_of
+from manyhands.nodes.environment.core import environment_core, row_of
 from manyhands.nodes.environment.model import ModelFailure
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle
 from manyhands.nodes.kernel.passivity import Ledger
 from manyhands.nodes.link.join import WaveRow
+from manyhands.nodes.rows.two_port import TwoPort
 from manyhands.nodes.wave_link.ends import turns, user_face, world_face
-from manyhands.nodes.wave_link.faces import UserFace, WorldFace, wave_feedthrough
-from manyhands.nodes.wave_link.rows import WorldRows, wave_traces
+from manyhands.nodes.wave_link.faces import wave_feedthrough
+from manyhands.nodes.wave_link.rows import user_row, world_row
 from manyhands.protocol.clock import Instant, from_seconds
+
+Array = NDArray[np.float64]
 
 _PROGRESS_TICKS = 1000
 
@@ -62,53 +65,77 @@ class Silence:
     end: int | None = None
 
 
-@dataclass(eq=False)
-class _Run:
-    """The signals of one run, and which couplings take part in the tick that it is in.
+class LinkInside:
+    """A wave link within one process, as a :class:`manyhands.nodes.rows.two_port.TwoPort` between both its ends.
+
+    A wave leaves and arrives in its tick; the play-out alone delays it.
 
     Attributes:
-        x: of all devices, ticks x m, m.
-        f_v: ticks x m, N: within a tick those of the environment first, in the end those that the devices exert.
-        reported: the displacements that the devices report to their couplings, m.
-        p: of the couplings, m.
-        tool: p of the couplings as the environment receives them, m; over a wave link that of the world's face.
-        couplings: those that are not silent, each with its ports.
-        linked: both faces of the wave links of these, each with its ports.
-        at_world: the last row of each world's face, by coupling.
-        traces: filled with what each node would report; None for nothing.
-        at_user: the last row of each user's face, by coupling.
-        through_waves: the force that each user's face exerts, N, by coupling.
-        world_rows: the rows of the world's faces, as the environment reports them.
-        silent: the couplings that are.
+        user: the face at the coupling.
+        world: the face at the environment.
+        at_user: the row of the user's end in the last tick.
+        at_world: that of the world's end.
     """
 
-    x: NDArray[np.float64]
-    f_v: NDArray[np.float64]
-    reported: NDArray[np.float64]
-    p: NDArray[np.float64]
-    tool: NDArray[np.float64]
-    couplings: list[tuple[str, CouplingCore, NDArray[np.intp]]]
-    linked: list[tuple[str, UserFace, WorldFace, NDArray[np.intp]]]
-    at_world: dict[str, WaveRow]
-    traces: Traces | None
-    at_user: dict[str, WaveRow] = field(default_factory=dict)
-    through_waves: dict[str, Floats] = field(default_factory=dict)
-    world_rows: WorldRows = field(default_factory=WorldRows)
-    silent: set[str] = field(default_factory=set)
+    def __init__(self, coupling: CouplingBundle, environment: EnvironmentBundle) -> None:
+        """Begin the first life of the wave link of ``coupling``."""
+        self._coupling, end = coupling, environment.waves[coupling.common.name]
+        self._world_sends, self._user_sends = turns(end)
+        self.world = world_face(environment.common, end)
+        self._start()
+        self.at_world = WaveRow(self.world.wave, self.world.tank.row(), *self.world.signals)
+
+    def _start(self) -> None:
+        wave = self._coupling.wave
+        if wave is None:
+            raise AssertionError("the world has an end of each wave link, and so has its coupling")
+        self.user = user_face(self._coupling.common, wave, self._coupling.block.D)
+        self.at_user = WaveRow(self.user.wave, self.user.tank.row())
+        self._f: Floats = []
+
+    def up(self, p: Floats) -> Floats:
+        """The user's face answers, and sends a wave; returns the tool's position at the world's face, m."""
+        user, world = self.user, self.world
+        self._f = user.step(p)
+        self.at_user = WaveRow(user.wave, user.tank.row())
+        if self._user_sends.sends(user.n):
+            wave = user.message()
+            world.hear(wave.n, wave.U, wave.G)
+        return world.tool()
+
+    def down(self, f: Floats) -> Floats:
+        """The world's face takes in the force, and sends a wave; returns the force at the user's face, N."""
+        user, world = self.user, self.world
+        world.step(f)
+        self.at_world = WaveRow(world.wave, world.tank.row(), *world.signals)
+        if self._world_sends.sends(world.n):
+            wave = world.message()
+            user.hear(wave.n, wave.U, wave.G)
+        return self._f
+
+    def book(self) -> None:
+        """Nothing is left to do."""
+
+    def fall_silent(self) -> None:
+        """The user is gone: the world's end stays where it is."""
+        nothing = [0.0] * len(self.world.x)
+        self.at_world = WaveRow(nothing, self.at_world.tank, self.world.x, nothing)
+
+    def come_back(self) -> None:
+        """The user's end begins anew, with an empty tank, and the world's a new life."""
+        self._start()
+        self.user.tank.level = 0.0
+        self.world.renew(0)
 
 
 class Simulation:
-    """A session's cores, wired directly.
+    """A session's parties, wired directly.
 
     Attributes:
-        devices: the devices' cores by name.
-        guards: the guards of the devices' limits, by name.
-        couplings: the blocks' cores by name; a coupling that returns from silence has a new core.
+        devices: the devices by name.
+        couplings: the couplings by name; one that returns from silence is a new one.
+        links: the wave links, by coupling.
         environment: the environment's core; its blocks are ``couplings``, in this order.
-        user_faces: the faces of wave links at the couplings, by coupling.
-        world_faces: the faces of wave links at the environment, by coupling.
-        ledgers: every party's energy ledger by node, a coupling's since it last started; parties without a promised
-            level are absent.
     """
 
     def __init__(self, prepared: Prepared, drivers: Mapping[str, Driver] | None = None) -> None:
@@ -122,48 +149,28 @@ class Simulation:
             FactoryError: a driver or a model of another package cannot be made.
         """
         given = {} if drivers is None else drivers
-        session = prepared.session
-        self._prepared = prepared
+        self._prepared, self._period = prepared, from_seconds(prepared.session.period)
         bundles = cut(prepared, RunPlan(SIMULATED, None, ""))
-        index = {port: i for i, port in enumerate(session.ports)}
-        T, m = session.period, len(session.ports)
-        self._drivers: dict[str, Driver] = {}
-        self._device_ports: dict[str, NDArray[np.intp]] = {}
-        self._coupling_ports: dict[str, NDArray[np.intp]] = {}
-        self._coupling_bundles: dict[str, CouplingBundle] = {}
-        self.devices: dict[str, DeviceCore] = {}
-        self.guards: dict[str, Guard] = {}
-        self.couplings: dict[str, CouplingCore] = {}
-        self.user_faces: dict[str, UserFace] = {}
-        self.world_faces: dict[str, WorldFace] = {}
-        self.ledgers: dict[str, Ledger] = {}
-        D_V = np.zeros((m, m))
-        environment: EnvironmentBundle | None = None
-        for name, bundle in bundles.items():
-            ports = np.array([index[port] for port in bundle.common.ports])
-            match bundle:
-                case DeviceBundle():
-                    device = DeviceCore(*bundle.promises[0], T)
-                    self._drivers[name] = given[name] if name in given else self._driver(bundle)
-                    self._device_ports[name] = ports
-                    self.devices[name] = device
-                    self.guards[name] = Guard(bundle.limits, T, bundle.common.ports)
-                    self.ledgers[name] = device.ledger
-                case CouplingBundle():
-                    self._coupling_bundles[name], self._coupling_ports[name] = bundle, ports
-                    self._start_coupling(name)
-                    wave = bundle.wave
-                    D_V[np.ix_(ports, ports)] = bundle.block.D if wave is None else wave_feedthrough(wave.b, T)
-                case EnvironmentBundle():
-                    environment = bundle
-        if environment is None:
+        world = bundles[ENVIRONMENT]
+        if not isinstance(world, EnvironmentBundle):
             raise AssertionError("every session has an environment")
-        blocks = tuple(self._coupling_ports.values())
-        self.environment = environment_core(environment, D_V, blocks)
-        self.world_faces = {name: world_face(environment.common, wave) for name, wave in environment.waves.items()}
-        self._turns = {name: turns(wave) for name, wave in environment.waves.items()}  # of the world, and of the user
-        if self.environment.ledger is not None:
-            self.ledgers[ENVIRONMENT] = self.environment.ledger
+        index = {port: i for i, port in enumerate(prepared.session.ports)}
+        self._ports = {name: np.array([index[port] for port in of.common.ports]) for name, of in bundles.items()}
+        self._bundles: dict[str, CouplingBundle] = {}
+        self.devices: dict[str, DeviceTick] = {}
+        self.couplings: dict[str, CouplingPort] = {}
+        self.links: dict[str, LinkInside] = {}
+        D_V = np.zeros((len(index), len(index)))
+        for name, bundle in bundles.items():
+            if isinstance(bundle, DeviceBundle):
+                self.devices[name] = tick_of(bundle, given[name] if name in given else self._driver(bundle))
+            elif isinstance(bundle, CouplingBundle):
+                self._bundles[name], self.couplings[name] = bundle, CouplingPort(bundle)
+                if bundle.wave is not None:
+                    self.links[name] = LinkInside(bundle, world)
+                wave, own = bundle.wave, np.ix_(self._ports[name], self._ports[name])
+                D_V[own] = bundle.block.D if wave is None else wave_feedthrough(wave.b, world.common.period)
+        self.environment = environment_core(world, D_V, tuple(self._ports[name] for name in self.couplings))
 
     def _driver(self, bundle: DeviceBundle) -> Driver:
         try:
@@ -174,22 +181,14 @@ class Simulation:
 
     def close(self) -> None:
         """Close the drivers; call this where a driver is of another package."""
-        for driver in self._drivers.values():
-            driver.close()
+        for device in self.devices.values():
+            device.driver.close()
 
-    def _start_coupling(self, name: str) -> None:
-        """Start a coupling at rest, with a new core and ledger."""
-        bundle = self._coupling_bundles[name]
-        coupling = CouplingCore(bundle.block, bundle.K, bundle.level, bundle.common.period, bundle.limits.force)
-        self.couplings[name] = coupling
-        if bundle.wave is not None:
-            came_back = name in self.user_faces
-            self.user_faces[name] = user_face(bundle.common, bundle.wave, bundle.block.D)
-            if came_back:
-                self.user_faces[name].tank.level = 0.0
-                self.world_faces[name].renew(0)
-        if coupling.ledger is not None:
-            self.ledgers[name] = coupling.ledger
+    @property
+    def ledgers(self) -> dict[str, Ledger]:
+        """Every party's energy ledger by node, a coupling's since it last started; without those that keep none."""
+        all_ = {**self.devices, **self.couplings, ENVIRONMENT: self.environment}
+        return {name: ledger for name, party in all_.items() if (ledger := party.ledger) is not None}
 
     def traces(self, ticks: int) -> Traces:
         """Empty traces for what all nodes report in a run of ``ticks`` ticks; pass them to :meth:`run`."""
@@ -219,127 +218,90 @@ class Simulation:
         """
         begins, ends = _by_tick(faults, tuple(self.couplings))
         session = self._prepared.session
-        m, period = len(session.ports), from_seconds(session.period)
-        run = _Run(
-            x=np.zeros((ticks, m)),
-            f_v=np.zeros((ticks, m)),
-            reported=np.zeros(m),
-            p=np.zeros(m),
-            tool=np.zeros(m),
-            couplings=self._active(()),
-            linked=self._linked(()),
-            at_world={name: _world_row(world) for name, world in self.world_faces.items()},
-            traces=traces,
-        )
+        m = len(session.ports)
+        x, f_v, tool = np.zeros((ticks, m)), np.zeros((ticks, m)), np.zeros(m)
+        ways = {name: self._way(name) for name in self.couplings}  # of those that are not silent
         for k in range(ticks):
-            now, due = Instant(k * period), Instant((k + 1) * period)
-            if k in begins or k in ends:
-                self._silence(run, begins.get(k, ()), ends.get(k, ()))
-            self._sample(run, k, now)
-            self._to_the_world(run)
-            self._react(run, k)
-            self._from_the_world(run, k)
-            self._hand_on(run, k)
-            self._exert(run, k, now, due)
+            for name in ends.get(k, ()):
+                ways[name] = self._come_back(name)
+            for name in begins.get(k, ()):
+                del ways[name]
+                self._fall_silent(name)
+            x[k], f_v[k] = self._tick(k, ways, tool)
+            if traces is not None:
+                self._keep(traces, k, ways)
             if progress is not None and (k + 1) % _PROGRESS_TICKS == 0:
                 progress(k + 1)
-        return Recording(session.name, self._prepared.id, session.period, session.ports, run.x, run.f_v)
+        return Recording(session.name, self._prepared.id, session.period, session.ports, x, f_v)
 
-    def _silence(self, run: _Run, begins: Sequence[str], ends: Sequence[str]) -> None:
-        """Couplings come back at rest, and others fall silent."""
-        blocks = {name: block for block, name in enumerate(self.couplings)}
-        for name in ends:
-            run.silent.discard(name)
-            self._start_coupling(name)
-            self.environment.clutches.engage(blocks[name])
-        for name in begins:
-            run.silent.add(name)
-            self.environment.clutches.freeze(blocks[name])
-            if name in run.at_world:
-                nothing = [0.0] * len(self._coupling_ports[name])
-                row = run.at_world[name]
-                run.at_world[name] = WaveRow(nothing, row.tank, self.world_faces[name].x, nothing)
-        run.couplings, run.linked = self._active(run.silent), self._linked(run.silent)
+    def _tick(self, k: int, ways: Mapping[str, Sequence[TwoPort]], tool: Array) -> tuple[Array, Array]:
+        """Motion goes up, the environment answers, and force comes down.
 
-    def _sample(self, run: _Run, k: int, now: Instant) -> None:
-        """The devices are sampled, and the couplings answer by p."""
-        for name, driver in self._drivers.items():
-            ports, displacement = self._device_ports[name], list(map(float, driver.sample(k, now)))
-            self.devices[name].sample(displacement)
-            run.x[k, ports] = displacement
-            run.reported[ports] = self.guards[name].report(displacement)
-        for _, coupling, ports in run.couplings:
-            run.p[ports] = run.tool[ports] = coupling.free_position(run.reported[ports].tolist())
+        Args:
+            k: the tick.
+            ways: the two-ports from the devices to the world, through each coupling that is not silent.
+            tool: p of the couplings as the environment receives it, m; changed in place.
 
-    def _to_the_world(self, run: _Run) -> None:
-        """The users' faces of wave links answer their couplings, and send waves."""
-        for name, user, world, ports in run.linked:
-            run.through_waves[name] = user.step(run.p[ports].tolist())
-            if self._turns[name][1].sends(user.n):
-                wave = user.message()
-                world.hear(wave.n, wave.U, wave.G)
-            run.tool[ports] = world.tool()
-
-    def _react(self, run: _Run, k: int) -> None:
-        """The environment answers by its forces.
+        Returns:
+            The displacements of the devices, m, and the forces that they exert, N.
 
         Raises:
-            ModelFailure: its model gave no usable forces.
+            ModelFailure: the environment's model gave no usable forces.
         """
-        environment = self.environment
-        run.f_v[k] = environment.react(run.tool.tolist())
+        now, due = Instant(k * self._period), Instant((k + 1) * self._period)
+        ports, environment = self._ports, self.environment
+        x, sent = np.empty_like(tool), np.empty_like(tool)
+        for name, device in self.devices.items():
+            sent[ports[name]], x[ports[name]] = device.sample(k, now), device.x
+        for name, way in ways.items():
+            p: Floats = sent[ports[name]].tolist()
+            for port in way:
+                p = port.up(p)
+            tool[ports[name]] = p
+        f = np.array(environment.react(tool.tolist()))
         if environment.failure is not None:
             raise ModelFailure(environment.failure)
         environment.settle()
-        if run.traces is not None:
-            run.traces.keep(ENVIRONMENT, k, environment.tools, environment.masses)
+        for name, way in ways.items():
+            force: Floats = f[ports[name]].tolist()
+            for port in reversed(way):
+                force = port.down(force)
+                port.book()
+            f[ports[name]] = force
+        for name, device in self.devices.items():
+            f[ports[name]] = device.exert(f[ports[name]].tolist(), now)
+            device.book()
+            device.driver.idle(due)
+        return x, f
 
-    def _from_the_world(self, run: _Run, k: int) -> None:
-        """The world's faces of wave links take in the forces, and send waves; the couplings feel their users' faces."""
-        for name, user, world, ports in run.linked:
-            world.step(run.f_v[k, ports].tolist())
-            run.at_user[name] = WaveRow(user.wave, user.tank.row())
-            run.at_world[name] = _world_row(world)
-            if self._turns[name][0].sends(world.n):
-                wave = world.message()
-                user.hear(wave.n, wave.U, wave.G)
-            run.f_v[k, ports] = run.through_waves[name]
-        if run.traces is not None and run.at_world:
-            run.world_rows.add([*run.at_world.values()])
-            run.traces.keep_waves(ENVIRONMENT, k, run.world_rows.take())
+    def _keep(self, traces: Traces, k: int, couplings: Iterable[str]) -> None:
+        """Keep what each node would report of the tick; of the couplings these alone."""
+        ends = [link.at_world for link in self.links.values()]
+        traces.keep(ENVIRONMENT, k, (*row_of(self.environment), *world_row(ends)))
+        for name, device in self.devices.items():
+            traces.keep(name, k, device.row())
+        for name in couplings:
+            end = self.links[name].at_user if name in self.links else None
+            traces.keep(name, k, (*self.couplings[name].row(), *user_row(end)))
 
-    def _hand_on(self, run: _Run, k: int) -> None:
-        """The couplings limit the forces, absorb them and hand them on."""
-        for name, coupling, ports in run.couplings:
-            run.f_v[k, ports] = applied = coupling.limited(run.f_v[k, ports].tolist())
-            coupling.absorb(applied)
-            if run.traces is not None:
-                run.traces.keep(name, k, run.p[ports].tolist(), applied)
-                if name in run.at_user:
-                    run.traces.keep_waves(name, k, wave_traces([run.at_user[name]]))
+    def _way(self, name: str) -> tuple[TwoPort, ...]:
+        """The two-ports of a coupling, from its devices to the world."""
+        coupling = self.couplings[name]
+        return (coupling, self.links[name]) if name in self.links else (coupling,)
 
-    def _exert(self, run: _Run, k: int, now: Instant, due: Instant) -> None:
-        """The devices exert the forces within their limits, until the next tick is due."""
-        for name, driver in self._drivers.items():
-            ports = self._device_ports[name]
-            run.f_v[k, ports] = force = self.guards[name].clip(run.f_v[k, ports].tolist())
-            driver.apply(force, now)
-            driver.idle(due)
-            self.devices[name].apply(force, driver.intended_work())
-            if run.traces is not None:
-                run.traces.keep(name, k, run.x[k, ports].tolist(), force)
+    def _come_back(self, name: str) -> tuple[TwoPort, ...]:
+        """Begin a coupling anew, at rest; returns its two-ports."""
+        self.environment.clutches.engage([*self.couplings].index(name))
+        self.couplings[name] = CouplingPort(self._bundles[name])
+        if name in self.links:
+            self.links[name].come_back()
+        return self._way(name)
 
-    def _active(self, silent: Collection[str]) -> list[tuple[str, CouplingCore, NDArray[np.intp]]]:
-        """The couplings that are not silent, with their ports."""
-        return [(name, core, self._coupling_ports[name]) for name, core in self.couplings.items() if name not in silent]
-
-    def _linked(self, silent: Collection[str]) -> list[tuple[str, UserFace, WorldFace, NDArray[np.intp]]]:
-        """Both faces of each wave link whose coupling is not silent, with its ports."""
-        return [
-            (name, user, self.world_faces[name], self._coupling_ports[name])
-            for name, user in self.user_faces.items()
-            if name not in silent
-        ]
+    def _fall_silent(self, name: str) -> None:
+        """A coupling sends nothing from now on."""
+        self.environment.clutches.freeze([*self.couplings].index(name))
+        if name in self.links:
+            self.links[name].fall_silent()
 
 
 def simulate(
@@ -380,10 +342,6 @@ def require_one_period(session: Session) -> None:
                 f"couplings.{name}.wave_link.period: found {session.period_of(name):g} s; expected the session's "
                 f"{session.period:g} s for a simulation in one process; launch --clock simulated runs it as it is"
             )
-
-
-def _world_row(world: WorldFace) -> WaveRow:
-    return WaveRow(world.wave, world.tank.row(), *world.signals)
 
 
 def _by_tick(

@@ -22,14 +22,16 @@ was changed contradicts the force or the position of its own tick.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Final
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from manyhands.launch.audit.events import Course
+from manyhands.launch.audit.events import Course, Happening
 from manyhands.launch.audit.findings import Check, CheckVerdict, UncheckedTicks, compare, first_of, gaps_of
+from manyhands.launch.audit.recompute import Array, Follower, Recomputed, recompute
 from manyhands.launch.recordings.run import FiguresByTick, there
 from manyhands.nodes.kernel.arithmetic import Floats, Saturation
 from manyhands.nodes.kernel.bundle import Common, CouplingBundle, WaveEnd
@@ -38,7 +40,6 @@ from manyhands.nodes.rows.tick_events import Kind, events_in
 from manyhands.nodes.wave_link.ends import user_face, world_face
 from manyhands.protocol.channels import TANK_NAMES
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 ROUNDING: Final = 64.0
@@ -72,113 +73,165 @@ class EndRows:
         return there(np.hstack([self.p, self.f, self.c, self.tank]))
 
 
-@dataclass(eq=False)
-class EndAgain:
-    """One end, computed again.
-
-    Attributes:
-        rows: as recorded.
-        tank: E_0, J.
-        signal: f of a user's end, N, or p of a world's, m; ticks x ports.
-        entered: the energy that entered the link at this end in each tick, by motion and force, J; NaN where unknown.
-        level: L that follows, ticks x 1, J.
-        tolerance: of the energies of each tick, J.
-        room: what the wave of each tick could cost at most, and what it cost, ticks x 2, J.
-        gaps: why some ticks could not be computed.
-    """
+class EndAgain(NamedTuple):
+    """One end: its ``rows`` as recorded, E_0 of its ``tank``, J, and the fields of a :class:`FollowedEnd`."""
 
     rows: EndRows
     tank: float
-    signal: Array
-    entered: Array
-    level: Array
-    tolerance: Array
-    room: Array
-    gaps: list[UncheckedTicks] = field(default_factory=list)
+    fields: Recomputed
+
+    @property
+    def tolerance(self) -> Array:
+        """Of the energies of each tick, ticks x 1, J."""
+        return np.nan_to_num(self.fields["tolerance"])
 
 
-def user_end(common: Common, bundle: CouplingBundle, wave: WaveEnd, rows: EndRows, course: Course) -> EndAgain:
-    """The user's end: f_c from p and c, and the tank.
+class FollowedEnd(Follower):
+    """An end of a wave link, from its own rows: each follows from the one before, as it was recorded.
 
-    Args:
-        common: of the coupling.
-        bundle: the coupling's part of the session.
-        wave: this end of its link.
-        rows: of the coupling, and of its end.
-        course: what happened between them.
+    Its fields are ``signal``, f of a user's end, N, or p of a world's, m; ``entered``, the energy that entered the link
+    at this end in the tick, by motion and force, J; ``level``, the L that follows, and its ``tolerance``, J; ``room``,
+    what the wave of the tick could cost at most, and what it cost, J.
     """
-    out, whole = _nothing(rows, wave.tank), rows.whole
-    face = user_face(common, wave, bundle.block.D)
-    saturation = Saturation(bundle.limits.force)
-    begun = {k for k, happened in course.before.items() if happened.began}
-    before: Floats | None = None  # x_c of the tick before
-    for k in np.flatnonzero(whole).tolist():
-        p, f, c = rows.p[k].tolist(), rows.f[k].tolist(), rows.c[k].tolist()
-        if k in begun:
-            before = p  # the first p of a process is where the tool is
-        elif k == 0 or not whole[k - 1]:
-            before = None
-        if before is None:
-            out.gaps.append(UncheckedTicks(k, k + 1, _AFTER_GAP))
-            applied, free = f, False
+
+    def __init__(self, common: Common, wave: WaveEnd, rows: EndRows, begun: Collection[int], sign: float) -> None:
+        """Take what was recorded.
+
+        Args:
+            common: of the node.
+            wave: this end of its link.
+            rows: of the node, and of its end.
+            begun: the ticks in which a process began.
+            sign: of the energy f^T (x(k) - x(k-1)) that enters the link: -1 at a user's end, 1 at a world's.
+        """
+        self._wave, self._T, self._recorded, self._begun, self._sign = wave, common.period, rows, begun, sign
+        self._whole, self._roots = rows.whole, _roots(wave)
+        self._after: Floats = []  # where the tool was after the tick before
+        self._notes: list[UncheckedTicks] = []
+        self.ticks, ports = rows.p.shape
+        self.rows = np.flatnonzero(self._whole).tolist()
+        self.fields = {"signal": ports, "entered": 1, "level": 1, "tolerance": 1, "room": 2}
+
+    def begin(self, joins: bool) -> None:
+        """Nothing: the state of an end is in the row before."""
+
+    def end(self) -> EndAgain:
+        """The end, computed again."""
+        again = recompute(self, Course({}, {}, self.ticks))
+        again.gaps += [*self._notes, *gaps_of(~self._whole & _within(self._whole), "it has no whole row there")]
+        return EndAgain(self._recorded, self._wave.tank, again)
+
+    def _before(self, k: int) -> Floats | None:
+        """Where the tool was before tick ``k``, m; None where the row before is missing, which is noted."""
+        if k > 0 and self._whole[k - 1]:
+            return self._after
+        self._notes.append(UncheckedTicks(k, k + 1, _AFTER_GAP))
+        return None
+
+    def _booked(
+        self, k: int, f: Floats, before: Floats | None, after: Floats, harvests: bool = True
+    ) -> dict[str, Sequence[float]]:
+        """What entered the link in tick k, its harvest T w^T theta w included, and the tank that follows, J.
+
+        Args:
+            k: the tick.
+            f: the force on the link, N.
+            before: where the tool was, m; None where that is not known.
+            after: where it is, m.
+            harvests: whether theta is earned.
+        """
+        out: dict[str, Sequence[float]] = {}
+        self._after, harvest, tolerance, theta = after, 0.0, 0.0, self._wave.theta
+        if before is not None:
+            moved = np.array(after) - np.array(before)
+            if theta is not None and harvests:
+                harvest = float(moved @ theta @ moved) / self._T
+            out["entered"] = [self._sign * float(np.array(f) @ moved) + harvest]
+            size = float(np.abs(f) @ (np.abs(before) + np.abs(after))) + harvest
+            tolerance = ROUNDING * _EPSILON * size
+        tank, c, T = self._recorded.tank, self._recorded.c[k], self._T
+        if k in self._begun:
+            held = [self._wave.tank if k == 0 else 0.0, 0.0, 0.0]
+        elif k > 0 and self._whole[k - 1]:
+            held = tank[k - 1].tolist()
         else:
-            moved = [to - at for to, at in zip(p, before, strict=True)]
-            free = not any(f) and c == face.free_wave(moved)
-            again = [0.0] * len(f) if free else face.force(c, moved)
-            clipped = saturation.clip(again)
-            out.signal[k] = clipped
-            applied = f if clipped is again else again  # where it was clipped the face goes on with its own force
-        after = face.position(p, applied)
-        harvest = 0.0
-        if before is not None:
-            harvests = None if free else wave.theta
-            harvest = _book(out, k, applied, before, after, harvests, common.period, user=True)
-        _tank(out, k, k in begun, whole, (wave, common.period), applied, harvest, user=True)
-        if free:  # the wave of a free end goes back as it came, and nobody pays for it
-            out.room[k, 1] = 0.0
-        before = after
-    out.gaps += gaps_of(~whole & _within(whole), "it has no whole row there")
-    return out
+            return {**out, "tolerance": [tolerance]}
+        level, shipped, heard = tank[k].tolist()
+        if shipped < held[1] or heard < held[2]:  # G and H count anew in a new life
+            held[1] = held[2] = 0.0
+        a = c + self._sign * 2.0 * np.linalg.solve(self._roots, np.array(f))
+        paid, earned, room = 0.5 * T * float(c @ c), 0.5 * T * float(a @ a), held[0] + (heard - held[2])
+        out["level"] = [room - paid + earned + harvest - (shipped - held[1])]
+        tolerance += ROUNDING * _EPSILON * (sum(map(abs, (*held, level, shipped, heard))) + paid + earned)
+        return {**out, "tolerance": [tolerance], "room": [room, paid]}
 
 
-def world_end(common: Common, wave: WaveEnd, rows: EndRows, coupling: str, figures: FiguresByTick) -> EndAgain:
-    """The world's end: p from f_v and c, and the tank.
+class FollowedUserEnd(FollowedEnd):
+    """The user's end: f_c from p and c, and the tank."""
 
-    Args:
-        common: of the environment.
-        wave: this end of the link of ``coupling``.
-        rows: of the environment, at the coupling's ports.
-        coupling: its name.
-        figures: of the environment, with its events.
-    """
-    out, whole = _nothing(rows, wave.tank), rows.whole
-    face = world_face(common, wave)
-    events = [event for _, values in figures for event in events_in(values)]
-    aligned = {event.tick for event in events if event.kind is Kind.LINKED and event.peer == coupling}
-    begun = {event.tick for event in events if event.kind is Kind.BEGAN}
-    before: Floats | None = None
-    for k in np.flatnonzero(whole).tolist():
+    def __init__(self, common: Common, bundle: CouplingBundle, wave: WaveEnd, rows: EndRows, course: Course) -> None:
+        """Take what was recorded.
+
+        Args:
+            common: of the coupling.
+            bundle: the coupling's part of the session.
+            wave: this end of its link.
+            rows: of the coupling, and of its end.
+            course: what happened between them.
+        """
+        super().__init__(common, wave, rows, {k for k, happened in course.before.items() if happened.began}, -1.0)
+        self._face = user_face(common, wave, bundle.block.D)
+        self._saturation = Saturation(bundle.limits.force)
+
+    def row(self, k: int, happened: Happening, rung: int | None) -> Mapping[str, Sequence[float]]:
+        """f_c, what entered, and the tank."""
+        rows, face = self._recorded, self._face
         p, f, c = rows.p[k].tolist(), rows.f[k].tolist(), rows.c[k].tolist()
-        if k in aligned:
-            before = None
-            out.gaps.append(UncheckedTicks(k, k + 1, _BEGINS))
-        elif k in begun:
-            before = [0.0] * len(p)
-        elif k == 0 or not whole[k - 1]:
-            before = None
-            out.gaps.append(UncheckedTicks(k, k + 1, _AFTER_GAP))
-        after, harvest = face.position(p, f), 0.0
-        if before is not None:
-            out.signal[k] = face.free_position(before, c)
-            harvest = _book(out, k, f, before, after, wave.theta, common.period, user=False)
-        elif k in aligned:
+        before = p if k in self._begun else self._before(k)  # the first p of a process is where the tool is
+        if before is None:
+            return self._booked(k, f, None, face.position(p, f))
+        moved = [to - at for to, at in zip(p, before, strict=True)]
+        free = not any(f) and c == face.free_wave(moved)
+        again = [0.0] * len(f) if free else face.force(c, moved)
+        clipped = self._saturation.clip(again)
+        applied = f if clipped is again else again  # where it was clipped the face goes on with its own force
+        out = {**self._booked(k, applied, before, face.position(p, applied), not free), "signal": clipped}
+        if free and "room" in out:  # the wave of a free end goes back as it came, and nobody pays for it
+            out["room"] = [out["room"][0], 0.0]
+        return out
+
+
+class FollowedWorldEnd(FollowedEnd):
+    """The world's end: p from f_v and c, and the tank."""
+
+    def __init__(self, common: Common, wave: WaveEnd, rows: EndRows, coupling: str, figures: FiguresByTick) -> None:
+        """Take what was recorded.
+
+        Args:
+            common: of the environment.
+            wave: this end of the link of ``coupling``.
+            rows: of the environment, at the coupling's ports.
+            coupling: its name.
+            figures: of the environment, with its events.
+        """
+        events = [event for _, values in figures for event in events_in(values)]
+        super().__init__(common, wave, rows, {event.tick for event in events if event.kind is Kind.BEGAN}, 1.0)
+        self._aligned = {event.tick for event in events if event.kind is Kind.LINKED and event.peer == coupling}
+        self._face = world_face(common, wave)
+
+    def row(self, k: int, happened: Happening, rung: int | None) -> Mapping[str, Sequence[float]]:
+        """p, what entered, and the tank."""
+        rows, face = self._recorded, self._face
+        p, f, c = rows.p[k].tolist(), rows.f[k].tolist(), rows.c[k].tolist()
+        after, rest = face.position(p, f), [0.0] * len(p)
+        if k in self._aligned:
+            self._notes.append(UncheckedTicks(k, k + 1, _BEGINS))
             # the place before follows from the wave, to rounding; no force acts until the clutch has moved
-            start = [at - by for at, by in zip(p, face.free_position([0.0] * len(p), c), strict=True)]
-            harvest = _book(out, k, f, start, after, wave.theta, common.period, user=False)
-        _tank(out, k, k in begun, whole, (wave, common.period), f, harvest, user=False)
-        before = after
-    out.gaps += gaps_of(~whole & _within(whole), "it has no whole row there")
-    return out
+            start = [at - by for at, by in zip(p, face.free_position(rest, c), strict=True)]
+            return self._booked(k, f, start, after)
+        before = rest if k in self._begun else self._before(k)
+        out = self._booked(k, f, before, after)
+        return out if before is None else {**out, "signal": face.free_position(before, c)}
 
 
 def _within(whole: Flags) -> Flags:
@@ -188,61 +241,6 @@ def _within(whole: Flags) -> Flags:
     if len(known):
         out[known[0] : known[-1]] = True
     return out
-
-
-def _nothing(rows: EndRows, tank: float) -> EndAgain:
-    ticks, ports = rows.p.shape
-    one = np.full((ticks, 1), np.nan)
-    pair = np.full((ticks, 2), np.nan)
-    return EndAgain(rows, tank, np.full((ticks, ports), np.nan), one[:, 0].copy(), one, np.zeros((ticks, 1)), pair)
-
-
-def _book(
-    out: EndAgain, k: int, f: Floats, before: Floats, after: Floats, theta: Array | None, T: float, *, user: bool
-) -> float:
-    """Book what entered the link in tick k, J: -f_c^T (x(k) - x(k-1)) at a user's end, +f_e^T (...) at a world's.
-
-    Returns:
-        The harvest T w^T theta w, J, which is booked as well.
-    """
-    moved = np.array(after) - np.array(before)
-    harvest = 0.0 if theta is None else float(moved @ theta @ moved) / T
-    out.entered[k] = (-1.0 if user else 1.0) * float(np.array(f) @ moved) + harvest
-    size = float(np.abs(f) @ (np.abs(before) + np.abs(after))) + harvest
-    out.tolerance[k, 0] += ROUNDING * _EPSILON * size
-    return harvest
-
-
-def _tank(
-    out: EndAgain,
-    k: int,
-    begun: bool,
-    whole: Flags,
-    of: tuple[WaveEnd, float],
-    f: Floats,
-    harvest: float,
-    *,
-    user: bool,
-) -> None:
-    """L(k) and the cost of the wave, from the tank before; G and H count anew in a new life."""
-    wave, T = of
-    level, shipped, heard = out.rows.tank[k].tolist()
-    if begun:
-        before = [wave.tank if k == 0 else 0.0, 0.0, 0.0]
-    elif k == 0 or not whole[k - 1]:
-        return
-    else:
-        before = out.rows.tank[k - 1].tolist()
-    if shipped < before[1] or heard < before[2]:
-        before[1] = before[2] = 0.0
-    c = out.rows.c[k]
-    roots = _roots(wave)
-    a = c + (-2.0 if user else 2.0) * np.linalg.solve(roots, np.array(f))
-    paid, earned = 0.5 * T * float(c @ c), 0.5 * T * float(a @ a)
-    out.level[k] = before[0] + (heard - before[2]) - paid + earned + harvest - (shipped - before[1])
-    sums = sum(map(abs, (*before, level, shipped, heard)))
-    out.tolerance[k, 0] += ROUNDING * _EPSILON * (sums + paid + earned)
-    out.room[k] = before[0] + (heard - before[2]), paid
 
 
 def _roots(wave: WaveEnd) -> Array:
@@ -262,13 +260,13 @@ def end_checks(party: str, of: str, ports: tuple[str, ...], again: EndAgain, *, 
         again: the end, computed again.
         user: whether it is the user's end.
     """
-    rows = again.rows
+    rows, fields, room = again.rows, again.fields, again.fields["room"]
     what = "f_v follows from p and the wave c" if user else f"p of {of} follows from f_v and the wave c"
     kept, text = rows.tank[:, :1], f"the tank of {of}'s wave link follows from waves, energy heard and energy shipped"
-    fell = np.hstack([rows.tank[:, :1], again.room[:, :1] - again.room[:, 1:]])
+    fell = np.hstack([rows.tank[:, :1], room[:, :1] - room[:, 1:]])
     return [
-        compare("wave", party, what, ports, rows.f if user else rows.p, again.signal, gaps=again.gaps),
-        compare("tank", party, text, TANK_NAMES[:1], kept, again.level, tolerance=again.tolerance, source=_SOURCE),
+        compare("wave", party, what, ports, rows.f if user else rows.p, fields["signal"], gaps=fields.gaps),
+        compare("tank", party, text, TANK_NAMES[:1], kept, fields["level"], tolerance=again.tolerance, source=_SOURCE),
         _never_below_zero(party, f"at {of}'s wave link it paid for each wave, and shipped what it had", fell, again),
     ]
 
@@ -314,9 +312,9 @@ def ledger_of_both(coupling: str, user: EndAgain, world: EndAgain, rate: float) 
         world: its world's end.
         rate: ticks of the user's end in one of the world's.
     """
-    ticks = len(world.entered)
+    ticks = len(world.rows.p)
     at = np.array([own_tick_before(k, rate) for k in range(ticks)], dtype=np.intp)
-    at = np.minimum(at, len(user.entered) - 1)
+    at = np.minimum(at, len(user.rows.p) - 1)
     of_user, slack_u, end_u = _so_far(user)
     of_world, slack_w, end_w = _so_far(world)
     total = of_user[at] + of_world
@@ -346,9 +344,10 @@ def _so_far(end: EndAgain) -> tuple[Array, Array, int]:
 
     A tick without energy at the beginning, before the first whole row, adds nothing.
     """
-    known = np.isfinite(end.entered)
+    of_ticks = end.fields["entered"][:, 0]
+    known = np.isfinite(of_ticks)
     first = int(known.argmax()) if known.any() else 0
     after = np.flatnonzero(~known[first:])
     stop = first + int(after[0]) if len(after) else len(known)
-    entered = np.cumsum(np.nan_to_num(end.entered))
+    entered = np.cumsum(np.nan_to_num(of_ticks))
     return entered, np.cumsum(end.tolerance[:, 0]), stop

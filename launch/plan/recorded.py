@@ -6,19 +6,16 @@ kept here under the same names, except for tau, which depends on the machine and
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection
 
 import numpy as np
-from numpy.typing import NDArray
 
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.run import RecordedTrace
-from manyhands.nodes.kernel.passivity import Ledger
 from manyhands.nodes.recorder.format import Recorded
+from manyhands.nodes.rows.two_port import Row
 from manyhands.protocol.channels import LEDGER, TAU, links_at, topics_of
-
-Array = NDArray[np.float64]
 
 
 def recorded_of(prepared: Prepared, clock: str) -> Recorded:
@@ -50,12 +47,12 @@ class Traces:
         by_node: the topics of each node, in the table's order.
     """
 
-    def __init__(self, plan: Plan, ledgers: Mapping[str, Ledger], ticks: int) -> None:
+    def __init__(self, plan: Plan, ledgers: Collection[str], ticks: int) -> None:
         """All values begin as NaN.
 
         Args:
             plan: of the session.
-            ledgers: by node, for the nodes that keep one.
+            ledgers: the nodes that keep one.
             ticks: number of ticks.
         """
         graph, masses = plan.graph, plan.session.environment.reported(plan.session.ports)
@@ -72,30 +69,8 @@ class Traces:
                 RecordedTrace(topic, own, np.full((ticks, len(own)), np.nan))
                 for topic, own in zip(topics, columns, strict=True)
             )
-        self._signals = {
-            name: [kept for kept in own if kept.topic.trace != LEDGER and not kept.topic.linked]
-            for name, own in self.by_node.items()
-        }
-        self._ledgers = ledgers
 
-    def keep_waves(self, node: str, tick: int, traces: Mapping[str, Array]) -> None:
-        """Keep what the ends of wave links at ``node`` report of a tick, by the names of the traces."""
-        for one in self.by_node[node]:
-            if one.topic.linked:
-                one.values[tick] = traces[one.topic.trace][0]
-
-    def keep(self, node: str, tick: int, *signals: Sequence[float]) -> None:
-        """Keep a tick that ``node`` has done.
-
-        Args:
-            node: its name.
-            tick: the tick.
-            signals: in the order of its topics, without the ledger, which is read from ``ledgers``, and without those
-                of wave links.
-        """
-        for one, row in zip(self._signals[node], signals, strict=False):  # without masses, q has no topic
-            one.values[tick] = row
-        if node in self._ledgers:
-            next(one for one in self.by_node[node] if one.topic.trace == LEDGER).values[tick] = self._ledgers[
-                node
-            ].total
+    def keep(self, node: str, tick: int, row: Row) -> None:
+        """Keep the row of a tick that ``node`` has done."""
+        for one, part in zip(self.by_node[node], filter(len, row), strict=True):
+            one.values[tick] = part

@@ -6,60 +6,48 @@ runs coupling and device in one process, the device's loop brings them (:mod:`ma
 
 from __future__ import annotations
 
-import numpy as np
-
-from manyhands.nodes.coupling.core import CouplingCore
+from manyhands.nodes.coupling.port import CouplingPort
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import REALTIME, CouplingBundle
 from manyhands.nodes.kernel.lifetime import Life
-from manyhands.nodes.link.join import Join, Received, WaveRow, dropped_frames, stray_frames
+from manyhands.nodes.link.join import Join, Received, dropped_frames, stray_frames
 from manyhands.nodes.link.supervisor_line import ControlLine
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.tick_events import TickEvents
-from manyhands.nodes.wave_link.rows import wave_traces
+from manyhands.nodes.rows.two_port import RowBuffer
+from manyhands.nodes.wave_link.rows import user_row
 from manyhands.protocol.clock import Duration
-from manyhands.protocol.messages import Absent, Figures, Report, Rung, Telemetry, Tool
+from manyhands.protocol.messages import Absent, Figures, Report, Role, Rung, Telemetry, Tool
 
 
 class Block:
     """The block in its loop, and the :class:`manyhands.nodes.link.join.Listener` on its link to the environment.
 
     Attributes:
-        core: the block at its present rung.
+        port: the block, with its rung.
         environment: the link to the environment.
-        rung: the present rung of the ladder.
         jumps: how often the session had gone on to a later tick without this block.
         ticks: the tick after the latest.
-        applied: the force of the latest tick, within its limits, N.
         sent: the tick of the latest p that was sent; -1 before the first.
     """
 
     def __init__(self, bundle: CouplingBundle, environment: Join) -> None:
         """At rest, at rung 0."""
         self._bundle, self._common = bundle, bundle.common
-        self.core = self._core_of(0)
+        self.port = CouplingPort(bundle)
         self.environment = environment
-        self.rung = self._next_rung = 0
+        self._next_rung = 0
         self.jumps = self.ticks = 0
         self._stamp, self.sent = 0, -1
         self._life: Life | None = None  # until the loop begins
-        m = len(self._common.ports)
-        self._p: Floats = [0.0] * m
-        self._f: Floats = [0.0] * m  # the environment's force, filled in place
-        self.applied = self._f
-        self._rows = self._common.telemetry_first
-        # allocated here, so that a tick allocates nothing of the telemetry's size
-        rows = self._common.telemetry_ticks
-        self._trace_p: list[Floats] = [self._p] * rows
-        self._trace_f: list[Floats] = [self._p] * rows
-        self._energy = [0.0] * rows
-        self._waves: list[WaveRow] = [] if environment.row is None else [environment.row] * rows
-        self._filled = 0
+        self._f: Floats = [0.0] * len(self._common.ports)  # the environment's force, filled in place
+        self._rows = RowBuffer(Role.COUPLING, self._common.telemetry_first, self._common.telemetry_ticks)
         self._events = TickEvents()
 
-    def _core_of(self, rung: int) -> CouplingCore:
-        bundle, of = self._bundle, self._bundle.rungs[rung]
-        return CouplingCore(of.block, of.K, of.level, bundle.common.period, bundle.limits.force)
+    @property
+    def applied(self) -> Floats:
+        """The force of the latest tick, within the limits of its devices, N."""
+        return self.port.f
 
     def begin(self, life: Life) -> None:
         """Begin the loop; ``life`` fails when the environment floods the link."""
@@ -69,12 +57,11 @@ class Block:
         """Send the environment p(k), m, for the devices' x(k), m; ``stamp`` is that of the first sample, ns."""
         self.sent = tick
         self._stamp = stamp  # the age of the force is counted from the sample
-        self._p = p = self.core.free_position(x)
-        self.environment.send(Tool, tick, stamp, p)
+        self.environment.send(Tool, tick, stamp, self.port.up(x))
 
     def send_again(self, tick: int) -> None:
         """Send the last p once more: the signal or its answer may have been lost, or the session has gone on."""
-        self.environment.send(Tool, tick, self._stamp, self._p)
+        self.environment.send(Tool, tick, self._stamp, self.port.p)
 
     def hear(self, tick: int, timeout: Duration) -> Received:
         """Listen for f_v(k), at most ``timeout``.
@@ -87,10 +74,10 @@ class Block:
         environment = self.environment
         received = environment.hear(self._f, tick, timeout, self)
         if received is Received.SIGNAL:
-            self.applied = self.core.limited(self._f)
+            self.port.down(self._f)
         elif received is Received.DECLINED:
             environment.take_other(self._f, "future_tick")
-            self.applied = self.core.limited(self._f)
+            self.port.down(self._f)
             self.jumps += 1
         elif received is Received.RECONNECTED:
             self._next_rung = 0  # an environment that greets the block has put D_V of rung 0 into its loop
@@ -100,25 +87,19 @@ class Block:
 
     def climb(self, tick: int) -> int | None:
         """Change to the rung that the environment has just chosen, at rest; returns it, or None without a change."""
-        if self._next_rung == self.rung:
+        rung = self._next_rung
+        if rung == self.port.rung:
             return None
-        before, self.rung = self.core, self._next_rung
-        self.core = self._core_of(self.rung)
-        self.core.succeed(before)
-        self._events.change_rung(tick, self.rung)
-        return self.rung
+        self.port.change(rung)
+        self._events.change_rung(tick, rung)
+        return rung
 
     def settle(self, tick: int) -> None:
         """Step past ``tick``, and keep its row; all this can wait until the forces are on their way."""
         self.environment.settle(tick)
-        self.core.absorb(self.applied)
+        self.port.book()
         self.ticks = tick + 1
-        row, ledger = self._filled, self.core.ledger
-        self._trace_p[row], self._trace_f[row] = self._p, self.applied.copy()
-        self._energy[row] = 0.0 if ledger is None else ledger.total
-        if (wave := self.environment.row) is not None:
-            self._waves[row] = wave
-        self._filled += 1
+        self._rows.add((*self.port.row(), *user_row(self.environment.row)))
 
     def on_other_tick(self, join: Join, other: int, awaited: int) -> bool:
         """Stop waiting at the force of a later tick: the session has gone on without this block.
@@ -140,12 +121,12 @@ class Block:
 
     def publish(self, control: ControlLine, devices: tuple[Join, ...] = ()) -> None:
         """Send telemetry once its rows are full: its encoding costs time once in ``telemetry_ticks`` ticks."""
-        if self._filled == self._rows:
+        if self._rows.full:
             self.publish_rest(control, devices)
 
     def publish_rest(self, control: ControlLine, devices: tuple[Join, ...] = ()) -> None:
         """Send the telemetry of the ticks since the last one, if there are any."""
-        rows, self._filled, self._rows = self._filled, 0, self._common.telemetry_ticks
+        rows = self._rows.filled
         if rows == 0:
             return
         numbers = {
@@ -153,21 +134,15 @@ class Block:
             **stray_frames([*devices, self.environment]),
             **self._events.take(self.ticks - rows, self.ticks),
         }
-        traces = {
-            names.FREE_POSITION: np.array(self._trace_p[:rows]),
-            names.FORCE: np.array(self._trace_f[:rows]),
-            **names.ledger_trace(self.core.ledger, self._energy[:rows]),
-            **wave_traces(self._waves[:rows]),
-        }
-        control.publish(Telemetry(self.ticks, Figures(numbers), traces))
+        control.publish(Telemetry(self.ticks, Figures(numbers), self._rows.take()))
 
     def _numbers(self) -> dict[str, float]:
         """What telemetry and report have alike."""
         return {
-            names.SATURATED: float(self.core.saturated),
+            names.SATURATED: float(self.port.core.saturated),
             names.JUMPS: float(self.jumps),
-            names.RUNG: float(self.rung),
-            **names.ledger_figures(self.core.ledger),
+            names.RUNG: float(self.port.rung),
+            **names.ledger_figures(self.port.ledger),
             **self.environment.figures(),
         }
 

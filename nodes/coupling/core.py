@@ -37,32 +37,36 @@ class CouplingCore:
         """Start at rest.
 
         Args:
-            block: (A_V, B_V, C_V, D_V) of the block, force (N) to displacement (m).
-            K: the block of the loop transformation's K, m/N.
-            level: Delta_V,i, N*s/m, or None.
+            block: as of :meth:`change`.
+            K: likewise.
+            level: likewise.
             T: period, s.
             force_limits: the greatest force of each port's device, N.
         """
-        self._saturation = Saturation(force_limits)
-        n, m = block.order, block.outputs
+        self._saturation, self._T = Saturation(force_limits), T
+        self.ledger: Ledger | None = None
+        self.change(block, K, level)
+
+    def change(self, block: StateSpace, K: Vector, level: Vector | None) -> None:
+        """Go on at rest as another block, with the ledger so far; call this only where no force is applied.
+
+        Args:
+            block: (A_V, B_V, C_V, D_V) of the block, force (N) to displacement (m).
+            K: the block of the loop transformation's K, m/N.
+            level: Delta_V,i, N*s/m, or None.
+        """
+        n, m = self._n, self._m = block.order, block.outputs
         xi = np.hstack([block.A, block.B])  # rows over (xi, f_v)
         self._step = linear_map(np.vstack([xi, block.C @ xi, np.hstack([block.C, block.D - K])]))
         self._level = None if level is None else linear_map(level)
-        self._T, self._m, self._n = T, m, n
         self._xi: Floats = [0.0] * n
         self._offset: Floats = [0.0] * m  # C_V xi
         self._y: Floats = [0.0] * m  # (V - K) f_v of the tick before, m
-        self.ledger = None if level is None else Ledger()
+        self.ledger = None if level is None else self.ledger or Ledger()
 
     def free_position(self, x: Floats) -> Floats:
         """p(k), m, from the devices' displacement x(k), m."""
         return plus(x, self._offset)
-
-    def succeed(self, before: CouplingCore) -> None:
-        """Continue the ledger and the counts of the block at the rung before; both are at rest, and without force."""
-        self._saturation = before._saturation
-        if self.ledger is not None and before.ledger is not None:
-            self.ledger = before.ledger
 
     @property
     def saturated(self) -> int:

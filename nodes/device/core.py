@@ -125,6 +125,8 @@ class Guard:
     """The limits of one device, and the ratio s by which it lets go.
 
     Attributes:
+        armed: whether it lets go at a breach. It always does, except where an audit follows a device that did not,
+            through samples that are not all known.
         let_go: how often the device has let go.
         leaving: whether it lets go for good, because it leaves.
         why: which limit it exceeded when it let go last, in one sentence; empty if it never did.
@@ -144,7 +146,7 @@ class Guard:
         self._before: Floats | None = None
         self._reported: Floats | None = None  # x'(k), where it is not x(k)
         self._ratio, self._rises, self._within = 1.0, RETURN, 0
-        self.leaving = False
+        self.armed, self.leaving = True, False
         self.let_go, self.why = 0, ""
 
     @property
@@ -170,7 +172,7 @@ class Guard:
         """
         before = self._before or x
         breach = self.breach(x, periods)
-        if breach is None and self._reported is None and not self.leaving:
+        if (breach is None or not self.armed) and self._reported is None and not self.leaving:
             return x
         reported, ratio = self._reported or before, self._ratio
         moved = [at + _finite(ratio * (to - last)) for at, to, last in zip(reported, x, before, strict=True)]

@@ -80,7 +80,7 @@ class DeviceNode:
         self._clock: Clock = SimulatedClock() if common.clock == SIMULATED else self._realtime
         self._period = from_seconds(common.period)
         self.joins: list[Join] = []
-        self._account = DeviceTelemetry(common, bundle.rungs[0], driver.figures, self.device.interface, bundle.timing)
+        self._account = DeviceTelemetry(common, bundle.rungs[0], self.device, bundle.timing)
         self._free = False  # it has let go
         self._rung = self._next_rung = 0
         self._zero: Floats = [0.0] * len(common.ports)
@@ -101,7 +101,7 @@ class DeviceNode:
         """
         try:
             self._exert(start, life, control)
-            self._account.publish_rest(control, self.device.core, self.device.guard, self.joins)
+            self._account.publish_rest(control, self.joins)
             self.device.conclude(self._now())  # for the report alone: telemetry ends with its last row
         finally:
             for join in self.joins:
@@ -115,7 +115,7 @@ class DeviceNode:
 
     def _run(self, start: Start, life: Life, control: ControlLine) -> None:
         clock, device, period = self._clock, self.device, self._period
-        driver, core, guard, in_wall_time = device.driver, device.core, device.guard, device.interface is not None
+        driver, guard, in_wall_time = device.driver, device.guard, device.interface is not None
         account, joins = self._account, self.joins
         self._life, give_way = life, way_giver()
         epoch = self._epoch = Instant(start.epoch) if clock is self._realtime else Instant(0)
@@ -174,7 +174,7 @@ class DeviceNode:
             if answered > tick:
                 self._jump(control)
                 tick = answered
-            held = device.exert(f.copy(), Instant(received - epoch))  # f is written again in the next tick
+            device.exert(f.copy(), Instant(received - epoch))  # f is written again in the next tick
             applied = received if in_wall_time else clock.now()  # in wall time the instant that the driver was given
             give_way()
             device.book()
@@ -183,18 +183,16 @@ class DeviceNode:
             driver.idle(Instant((slot + 1) * period))
             if self._next_rung != self._rung:
                 self._change_rung(tick)
-            account.tick(
-                tick, device.x, held, core, (due, ready, sampled, sent, received, applied), device.instants, device.x_a
-            )
+            account.tick(tick, (due, ready, sampled, sent, received, applied))
             # after a late tick the next multiple of T, by a division that rounds up
             slot = -((epoch - applied) // period) if applied > epoch + (slot + 1) * period else slot + 1
             self._free = False
             tick += 1
-            account.publish(control, core, guard, joins)
+            account.publish(control, joins)
 
     def report(self) -> Report:
         """Ticks, lateness and its causes, tau and period percentiles, ledger, speeds, clipped forces."""
-        return self._account.report(self.device.core, self.device.guard, self.joins, self._rung)
+        return self._account.report(self.joins, self._rung)
 
     def on_other_tick(self, join: Join, other: int, awaited: int) -> bool:
         """Stop waiting at the force of a later tick: the session has gone on without this device.
@@ -311,7 +309,7 @@ class DeviceNode:
     def _jump(self, control: ControlLine) -> None:
         """Send the telemetry so far: the session is at a later tick."""
         self.device.skipped()
-        self._account.jump(control, self.device.core, self.device.guard, self.joins)
+        self._account.jump(control, self.joins)
         for join in self.joins:
             join.publish_rest()  # rows follow each other
 

@@ -22,17 +22,13 @@ the details. A processor that the kernel or a hypervisor took during the thread'
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from enum import StrEnum
 
 import numpy as np
 
-from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.given import ForceGiven, Loss
-from manyhands.nodes.device.interface import DeviceInterface
-from manyhands.nodes.device.tick import NO_INSTANTS, Instants
-from manyhands.nodes.kernel.arithmetic import Floats
+from manyhands.nodes.device.tick import DeviceTick
 from manyhands.nodes.kernel.bundle import Common, DeviceRung
 from manyhands.nodes.kernel.driver_statement import NO_DELAY, DeviceTiming
 from manyhands.nodes.link.join import Join, dropped_frames, stray_frames
@@ -40,8 +36,9 @@ from manyhands.nodes.link.supervisor_line import ControlLine
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.distribution import Distribution
 from manyhands.nodes.rows.tick_events import TickEvents
+from manyhands.nodes.rows.two_port import RowBuffer
 from manyhands.protocol.clock import Duration, Instant, from_seconds
-from manyhands.protocol.messages import Figures, Report, Telemetry
+from manyhands.protocol.messages import Figures, Report, Role, Telemetry
 
 
 class LateCause(StrEnum):
@@ -138,8 +135,7 @@ class DeviceTelemetry:
         self,
         common: Common,
         rung: DeviceRung,
-        driver_figures: Callable[[], Figures] = Figures,
-        interface: DeviceInterface | None = None,
+        device: DeviceTick,
         timing: DeviceTiming = NO_DELAY,
     ) -> None:
         """No tick yet.
@@ -147,13 +143,12 @@ class DeviceTelemetry:
         Args:
             common: the device's bundle.
             rung: the rung in force, with the delays and periods that it covers.
-            driver_figures: returns the driver's own figures for each telemetry.
-            interface: of a device in wall time; None for one in its own.
-            timing: of the device beside its loop. Its latency is a part of every tau, and two samples may be further
+            device: whose rows these are.
+            timing: of it beside its loop. Its latency is a part of every tau, and two samples may be further
                 apart by as much as their age varies.
         """
         self._latency, self._jitter = from_seconds(timing.latency), from_seconds(timing.jitter)
-        self._common, self._driver_figures, self._interface = common, driver_figures, interface
+        self._common, self._device, self._interface = common, device, device.interface
         self.ticks = self.stale = self.released = self.jumps = 0
         self._late = self._tau_breaches = self._period_breaches = 0
         self.suspended, self._suspended_time, self._suspended_energy = 0, 0, 0.0
@@ -165,17 +160,8 @@ class DeviceTelemetry:
         self._tau, self._true_period = Distribution(), Distribution()
         self._tau_worst = self._tau_before = 0
         self._tau_kept = True
-        m, rows = len(common.ports), common.telemetry_ticks
-        self._trace_x: list[Floats] = [[0.0] * m] * rows
-        self._trace_f: list[Floats] = [[0.0] * m] * rows
-        self._trace_tau: list[int] = [0] * rows
-        self._energy = [0.0] * rows
-        self._speeds = [0.0] * rows
-        self._interface_energy = [0.0] * rows
-        self._instants: list[Instants] = [NO_INSTANTS] * rows
-        self._unknown: Floats = [math.nan] * m
-        self._applied: list[Floats] = [self._unknown] * rows
-        self._filled, self._rows = 0, common.telemetry_first
+        self._speeds = [0.0] * common.telemetry_ticks
+        self._rows = RowBuffer(Role.DEVICE, common.telemetry_first, common.telemetry_ticks)
         self._sampled: Instant | None = None
         self._events = TickEvents()
 
@@ -203,30 +189,12 @@ class DeviceTelemetry:
         period = self._period
         return between <= period * self._share.longest_period(min(self._tau_before, self._assumed_tau) / period)
 
-    def tick(
-        self,
-        tick: int,
-        x: Floats,
-        f: Floats,
-        core: DeviceCore,
-        times: Times,
-        instants: Instants = NO_INSTANTS,
-        x_a: Floats | None = None,
-    ) -> None:
-        """Keep the row of a tick that was answered; the lists are kept until the next telemetry.
-
-        Args:
-            tick: its number.
-            x: the displacement at its sample, m.
-            f: the force that is exerted, N.
-            core: of the device.
-            times: of the tick.
-            instants: likewise, of a device in wall time.
-            x_a: its displacement when the force was applied, m; None where it is not known.
-        """
+    def tick(self, tick: int, times: Times) -> None:
+        """Keep the row of a tick that was answered; ``times`` are the instants of the device's loop."""
         due, _, sampled, _, _, applied = times
         tau = applied - sampled + self._latency
-        self._tau.add(tau / 1e3)
+        microseconds = tau / 1e3
+        self._tau.add(microseconds)
         if tau > self._assumed_tau:
             self._tau_breaches += 1
         if tau > self._tau_worst:
@@ -242,18 +210,13 @@ class DeviceTelemetry:
         if applied > due + self._period:
             self._late += 1
             self._lateness.judge(*times)
-        row = self._filled
-        self._trace_x[row], self._trace_f[row] = x, f
-        self._trace_tau[row], self._energy[row] = tau, core.ledger.total
-        self._speeds[row] = core.speed
-        if self._interface is not None:
-            energy = self._interface.account.energy
-            self._interface_energy[row], self._instants[row] = energy, instants
-            if self._before is not None:
-                self._suspended_energy += max(0.0, self._before - energy)
-                self._before = None
-            self._applied[row] = self._unknown if x_a is None else x_a
-        self._filled = row + 1
+        device, rows = self._device, self._rows
+        self._speeds[rows.filled] = device.core.speed
+        x, f, ledger, *wall = device.row()
+        rows.add((x, f, ledger, (microseconds,), *wall))
+        if self._interface is not None and self._before is not None:
+            self._suspended_energy += max(0.0, self._before - self._interface.account.energy)
+            self._before = None
         self.ticks = tick + 1
 
     def suspend(self, time: Duration) -> None:
@@ -269,29 +232,29 @@ class DeviceTelemetry:
         self._events.release(tick)
         self._sampled = None
 
-    def jump(self, control: ControlLine, core: DeviceCore, guard: Guard, joins: Sequence[Join]) -> None:
+    def jump(self, control: ControlLine, joins: Sequence[Join]) -> None:
         """Count a jump to a later tick; the rows so far are sent first, as the ticks of a telemetry are consecutive."""
-        self.publish_rest(control, core, guard, joins)
+        self.publish_rest(control, joins)
         self.jumps += 1
         self._sampled = None
 
-    def publish(self, control: ControlLine, core: DeviceCore, guard: Guard, joins: Sequence[Join]) -> None:
+    def publish(self, control: ControlLine, joins: Sequence[Join]) -> None:
         """Send telemetry once its rows are full: its encoding costs time once in ``telemetry_ticks`` ticks."""
-        if self._filled == self._rows:
-            self.publish_rest(control, core, guard, joins)
+        if self._rows.full:
+            self.publish_rest(control, joins)
 
-    def publish_rest(self, control: ControlLine, core: DeviceCore, guard: Guard, joins: Sequence[Join]) -> None:
+    def publish_rest(self, control: ControlLine, joins: Sequence[Join]) -> None:
         """Send the telemetry of the ticks since the last one, if there are any."""
-        rows = self._filled
+        rows = self._rows.filled
         if rows == 0:
             return
-        for f in self._trace_f[:rows]:
-            self._peak_force = max(self._peak_force, max(f), -min(f))
-        of_driver = self._driver_figures()
+        traces = self._rows.take()
+        self._peak_force = max(self._peak_force, float(np.abs(traces[names.FORCE]).max()))
+        of_driver = self._device.driver.figures()
         numbers = {
             names.SPEED: max(self._speeds[:rows]),
             names.TAU_WORST: self._tau_worst / 1e3,
-            **self._numbers(core, guard),
+            **self._numbers(),
             **stray_frames(joins),
             **self._events.take(self.ticks - rows, self.ticks),
             **of_driver,
@@ -301,21 +264,12 @@ class DeviceTelemetry:
             names.PERIOD: {"p50": self._true_period.quantile(0.5), "p99": self._true_period.quantile(0.99)},
             **of_driver.tables,
         }
-        traces = {
-            names.DISPLACEMENT: np.array(self._trace_x[:rows]),
-            names.FORCE: np.array(self._trace_f[:rows]),
-            **names.ledger_trace(core.ledger, self._energy[:rows]),
-            names.TAU: np.array(self._trace_tau[:rows], dtype=np.float64)[:, None] / 1e3,
-        }
-        if self._interface is not None:
-            traces[names.INTERFACE] = np.array(self._interface_energy[:rows])[:, None]
-            traces[names.APPLIED] = np.array(self._applied[:rows])
-            traces[names.INSTANTS] = np.array(self._instants[:rows], dtype=np.float64)
         control.publish(Telemetry(self.ticks, Figures(numbers, tables), traces))
-        self._filled, self._rows, self._tau_worst = 0, self._common.telemetry_ticks, 0
+        self._tau_worst = 0
 
-    def _numbers(self, core: DeviceCore, guard: Guard) -> dict[str, float]:
+    def _numbers(self) -> dict[str, float]:
         """What telemetry and report have alike."""
+        core, guard = self._device.core, self._device.guard
         return {
             names.LATE: float(self._late),
             names.TAU_BREACHES: float(self._tau_breaches),
@@ -346,10 +300,10 @@ class DeviceTelemetry:
             names.INTERFACE_OFFSET: interface.offset,
         }
 
-    def report(self, core: DeviceCore, guard: Guard, joins: Sequence[Join], rung: int) -> Report:
+    def report(self, joins: Sequence[Join], rung: int) -> Report:
         """Ticks, lateness and its causes, breaches, ledger, speeds, clipped forces and refused frames of the run."""
         numbers = {
-            **self._numbers(core, guard),
+            **self._numbers(),
             names.FINAL_SPEED: max(self._speeds),
             names.STALE: float(self.stale),
             names.SUSPENDED: float(self.suspended),

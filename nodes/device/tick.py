@@ -22,6 +22,7 @@ loop.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Final
@@ -32,6 +33,8 @@ from manyhands.nodes.device.interface import DeviceInterface, interface_of
 from manyhands.nodes.device.plugin import PluginDriver
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import WALL, DeviceBundle
+from manyhands.nodes.kernel.passivity import Ledger
+from manyhands.nodes.rows.two_port import Row
 from manyhands.protocol.clock import Instant, from_seconds
 
 Instants = tuple[Instant, Instant, Instant]
@@ -48,8 +51,10 @@ class DeviceTick(ABC):
         guard: its limits.
         core: its ledger.
         interface: of a device in wall time; None for one in its own.
+        moved: the displacement that the driver gave last, m.
         x: the displacement of the tick's row, m.
         sent: the displacement that the couplings receive, m.
+        held: the force of the tick, within what limits and account allow, N.
         x_a: the displacement when the force was applied, m; None where it is not known.
         instants: of the last tick, of a device in wall time.
     """
@@ -68,11 +73,11 @@ class DeviceTick(ABC):
         self.driver = driver
         self.guard = guard or Guard(bundle.limits, common.period, common.ports)
         self.core = DeviceCore(*bundle.promises[0], common.period, bundle.allowed.energy)
-        self.x = self.sent = self._zero
+        self.moved = self.x = self.sent = self.held = self._zero
         self.x_a: Floats | None = None
         self.instants: Instants = NO_INSTANTS
 
-    def sample(self, turn: int, at: Instant, first: bool = True) -> Floats:
+    def sample(self, turn: int, at: Instant, first: bool = True, recorded: Floats | None = None) -> Floats:
         """Take a sample; returns the displacement that the couplings receive, m.
 
         In wall time the first sample of a tick is sent, and is the tick's row; in its own time every sample is.
@@ -81,9 +86,12 @@ class DeviceTick(ABC):
             turn: counts the samples from 0.
             at: the instant.
             first: whether it is the first of its tick.
+            recorded: the displacement to take in place of the driver's own, m; None for that.
         """
         # a copy: a driver may fill the same list or array every time
-        x = list(map(float, self.driver.sample(turn, at)))
+        self.moved = x = list(map(float, self.driver.sample(turn, at)))
+        if recorded is not None:
+            x = recorded
         last, period, interface = self._at, self._period, self.interface
         goal = self.guard.report(x, max(1, -((last - at + period // 2) // period)))
         self._at, self._first = at, first
@@ -96,6 +104,11 @@ class DeviceTick(ABC):
                 self.driver.apply(interface.exerted, at, interface.until)
         return self.sent
 
+    @property
+    def ledger(self) -> Ledger:
+        """The device's energy ledger."""
+        return self.core.ledger
+
     @abstractmethod
     def release(self, at: Instant) -> None:
         """Exert no force from ``at`` on."""
@@ -105,15 +118,23 @@ class DeviceTick(ABC):
         """End a period at ``at`` in which no force came: exert none, and count the intention's work."""
 
     @abstractmethod
-    def exert(self, asked: Floats, at: Instant) -> Floats:
+    def exert(self, asked: Floats, at: Instant, recorded: Floats | None = None) -> Floats:
         """Take the couplings' answer, N, and exert what limits and account allow of it from ``at`` on; returns that.
 
-        Both lists are kept until the next call.
+        Where the force was ``recorded``, N, that is exerted, and the other is returned. All lists are kept until the
+        next call.
         """
 
     @abstractmethod
     def book(self) -> None:
         """Do the accounts of the force that was exerted."""
+
+    @abstractmethod
+    def row(self) -> Row:
+        """x, f_v, the ledger's total; of a device in wall time also e(k), x at the instant of the force, the instants.
+
+        A part without numbers stands for what a device in its own time has not.
+        """
 
     def skipped(self) -> None:
         """The session has gone on to a later tick: the answer to the motion sent last will not be known."""
@@ -141,8 +162,6 @@ class DeviceTick(ABC):
 class OwnTimeTick(DeviceTick):
     """A device in its own time: each sample is one period."""
 
-    _held: Floats
-
     def release(self, at: Instant) -> None:
         """Exert no force."""
         self.driver.release(at)
@@ -156,20 +175,25 @@ class OwnTimeTick(DeviceTick):
         self.core.sample(self.x)
         self.core.apply(self._zero, work)
 
-    def exert(self, asked: Floats, at: Instant) -> Floats:
-        """Exert what the limits allow."""
-        self._held = held = self.guard.clip(asked)
-        self.driver.apply(held, at)
+    def exert(self, asked: Floats, at: Instant, recorded: Floats | None = None) -> Floats:
+        """Exert what the limits allow, or the recorded force."""
+        held = self.guard.clip(asked)
+        self.held = exerted = held if recorded is None else recorded
+        self.driver.apply(exerted, at)
         return held
 
     def book(self) -> None:
         """Count the period in the ledger."""
         # not before the force is applied: ZeroMQ's thread may send x(k) only while this one waits
         if self._exerted is not None:
-            self._exerted(self._held)
+            self._exerted(self.held)
         work = self.driver.intended_work()
         self.core.sample(self.x)
-        self.core.apply(self._held, work)
+        self.core.apply(self.held, work)
+
+    def row(self) -> Row:
+        """x, f_v and the ledger's total."""
+        return self.x, self.held, (self.core.ledger.total,), (), (), ()
 
 
 class WallTimeTick(DeviceTick):
@@ -184,7 +208,8 @@ class WallTimeTick(DeviceTick):
         """Begin at rest; arguments as of :class:`DeviceTick`."""
         super().__init__(bundle, driver, guard)
         self.interface = self.wall_interface = interface_of(bundle)
-        self._asked = self._held = self._zero
+        self._asked = self._zero
+        self._unknown: Floats = [math.nan] * len(self._zero)
         self._applied = Instant(0)
         self._moved: Sequence[float] | None = None
         self._until: Instant | None = None
@@ -203,11 +228,11 @@ class WallTimeTick(DeviceTick):
         self._count(self.driver.intended_work())
 
     def exert(self, asked: Floats, at: Instant, recorded: Floats | None = None) -> Floats:
-        """Exert what limits and account allow; where the force was recorded, N, exert that, and return the other."""
+        """Exert what limits and account allow, or the recorded force."""
         held, until = self.wall_interface.force(asked, self.guard.clip(asked), at)
         if self.guard.leaving:
             self.wall_interface.given.leaves()
-        self._held = exerted = held if recorded is None else recorded
+        self.held = exerted = held if recorded is None else recorded
         self._moved = self.driver.apply(exerted, at, until)
         self._asked, self._applied, self._until = asked, at, until
         return held
@@ -216,7 +241,7 @@ class WallTimeTick(DeviceTick):
         """Do the accounts: e(k) from what the driver measured, the ledger from what the couplings know."""
         moved, interface = self._moved, self.wall_interface
         self.x_a = None if moved is None else list(map(float, moved))
-        exerted = self._held if self._exerted is None else self._exerted(self._held)
+        exerted = self.held if self._exerted is None else self._exerted(self.held)
         ended = interface.applied(self.x_a, self._applied, exerted, self._until)
         self.instants = (self._row_at, self._applied, ended)
         # not before the force is applied: ZeroMQ's thread may send x(k) only while this one waits
@@ -224,6 +249,11 @@ class WallTimeTick(DeviceTick):
         self.core.sample(self.sent, interface.speed)
         self.core.ledger.allowed = interface.allowed
         self.core.apply(self._asked, self.work)
+
+    def row(self) -> Row:
+        """x, f_v, the ledger's total, e(k), x at the instant of the force, and the instants."""
+        energy, x_a = self.wall_interface.account.energy, self._unknown if self.x_a is None else self.x_a
+        return self.x, self.held, (self.core.ledger.total,), (energy,), x_a, self.instants
 
     def _count(self, work: float) -> None:
         """Count the work of the intention up to the latest sample, J."""

@@ -62,6 +62,7 @@ from manyhands.nodes.kernel.bundle import EnvironmentBundle
 from manyhands.nodes.kernel.energy_budget import EnergyBudget
 from manyhands.nodes.kernel.passivity import Ledger, PassivityController
 from manyhands.nodes.kernel.timeouts import RAMP
+from manyhands.nodes.rows.two_port import Row
 
 Vector = NDArray[np.float64]
 
@@ -357,6 +358,12 @@ def _closed(E: StateSpace, D_V: Vector) -> Vector:
 
 Core: TypeAlias = EnvironmentCore | EnforcedCore
 """A core of the environment, with or without a controller."""
+
+
+def row_of(core: Core) -> Row:
+    """Tools, masses and the ledger's total of the tick that was settled last; those of wave links follow."""
+    ledger = core.ledger
+    return core.tools, core.masses, [] if ledger is None else [ledger.total]
 
 
 def environment_core(bundle: EnvironmentBundle, D_V: Vector, blocks: Blocks | None = None) -> Core:

@@ -23,13 +23,12 @@ once; they are sent once in ``telemetry_ticks`` ticks.
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from manyhands.nodes.environment.chatter import contact_tables
-from manyhands.nodes.environment.core import Core, environment_core
+from manyhands.nodes.environment.core import Core, environment_core, row_of
 from manyhands.nodes.environment.deadline import Deadline, Step
 from manyhands.nodes.environment.energy import energy_tables
 from manyhands.nodes.environment.late_arrivals import AT_ONCE, CROSSING, LateArrivals, allowance
@@ -47,7 +46,8 @@ from manyhands.nodes.link.supervisor_line import NOT_AT_ALL, ControlLine
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.lateness import CouplingLateness, lateness_tables
 from manyhands.nodes.rows.tick_events import TickEvents
-from manyhands.nodes.wave_link.rows import WorldRows
+from manyhands.nodes.rows.two_port import RowBuffer
+from manyhands.nodes.wave_link.rows import world_row
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds
 from manyhands.protocol.handshake import HandshakeRefused
 from manyhands.protocol.messages import Figures, LinkHello, Reaction, Report, Role, Start, Telemetry, Values
@@ -95,34 +95,24 @@ class EnvironmentTelemetry:
 
     def __init__(self, common: Common, links: Sequence[str] = ()) -> None:
         """No row yet; ``links`` are the couplings with a wave link."""
-        rows = common.telemetry_ticks
         self._links = links
-        self._tools = array("d")
-        self._masses: list[Floats] = [[]] * rows
-        self._energy = [0.0] * rows
-        self._waves = WorldRows()
+        self._rows = RowBuffer(Role.ENVIRONMENT, common.telemetry_first, common.telemetry_ticks)
         self._begun: list[tuple[int, str]] = []  # ticks and wave links of which a life began in them
-        self._filled, self._rows, self._every = 0, common.telemetry_first, rows
         self.ticks = 0
 
     def tick(self, tick: int, core: Core, waves: Sequence[WaveRow] = ()) -> None:
         """Keep the row of ``tick``, which ``core`` has settled; ``waves`` are those of its wave links."""
-        row, ledger = self._filled, core.ledger
-        self._tools.extend(core.tools)
-        self._masses[row] = core.masses
-        self._energy[row] = 0.0 if ledger is None else ledger.total
+        self._rows.add((*row_of(core), *world_row(waves)))
         if waves:
-            self._waves.add(waves)
             for name, end in zip(self._links, waves, strict=True):
                 if end.begins:
                     self._begun.append((tick, name))
-        self._filled = row + 1
         self.ticks = tick + 1
 
     @property
     def due(self) -> bool:
         """Whether the rows fill a telemetry message."""
-        return self._filled == self._rows
+        return self._rows.full
 
     def publish(
         self,
@@ -143,15 +133,11 @@ class EnvironmentTelemetry:
             late: the ticks since the last telemetry in which a coupling was late, each with its place.
             events: what happened since the last telemetry.
         """
-        rows, self._filled, self._rows = self._filled, 0, self._every
+        rows = self._rows.filled
         if rows == 0:
             return False
-        tools, self._tools = self._tools, array("d")
         traces = {
-            names.TOOL_POSITION: np.frombuffer(tools).reshape(rows, -1),
-            **({names.MASS_POSITION: np.array(self._masses[:rows])} if self._masses[0] else {}),
-            **names.ledger_trace(core.ledger, self._energy[:rows]),
-            **self._waves.take(),
+            **self._rows.take(),
             **({names.WAITED_IN: np.array(late, dtype=np.float64)} if late else {}),
         }
         for tick, name in self._begun:

@@ -11,14 +11,11 @@ A figure is a number; or it is a table, with a number for each coupling, percent
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from types import MappingProxyType
 from typing import Final
-
-import numpy as np
-from numpy.typing import NDArray
 
 from manyhands.nodes.kernel.passivity import Ledger, PassivityController
 from manyhands.nodes.rows.promises import Promise
@@ -416,11 +413,6 @@ def ledger_figures(ledger: Ledger | None) -> dict[str, float]:
         LEDGER_MIN_TICK: float(ledger.at),
         LEDGER_MARGIN: ledger.margin,
     }
-
-
-def ledger_trace(ledger: Ledger | None, totals: Sequence[float]) -> dict[str, NDArray[np.float64]]:
-    """The ledger's ``totals`` by tick, J, as a trace of one column; empty where no level is promised."""
-    return {} if ledger is None else {LEDGER: np.array(totals)[:, None]}
 
 
 def enforcement_figures(controller: PassivityController | None) -> dict[str, float]:

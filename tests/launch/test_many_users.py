@@ -85,5 +85,5 @@ def test_a_tick_costs_a_pair_of_users_nothing(prepared: list[Prepared]) -> None:
     for one in prepared:
         simulation = Simulation(one)
         counts.append(calls(lambda simulation=simulation: simulation.run(TICKS)))
-        assert all(world.aligned for world in simulation.world_faces.values())
+        assert all(link.world.aligned for link in simulation.links.values())
     assert calls_of_a_pair(counts) <= 0.2 * TICKS

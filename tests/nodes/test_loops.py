@@ -103,12 +103,12 @@ def test_loops_give_the_simulations_numbers(file: str, overrides: tuple[str, ...
         assert report.ticks == TICKS, name
         assert not any(report.figures.table("dropped").values()), name
         if name in simulation.couplings:
-            assert report.figures["saturated"] == told.figures["saturated"] == simulation.couplings[name].saturated
+            assert report.figures["saturated"] == told.figures["saturated"] == simulation.couplings[name].core.saturated
         if name in devices:
             assert report.figures["clipped"] == told.figures["clipped"] == 0  # its couplings have done it already
         if not overrides:
             assert report.figures["ledger_min"] >= 0.0, name
-    saturated = sum(core.saturated for core in simulation.couplings.values())
+    saturated = sum(coupling.core.saturated for coupling in simulation.couplings.values())
     assert (saturated > 0) == bool(overrides)
     if overrides:
         for port, limit in zip((0, 2), LIMITS.values(), strict=True):
@@ -128,8 +128,8 @@ def test_loops_with_wave_links_give_the_simulations_numbers(overrides: tuple[str
         np.testing.assert_array_equal(lines[name].trace("x")[:, 0], expected.x[:, i])
         np.testing.assert_array_equal(lines[name].trace("f_v")[:, 0], expected.f_v[:, i])
     assert np.max(np.abs(expected.f_v)) > 0.5
-    for name, user in simulation.user_faces.items():
-        world = simulation.world_faces[name]
+    for name, link in simulation.links.items():
+        user, world = link.user, link.world
         assert user.ledger + world.ledger >= -2.0 * 0.005
         assert nodes[name].report().figures["wave_ledger"] == user.ledger
         assert nodes["environment"].report().figures.table("wave_ledger_of")[name] == world.ledger

@@ -151,8 +151,8 @@ def ideal(folder: Path, ticks: int, there: int = 0, back: int = 0) -> Rows:
     """The same session over a line that delays every wave by a constant number of ticks, and needs no play-out."""
     prepared = far_session(folder, "couplings.cx.wave_link.depth=0")
     simulation = Simulation(prepared)
-    _delay(simulation.world_faces["cx"], there)
-    _delay(simulation.user_faces["cx"], back)
+    _delay(simulation.links["cx"].world, there)
+    _delay(simulation.links["cx"].user, back)
     traces = simulation.traces(ticks)
     simulation.run(ticks, traces=traces)
     return {(node, kept.topic.trace): kept.values for node, topics in traces.by_node.items() for kept in topics}
@@ -166,7 +166,7 @@ def far_session(folder: Path, *overrides: str) -> Prepared:
 def jittering(folder: Path, ticks: int, wire: Wire) -> Rows:
     """The same session over a WAN in simulated time: what the machine adds is missing, and nothing else."""
     simulation = Simulation(far_session(folder))
-    faces = simulation.world_faces["cx"], simulation.user_faces["cx"]
+    faces = simulation.links["cx"].world, simulation.links["cx"].user
     for number, face in enumerate(faces):
         _carry(face, Way(number, wire.seed), wire)
     traces = simulation.traces(ticks)

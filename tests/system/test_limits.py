@@ -38,9 +38,9 @@ def test_a_force_limit_that_bites_gives_the_simulations_numbers(file: str) -> No
     assert outcome.recording.f_v.tobytes() == expected.f_v.tobytes()
     assert np.max(np.abs(expected.f_v[:, 0])) == 1.25
     nodes = outcome.report["nodes"]
-    for name, core in simulation.couplings.items():
-        assert nodes[name]["saturated"] == core.saturated
-        assert (core.saturated > 0) == (name in ("cx", "c"))
+    for name, coupling in simulation.couplings.items():
+        assert nodes[name]["saturated"] == coupling.core.saturated
+        assert (coupling.core.saturated > 0) == (name in ("cx", "c"))
     for device in session.session.devices:
         assert nodes[device]["clipped"] == 0
 
@@ -55,7 +55,7 @@ def test_beyond_its_limits_a_device_lets_go_and_others_continue(limits: str) -> 
     expected = simulation.run(TICKS)
     assert outcome.recording.x.tobytes() == expected.x.tobytes()
     assert outcome.recording.f_v.tobytes() == expected.f_v.tobytes()
-    guard = simulation.guards["dx"]
+    guard = simulation.devices["dx"].guard
     assert guard.let_go >= 1
     assert outcome.report["nodes"]["dx"]["let_go"] == guard.let_go
     assert "let_go" not in outcome.report["nodes"]["dy"] or outcome.report["nodes"]["dy"]["let_go"] == 0

@@ -187,7 +187,7 @@ def test_messages_out_of_turn_are_counted() -> None:
 def test_an_excessive_force_is_clipped_at_the_device_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     """The hand feels the limit while its coupling is dishonest, and the world moves as with that force."""
     simulation = Simulation(prepared())
-    guard = simulation.guards["dy"]
+    guard = simulation.devices["dy"].guard
     clip, ticks = guard.clip, iter(range(TICKS))
 
     def clip_what_is_sent(f: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -93,7 +93,7 @@ def simulate(
         for name, device in simulation.devices.items():
             say(
                 out,
-                f"{name}: peak speed {device.peak_speed:.3g} m/s, speed at the end {device.speed:.3g} m/s, "
+                f"{name}: peak speed {device.core.peak_speed:.3g} m/s, speed at the end {device.core.speed:.3g} m/s, "
                 f"ledger {device.ledger.total:.3g} J (least {device.ledger.minimum:.3g} J)",
             )
         world, parties = simulation.environment, tuple(simulation.couplings)
@@ -102,8 +102,8 @@ def simulate(
             say(out, line)
         if line := enforcement_sentence(enforcement_figures(world.controller)):
             say(out, line)
-        for name, guard in simulation.guards.items():
-            if guard.let_go:
+        for name, device in simulation.devices.items():
+            if (guard := device.guard).let_go:
                 say(err, f"warning: {name} was beyond its limits and let go (times: {guard.let_go}); last: {guard.why}")
 
 

@@ -18,10 +18,11 @@ from manyhands.launch.app.audit_report import print_audit
 from manyhands.launch.app.cli import app
 from manyhands.launch.audit.audit import Audit, AuditVerdict, audit
 from manyhands.launch.audit.checks import bounded, period_assumed
-from manyhands.launch.audit.coupling import recompute_coupling
-from manyhands.launch.audit.device import recompute_device
+from manyhands.launch.audit.coupling import FollowedCoupling
+from manyhands.launch.audit.device import DeviceRows, FollowedDevice, FollowedInOwnTime
 from manyhands.launch.audit.events import Course, course_of
 from manyhands.launch.audit.findings import Check, CheckVerdict, UncheckedTicks, compare
+from manyhands.launch.audit.recompute import recompute
 from manyhands.launch.audit.simulation import Silence
 from manyhands.launch.plan.bundles import RunPlan as Way
 from manyhands.launch.plan.bundles import cut
@@ -31,7 +32,7 @@ from manyhands.launch.recordings.run import FiguresByTick, first_sign, read_run,
 from manyhands.launch.session import load_session
 from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.device.core import DeviceCore
-from manyhands.nodes.device.drivers import driver_of
+from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.kernel.bundle import SIMULATED, CouplingBundle, DeviceBundle
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
 from manyhands.protocol.channels import LEDGER, TAU
@@ -231,6 +232,12 @@ def course(bundle: DeviceBundle | CouplingBundle, figures: FiguresByTick, rows: 
     return course_of(figures, there(rows), len(bundle.rungs))
 
 
+def own_time(bundle: DeviceBundle, make: Callable[[], Driver | str], x: np.ndarray, f: np.ndarray) -> FollowedDevice:
+    """A device in its own time that felt what its coupling handed on."""
+    none = np.full((len(x), 3), np.nan)
+    return FollowedInOwnTime(bundle, make, DeviceRows(x, f, f, none, none, None, np.zeros(len(x), dtype=np.bool_)))
+
+
 def played_device(
     bundle: DeviceBundle, f: list[float], free: Mapping[int, int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -269,20 +276,20 @@ def test_a_device_that_ran_free_is_followed(prepared: Prepared, free: Mapping[in
         )
         for tick in range(50, TICKS + 50, 50)
     ]
-    again = recompute_device(bundle, lambda: driver_of(bundle), x, force, course(bundle, figures, x))
-    np.testing.assert_array_equal(again.signal, x)
-    np.testing.assert_array_equal(again.ledger, energy)
+    again = recompute(own_time(bundle, lambda: driver_of(bundle), x, force), course(bundle, figures, x))
+    np.testing.assert_array_equal(again["x"], x)
+    np.testing.assert_array_equal(again["ledger"], energy)
     assert again.gaps == []
     # without a word of it in its figures it is another motion
-    blind = recompute_device(bundle, lambda: driver_of(bundle), x, force, course(bundle, [], x))
-    assert not compare("signal", "dx", "", ("dx",), x, blind.signal).holds
+    blind = recompute(own_time(bundle, lambda: driver_of(bundle), x, force), course(bundle, [], x))
+    assert not compare("signal", "dx", "", ("dx",), x, blind["x"]).holds
     # with a count of them alone it is believed from the telemetry before on
     counted = [(tick, {"released": told["released"]}) for tick, told in figures]
-    unsure = recompute_device(bundle, lambda: driver_of(bundle), x, force, course(bundle, counted, x))
+    unsure = recompute(own_time(bundle, lambda: driver_of(bundle), x, force), course(bundle, counted, x))
     begin = min(free) // 50 * 50
     assert [(gap.begin, gap.end) for gap in unsure.gaps] == [(begin, TICKS)]
-    np.testing.assert_array_equal(unsure.signal[:begin], x[:begin])
-    assert np.isnan(unsure.ledger[begin:]).all()
+    np.testing.assert_array_equal(unsure["x"][:begin], x[:begin])
+    assert np.isnan(unsure["ledger"][begin:]).all()
 
 
 def test_a_device_that_is_lost_is_believed_from_there_on(prepared: Prepared) -> None:
@@ -291,19 +298,20 @@ def test_a_device_that_is_lost_is_believed_from_there_on(prepared: Prepared) -> 
     x, force, _ = played_device(bundle, [0.1] * TICKS, {})
     x[200:] += 1e-3
     x[190:200] = np.nan
-    again = recompute_device(bundle, lambda: driver_of(bundle), x, force, course(bundle, [], x))
+    again = recompute(own_time(bundle, lambda: driver_of(bundle), x, force), course(bundle, [], x))
     assert [(gap.begin, gap.end) for gap in again.gaps] == [(200, TICKS)]
-    assert np.isnan(again.ledger[190:]).all()
-    np.testing.assert_array_equal(again.signal[:190], x[:190])
+    assert np.isnan(again["ledger"][190:]).all()
+    np.testing.assert_array_equal(again["x"][:190], x[:190])
 
 
 def test_a_device_that_a_person_moved_is_believed(prepared: Prepared) -> None:
     bundle = bundle_of(prepared, "dx")
     assert isinstance(bundle, DeviceBundle)
     x = np.zeros((9, 1))
-    again = recompute_device(bundle, lambda: "a person moved it", x, x, course(bundle, [], x))
-    assert np.isnan(again.ledger).all()
-    assert [(gap.begin, gap.end) for gap in again.gaps] == [(0, 9)]
+    device = own_time(bundle, lambda: "a person moved it", x, x)
+    again = recompute(device, course(bundle, [], x))
+    assert np.isnan(again["ledger"]).all()
+    assert [(gap.begin, gap.end) for gap in device.motion_gaps] == [(0, 9)]
 
 
 def test_a_coupling_that_changed_its_rung_is_followed(prepared: Prepared) -> None:
@@ -319,27 +327,26 @@ def test_a_coupling_that_changed_its_rung_is_followed(prepared: Prepared) -> Non
     for k in range(TICKS):
         p[k] = core.free_position(x[k].tolist())
         if k == 150:
-            of, before = bundle.rungs[rung], core
-            core = CouplingCore(of.block, of.K, of.level, bundle.common.period, bundle.limits.force)
-            core.succeed(before)
+            of = bundle.rungs[rung]
+            core.change(of.block, of.K, of.level)
         core.absorb(f[k].tolist())
         assert core.ledger is not None
         energy[k] = core.ledger.total
     counted = [(100, {"rung": 0.0}), (200, {"rung": 1.0}), (300, {"rung": 1.0})]
     figures = [(tick, {**told, **({"rung@150": 1.0} if tick == 200 else {})}) for tick, told in counted]
-    again = recompute_coupling(bundle, x, p, f, course(bundle, figures, p))
-    np.testing.assert_array_equal(again.signal, p)
-    np.testing.assert_array_equal(again.ledger, energy)
+    again = recompute(FollowedCoupling(bundle, x, p, f), course(bundle, figures, p))
+    np.testing.assert_array_equal(again["p"], p)
+    np.testing.assert_array_equal(again["ledger"], energy)
     assert (course(bundle, figures, p).in_force, again.gaps) == ([(150, 1)], [])
-    blind = recompute_coupling(bundle, x, p, f, course(bundle, [], p))
-    first = compare("signal", "cx", "", ("dx",), p, blind.signal).first
+    blind = recompute(FollowedCoupling(bundle, x, p, f), course(bundle, [], p))
+    first = compare("signal", "cx", "", ("dx",), p, blind["p"]).first
     assert first is not None
     assert first.tick == 151
     # with the rung among its figures alone it is believed from the telemetry before on
-    unsure = recompute_coupling(bundle, x, p, f, course(bundle, counted, p))
+    unsure = recompute(FollowedCoupling(bundle, x, p, f), course(bundle, counted, p))
     assert [(gap.begin, gap.end) for gap in unsure.gaps] == [(100, TICKS)]
-    assert np.isnan(unsure.signal[100:]).all()
-    np.testing.assert_array_equal(unsure.signal[:100], p[:100])
+    assert np.isnan(unsure["p"][100:]).all()
+    np.testing.assert_array_equal(unsure["p"][:100], p[:100])
 
 
 def test_a_process_that_came_back_begins_at_rest(prepared: Prepared) -> None:
@@ -349,9 +356,9 @@ def test_a_process_that_came_back_begins_at_rest(prepared: Prepared) -> None:
     hole = np.full((30, 1), np.nan)
     x, f, energy = (np.vstack([before, hole, after]) for before, after in zip(one, two, strict=True))
     figures: list[tuple[int, dict[str, float]]] = [(100, {"began@0": 1.0}), (200, {"began@130": 1.0})]
-    again = recompute_device(bundle, lambda: driver_of(bundle), x, f, course(bundle, figures, x))
-    np.testing.assert_array_equal(again.signal, x)
-    np.testing.assert_array_equal(again.ledger, energy)
+    again = recompute(own_time(bundle, lambda: driver_of(bundle), x, f), course(bundle, figures, x))
+    np.testing.assert_array_equal(again["x"], x)
+    np.testing.assert_array_equal(again["ledger"], energy)
     assert again.gaps == []
 
 
@@ -362,9 +369,9 @@ def test_a_device_left_behind_goes_on_from_its_position(prepared: Prepared) -> N
     x, f, energy = (np.vstack([rows[:100], np.full((30, 1), np.nan), rows[100:]]) for rows in played)
     happened = {"jumped@130": 100.0, "released@101": 3.0, "released@130": 1.0}
     figures = [(100, {"began@0": 1.0}), (230, {"released": 4.0} | happened), (330, {"released": 4.0})]
-    again = recompute_device(bundle, lambda: driver_of(bundle), x, f, course(bundle, figures, x))
-    np.testing.assert_array_equal(again.signal, x)
-    np.testing.assert_array_equal(again.ledger, energy)
+    again = recompute(own_time(bundle, lambda: driver_of(bundle), x, f), course(bundle, figures, x))
+    np.testing.assert_array_equal(again["x"], x)
+    np.testing.assert_array_equal(again["ledger"], energy)
     lost = [(100, {"began@0": 1.0}), (330, {"released": 4.0})]  # a telemetry that never came
     assert course(bundle, lost, x).unknown == [UncheckedTicks(130, 330, "it had rows missing, and no event states why")]
 
@@ -384,7 +391,7 @@ def test_more_free_periods_than_are_computed_end_the_check(prepared: Prepared) -
     assert isinstance(bundle, DeviceBundle)
     x, f, _ = played_device(bundle, [0.1] * 50, {})
     figures = [(50, {"began@0": 1.0, "released": 1e15, "released@20": 1e15})]
-    again = recompute_device(bundle, lambda: driver_of(bundle), x, f, course(bundle, figures, x))
+    again = recompute(own_time(bundle, lambda: driver_of(bundle), x, f), course(bundle, figures, x))
     assert [(gap.begin, gap.end) for gap in again.gaps] == [(20, 50)]
 
 

@@ -149,10 +149,10 @@ def test_it_changes_its_rung_at_rest_and_keeps_its_ledger(
     block: Block, world: MessageLink, bundle: CouplingBundle
 ) -> None:
     step(block, world, 0, 0.001, 5 * LIMIT)
-    ledger = block.core.ledger
+    ledger = block.port.ledger
     assert shift(block, world, 1, 2) == 2
-    assert (block.rung, block.report().figures["rung"]) == (2, 2)
-    assert block.core.ledger is ledger
+    assert (block.port.rung, block.report().figures["rung"]) == (2, 2)
+    assert block.port.ledger is ledger
     assert block.report().figures["saturated"] == 1
     block.send(np.array([0.001]), 2, 0)
     np.testing.assert_array_equal(world.said[-1].values, [0.001])  # type: ignore[union-attr] -- at rest
@@ -168,10 +168,10 @@ def test_it_changes_its_rung_at_rest_and_keeps_its_ledger(
 def test_the_same_rung_and_one_beyond_the_ladder_change_nothing(
     block: Block, world: MessageLink, bundle: CouplingBundle
 ) -> None:
-    core = block.core
+    core = block.port.core
     assert shift(block, world, 0, 0) is None
     assert shift(block, world, 1, len(bundle.rungs)) is None
-    assert (block.rung, block.core) == (0, core)
+    assert (block.port.rung, block.port.core) == (0, core)
     assert block.environment.gate.dropped["wrong_kind"] == 0
 
 

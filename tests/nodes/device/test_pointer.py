@@ -229,7 +229,7 @@ def test_nobody_can_hold_it_in_another_time_or_place(
 def test_a_drag_moves_the_other_user_and_every_promise_is_kept(prepared: Prepared) -> None:
     simulation = Simulation(prepared)
     inlet = FedInlet()
-    left = simulation._drivers["left"]
+    left = simulation.devices["left"].driver
     assert isinstance(left, OwnTimeDriver)
     assert isinstance(left._hand, PointerHand)
     left._hand._inlet = inlet  # type: ignore[assignment]

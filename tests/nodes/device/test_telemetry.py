@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,9 @@ from manyhands.design.levels.device import device_share
 from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.telemetry import DeviceTelemetry
 from manyhands.nodes.kernel.bundle import Common, DeviceRung, Limits
+from manyhands.nodes.rows.two_port import Row
 from manyhands.protocol.clock import Instant
-from manyhands.protocol.messages import Role
+from manyhands.protocol.messages import Figures, Role
 
 MS = 1_000_000
 ROWS = 10
@@ -41,22 +43,28 @@ class TelemetryDevice:
     """A device's telemetry, and a session that feeds it tick by tick."""
 
     def __init__(self, line: Any) -> None:
-        self.account, self.line, self.at = DeviceTelemetry(COMMON, rung(TAU)), line, 0
+        self.x = np.zeros(1)
+        driver = SimpleNamespace(figures=Figures)
+        device = SimpleNamespace(core=CORE, guard=GUARD, interface=None, driver=driver, row=self.row)
+        self.account, self.line, self.at = DeviceTelemetry(COMMON, rung(TAU), device), line, 0  # type: ignore[arg-type]
+
+    def row(self) -> Row:
+        return self.x, -self.x, (CORE.ledger.total,), (), (), ()
 
     def tick(self, tick: int, after: int = MS, tau: int = 0, value: float | None = None) -> None:
         """A tick that comes ``after`` ns, and whose force is there ``tau`` ns after the sample."""
         self.at += after
         due, applied = Instant(self.at), Instant(self.at + tau)
-        x = np.array([float(tick) if value is None else value])
-        self.account.tick(tick, x, -x, CORE, (due, due, due, due, applied, applied))
-        self.account.publish(self.line, CORE, GUARD, [])
+        self.x = np.array([float(tick) if value is None else value])
+        self.account.tick(tick, (due, due, due, due, applied, applied))
+        self.account.publish(self.line, [])
 
     def jump(self) -> None:
-        self.account.jump(self.line, CORE, GUARD, [])
+        self.account.jump(self.line, [])
 
     def end(self) -> dict[str, Any]:
-        self.account.publish_rest(self.line, CORE, GUARD, [])
-        report = self.account.report(CORE, GUARD, [], 2)
+        self.account.publish_rest(self.line, [])
+        report = self.account.report([], 2)
         return {"ticks": report.ticks, **report.figures, **report.figures.tables}
 
 
