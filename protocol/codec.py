@@ -498,8 +498,8 @@ def _integer(frame: bytes, at: int) -> tuple[int, int]:
     return (first, at + 1) if first < 0x80 else _tagged(frame, at, _INTEGERS)
 
 
-def _tagged(frame: bytes, at: int, forms: Mapping[int, struct.Struct]) -> tuple[int, int]:
-    """The number after the tag at the offset ``at``, in the tag's form, and the offset after it."""
+def _tagged(frame: bytes, at: int, forms: Mapping[int, struct.Struct]) -> tuple[Any, int]:
+    """The number after the tag at the offset ``at``, an int or a float by the tag's form, and the offset after it."""
     form = forms[frame[at]]
     (number,) = form.unpack_from(frame, at + 1)
     return number, at + 1 + form.size

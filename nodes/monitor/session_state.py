@@ -52,7 +52,17 @@ _INSTANT: Final = Requirement(lambda t: 0.0 <= t < _LATEST, "seconds since 1970"
 PERIOD: Final = Requirement(lambda T: T > 0.0, "a time greater than 0")
 _PID: Final = Requirement(lambda pid: pid > 0, "a process id")
 _COUNT: Final = Requirement(lambda count: count >= 0, "a number of at least 0")
-_GEOMETRY: Final = PlainForm(ContactScene.geometry_terms, geometry_of)
+
+
+def _geometry(data: Any) -> ContactScene:
+    try:
+        return geometry_of(data)
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise ValueError(f"found a scene that is none ({error}); expected tools and bodies") from error
+
+
+GEOMETRY: Final = PlainForm(lambda scene: None if scene is None else scene.geometry_terms(), _geometry)
+"""A scene's tools, bodies and obstacles, without its springs and motions."""
 
 
 class AboutError(Exception):
@@ -174,7 +184,7 @@ class About:
     environment: str
     observers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     seats: Mapping[str, str] = field(default_factory=dict)
-    scene: Annotated[ContactScene, _GEOMETRY] | None = None
+    scene: Annotated[ContactScene, GEOMETRY] | None = None
 
     @property
     def terms(self) -> Terms:

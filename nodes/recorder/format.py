@@ -16,16 +16,16 @@ from itertools import chain
 from typing import Annotated, Any, Final
 
 from manyhands import __version__
-from manyhands.design.models.scene import ContactScene, geometry_of
+from manyhands.design.models.scene import ContactScene
 from manyhands.nodes.kernel.bundle import REALTIME
 from manyhands.nodes.kernel.json_number import json_figures
-from manyhands.nodes.monitor.session_state import PERIOD, About
+from manyhands.nodes.monitor.session_state import GEOMETRY, PERIOD, About
 from manyhands.nodes.recorder.scene_messages import SCENE_SCHEMAS, SceneMessages
 from manyhands.nodes.rows.figures import FIGURES as DECLARED
 from manyhands.nodes.rows.figures import WAVE_HOLDING
 from manyhands.protocol.channels import CONDITION, TELEMETRY, Columns, Topic, links_at, topic_name, topics_of
 from manyhands.protocol.messages import Condition, Figures, PromiseStatus, Role
-from manyhands.protocol.plain import Added, PlainForm, read, written
+from manyhands.protocol.plain import Added, read, written
 
 FORMAT: Final = "manyhands-recording"
 VERSION: Final = "2"
@@ -225,16 +225,6 @@ _MAY_BE_EMPTY: Final = ("periods", "linked", "scene")
 """The fields of which metadata have nothing where they are empty."""
 
 
-def _scene(data: Any) -> ContactScene:
-    try:
-        return geometry_of(data)
-    except (KeyError, TypeError, ValueError, AttributeError, RecursionError, OverflowError) as error:
-        raise ValueError(f"found a scene that is none ({error}); expected tools and bodies") from error
-
-
-_SCENE: Final = PlainForm(lambda scene: None if scene is None else scene.geometry_terms(), _scene)
-
-
 @dataclass(frozen=True)
 class Recorded:
     """The session of a recording.
@@ -263,7 +253,7 @@ class Recorded:
     version: str = __version__
     periods: Added[Mapping[str, Annotated[float, PERIOD]]] = field(default_factory=dict)
     linked: Added[tuple[str, ...]] = ()
-    scene: Added[Annotated[ContactScene | None, _SCENE]] = None
+    scene: Added[Annotated[ContactScene | None, GEOMETRY]] = None
 
     @property
     def devices(self) -> dict[str, tuple[str, ...]]:
