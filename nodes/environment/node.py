@@ -254,7 +254,7 @@ class EnvironmentNode:
             kind.close()
 
     def _begin(self, start: Start, life: Life, control: ControlLine) -> Members:
-        """Take all couplings in, and wait for the epoch: before it devices send nothing, and silence has no meaning."""
+        """Take all couplings in. The first wait begins with the epoch: before it silence has no meaning."""
         core, bundle, resumes = self.core, self._bundle, start.tick > 0
         if core is None:
             raise ValueError("the environment was started before its handshakes")

@@ -136,3 +136,21 @@ def test_topology_has_no_link_and_one_process_for_both() -> None:
     assert plain.carriers == {}
     assert set(plain.links) - set(together.links) == {plan for plan in plain.links if plan.connector == "d"}
     assert set(together.links) < set(plain.links)
+
+
+def test_a_device_has_its_coupling_listen_and_end_its_rows(
+    prepared: Prepared, monkeypatch: pytest.MonkeyPatch, new_line: Callable[[], Any]
+) -> None:
+    bundles = cut(prepared, RunPlan("simulated", None, ""))
+    device, coupling = bundles["dx"], bundles["cx"]
+    assert isinstance(device, DeviceBundle)
+    assert isinstance(coupling, CouplingBundle)
+    inner = CouplingNode(coupling)
+    inner.establish({})
+    node, noted = DeviceNode(device, driver_of(device), inside=[inner]), list[str]()
+    node.establish({})
+    monkeypatch.setattr(Within, "listen", lambda _: noted.append("listens"))
+    monkeypatch.setattr(Within, "publish_rest", lambda _: noted.append("publishes"))
+    node._listen(new_line())
+    node._jump(new_line())
+    assert noted == ["listens", "publishes"]
