@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from ..support.commands import forked, manyhands_command, read_until, run, started
+from ..support.commands import MANYHANDS, forked, manyhands_command, read_until, run, started
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), ROOT / "protocol" / "SPEC.md"]
@@ -32,7 +32,10 @@ def commands(text: str) -> list[tuple[list[str], int]]:
 
 
 @pytest.mark.usefixtures("own_interrupt")
-def test_the_readmes_commands_run_as_they_stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("measuring", [False, pytest.param(True, marks=pytest.mark.alone)], ids=["others", "doctor"])
+def test_the_readmes_commands_run_as_they_stand(
+    measuring: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Those that start processes are processes themselves; the others run in this one, where all is imported.
 
     A run lasts as long as it is useful to a reader; here it is over sooner.
@@ -41,8 +44,13 @@ def test_the_readmes_commands_run_as_they_stand(tmp_path: Path, monkeypatch: pyt
     found = commands((ROOT / "README.md").read_text())
     assert len(found) >= 6
     for stated, expected in found:
+        if (stated[0] == "doctor") != measuring:
+            continue
         arguments = [*stated, "--duration", "0.2"] if stated[0] in ("launch", "simulate") else stated
-        if arguments[0] in ("launch", "doctor"):
+        if measuring:  # it begins with nothing, as where a user measures the machine
+            process = subprocess.run([*MANYHANDS, *arguments], capture_output=True, text=True, check=False)
+            code, errors = process.returncode, process.stderr
+        elif arguments[0] == "launch":
             process = forked(*arguments)
             code, errors = process.returncode, process.stderr
         else:
