@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from manyhands.launch.audit.environment import ROUNDING, Blocks
 from manyhands.launch.audit.events import Course
-from manyhands.launch.audit.findings import EXACT, Check, CheckVerdict, UncheckedTicks, compare, first_of
+from manyhands.launch.audit.findings import Check, CheckVerdict, UncheckedTicks, compare, within
 from manyhands.launch.recordings.run import RecordedRun, rows_of, there
 from manyhands.nodes.kernel.allowance import LatenessAllowance
 from manyhands.nodes.kernel.bundle import NOTHING, SIMULATED, WALL, DeviceBundle
@@ -93,35 +93,30 @@ def bounded(run: RecordedRun, node: str, allowed: LatenessAllowance = NOTHING, p
         The check; nothing was checked where no ledger was kept.
     """
     trace = rows_of(run, node, names.LEDGER)
-    total = trace[np.isfinite(trace)]
-    work = float(np.abs(np.diff(total, prepend=0.0)).sum())
-    tolerance = LEDGER_ROUNDING * work
     bound = f"-{allowed}, its tank" if allowed != NOTHING else "0"
     what = f"its ledger never fell below {bound}: it kept its promise"
     if not promised:
         what = "its ledger is never below 0, as within the certificate; what lateness puts in is not enforced"
-    source = f"{LEDGER_ROUNDING:g} of the sum of its increments' magnitudes: rounding"
     most = np.full_like(trace, allowed.energy)
     if allowed.power:
         most = _allowed_by(allowed, rows_of(run, node, names.INSTANTS)[:, 1])  # the power is booked at a_k
-    wrong = trace < -most - tolerance
-    first = first_of(wrong, ("E",), trace, 0.0 - most)
-    verdict = CheckVerdict.HOLDS if len(total) else CheckVerdict.UNCHECKED
-    if first is not None:
-        verdict = CheckVerdict.BROKEN if promised else CheckVerdict.ASSUMPTION
-    remark = f"least {min(0.0, float(total.min())):.6g} J" if len(total) else ""
-    return Check(
-        "bound",
-        node,
-        what,
-        verdict,
-        len(total),
-        first,
-        int(wrong.sum()),
-        tolerance=tolerance,
-        source=source,
-        remark=remark,
-    )
+    otherwise = CheckVerdict.BROKEN if promised else CheckVerdict.ASSUMPTION
+    remark = f"least {float(np.nanmin(trace, initial=0.0)):.6g} J"
+    return _never_below("bound", node, what, ("E",), trace, 0.0 - most, otherwise, remark)
+
+
+def _never_below(
+    name: str, node: str, what: str, column: tuple[str], account: Array, least: Array, otherwise: CheckVerdict,
+    remark: str,
+) -> Check:  # fmt: skip
+    """An account, J, is never below ``least``, but for the rounding of its increments."""
+    known = account[np.isfinite(account)]
+    tolerance = LEDGER_ROUNDING * float(np.abs(np.diff(known, prepend=0.0)).sum())
+    source = f"{LEDGER_ROUNDING:g} of the sum of its increments' magnitudes: rounding"
+    return within(
+        name, node, what, column, account, least, account < least - tolerance, otherwise=otherwise,
+        tolerance=tolerance, source=source, remark=remark,
+    )  # fmt: skip
 
 
 def _allowed_by(allowance: LatenessAllowance, at: Array) -> Array:
@@ -138,32 +133,13 @@ def account_bounded(node: str, account: Array, at: Array, allowance: LatenessAll
         at: the instants a_k, ns since tick 0.
         allowance: E_0 and P; None where nothing bounds the account.
     """
-    known = account[np.isfinite(account)]
-    tolerance = LEDGER_ROUNDING * float(np.abs(np.diff(known, prepend=0.0)).sum())
     least = 0.0 - (np.zeros_like(account) if allowance is None else _allowed_by(allowance, at))
-    wrong = account < least - tolerance
-    first = first_of(wrong, ("e",), account, least)
+    what, otherwise = f"lateness put in no more than its tank of {allowance}", CheckVerdict.BROKEN
     if allowance is None:
         what = "its account is never below 0, as within the certificate; nothing bounds it in this session"
-    else:
-        what = f"lateness put in no more than its tank of {allowance}"
-    verdict = CheckVerdict.HOLDS if len(known) else CheckVerdict.UNCHECKED
-    if first is not None:
-        verdict = CheckVerdict.ASSUMPTION if allowance is None else CheckVerdict.BROKEN
-    remark = f"least account {1e3 * min(0.0, float(known.min())):.4g} mJ" if len(known) else ""
-    source = f"{LEDGER_ROUNDING:g} of the sum of its increments' magnitudes: rounding"
-    return Check(
-        "account",
-        node,
-        what,
-        verdict,
-        len(known),
-        first,
-        int(wrong.sum()),
-        tolerance=tolerance,
-        source=source,
-        remark=remark,
-    )
+        otherwise = CheckVerdict.ASSUMPTION
+    remark = f"least account {1e3 * float(np.nanmin(account, initial=0.0)):.4g} mJ"
+    return _never_below("account", node, what, ("e",), account, least, otherwise, remark)
 
 
 def ordered(run: RecordedRun, node: str, instants: Array, course: Course, owed: Flags, latency: int = 0) -> Check:
@@ -218,15 +194,10 @@ def limits_kept(run: RecordedRun, node: str, bundle: DeviceBundle, course: Cours
     exerted = np.any(f != 0.0, axis=1, keepdims=True)
     for name, values, limits, unit in found:
         most = np.broadcast_to(np.array(limits), values.shape)
-        beyond = (values > most) & exerted
-        first = first_of(beyond, ports, values, most)
-        numbers = int(np.isfinite(values).sum())
-        verdict = (
-            CheckVerdict.BROKEN if first is not None else CheckVerdict.HOLDS if numbers else CheckVerdict.UNCHECKED
-        )
-        remark = f"greatest {float(np.nanmax(values)):.6g} {unit} of {max(limits):g}" if numbers else ""
+        remark = f"greatest {float(np.nanmax(values, initial=0.0)):.6g} {unit} of {max(limits):g}"
         what = f"its {name} is within its limit" + ("" if name == "force" else ", or it exerts no force")
-        out.append(Check("limits", node, what, verdict, numbers, first, int(beyond.sum()), (), 0.0, _LIMITS, remark))
+        beyond = (values > most) & exerted
+        out.append(within("limits", node, what, ports, values, most, beyond, source=_LIMITS, remark=remark))
     return out
 
 
@@ -254,14 +225,12 @@ def delay_assumed(
         covered[:, 0] = np.fmin(covered[:, 0], following)
     late = trace > covered
     ticks, numbers = int(late.sum()), int(np.isfinite(trace).sum())
-    remark = f"longest {float(np.nanmax(trace)):.6g} us of {max(tau.values()) * 1e6:g}" if numbers else ""
+    remark = f"longest {float(np.nanmax(trace, initial=0.0)):.6g} us of {max(tau.values()) * 1e6:g}"
     if ticks:
         remark = f"later in {ticks} of {numbers} ticks; {remark}"
-    first = first_of(late, ("τ",), trace, covered)
-    missed = CheckVerdict.ENFORCED if enforced else CheckVerdict.ASSUMPTION
-    verdict = missed if ticks else CheckVerdict.HOLDS if numbers else CheckVerdict.UNCHECKED
     what = "the force acts no later after its sample than the certificate assumes"
-    return Check("tau", node, what, verdict, numbers, first, ticks, source=EXACT, remark=remark)
+    missed = CheckVerdict.ENFORCED if enforced else CheckVerdict.ASSUMPTION
+    return within("tau", node, what, ("τ",), trace, covered, late, otherwise=missed, remark=remark)
 
 
 def period_assumed(run: RecordedRun, node: str, period_tolerance: float, enforced: bool = False) -> Check:

@@ -200,6 +200,32 @@ def first_of(wrong: NDArray[np.bool_], columns: Sequence[str], recorded: Array, 
     return Difference(tick, columns[column], float(recorded[tick, column]), float(recomputed[tick, column]))
 
 
+def within(
+    name: str,
+    party: str,
+    what: str,
+    columns: Sequence[str],
+    values: Array,
+    bound: Array,
+    wrong: NDArray[np.bool_],
+    *,
+    otherwise: CheckVerdict = CheckVerdict.BROKEN,
+    gaps: Sequence[UncheckedTicks] = (),
+    tolerance: float = 0.0,
+    source: str = EXACT,
+    remark: str = "",
+) -> Check:
+    """The check that no number is beyond its bound: ``wrong`` are those that are, ``otherwise`` is the verdict then.
+
+    Values, ticks x columns, that are not finite are not checked, and without any the ``remark`` is left out. Everything
+    else is as in :class:`Check`.
+    """
+    first, numbers = first_of(wrong, columns, values, bound), int(np.isfinite(values).sum())
+    verdict = otherwise if first is not None else CheckVerdict.HOLDS if numbers else CheckVerdict.UNCHECKED
+    told = remark if numbers else ""
+    return Check(name, party, what, verdict, numbers, first, int(wrong.sum()), tuple(gaps), tolerance, source, told)
+
+
 def verdicts(checks: Sequence[Check]) -> Mapping[CheckVerdict, int]:
     """Number of checks with each verdict."""
     return {verdict: sum(check.verdict is verdict for check in checks) for verdict in CheckVerdict}

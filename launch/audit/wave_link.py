@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.launch.audit.events import Course, Happening
-from manyhands.launch.audit.findings import Check, CheckVerdict, UncheckedTicks, compare, first_of, gaps_of
+from manyhands.launch.audit.findings import Check, UncheckedTicks, compare, gaps_of, within
 from manyhands.launch.audit.recompute import Array, Follower, Recomputed, recompute
 from manyhands.launch.recordings.run import FiguresByTick, there
 from manyhands.nodes.kernel.arithmetic import Floats, Saturation
@@ -272,13 +272,10 @@ def end_checks(party: str, of: str, ports: tuple[str, ...], again: EndAgain, *, 
 
 
 def _never_below_zero(party: str, what: str, values: Array, again: EndAgain) -> Check:
-    wrong = values < -again.tolerance
-    first = first_of(wrong, ("L", "L left by the wave"), values, np.zeros_like(values))
-    numbers = int(np.isfinite(values).sum())
-    verdict = CheckVerdict.BROKEN if first is not None else CheckVerdict.HOLDS if numbers else CheckVerdict.UNCHECKED
     least = f"least tank {1e3 * float(np.nanmin(values[:, 0])):.4g} mJ" if np.isfinite(values[:, 0]).any() else ""
-    widest = float(again.tolerance.max(initial=0.0))
-    return Check("rules", party, what, verdict, numbers, first, int(wrong.sum()), (), widest, _SOURCE, least)
+    columns, wrong = ("L", "L left by the wave"), values < -again.tolerance
+    widest, zero = float(again.tolerance.max(initial=0.0)), np.zeros_like(values)
+    return within("rules", party, what, columns, values, zero, wrong, tolerance=widest, source=_SOURCE, remark=least)
 
 
 def heard_from(party: str, other: str, own: EndAgain, its: EndAgain) -> Check:
@@ -324,18 +321,14 @@ def ledger_of_both(coupling: str, user: EndAgain, world: EndAgain, rate: float) 
     known = (np.arange(ticks) < end_w) & (at < end_u)
     total = np.where(known, total + np.nan_to_num(ahead), np.nan)[:, None]
     bound, tolerance = -(user.tank + world.tank), (slack_u[at] + slack_w)[:, None]
-    wrong = total < bound - tolerance
-    first = first_of(wrong, ("E",), total, np.full_like(total, bound))
-    numbers = int(known.sum())
-    verdict = CheckVerdict.BROKEN if first is not None else CheckVerdict.HOLDS if numbers else CheckVerdict.UNCHECKED
     what = f"the energy that entered the wave link of {coupling} at both ends is never below -2 E_0 (Theorem 1)"
-    remark = f"least {1e3 * min(0.0, float(np.nanmin(total))):.4g} mJ of {1e3 * bound:g} mJ" if numbers else ""
+    least = min(0.0, float(np.nanmin(total))) if known.any() else 0.0
     last = int(known.argmin()) if not known.all() else ticks
     gaps = (UncheckedTicks(last, ticks, "an end has no whole row there, and the sum of its energy is not known"),)
-    widest = float(np.max(tolerance, initial=0.0))
-    return Check(
-        "link", coupling, what, verdict, numbers, first, int(wrong.sum()), gaps if last < ticks else (), widest,
-        _SOURCE, remark,
+    return within(
+        "link", coupling, what, ("E",), total, np.full_like(total, bound), total < bound - tolerance,
+        gaps=gaps if last < ticks else (), tolerance=float(np.max(tolerance, initial=0.0)), source=_SOURCE,
+        remark=f"least {1e3 * least:.4g} mJ of {1e3 * bound:g} mJ",
     )  # fmt: skip
 
 

@@ -61,8 +61,8 @@ class DeviceTick(ABC):
 
     interface: DeviceInterface | None = None
 
-    def __init__(self, bundle: DeviceBundle, driver: Driver, guard: Guard | None = None) -> None:
-        """Begin at rest; ``guard`` is that of the bundle's limits, if it is not given."""
+    def __init__(self, bundle: DeviceBundle, driver: Driver) -> None:
+        """Begin at rest."""
         common = bundle.common
         self._rungs, self._promises, self._period = bundle.rungs, bundle.promises, from_seconds(common.period)
         self._zero: Floats = [0.0] * len(common.ports)
@@ -71,7 +71,7 @@ class DeviceTick(ABC):
         # of a driver of another package: what it really exerts of the force that it was given; it is held to its word
         self._exerted = driver.exerted if isinstance(driver, PluginDriver) else None
         self.driver = driver
-        self.guard = guard or Guard(bundle.limits, common.period, common.ports)
+        self.guard = Guard(bundle.limits, common.period, common.ports)
         self.core = DeviceCore(*bundle.promises[0], common.period, bundle.allowed.energy)
         self.moved = self.x = self.sent = self.held = self._zero
         self.x_a: Floats | None = None
@@ -169,11 +169,8 @@ class OwnTimeTick(DeviceTick):
     def free(self, at: Instant) -> None:
         """Count a period with zero force."""
         self.driver.release(at)
-        if self._exerted is not None:
-            self._exerted(self._zero)
-        work = self.driver.intended_work()
-        self.core.sample(self.x)
-        self.core.apply(self._zero, work)
+        self.held = self._zero
+        self.book()
 
     def exert(self, asked: Floats, at: Instant, recorded: Floats | None = None) -> Floats:
         """Exert what the limits allow, or the recorded force."""
@@ -204,9 +201,9 @@ class WallTimeTick(DeviceTick):
         work: the work of the intention that :meth:`book` has counted last, J.
     """
 
-    def __init__(self, bundle: DeviceBundle, driver: Driver, guard: Guard | None = None) -> None:
+    def __init__(self, bundle: DeviceBundle, driver: Driver) -> None:
         """Begin at rest; arguments as of :class:`DeviceTick`."""
-        super().__init__(bundle, driver, guard)
+        super().__init__(bundle, driver)
         self.interface = self.wall_interface = interface_of(bundle)
         self._asked = self._zero
         self._unknown: Floats = [math.nan] * len(self._zero)

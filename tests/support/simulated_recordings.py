@@ -11,7 +11,7 @@ from manyhands.design.models.coupling import SpringDamper
 from manyhands.launch.audit.simulation import Silence, Simulation
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.recorded import Traces
-from manyhands.launch.plan.topology import topology
+from manyhands.launch.plan.recorded import recorded_of as described
 from manyhands.launch.recordings.run import RecordedRun
 from manyhands.launch.run.directory import kept_files
 from manyhands.launch.session import Session, load_session
@@ -50,20 +50,7 @@ def attachments_of(prepared: Prepared) -> dict[str, bytes]:
 
 
 def recorded_of(prepared: Prepared, clock: str = "simulated") -> Recorded:
-    session, graph = prepared.session, topology(prepared.session)
-    ports = {name: graph.ports[name] for name in graph.nodes}
-    return Recorded(
-        session.name,
-        prepared.id,
-        session.period,
-        clock,
-        dict(graph.nodes),
-        ports,
-        session.environment.reported(session.ports),
-        periods=session.own_periods,
-        linked=tuple(session.wave_links),
-        scene=session.environment.geometry(session.ports),
-    )
+    return described(prepared, clock)
 
 
 def written(

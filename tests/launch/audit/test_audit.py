@@ -321,7 +321,7 @@ def test_a_coupling_that_changed_its_rung_is_followed(prepared: Prepared) -> Non
     assert len(bundle.rungs) > rung
     rng = np.random.default_rng(3)
     x, f = np.cumsum(rng.normal(size=(TICKS, 1)), axis=0) * 1e-5, rng.normal(size=(TICKS, 1))
-    f[140:160] = 0.0
+    f[150:160] = 0.0
     p, energy = np.zeros_like(x), np.zeros_like(x)
     core = CouplingCore(bundle.block, bundle.K, bundle.level, bundle.common.period, bundle.limits.force)
     for k in range(TICKS):

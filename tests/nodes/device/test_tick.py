@@ -10,7 +10,6 @@ import pytest
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import load_session
-from manyhands.nodes.device.core import Guard
 from manyhands.nodes.device.tick import NO_INSTANTS, OwnTimeTick, WallTimeTick, tick_of
 from manyhands.nodes.kernel.bundle import REALTIME, SIMULATED, DeviceBundle
 from manyhands.protocol.clock import Instant
@@ -87,6 +86,8 @@ def test_what_is_sent_in_wall_time_stays_until_it_is_answered(bundles: dict[str,
     tick.book()
     assert (tick.x, tick.x_a) == ([1e-3], [pytest.approx(3.1e-3)])
     assert tick.instants == (instant(1.1), instant(3.4), instant(1.6))
+    energies = (tick.ledger.total,), (tick.wall_interface.account.energy,)
+    assert tick.row() == ([1e-3], [2.0], *energies, tick.x_a, tick.instants)
     assert [call[:3] for call in driver.calls] == [
         ("release", instant(1.6), [0.0]),
         ("release", instant(2.0), [0.0]),
@@ -133,6 +134,7 @@ def test_in_its_own_time_every_sample_is_a_period_of_the_ledger(bundles: dict[st
     last = T * (-2.0 * (v + g) - level.item() * (v + g) ** 2)
     assert totals == pytest.approx([1e-3, 3e-3 - burned, 7e-3 - burned + last])
     assert tick.instants == NO_INSTANTS
+    assert tick.row() == ([2e-3], [-2.0], (tick.ledger.total,), (), (), ())
 
 
 def test_a_recorded_force_is_exerted_in_place_of_what_follows(bundles: dict[str, DeviceBundle]) -> None:
@@ -140,19 +142,31 @@ def test_a_recorded_force_is_exerted_in_place_of_what_follows(bundles: dict[str,
     tick = WallTimeTick(bundles[REALTIME], driver)
     tick.sample(0, instant(0))
     assert tick.exert([1.0], instant(0.2), [0.5]) == [1.0]
+    assert tick.row()[1] == [0.5]
     tick.book()
     assert driver.calls[-1][2] == tick.interface.exerted == [0.5]
     assert tick.interface.account.f == [1.0]
 
 
-def test_another_guard_may_stand_in(bundles: dict[str, DeviceBundle]) -> None:
-    class Deaf(Guard):
-        """It clips nothing."""
+def test_what_was_recorded_stands_for_the_drivers_own_motion_and_the_force_that_follows(
+    bundles: dict[str, DeviceBundle],
+) -> None:
+    driver = Scripted()
+    tick = OwnTimeTick(bundles[SIMULATED], driver)
+    assert tick.sample(1, Instant(0), recorded=[7e-3]) == [7e-3]
+    assert tick.moved == [1e-3]
+    assert tick.exert([1.0], Instant(0), [0.5]) == [1.0]
+    tick.book()
+    assert driver.calls[-1][2] == [0.5]
+    assert tick.row()[:2] == ([7e-3], [0.5])
 
-        def clip(self, f: list[float]) -> list[float]:
-            return f
 
-    bundle = bundles[REALTIME]
-    tick = WallTimeTick(bundle, Scripted(), Deaf(bundle.limits, 1e-3, ("dx",)))
-    tick.sample(0, instant(0))
-    assert tick.exert([3.0], instant(0.2)) == [3.0]
+def test_an_unarmed_guard_does_not_let_go(bundles: dict[str, DeviceBundle]) -> None:
+    """An audit follows a device that did not, through samples of which it knows only some."""
+    for armed in (True, False):
+        tick = OwnTimeTick(bundles[SIMULATED], Scripted())
+        tick.guard.armed = armed
+        tick.sample(0, Instant(0))
+        far = [tick.sample(turn, Instant(0), recorded=[1e3])[0] for turn in (1, 2)]
+        assert (far == [1e3, 1e3]) is not armed
+        assert tick.guard.let_go == armed
