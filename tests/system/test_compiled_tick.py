@@ -22,6 +22,7 @@ import pytest
 from hatchling.builders.wheel import WheelBuilder
 from packaging.utils import parse_wheel_filename
 
+import manyhands.launch
 import manyhands.nodes
 import manyhands.protocol
 from manyhands.nodes.kernel.bundle import Bundle
@@ -146,7 +147,7 @@ def test_a_class_of_the_compiled_tick_is_derived_from_in_it_alone() -> None:
     compiled = {f"manyhands.{module.replace('/', '.')}" for module in HOOK.MODULES}
     found = [
         f"{module.__name__}: {name} inherits from {base.__name__}"
-        for package in (manyhands.protocol, manyhands.nodes)
+        for package in (manyhands.protocol, manyhands.nodes, manyhands.launch)
         for info in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
         if info.name not in compiled and not info.name.endswith("__main__")
         for module in [importlib.import_module(info.name)]
