@@ -59,6 +59,7 @@ MODULES = [
     "nodes/environment/node",
     "nodes/environment/pace",
     "nodes/environment/scene",
+    "nodes/guest/seat",
     "nodes/kernel/site_bounds",
     "nodes/wave_link/ends",
     "nodes/wave_link/faces",

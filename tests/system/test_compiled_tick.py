@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import os
 import shutil
@@ -111,6 +112,22 @@ def test_an_editable_installation_is_never_compiled() -> None:
 
 def test_every_module_of_the_list_exists() -> None:
     assert [module for module in HOOK.MODULES if not (ROOT / f"{module}.py").is_file()] == []
+
+
+def test_no_other_module_derives_from_a_class_of_the_list() -> None:
+    """Python refuses it when an object is made, and only where the tick is compiled."""
+    compiled = {f"manyhands.{module.replace('/', '.')}" for module in HOOK.MODULES}
+    found = []
+    for room in ("design", "protocol", "nodes", "launch"):
+        for path in (ROOT / room).rglob("*.py"):
+            if str(path.relative_to(ROOT).with_suffix("")) in HOOK.MODULES:
+                continue
+            tree = ast.parse(path.read_text())
+            imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module in compiled]
+            names = {alias.asname or alias.name for node in imports for alias in node.names}
+            classes = [node for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
+            found += [f"{path.name}: {of.name}" for of in classes for base in of.bases if ast.unparse(base) in names]
+    assert found == []
 
 
 @pytest.mark.long
