@@ -19,8 +19,8 @@ from manyhands.launch.app.cli import app
 from manyhands.launch.audit.audit import Audit, AuditVerdict, audit
 from manyhands.launch.audit.checks import bounded, period_assumed
 from manyhands.launch.audit.coupling import FollowedCoupling
-from manyhands.launch.audit.device import DeviceRows, FollowedDevice, FollowedInOwnTime
-from manyhands.launch.audit.events import Course, course_of
+from manyhands.launch.audit.device import DeviceRows, FollowedDevice, FollowedInOwnTime, FollowedInWallTime
+from manyhands.launch.audit.events import Course, Happening, course_of
 from manyhands.launch.audit.findings import Check, CheckVerdict, UncheckedTicks, compare
 from manyhands.launch.audit.recompute import recompute
 from manyhands.launch.audit.simulation import Silence
@@ -33,7 +33,8 @@ from manyhands.launch.session import load_session
 from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.device.core import DeviceCore
 from manyhands.nodes.device.drivers import Driver, driver_of
-from manyhands.nodes.kernel.bundle import SIMULATED, CouplingBundle, DeviceBundle
+from manyhands.nodes.device.tick import WallTimeTick
+from manyhands.nodes.kernel.bundle import REALTIME, SIMULATED, CouplingBundle, DeviceBundle
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
 from manyhands.protocol.channels import LEDGER, TAU
 from tests.support.instants import instant
@@ -384,6 +385,27 @@ def test_a_process_that_begins_behind_the_session_has_jumped_before_its_first_ro
     before = course(bundle, figures, rows).before
     assert (before[0].began, before[0].jumped) == (True, False)
     assert (before[130].began, before[130].jumped) == (True, True)
+
+
+def test_a_device_in_wall_time_is_told_of_a_jump_before_it_exerts_again(
+    prepared: Prepared, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bundle = cut(prepared, Way(REALTIME, None, ""))["dx"]
+    assert isinstance(bundle, DeviceBundle)
+    calls: list[str] = []
+    for name in ("skipped", "exert"):
+        told = getattr(WallTimeTick, name)
+
+        def call(tick: WallTimeTick, *given: object, name: str = name, told: Callable[..., object] = told) -> object:
+            calls.append(name)
+            return told(tick, *given)
+
+        monkeypatch.setattr(WallTimeTick, name, call)
+    at, x, ticks = 1e6 * np.arange(9.0), np.zeros((9, 1)), 9
+    instants = np.column_stack([at, at + 2e5, at + 2e5])
+    rows = DeviceRows(x, x, x, instants, x, None, np.zeros(ticks, dtype=np.bool_))
+    recompute(FollowedInWallTime(bundle, lambda: "given", rows), Course({5: Happening(jumped=True)}, {}, ticks))
+    assert calls == [*["exert"] * 5, "skipped", *["exert"] * 4]
 
 
 def test_more_free_periods_than_are_computed_end_the_check(prepared: Prepared) -> None:
