@@ -247,7 +247,7 @@ def test_options_that_do_not_fit_are_refused() -> None:
         assert f"{option} needs --foxglove" in done.stderr
     done = manyhands_command("view", "--foxglove", "--open", "--host", "192.0.2.7")
     assert done.exit_code == 2
-    assert "which would go to foxglove.dev" in done.stderr
+    assert "would send the token to foxglove.dev" in done.stderr
 
 
 PAGE, ROS_PAGE = (

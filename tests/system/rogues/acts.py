@@ -20,7 +20,7 @@ from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.environment.node import EnvironmentNode
-from manyhands.nodes.kernel.bundle import CouplingBundle, DeviceBundle, EnvironmentBundle, ObserverBundle, load
+from manyhands.nodes.kernel.bundle import CouplingBundle, DeviceBundle, EnvironmentBundle, load
 from manyhands.nodes.kernel.lifetime import Life
 from manyhands.nodes.link.process import key_ring, main
 from manyhands.nodes.link.supervisor_line import ControlLine
@@ -187,9 +187,9 @@ class HurriedCoupling(CouplingNode):
         super().establish(late)
 
 
-def impostor(lie: Callable[[NodeHello], NodeHello]) -> int:
+def impostor(kind: type[DeviceBundle | CouplingBundle], lie: Callable[[NodeHello], NodeHello]) -> int:
     """Send a false hello; returns 0 if the supervisor refuses it."""
-    common = load(Path(sys.argv[1]), ObserverBundle).common  # of whatever role
+    common = load(Path(sys.argv[1]), kind).common
     transport = ZmqTransport.tcp(key_ring(common, Path(common.private)))
     try:
         hello = NodeHello(
@@ -218,9 +218,9 @@ ACTS: Final[Mapping[str, Callable[[], int]]] = {
     "forceful coupling": lambda: main(CouplingBundle, ForcefulCoupling),
     "halfway device": lambda: main(DeviceBundle, lambda b: HalfwayDevice(b, driver_of(b))),
     "hurried coupling": lambda: main(CouplingBundle, HurriedCoupling),
-    "under another's name": lambda: impostor(lambda hello: replace(hello, name="dz")),
+    "under another's name": lambda: impostor(DeviceBundle, lambda hello: replace(hello, name="dz")),
     "with another's link": lambda: impostor(
-        lambda hello: replace(hello, endpoints=dict.fromkeys(("dy", "dz"), "tcp://127.0.0.1:1"))
+        CouplingBundle, lambda hello: replace(hello, endpoints=dict.fromkeys(("dy", "dz"), "tcp://127.0.0.1:1"))
     ),
 }
 
