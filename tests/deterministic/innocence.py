@@ -13,7 +13,7 @@ from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.topology import topology
 from manyhands.nodes.environment.late_arrivals import BURST, SHARE
 from manyhands.nodes.environment.node import EnvironmentNode
-from manyhands.nodes.link import join as peer_link_module
+from manyhands.nodes.link import peer_link as peer_link_module
 from manyhands.nodes.monitor.health import missed
 from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import from_seconds
