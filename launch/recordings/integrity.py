@@ -262,7 +262,7 @@ class _Examination:
             return Damage(end - _DATA_END_BYTES, end, "found no checksum of the data; expected one")
         what = (
             f"found data with the checksum {self._actual:08x}; expected {self._stated:08x}, as stated. Each chunk and "
-            "attachment agrees with its own, so the header, the session's metadata, a message index or the stated "
-            "checksum was changed"
+            "attachment agrees with its own, so the header, the session's metadata, a message index, the stated "
+            "checksum, or a byte of a chunk that changes nothing in it was changed"
         )
         return Damage(0, end, what)

@@ -14,7 +14,8 @@ from click.testing import Result
 from manyhands.design import synthesis
 from manyhands.design.certificate import identity, load
 from manyhands.design.proof import prove
-from manyhands.launch.app import cli, design_plots
+from manyhands.launch.app import cli
+from manyhands.launch.look import figures
 
 from ....support.commands import manyhands_command
 
@@ -39,7 +40,7 @@ def proved(path: Path) -> bool:
 
 
 def test_design_draws_into_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(design_plots, "_DPI", 30)  # the same, sooner
+    monkeypatch.setattr(figures, "DPI", 30)  # the same, sooner
     folder = tmp_path / "pictures" / "of example 1"
     result = manyhands_command("design", "example1.yaml", "--plot", folder, "-o", tmp_path / "c.json")
     assert result.exit_code == 0, result.stderr
