@@ -62,7 +62,7 @@ from manyhands.launch.audit.prepared import prepared_of
 from manyhands.launch.audit.presence import Presence, fitted
 from manyhands.launch.audit.press import Press, presses
 from manyhands.launch.audit.promises import promises_of
-from manyhands.launch.audit.recompute import Array, Follower, Recomputed, recompute
+from manyhands.launch.audit.recompute import Array, FollowedParty, Recomputed, recompute
 from manyhands.launch.audit.replay import hand_of
 from manyhands.launch.audit.wave_link import (
     EndRows,
@@ -123,7 +123,7 @@ def let_go_source(offsets: int) -> str:
     return text
 
 
-class Claim(NamedTuple):
+class Follows(NamedTuple):
     """What follows for one field of a party.
 
     Attributes:
@@ -139,27 +139,29 @@ class Claim(NamedTuple):
     of_motion: bool = False
 
 
-LEDGER_CLAIM: Final = Claim("ledger", names.LEDGER, "its ledger follows at the certificate's level", True)
+LEDGER_FOLLOWS: Final = Follows("ledger", names.LEDGER, "its ledger follows at the certificate's level", True)
 OWN_TIME_CLAIMS: Final = (
-    Claim("signal", names.DISPLACEMENT, "x follows from f_v by the device and its hand", True),
-    LEDGER_CLAIM,
+    Follows("signal", names.DISPLACEMENT, "x follows from f_v by the device and its hand", True),
+    LEDGER_FOLLOWS,
 )
 WALL_TIME_CLAIMS: Final = (
-    Claim("signal", names.DISPLACEMENT, "x at s_k follows from f_v, a_k and s_k by the device and its hand", True),
-    Claim("applied", names.APPLIED, "x at a_k follows likewise", True),
-    Claim("exerted", names.FORCE, "it exerts what its couplings asked for, as far as its limits and its account allow"),
-    Claim("interface", names.INTERFACE, "its account e_k follows from motion, forces, s_k and a_k"),
+    Follows("signal", names.DISPLACEMENT, "x at s_k follows from f_v, a_k and s_k by the device and its hand", True),
+    Follows("applied", names.APPLIED, "x at a_k follows likewise", True),
+    Follows(
+        "exerted", names.FORCE, "it exerts what its couplings asked for, as far as its limits and its account allow"
+    ),
+    Follows("interface", names.INTERFACE, "its account e_k follows from motion, forces, s_k and a_k"),
 )
-ENDED_CLAIM: Final = Claim("ended", ENDED, "the force before ended when the device states")
+ENDED_FOLLOWS: Final = Follows("ended", ENDED, "the force before ended when the device states")
 COUPLING_CLAIMS: Final = (
-    Claim("signal", names.FREE_POSITION, "p follows from x and f_v by the certificate's block"),
-    LEDGER_CLAIM,
+    Follows("signal", names.FREE_POSITION, "p follows from x and f_v by the certificate's block"),
+    LEDGER_FOLLOWS,
 )
 ENVIRONMENT_CLAIMS: Final = (
-    Claim("tools", names.TOOL_POSITION, "x_e follows from p of all couplings"),
-    Claim("masses", names.MASS_POSITION, "q follows from p of all couplings"),
-    Claim("forces", names.FORCE, "f_v follows from p of all couplings"),
-    Claim("ledger", names.LEDGER, "its ledger follows from p of all couplings"),
+    Follows("tools", names.TOOL_POSITION, "x_e follows from p of all couplings"),
+    Follows("masses", names.MASS_POSITION, "q follows from p of all couplings"),
+    Follows("forces", names.FORCE, "f_v follows from p of all couplings"),
+    Follows("ledger", names.LEDGER, "its ledger follows from p of all couplings"),
 )
 
 
@@ -449,10 +451,10 @@ class _AuditRun:
         return [
             *self._compared(name, again, WALL_TIME_CLAIMS, device.motion_gaps),
             *self._given(name, figures, again[GIVEN], again.gaps),
-            *self._compared(name, again, (ENDED_CLAIM,), recorded={ENDED: rows.instants[:, 2:]}),
+            *self._compared(name, again, (ENDED_FOLLOWS,), recorded={ENDED: rows.instants[:, 2:]}),
             ordered(run, name, rows.instants, course, self._presence.owed[name], from_seconds(bundle.timing.latency)),
             account_bounded(name, rows_of(run, name, names.INTERFACE), rows.instants[:, 1], bundle.allowance),
-            *self._compared(name, again, (LEDGER_CLAIM,), device.motion_gaps),
+            *self._compared(name, again, (LEDGER_FOLLOWS,), device.motion_gaps),
         ]
 
     def _unknown(self, name: str, known: NDArray[np.bool_], course: Course, wall: bool) -> NDArray[np.bool_]:
@@ -589,7 +591,7 @@ class _AuditRun:
             begin = end
         raise AssertionError("every coupling of the audit's bundles with a wave link is one of the recording's")
 
-    def _again(self, follower: Follower, course: Course) -> Recomputed:
+    def _again(self, follower: FollowedParty, course: Course) -> Recomputed:
         """A party's fields, computed again, with progress."""
         again = recompute(follower, course, lambda tick: self._progress(self._done + tick))
         self._done += self._run.ticks
@@ -600,7 +602,7 @@ class _AuditRun:
         self,
         party: str,
         again: Recomputed,
-        claims: Iterable[Claim],
+        claims: Iterable[Follows],
         motion_gaps: Sequence[UncheckedTicks] = (),
         recorded: Mapping[str, Array] = MappingProxyType({}),
         masses: tuple[str, ...] = (),

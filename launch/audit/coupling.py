@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from manyhands.launch.audit.events import Happening
 from manyhands.launch.audit.findings import UncheckedTicks, gaps_of
-from manyhands.launch.audit.recompute import Array, Follower
+from manyhands.launch.audit.recompute import Array, FollowedParty
 from manyhands.launch.recordings.run import there
 from manyhands.nodes.coupling.port import CouplingPort
 from manyhands.nodes.kernel.bundle import CouplingBundle
@@ -27,7 +27,7 @@ from manyhands.nodes.rows.figures import FREE_POSITION, LEDGER
 _SAID_BEFORE: Final = "a device of it had sampled again after p was computed: p is not checked"
 
 
-class FollowedCoupling(Follower):
+class FollowedCoupling(FollowedParty):
     """The p and the ledger of a coupling block, from the displacements and the forces of its ports."""
 
     def __init__(

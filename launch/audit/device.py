@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from manyhands.launch.audit.events import Happening
 from manyhands.launch.audit.findings import UncheckedTicks
-from manyhands.launch.audit.recompute import Array, Follower, Lost, from_there_on
+from manyhands.launch.audit.recompute import Array, FollowedParty, Lost, from_there_on
 from manyhands.launch.audit.replay import GivenMotion
 from manyhands.launch.recordings.run import there
 from manyhands.nodes.device.drivers import Driver
@@ -91,7 +91,7 @@ class DeviceRows:
     unexerted: int | None = None
 
 
-class FollowedDevice(Follower):
+class FollowedDevice(FollowedParty):
     """A device with its hand, from the forces that it felt and those of its couplings.
 
     Attributes:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from manyhands.launch.audit.events import Course, Happening
 from manyhands.launch.audit.findings import UncheckedTicks, gaps_of
-from manyhands.launch.audit.recompute import Array, Follower, Lost
+from manyhands.launch.audit.recompute import Array, FollowedParty, Lost
 from manyhands.launch.recordings.run import there
 from manyhands.nodes.environment.clutch import LET_GO
 from manyhands.nodes.environment.core import environment_core, row_of
@@ -117,7 +117,7 @@ class Blocks:
         return out, size
 
 
-class FollowedEnvironment(Follower):
+class FollowedEnvironment(FollowedParty):
     """Tools, masses, forces and ledger of the environment, from p of all couplings."""
 
     def __init__(self, bundle: EnvironmentBundle, blocks: Blocks, tools: Array, sign: tuple[int, str]) -> None:

@@ -1,7 +1,7 @@
 """A party of a recorded run computed again: its own object takes what others recorded for it, row by row.
 
 Every party follows its recording in the same way. A new process begins at rest. Where the recording does not hold what
-happened, the party is lost, and found again with the next process. Everything else is in a :class:`Follower`, which
+happened, the party is lost, and found again with the next process. Everything else is in a :class:`FollowedParty`, which
 calls the party's own object as the loop of its node calls it.
 """
 
@@ -29,7 +29,7 @@ class Lost(Exception):
     """A party cannot be followed from a row on, for the reason that the text gives; empty where nothing is left."""
 
 
-class Follower(ABC):
+class FollowedParty(ABC):
     """A party that is computed again: what was recorded for it, and its own object as it is between two rows.
 
     Attributes:
@@ -94,7 +94,7 @@ def from_there_on(why: str) -> str:
     return f"{why}: from there on it is not checked"
 
 
-def recompute(follower: Follower, course: Course, progress: Progress = no_progress) -> Recomputed:
+def recompute(follower: FollowedParty, course: Course, progress: Progress = no_progress) -> Recomputed:
     """A party's fields, from what was recorded for it.
 
     Args:

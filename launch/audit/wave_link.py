@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from manyhands.launch.audit.events import Course, Happening
 from manyhands.launch.audit.findings import Check, UncheckedTicks, compare, gaps_of, within
-from manyhands.launch.audit.recompute import Array, Follower, Recomputed, recompute
+from manyhands.launch.audit.recompute import Array, FollowedParty, Recomputed, recompute
 from manyhands.launch.recordings.run import FiguresByTick, there
 from manyhands.nodes.kernel.arithmetic import Floats, Saturation
 from manyhands.nodes.kernel.bundle import Common, CouplingBundle, WaveEnd
@@ -86,7 +86,7 @@ class EndAgain(NamedTuple):
         return np.nan_to_num(self.fields["tolerance"])
 
 
-class FollowedEnd(Follower):
+class FollowedEnd(FollowedParty):
     """An end of a wave link, from its own rows: each follows from the one before, as it was recorded.
 
     Its fields are ``signal``, f of a user's end, N, or p of a world's, m; ``entered``, the energy that entered the link

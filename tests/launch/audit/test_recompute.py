@@ -8,12 +8,12 @@ import numpy as np
 
 from manyhands.launch.audit.events import Course, Happening
 from manyhands.launch.audit.findings import UncheckedTicks
-from manyhands.launch.audit.recompute import Follower, Lost, recompute
+from manyhands.launch.audit.recompute import FollowedParty, Lost, recompute
 
 TICKS = 12
 
 
-class Counter(Follower):
+class Counter(FollowedParty):
     """A party that counts the rows of its process, and the rungs that it was told of."""
 
     def __init__(self, lost: Mapping[int, str], rows: Sequence[int] = range(TICKS)) -> None:
