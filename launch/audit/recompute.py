@@ -1,8 +1,8 @@
 """A party of a recorded run computed again: its own object takes what others recorded for it, row by row.
 
 Every party follows its recording in the same way. A new process begins at rest. Where the recording does not hold what
-happened, the party is lost, and found again with the next process. Everything else is in a :class:`FollowedParty`, which
-calls the party's own object as the loop of its node calls it.
+happened, the party is lost, and found again with the next process. Everything else is in a :class:`FollowedParty`,
+which calls the party's own object as the loop of its node calls it.
 """
 
 from __future__ import annotations
