@@ -37,6 +37,7 @@ def written(page: str, folder: Path) -> str:
     return text
 
 
+@pytest.mark.alone  # `check-driver` judges how long calls take, by the clock
 @pytest.mark.parametrize("page", PAGES)
 def test_a_page_is_followed_from_its_template_to_a_recording(page: str, tmp_path: Path) -> None:
     text, (template, _) = written(page, tmp_path), PAGES[page]
@@ -102,6 +103,7 @@ def test_a_driver_that_fails_is_released_and_named_and_ends_the_session(tmp_path
     assert f"devices.stick: the session promises more than its driver my_joystick:Joystick {expected}" in refused.stderr
 
 
+@pytest.mark.alone  # likewise
 def test_an_installed_package_publishes_a_driver_and_a_model_by_short_names(tmp_path: Path) -> None:
     """A distribution in a folder on the path, with its metadata, is one that is installed there."""
     site, work = tmp_path / "site", tmp_path / "work"

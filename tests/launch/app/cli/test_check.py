@@ -21,6 +21,7 @@ MADE = "tests.support.plugin_drivers:"
 pytestmark = pytest.mark.usefixtures("own_interrupt")
 
 
+@pytest.mark.alone  # how long calls take is judged, by the clock
 def test_a_good_driver_ends_with_the_keys_for_the_session_file() -> None:
     timing = "{timing: {sample_age: 0.002, age_jitter: 0.001, actuation_delay: 0.003}, age: 0.002, delay: 0.003}"
     done = manyhands_command("check-driver", f"{MADE}Counterpart", "--dof", 2, "--parameters", timing)
@@ -31,6 +32,7 @@ def test_a_good_driver_ends_with_the_keys_for_the_session_file() -> None:
     )
 
 
+@pytest.mark.alone  # likewise
 def test_a_broken_driver_ends_with_1_and_is_named() -> None:
     done = manyhands_command("check-driver", f"{MADE}WrongSign", "--json")
     assert done.exit_code == 1
@@ -51,6 +53,7 @@ def test_hardware_is_not_pushed_without_an_answer() -> None:
     assert "exception" not in done.stdout
 
 
+@pytest.mark.alone  # likewise
 def test_nothing_is_asked_about_hardware_that_no_force_moves() -> None:
     done = manyhands_command("check-driver", f"{MADE}MovesByItself", "--parameters", "{hardware: true}", "--dof", 1)
     assert (done.exit_code, "this pushes real hardware" in done.stderr) == (0, False), done.output
