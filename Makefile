@@ -27,8 +27,8 @@ imports: $(VENV)/.installed
 WORKERS ?= 3
 # the order is tests/conftest.py's; a test that waits for ever ends the run (pyproject.toml), and is not begun again
 SPREAD  := --dist loadfile --no-loadscope-reorder --max-worker-restart 0
-# collecting the other files would take twenty seconds
-ALONE   := $(shell grep -rl --include='test_*.py' 'mark\.alone' tests)
+# collecting the other files would take twenty seconds; looked up where it is used alone
+ALONE    = $(shell grep -rl --include='test_*.py' 'mark\.alone' tests)
 # matrices of ten rows: more threads in BLAS only wait for each other, and for the other test process
 pytest test-long test-rest campaign attack worlds scenes world-peers: export OMP_NUM_THREADS = 1
 pytest test-long test-rest campaign attack worlds scenes world-peers: export OPENBLAS_NUM_THREADS = 1

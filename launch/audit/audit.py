@@ -140,11 +140,11 @@ class Follows(NamedTuple):
 
 
 LEDGER_FOLLOWS: Final = Follows("ledger", names.LEDGER, "its ledger follows at the certificate's level", True)
-OWN_TIME_CLAIMS: Final = (
+OWN_TIME_FOLLOWS: Final = (
     Follows("signal", names.DISPLACEMENT, "x follows from f_v by the device and its hand", True),
     LEDGER_FOLLOWS,
 )
-WALL_TIME_CLAIMS: Final = (
+WALL_TIME_FOLLOWS: Final = (
     Follows("signal", names.DISPLACEMENT, "x at s_k follows from f_v, a_k and s_k by the device and its hand", True),
     Follows("applied", names.APPLIED, "x at a_k follows likewise", True),
     Follows(
@@ -153,11 +153,11 @@ WALL_TIME_CLAIMS: Final = (
     Follows("interface", names.INTERFACE, "its account e_k follows from motion, forces, s_k and a_k"),
 )
 ENDED_FOLLOWS: Final = Follows("ended", ENDED, "the force before ended when the device states")
-COUPLING_CLAIMS: Final = (
+COUPLING_FOLLOWS: Final = (
     Follows("signal", names.FREE_POSITION, "p follows from x and f_v by the certificate's block"),
     LEDGER_FOLLOWS,
 )
-ENVIRONMENT_CLAIMS: Final = (
+ENVIRONMENT_FOLLOWS: Final = (
     Follows("tools", names.TOOL_POSITION, "x_e follows from p of all couplings"),
     Follows("masses", names.MASS_POSITION, "q follows from p of all couplings"),
     Follows("forces", names.FORCE, "f_v follows from p of all couplings"),
@@ -390,7 +390,7 @@ class _AuditRun:
             block = FollowedCoupling(coupling, x[:, own], blocks.p[:, own], blocks.f[:, own], resampled)
             again = self._again(block, course)
             again.gaps += block.excused
-            out += self._compared(name, again, COUPLING_CLAIMS)
+            out += self._compared(name, again, COUPLING_FOLLOWS)
         return out + forces_agree(self._run, blocks, f, self._presence.owed)
 
     def _assumed(self, name: str, bundle: DeviceBundle, course: Course) -> list[Check]:
@@ -447,9 +447,9 @@ class _AuditRun:
             jumped = [k for k, happened in course.before.items() if happened.may_be_zero]
             sent_on = np.ix_(np.array(jumped, dtype=np.intp), own)
             f[sent_on] = np.where(f[sent_on] == 0.0, np.nan, f[sent_on])  # a zero force is in no coupling's row
-            return self._compared(name, again, OWN_TIME_CLAIMS, device.motion_gaps)
+            return self._compared(name, again, OWN_TIME_FOLLOWS, device.motion_gaps)
         return [
-            *self._compared(name, again, WALL_TIME_CLAIMS, device.motion_gaps),
+            *self._compared(name, again, WALL_TIME_FOLLOWS, device.motion_gaps),
             *self._given(name, figures, again[GIVEN], again.gaps),
             *self._compared(name, again, (ENDED_FOLLOWS,), recorded={ENDED: rows.instants[:, 2:]}),
             ordered(run, name, rows.instants, course, self._presence.owed[name], from_seconds(bundle.timing.latency)),
@@ -502,8 +502,8 @@ class _AuditRun:
         sign = first_sign(run, ENVIRONMENT)
         tools, ports = rows_of(run, ENVIRONMENT, names.TOOL_POSITION), bundle.common.ports
         again = self._again(FollowedEnvironment(bundle, blocks, tools, sign), Course({}, {}, len(tools)))
-        claims = [claim for claim in ENVIRONMENT_CLAIMS if claim.field != names.MASS_POSITION or bundle.masses]
-        out = self._compared(ENVIRONMENT, again, claims, recorded={names.FORCE: blocks.f}, masses=bundle.masses)
+        follows = [one for one in ENVIRONMENT_FOLLOWS if one.field != names.MASS_POSITION or bundle.masses]
+        out = self._compared(ENVIRONMENT, again, follows, recorded={names.FORCE: blocks.f}, masses=bundle.masses)
         out.append(tools_agree(blocks, ports, ENVIRONMENT, tools, sign, self._presence.owed[ENVIRONMENT]))
         if bundle.Phi_E is not None:
             out.append(self._work(bundle, bundle.Phi_E, blocks, sign[0]))
@@ -602,7 +602,7 @@ class _AuditRun:
         self,
         party: str,
         again: Recomputed,
-        claims: Iterable[Follows],
+        follows: Iterable[Follows],
         motion_gaps: Sequence[UncheckedTicks] = (),
         recorded: Mapping[str, Array] = MappingProxyType({}),
         masses: tuple[str, ...] = (),
@@ -612,14 +612,14 @@ class _AuditRun:
         Args:
             party: its node.
             again: its fields, computed again.
-            claims: what to compare; a ledger that it does not keep is left out.
+            follows: what to compare; a ledger that it does not keep is left out.
             motion_gaps: why its motion could not be computed.
             recorded: what was recorded of fields that are no trace of the node.
             masses: of the environment.
         """
         out, run = [], self._run
         columns = {names.MASS_POSITION: masses, names.LEDGER: ("E",), names.INTERFACE: ("e",), ENDED: ("ended",)}
-        for name, field, what, of_motion in claims:
+        for name, field, what, of_motion in follows:
             if field == names.LEDGER and not self._has_ledger(party):
                 continue
             told = recorded[field] if field in recorded else rows_of(run, party, field)

@@ -197,8 +197,8 @@ class FollowedInWallTime(FollowedDevice):
         """Arguments as of :class:`FollowedDevice`."""
         super().__init__(bundle, make, rows, guarded)
         if not there(rows.instants).any():
-            why = "its motion, account and ledger are not checked"
-            why = f"it was in wall time, and the recording has no instants: {why}"
+            lacks = "it was in wall time, and the recording has no instants"
+            why = f"{lacks}: its motion, account and ledger are not checked"
             self.gaps, self.motion_gaps = [UncheckedTicks(0, self.ticks, why)], []
         self.rows = [k for k in self.rows if np.isfinite(rows.instants[k]).all()]
         more = {names.APPLIED: rows.x.shape[1], names.INTERFACE: 1, ENDED: 1, GIVEN: len(FIGURES), TOLERANCE: 1}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from types import TracebackType
 from typing import Final, Self
 
@@ -14,7 +13,7 @@ from rich.text import Text
 from manyhands.launch.look.display import say
 from manyhands.launch.look.tables import picture
 from manyhands.launch.output import has_room, lost_at
-from manyhands.launch.run.broadcast import condition_frame, observation_frame
+from manyhands.launch.run.broadcast import condition_of
 from manyhands.launch.run.outcome import Progress
 from manyhands.launch.run.states import SessionPhase
 from manyhands.nodes.monitor.session_state import About, LiveSession
@@ -22,7 +21,7 @@ from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.own_ticks import session_tick
 from manyhands.nodes.rows.promises import Promise
 from manyhands.protocol.clock import Instant, from_seconds
-from manyhands.protocol.messages import Telemetry
+from manyhands.protocol.messages import Observation, Telemetry
 
 _LINE_EVERY: Final = 2.0  # s between two lines of progress without a terminal
 _LATE_SHOWN: Final = 4
@@ -97,14 +96,12 @@ class LiveTable:
 
     def _render(self, progress: Progress) -> RenderableType:
         """What `manyhands top` shows of the session, and what was not admitted."""
-        now, frames = Instant(from_seconds(progress.elapsed)), []
+        now = Instant(from_seconds(progress.elapsed))
         for name, latest in progress.telemetry.items():
             if self._taken.get(name) is not latest:
                 self._taken[name] = latest
-                frames.append(observation_frame(name, replace(latest, traces={})))
-        for frame in (*frames, condition_frame(progress)):
-            if frame is not None:  # one that is too long for a frame is no loss: the next one repeats it
-                self._session.take(frame, now)
+                self._session.note(Observation(name, latest.tick, latest.figures, {}), now)
+        self._session.note(condition_of(progress), now)
         refused = (Text(f"! {line}", style="yellow") for line in not_admitted(progress.refused))
         return Group(picture(self._session, self._console.width, self._title), *refused)
 

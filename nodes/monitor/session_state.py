@@ -37,7 +37,7 @@ from manyhands.nodes.rows.promises import Promise
 from manyhands.nodes.wave_link.felt import FeltLink, felt_link
 from manyhands.protocol.channels import Topic, links_at, topics_of
 from manyhands.protocol.clock import Instant, from_seconds
-from manyhands.protocol.codec import decode
+from manyhands.protocol.codec import Received, decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Condition, Figures, Observation, PromiseStatus, Role
 from manyhands.protocol.plain import Added, PlainForm, Requirement, read, shown, written
@@ -422,7 +422,10 @@ class LiveSession:
 
     def take(self, frame: bytes, now: Instant) -> Observation | Condition | None:
         """Take in a frame that came at ``now``; returns its message, or None if it was none of this session's."""
-        message = decode(frame, MAX_CONTROL_BYTES)
+        return self.note(decode(frame, MAX_CONTROL_BYTES), now)
+
+    def note(self, message: Received, now: Instant) -> Observation | Condition | None:
+        """Take in a message that came at ``now``; returns it, or None if it was none of this session's."""
         match message:
             case Observation(node) if node in self.nodes:
                 self.nodes[node].take(message, now)
