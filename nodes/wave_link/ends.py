@@ -278,8 +278,8 @@ class _End(Join):
             return bool(self._needed)
         self._ticks = 0
         self._needed.append(self.face.measured)
-        # what happened once in all these windows was an outage, for which no depth is worth its mass; and who hears
-        # nothing for HOLD_AFTER holds the tool anyway
+        # what happened once in all these windows was an outage, for which no depth is worth its mass; a silence of
+        # HOLD_AFTER makes the face hold the tool anyway
         deepest = sorted(self._needed)[-2] if len(self._needed) > 1 else self._needed[-1]
         deepest = min(deepest, self._deepest)
         if len(self._needed) == 1:
