@@ -24,7 +24,14 @@ LEFT, RIGHT_FORCE = '[data-device="left"]', '[data-force-of="right"]'
 BALL = '[data-mass="ball"]'
 MOVED = 0.001  # m: no other hand moves in this session
 FELT = 0.01  # N
+# The page's excess over its window (px) as it is, and with the widest figure that a party can have in each cell. A section
+# that scrolls would hide the second, so it is the table that is asked.
 OVERFLOW = "() => document.documentElement.scrollWidth - document.documentElement.clientWidth"
+WIDEST = """() => {
+  const table = document.querySelector("#parties-table");
+  for (const cell of table.querySelectorAll("td")) cell.textContent = "0.0266 nJ";
+  return table.getBoundingClientRect().right - table.parentElement.getBoundingClientRect().right;
+}"""
 
 
 def node_of(supervisor: int, node: str) -> int:
@@ -87,6 +94,7 @@ def test_the_page_of_a_session_that_is_dragged_and_hurt() -> None:
             until(page, "#alarms-list", "text", has="right_tool was killed by SIGKILL")
             picture(page, PICTURES, name)
             assert page.evaluate(OVERFLOW) <= 0, "the page is wider than its window"
+            assert page.evaluate(WIDEST) <= 0, "figures of parties do not fit into their section"
 
         os.kill(supervisor, signal.SIGINT)
         for page in (wide, narrow):
