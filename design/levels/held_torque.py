@@ -1,0 +1,92 @@
+"""What is left of a device's damping where its motors hold torques in place of forces.
+
+Between two ticks the motors of a linkage hold the torques J(q)^T f that stood for the force f in one pose q. As the tip
+moves on, the same torques push with another force. Per unit of path and force the difference is at most kappa, the
+greatest acceleration of a tip that moves with unit speed while no joint accelerates
+(:mod:`manyhands.design.models.linkage`). Over a path of at most l, with F the greatest force,
+
+    |force at the tip - f| <= F (e^(kappa l) - 1) <= K_geo l,     K_geo = kappa F / (1 - kappa l / 2),     kappa l < 2.
+
+So a hand may get more energy than the ports count, as from a held spring of the stiffness K_geo. With sigma the path in
+a tick and alpha its part before the force acts, a tick gives out at most K_geo (sigma^2/2 + sigma alpha_next), and this
+much damping pays for it at every delay up to tau, every period up to lambda T, and every reading of the joints between
+the sample and the force (docs/decisions/0050-held-torques.md has the proof):
+
+    d = K_geo (lambda T + 3 tau) / 2,      Delta_D - d I   in place of Delta_D.
+
+The path l is at most that of one hold and of the delay before it, at the limit of speed: v (lambda T + tau). A device
+that moves faster is outside the claim.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from manyhands.design.models.statespace import Matrix, matrix
+
+
+@dataclass(frozen=True)
+class HeldTorque:
+    """How a device holds its force: as torques of a linkage.
+
+    Attributes:
+        kappa: how much its tip's path bends where the joints move evenly, 1/m: the greatest over all poses and
+            directions.
+        force: F, the greatest |f|, N.
+        speed: v, the greatest speed of its tip, m/s.
+
+    Raises:
+        ValueError: a number is not finite, or not greater than 0.
+    """
+
+    kappa: float
+    force: float
+    speed: float
+
+    def __post_init__(self) -> None:
+        for name in ("kappa", "force", "speed"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: found {getattr(self, name)}; expected a finite number greater than 0")
+
+    def stiffness(self, T: float, tau: float, period_tolerance: float) -> Fraction | None:
+        """K_geo, N/m; None where the tip may turn too far in one hold for any bound: kappa l is 2 or more.
+
+        Args:
+            T: period, s.
+            tau: the longest delay inside the tick, s.
+            period_tolerance: rho; periods are at most (1 + rho) T.
+        """
+        held = (1 + Fraction(period_tolerance)) * Fraction(T) + Fraction(tau)
+        turned = Fraction(self.kappa) * Fraction(self.speed) * held
+        return Fraction(self.kappa) * Fraction(self.force) / (1 - turned / 2) if turned < 2 else None
+
+    def damping(self, T: float, tau: float, period_tolerance: float) -> float:
+        """d, N*s/m, rounded up: the damping that pays for what the held torques give out; infinite if nothing does."""
+        K_geo = self.stiffness(T, tau, period_tolerance)
+        if K_geo is None:
+            return math.inf
+        exact = K_geo * ((1 + Fraction(period_tolerance)) * Fraction(T) + 3 * Fraction(tau)) / 2
+        rounded = float(exact)
+        return rounded if Fraction(rounded) >= exact else math.nextafter(rounded, math.inf)
+
+    def left(self, level: Matrix, T: float, tau: float, period_tolerance: float) -> Matrix | None:
+        """Delta_D - d I, N*s/m, rounded down; None if that is not positive definite.
+
+        Args:
+            level: Delta_D, m x m, N*s/m.
+            T: period, s.
+            tau: the longest delay inside the tick, s.
+            period_tolerance: rho; periods are at most (1 + rho) T.
+        """
+        d = self.damping(T, tau, period_tolerance)
+        if not math.isfinite(d):
+            return None
+        out = np.array(level)
+        for i, own in enumerate(np.diag(level).tolist()):
+            out[i, i] = math.nextafter(own - d, -math.inf)
+        out = matrix(out)
+        return out if float(np.linalg.eigvalsh(out)[0]) > 0.0 else None
