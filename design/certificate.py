@@ -6,6 +6,10 @@ Every fact stands in the file once: a check rebuilds what follows from the physi
 of springs and dampers). Floats are written by their shortest exact representation, so that the file round-trips bit by
 bit.
 
+A file that says how a device holds its force has the key ``held`` there, and is of version 6
+(docs/decisions/0050-held-torques.md). Files of the other versions say nothing of a linkage: they are about devices that
+hold the force itself.
+
 A file that counts a part of the world's contact springs in series with the coupling has the key ``series``, and is of
 version 5. Its coupling is the one that the processes run, which contains that part; its environment is the world as the
 session describes it (docs/decisions/0045-series-compliance.md).
@@ -38,6 +42,7 @@ from manyhands.design.environments import environment_of
 from manyhands.design.errors import CertificateError, OldCertificate
 from manyhands.design.files import read_regular, replacing
 from manyhands.design.levels.contract import ENERGY, ENFORCED, DeviceShare, Levels, Storage
+from manyhands.design.levels.held_torque import HeldTorque, held_torque_of
 from manyhands.design.models.brief import brief, brief_names, brief_repr
 from manyhands.design.models.coupling import CouplingBlock, Partition, SpringDamper, realisations, spring_damper_of
 from manyhands.design.models.kind import Environment
@@ -209,6 +214,8 @@ WITH_TOLERANCE = 4
 """The version with a period tolerance greater than 0; otherwise it is like version 3."""
 WITH_SERIES = 5
 """The version that counts compliance of the world in series, with or without a period tolerance."""
+WITH_MECHANISM = 6
+"""The version that says how a device holds its force, with or without the two others' keys."""
 _LAST_READERS: Mapping[int, str] = {1: "0.1.0", 2: "0.6.0"}
 """The last release that reads each version that is read no more."""
 MAX_FILE_BYTES = 256 * 2**20
@@ -219,6 +226,7 @@ _EXTRA_KEYS: Mapping[int, set[str]] = {
     VERSION: set(),
     WITH_TOLERANCE: {"period_tolerance"},
     WITH_SERIES: {"period_tolerance", "series"},
+    WITH_MECHANISM: {"period_tolerance", "series"},
 }
 
 
@@ -269,6 +277,8 @@ class Certificate:
     @property
     def version(self) -> int:
         """The version of the file format that holds exactly this content."""
+        if any(device.held is not None for device in self.loop.devices):
+            return WITH_MECHANISM
         if self.loop.series:
             return WITH_SERIES
         return WITH_TOLERANCE if self.loop.period_tolerance else VERSION
@@ -404,7 +414,7 @@ def content(certificate: Certificate) -> dict[str, Any]:
         "tau": loop.tau,
         **({"period_tolerance": loop.period_tolerance} if loop.period_tolerance else {}),
         "ports": list(ports),
-        "devices": {d.name: {"ports": [ports[p] for p in d.ports], "osp": d.level.tolist()} for d in loop.devices},
+        "devices": {device.name: describe_device(device, ports) for device in loop.devices},
         "structure": describe_structure(ports, partition),
         "environment": loop.environment.terms(),
         **({"series": describe_series(loop)} if loop.series else {}),
@@ -428,6 +438,24 @@ def content(certificate: Certificate) -> dict[str, Any]:
         "margins": dict(certificate.margins),
         "method": dict(certificate.method),
     }
+
+
+def describe_device(device: DeviceLevel, ports: Sequence[str]) -> dict[str, Any]:
+    """The ports of a device, its level, and how it holds its force where it holds torques."""
+    held = {} if device.held is None else {"held": device.held.describe()}
+    return {"ports": [ports[p] for p in device.ports], "osp": device.level.tolist(), **held}
+
+
+def device_of(name: str, data: Mapping[str, Any], index: Mapping[str, int], mechanism: bool) -> DeviceLevel:
+    """The device that :func:`describe_device` wrote.
+
+    Raises:
+        KeyError, TypeError, ValueError: a key is missing or unknown, or its value has the wrong type.
+    """
+    if unknown := set(data) - {"ports", "osp", *(("held",) if mechanism else ())}:
+        raise ValueError(f"devices.{name}: found the keys {sorted(unknown)}; expected ports and osp")
+    held = held_torque_of(data["held"]) if "held" in data else None
+    return DeviceLevel(name, tuple(index[p] for p in data["ports"]), matrix(data["osp"]), held)
 
 
 def describe_structure(ports: Sequence[str], partition: Partition) -> dict[str, list[str]]:
@@ -541,7 +569,7 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
     """
     form, version = data["format"], data["version"]
     if form != FORMAT or type(version) is not int or version not in _EXTRA_KEYS:
-        expected = f"{FORMAT} version {VERSION}, {WITH_TOLERANCE} or {WITH_SERIES}"
+        expected = f"{FORMAT} version {VERSION} to {WITH_MECHANISM}"
         raise ValueError(f"found {form!r} {version!r}; expected {expected}")
     keys = _KEYS | _EXTRA_KEYS[version]
     if unknown := set(data) - keys:
@@ -553,6 +581,8 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
     period_tolerance = float(data["period_tolerance"]) if tolerant else 0.0
     if tolerant and not period_tolerance > 0.0:
         raise ValueError(f"period_tolerance: found {period_tolerance}; expected more than 0 in version {version}")
+    if version == WITH_MECHANISM and not any("held" in device for device in data["devices"].values()):
+        raise ValueError(f"devices: found none with held; expected one in version {version}")
     if unknown := set(asked) - _ASKED:
         raise ValueError(f"asked: found the keys {sorted(unknown)}; expected some of {sorted(_ASKED)}")
     if not isinstance(data["session"], str) or not all(isinstance(v, str | int) for v in data["method"].values()):
@@ -565,14 +595,13 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
         period=float(data["period"]),
         ports=ports,
         devices=tuple(
-            DeviceLevel(name, tuple(index[p] for p in device["ports"]), matrix(device["osp"]))
-            for name, device in data["devices"].items()
+            device_of(name, device, index, version == WITH_MECHANISM) for name, device in data["devices"].items()
         ),
         partition=Partition(tuple(structure), tuple(tuple(index[p] for p in block) for block in structure.values())),
         environment=environment,
         tau=float(data["tau"]),
         period_tolerance=period_tolerance,
-        series=_series(data["series"], ports, environment) if version == WITH_SERIES else (),
+        series=_series(data["series"], ports, environment) if version == WITH_SERIES or "series" in data else (),
     )
     partition, levels, storage = loop.partition, data["levels"], data["storage"]
     linear = data["coupling"]["class"] == "linear"
@@ -670,7 +699,7 @@ def differences(certificate: Certificate, loop: HapticLoop, wanted: CouplingRequ
             ("block structure", own.partition, loop.partition),
             ("environment", own.environment, loop.environment),
             ("compliance of the world that is counted in series", own.series, loop.series),
-            ("level or order of devices", [_level(d) for d in own.devices], [_level(d) for d in loop.devices]),
+            ("level, holding or order of devices", [_level(d) for d in own.devices], [_level(d) for d in loop.devices]),
         )
         if mine != theirs
     ]
@@ -732,8 +761,8 @@ def _shown(value: object) -> str:
     return text if len(text) <= _MOST_SHOWN else f"{text[: _MOST_SHOWN - 3]}..."
 
 
-def _level(device: DeviceLevel) -> tuple[str, tuple[int, ...], list[list[float]]]:
-    return device.name, device.ports, device.level.tolist()
+def _level(device: DeviceLevel) -> tuple[str, tuple[int, ...], list[list[float]], HeldTorque | None]:
+    return device.name, device.ports, device.level.tolist(), device.held
 
 
 def _system(system: StateSpace) -> list[list[list[float]]]:

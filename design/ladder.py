@@ -160,7 +160,7 @@ def _rung(first: Certificate, wanted: CouplingRequest, tau: float) -> Certificat
             return certificate_of(loop, wanted, replace(found, method=method), environment=first.levels)
         except DesignError as error:
             reason = error
-    need = _need(first)
+    need = _need(first, loop)
     if need > 0.0:  # a different level of the environment may need less of Delta_D
         found = _softened(loop, environment_need(loop), stiff=False)
         return certificate_of(loop, wanted, replace(found, method={**found.method, "rung of": first.id}))
@@ -178,12 +178,15 @@ def _ways(loop: HapticLoop, wanted: CouplingRequest, first: Certificate) -> Iter
             if wish.aim is not None:
                 same = SpringDamperWanted(Wish(wish.objective, wish.aim))
                 yield lambda: search(loop, same)
-    yield lambda: _softened(loop, _need(first), stiff)
+    yield lambda: _softened(loop, _need(first, loop), stiff)
 
 
-def _need(first: Certificate) -> float:
-    """The least s with Phi_E <= s Delta_D, dimensionless: the part of the devices' level that rung 0's Phi_E needs."""
-    loop, Phi_E = first.loop, first.levels.Phi_E
+def _need(first: Certificate, loop: HapticLoop) -> float:
+    """The least s with rung 0's Phi_E <= s Delta_D, dimensionless: the part that it needs of the rung's Delta_D.
+
+    Held torques leave less of a level the longer the delay is; without them Delta_D is that of rung 0.
+    """
+    Phi_E = first.levels.Phi_E
     if not loop.partition.admits(Phi_E):
         return _greatest_ratio(Phi_E, loop.Delta_D)
     return max(map(_greatest_ratio, loop.partition.restrict(Phi_E), loop.Delta_D_blocks))

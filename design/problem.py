@@ -12,7 +12,9 @@ from typing import Literal
 
 import numpy as np
 
+from manyhands.design.errors import Infeasible
 from manyhands.design.levels.contract import NO_DELAY_GAIN
+from manyhands.design.levels.held_torque import HeldTorque
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import Partition, SpringDamper, loop_gain
 from manyhands.design.models.integrators import Split
@@ -31,11 +33,13 @@ class DeviceLevel:
         name: the device's name.
         ports: its ports, as indices into the loop's m ports.
         level: Delta_Di, m_i x m_i symmetric positive definite, N*s/m.
+        held: how its motors hold a force, where they hold torques; None where they hold the force itself.
     """
 
     name: str
     ports: tuple[int, ...]
     level: Matrix
+    held: HeldTorque | None = None
 
     __repr__ = brief_repr
 
@@ -241,13 +245,16 @@ class HapticLoop:
 
         Where two blocks of V split a device whose level joins their ports, the level of that device is replaced by its
         least eigenvalue times the identity. Delta-OSP implies Delta'-OSP for every Delta' <= Delta, and each block can
-        then keep its promise with its own data alone.
+        then keep its promise with its own data alone. Of a device that holds torques it is what these leave.
+
+        Raises:
+            Infeasible: held torques leave nothing of a device's level.
         """
         block_of = {port: i for i, block in enumerate(self.partition.blocks) for port in block}
         place = {port: (i, j) for i, block in enumerate(self.partition.blocks) for j, port in enumerate(block)}
         out = [np.zeros((len(block), len(block))) for block in self.partition.blocks]
         for device in self.devices:
-            level = device.level
+            level = self._left(device)
             owners = np.array([block_of[p] for p in device.ports])
             if np.any(level[owners[:, None] != owners[None, :]]):
                 # slightly less, so that it is below the level in exact arithmetic too
@@ -257,6 +264,25 @@ class HapticLoop:
                     if owners[a] == owners[b]:
                         out[place[p][0]][place[p][1], place[q][1]] = level[a, b]
         return tuple(matrix(M) for M in out)
+
+    def _left(self, device: DeviceLevel) -> Matrix:
+        """The level of a device, less what its held torques may give out, N*s/m."""
+        if device.held is None:
+            return device.level
+        times = self.period, self.tau, self.period_tolerance
+        left = device.held.left(device.level, *times)
+        if left is not None:
+            return left
+        least, d = float(np.linalg.eigvalsh(device.level)[0]), device.held.damping(*times)
+        condition = (
+            f"the held torques of {device.name} may give out what {d:.4g} N*s/m of damping take up, and it has "
+            f"{least:.4g} (docs/decisions/0050-held-torques.md)"
+        )
+        if not np.isfinite(d):
+            raise Infeasible(condition, ("a lower limit of its speed", "a shorter period and delay"))
+        raise Infeasible(
+            condition, (f"an osp above {d:.4g} N*s/m", f"a force below {device.held.force * least / d:.4g} N")
+        )
 
     @property
     def enforced(self) -> tuple[str, ...]:

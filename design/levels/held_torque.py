@@ -21,12 +21,16 @@ that moves faster is outside the claim.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 
 from manyhands.design.models.statespace import Matrix, matrix
+
+_BELOW = 1e-12  # of Delta_D: a file's numbers are its shortest decimals, which a proof takes exactly
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,7 @@ class HeldTorque:
             directions.
         force: F, the greatest |f|, N.
         speed: v, the greatest speed of its tip, m/s.
+        linkage: its kinematics as plain data, of which kappa is proved; None where kappa is believed.
 
     Raises:
         ValueError: a number is not finite, or not greater than 0.
@@ -46,11 +51,17 @@ class HeldTorque:
     kappa: float
     force: float
     speed: float
+    linkage: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
         for name in ("kappa", "force", "speed"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name}: found {getattr(self, name)}; expected a finite number greater than 0")
+
+    def describe(self) -> dict[str, Any]:
+        """As plain data, which :func:`held_torque_of` reads."""
+        out: dict[str, Any] = {"kappa": self.kappa, "force": self.force, "speed": self.speed}
+        return out if self.linkage is None else out | {"linkage": dict(self.linkage)}
 
     def stiffness(self, T: float, tau: float, period_tolerance: float) -> Fraction | None:
         """K_geo, N/m; None where the tip may turn too far in one hold for any bound: kappa l is 2 or more.
@@ -74,7 +85,7 @@ class HeldTorque:
         return rounded if Fraction(rounded) >= exact else math.nextafter(rounded, math.inf)
 
     def left(self, level: Matrix, T: float, tau: float, period_tolerance: float) -> Matrix | None:
-        """Delta_D - d I, N*s/m, rounded down; None if that is not positive definite.
+        """Delta_D - d I, N*s/m, slightly less; None if that is not positive definite.
 
         Args:
             level: Delta_D, m x m, N*s/m.
@@ -87,6 +98,20 @@ class HeldTorque:
             return None
         out = np.array(level)
         for i, own in enumerate(np.diag(level).tolist()):
-            out[i, i] = math.nextafter(own - d, -math.inf)
+            out[i, i] = own - d - _BELOW * own
         out = matrix(out)
         return out if float(np.linalg.eigvalsh(out)[0]) > 0.0 else None
+
+
+def held_torque_of(data: Mapping[str, Any]) -> HeldTorque:
+    """What :meth:`HeldTorque.describe` wrote.
+
+    Raises:
+        KeyError, TypeError, ValueError: a key is missing or unknown, or its value is none.
+    """
+    if unknown := set(data) - {"kappa", "force", "speed", "linkage"}:
+        raise ValueError(f"held: found the keys {sorted(unknown)}; expected kappa, force, speed, and perhaps linkage")
+    linkage = data.get("linkage")
+    if linkage is not None and not isinstance(linkage, Mapping):
+        raise ValueError("held: linkage: expected an object")
+    return HeldTorque(float(data["kappa"]), float(data["force"]), float(data["speed"]), linkage)

@@ -1,8 +1,8 @@
 """The claim of a certificate, read from its plain data: every name is resolved, every number is exact, none is trusted.
 
-The format is version 3 of the certificate file. Version 4 has a period tolerance, and version 5 the parts of the
-world's links that are counted in series. Matrices keep the paper's letters. Indices count ports from 0 in the
-certificate's order, and masses after them.
+The format is version 3 of the certificate file. Version 4 has a period tolerance, version 5 the parts of the world's
+links that are counted in series, and version 6 how devices hold their forces. Matrices keep the paper's letters.
+Indices count ports from 0 in the certificate's order, and masses after them.
 
 An environment's physical data are a network, a state space, or rational functions of s. A declared environment has
 none: only the level that a controller enforces at run time is stated. A scene has its level by its kind, 0, and the
@@ -458,6 +458,7 @@ def _trimmed(coefficients: tuple[Number, ...]) -> tuple[Number, ...]:
 
 
 FORMAT = "manyhands-certificate"
+WITH_MECHANISM = 6
 WITH_SERIES = 5
 WITH_TOLERANCE = 4
 VERSION = 3
@@ -475,6 +476,7 @@ _KEYS: tuple[str, ...] = (
     "environment",
 )
 _KEYS += (_ASKED, "coupling", "levels", "storage", "transparency", "margins", "method")
+_HELD = "held"
 _TOLERANCE = "period_tolerance"
 _SERIES = "series"
 _MOST_ASKED = 50_000  # values in ``asked``: an order for each of MAX_PORTS blocks, and room for the rest
@@ -492,6 +494,23 @@ class PortGroup:
 
     name: str
     ports: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class HeldTorqueData:
+    """How a device holds its force: as torques of a linkage.
+
+    Attributes:
+        kappa: 1/m, how much its tip's path bends where the joints move evenly.
+        force: F, N.
+        speed: v, m/s.
+        linkage: the kinematics that prove kappa, as stated; None where kappa is believed.
+    """
+
+    kappa: fmpq
+    force: fmpq
+    speed: fmpq
+    linkage: Item | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -557,6 +576,7 @@ class Claim:
         ports: names of the m ports.
         devices: name and ports of each device.
         osp: the promised level of each device, N*s/m.
+        held: how each device holds its force; None for the force itself.
         blocks: name and ports of each block of V.
         environment: the physical data of E.
         series: by port, what of the world's compliance V contains: the part of that of a network's own link, or a
@@ -579,6 +599,7 @@ class Claim:
     ports: tuple[str, ...]
     devices: tuple[PortGroup, ...]
     osp: tuple[StatedMatrix, ...]
+    held: tuple[HeldTorqueData | None, ...]
     blocks: tuple[PortGroup, ...]
     environment: EnvironmentData
     series: Mapping[int, fmpq]
@@ -602,13 +623,13 @@ def read(data: Mapping[str, Any]) -> Claim:
     """
     fields = Item(data, "").fields(_KEYS, (_TOLERANCE, _SERIES))
     fields["format"].text(FORMAT)
-    version = fields["version"].whole(VERSION, WITH_SERIES)
+    version = fields["version"].whole(VERSION, WITH_MECHANISM)
     _require_plain(fields[_ASKED])
-    if (_TOLERANCE in fields) != (version == WITH_TOLERANCE) and version != WITH_SERIES:
-        where = f"in version {WITH_TOLERANCE}, and in no other except {WITH_SERIES}"
+    if (_TOLERANCE in fields) != (version == WITH_TOLERANCE) and version not in (WITH_SERIES, WITH_MECHANISM):
+        where = f"in version {WITH_TOLERANCE}, and in no other except {WITH_SERIES} and {WITH_MECHANISM}"
         raise ProofInputError(f"{_TOLERANCE}: expected it {where}")
-    if (_SERIES in fields) != (version == WITH_SERIES):
-        raise ProofInputError(f"{_SERIES}: expected it in version {WITH_SERIES}, and in no other")
+    if (_SERIES in fields) != (version == WITH_SERIES) and version != WITH_MECHANISM:
+        raise ProofInputError(f"{_SERIES}: expected it in version {WITH_SERIES}, and in {WITH_MECHANISM} where needed")
     fields["session"].text()
     for item in fields["method"].entries(1_000).values():
         if not isinstance(item.value, str):
@@ -619,11 +640,14 @@ def read(data: Mapping[str, Any]) -> Claim:
     if len(set(ports)) != len(ports) or not ports:
         raise fields["ports"].refusal("one distinct name for each port, and at least one port")
     index = {name: i for i, name in enumerate(ports)}
-    devices, osp = [], []
+    devices, osp, held = [], [], []
     for name, item in fields["devices"].entries(MAX_PORTS).items():
-        device = item.fields(("ports", "osp"))
+        device = item.fields(("ports", "osp"), (_HELD,) if version == WITH_MECHANISM else ())
         devices.append(PortGroup(name, indices(device["ports"], index)))
         osp.append(device["osp"].symmetric(len(devices[-1].ports)))
+        held.append(_held(device[_HELD]) if _HELD in device else None)
+    if version == WITH_MECHANISM and not any(held):
+        raise fields["devices"].refusal(f"a device with {_HELD} in version {WITH_MECHANISM}")
     blocks = tuple(
         PortGroup(name, indices(item, index)) for name, item in fields["structure"].entries(MAX_PORTS).items()
     )
@@ -639,6 +663,7 @@ def read(data: Mapping[str, Any]) -> Claim:
         ports=ports,
         devices=tuple(devices),
         osp=tuple(osp),
+        held=tuple(held),
         blocks=blocks,
         environment=environment,
         series=_series(fields[_SERIES], index, environment) if _SERIES in fields else {},
@@ -653,6 +678,12 @@ def read(data: Mapping[str, Any]) -> Claim:
         transparency=_transparency(fields["transparency"]),
         margins={name: exact_decimal(item.number()) for name, item in fields["margins"].entries(100).items()},
     )
+
+
+def _held(item: Item) -> HeldTorqueData:
+    fields = item.fields(("kappa", "force", "speed"), ("linkage",))
+    kappa, force, speed = (exact_decimal(fields[key].number()) for key in ("kappa", "force", "speed"))
+    return HeldTorqueData(kappa, force, speed, fields.get("linkage"))
 
 
 def _series(item: Item, index: dict[str, int], environment: EnvironmentData) -> dict[int, fmpq]:

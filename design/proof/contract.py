@@ -23,7 +23,7 @@ from __future__ import annotations
 from flint import fmpq
 
 from manyhands.design.proof import exact, rational, statics, wave_link
-from manyhands.design.proof.claim import Claim, StatedSpringDamper
+from manyhands.design.proof.claim import Claim, HeldTorqueData, StatedSpringDamper
 from manyhands.design.proof.coupling import loop_stiffness_limit
 from manyhands.design.proof.exact import Sparse
 from manyhands.design.proof.finding import Finding, Verdict
@@ -32,8 +32,41 @@ _ALLOWED = fmpq(1, 10**6)  # relative: a stated margin may exceed the proved mar
 
 
 def device_levels(claim: Claim) -> Sparse:
-    """The devices' promised levels, m x m."""
-    return exact.block_diagonal([device.ports for device in claim.devices], claim.osp)
+    """The devices' promised levels, m x m, less what held torques may give out."""
+    out = exact.block_diagonal([device.ports for device in claim.devices], claim.osp)
+    for device, held in zip(claim.devices, claim.held, strict=True):
+        if held is not None:
+            for port in device.ports:
+                exact.add_entry(out, port, port, -held_damping(held, claim))
+    return out
+
+
+def held_damping(held: HeldTorqueData, claim: Claim) -> fmpq:
+    """D = K_geo (lambda T + 3 tau)/2, the damping that pays for what held torques give out, N*s/m.
+
+    Only where :func:`held_findings` hold; :mod:`manyhands.design.levels.held_torque` has the formula's reasons.
+    """
+    longest = (1 + claim.period_tolerance) * claim.period
+    K_geo = held.kappa * held.force / (1 - _turned(held, claim) / 2)
+    return K_geo * (longest + 3 * claim.tau) / 2
+
+
+def _turned(held: HeldTorqueData, claim: Claim) -> fmpq:
+    """Kappa l, l = v (lambda T + tau): how far the tip may turn in one hold, dimensionless."""
+    return held.kappa * held.speed * ((1 + claim.period_tolerance) * claim.period + claim.tau)
+
+
+def held_findings(claim: Claim) -> list[Finding]:
+    """Of each device that holds torques: its numbers are positive, kappa l < 2, and its linkage bends by kappa."""
+    found = []
+    for device, held in zip(claim.devices, claim.held, strict=True):
+        if held is None:
+            continue
+        turned = _turned(held, claim)
+        holds = held.kappa > 0 and held.force > 0 and held.speed > 0 and turned < 2
+        condition = f"{device.name} holds torques: kappa, F and v > 0, kappa v (lambda T + tau) < 2"
+        found.append(Finding(condition, holds, rational.rounded(2 - turned), 0.0, "", "exactly"))
+    return found
 
 
 def Delta_D(claim: Claim) -> Sparse:
@@ -88,6 +121,9 @@ def device_findings(claim: Claim) -> list[Finding]:
     Different periods alone do not separate the devices: without a delay, the form needs only what they dissipate
     together, at least sigma^T Delta_D sigma/lambda.
     """
+    held = held_findings(claim)
+    if not all(finding.holds for finding in held):
+        return held
     m = len(claim.ports)
     level, promised = Delta_D(claim), device_levels(claim)
     verdict = exact.definite_by_groups(exact.difference(promised, level), m, strict=False)
@@ -97,7 +133,7 @@ def device_findings(claim: Claim) -> list[Finding]:
             verdict = Verdict(
                 False, float("nan"), "with a delay, Delta_D may not join devices: each has a delay of its own"
             )
-    return [verdict.finding("Delta_D <= the devices' levels"), _positive("Delta_D > 0", level, m, "Delta_D")]
+    return [*held, verdict.finding("Delta_D <= the devices' levels"), _positive("Delta_D > 0", level, m, "Delta_D")]
 
 
 def gains(claim: Claim) -> Finding:

@@ -24,8 +24,8 @@ LEFT, RIGHT_FORCE = '[data-device="left"]', '[data-force-of="right"]'
 BALL = '[data-mass="ball"]'
 MOVED = 0.001  # m: no other hand moves in this session
 FELT = 0.01  # N
-# The page's excess over its window (px) as it is, and with the widest figure that a party can have in each cell. A section
-# that scrolls would hide the second, so it is the table that is asked.
+# The page's excess over its window (px) as it is, and that of a table over its section with the widest figure that a
+# party can have in each cell: a section that scrolls hides it from the page.
 OVERFLOW = "() => document.documentElement.scrollWidth - document.documentElement.clientWidth"
 WIDEST = """() => {
   const table = document.querySelector("#parties-table");
