@@ -247,7 +247,8 @@ def _roomiest(gains: tuple[DeviceShare, ...], coupling: SpringDamper, needed: fl
 def _in_common(rungs: tuple[Certificate, ...]) -> Ladder | None:
     """The ladder with the Phi_E that proves most: every mixture, or else (10) at every rung; None if no Phi_E does."""
     Phi_E, partition = rungs[0].levels.Phi_E, rungs[0].loop.partition
-    if partition.admits(Phi_E) and all(np.array_equal(rung.levels.Phi_E, Phi_E) for rung in rungs[1:]):
+    alike = all(np.array_equal(rung.levels.Phi_E, Phi_E) for rung in rungs[1:])
+    if alike and partition.admits(Phi_E) and not any(device.held for device in rungs[0].loop.devices):
         # Each rung's own proof has shown (10) with this Phi_E. It has no entries between blocks, so that every mixture
         # follows: see proof/ladder.py.
         return Ladder(rungs, True, Phi_E)

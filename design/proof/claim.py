@@ -647,7 +647,7 @@ def read(data: Mapping[str, Any]) -> Claim:
         osp.append(device["osp"].symmetric(len(devices[-1].ports)))
         held.append(_held(device[_HELD]) if _HELD in device else None)
     if version == WITH_MECHANISM and not any(held):
-        raise fields["devices"].refusal(f"a device with {_HELD} in version {WITH_MECHANISM}")
+        raise fields["version"].refusal(f"{VERSION} to {WITH_SERIES}, for no device has {_HELD}")
     blocks = tuple(
         PortGroup(name, indices(item, index)) for name, item in fields["structure"].entries(MAX_PORTS).items()
     )
