@@ -160,7 +160,7 @@ BROKEN_TEXTS = {
     "17": "not a certificate",
     '"certificate"': "not a certificate",
     "{}": "key 'format' is missing",
-    '{"format": "manyhands-certificate", "version": 0}': "0; expected manyhands-certificate version 3, 4 or 5",
+    '{"format": "manyhands-certificate", "version": 0}': "0; expected manyhands-certificate version 3 to 6",
     '{"format": "other", "version": 3}': "found 'other' 3",
     '{"format": "manyhands-certificate", "version": 2.0}': "found 'manyhands-certificate' 2.0",
     '{"a": 1, "a": 2}': "every key once",
@@ -199,7 +199,7 @@ def test_a_file_too_large_is_refused(path: Path) -> None:
 @pytest.mark.parametrize(
     ("at", "value", "words"),
     [
-        (("version",), 6, "found 'manyhands-certificate' 6; expected manyhands-certificate version 3, 4 or 5"),
+        (("version",), 7, "found 'manyhands-certificate' 7; expected manyhands-certificate version 3 to 6"),
         (("asked",), None, "expected asked to be an object"),
         (("asked",), ["stiffest"], "expected asked to be an object"),
         (("asked", "colour"), "red", "asked: found the keys ['colour']; expected some of"),
