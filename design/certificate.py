@@ -42,7 +42,7 @@ from manyhands.design.environments import environment_of
 from manyhands.design.errors import CertificateError, OldCertificate
 from manyhands.design.files import read_regular, replacing
 from manyhands.design.levels.contract import ENERGY, ENFORCED, DeviceShare, Levels, Storage
-from manyhands.design.levels.held_torque import HeldTorque, held_torque_of
+from manyhands.design.levels.held_torque import held_torque_of
 from manyhands.design.models.brief import brief, brief_names, brief_repr
 from manyhands.design.models.coupling import CouplingBlock, Partition, SpringDamper, realisations, spring_damper_of
 from manyhands.design.models.kind import Environment
@@ -699,7 +699,8 @@ def differences(certificate: Certificate, loop: HapticLoop, wanted: CouplingRequ
             ("block structure", own.partition, loop.partition),
             ("environment", own.environment, loop.environment),
             ("compliance of the world that is counted in series", own.series, loop.series),
-            ("level, holding or order of devices", [_level(d) for d in own.devices], [_level(d) for d in loop.devices]),
+            ("level or order of devices", [_level(d) for d in own.devices], [_level(d) for d in loop.devices]),
+            ("way in which devices hold a force", [d.held for d in own.devices], [d.held for d in loop.devices]),
         )
         if mine != theirs
     ]
@@ -761,8 +762,8 @@ def _shown(value: object) -> str:
     return text if len(text) <= _MOST_SHOWN else f"{text[: _MOST_SHOWN - 3]}..."
 
 
-def _level(device: DeviceLevel) -> tuple[str, tuple[int, ...], list[list[float]], HeldTorque | None]:
-    return device.name, device.ports, device.level.tolist(), device.held
+def _level(device: DeviceLevel) -> tuple[str, tuple[int, ...], list[list[float]]]:
+    return device.name, device.ports, device.level.tolist()
 
 
 def _system(system: StateSpace) -> list[list[list[float]]]:

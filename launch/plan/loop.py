@@ -55,7 +55,12 @@ def haptic_loop(session: Session) -> HapticLoop:
         period=session.period,
         ports=session.ports,
         devices=tuple(
-            DeviceLevel(name, tuple(index[p] for p in session.ports_of(name)), session.osp_level(name))
+            DeviceLevel(
+                name,
+                tuple(index[p] for p in session.ports_of(name)),
+                session.osp_level(name),
+                session.devices[name].held_torque,
+            )
             for name in session.devices
         ),
         partition=Partition(

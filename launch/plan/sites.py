@@ -332,7 +332,7 @@ def _devices(session: Session, index: dict[str, int]) -> tuple[DeviceLevel, ...]
     names = {session.device_at[port] for port in index}
     own = {name: session.ports_of(name) for name in session.devices if name in names}
     return tuple(
-        DeviceLevel(name, tuple(index[p] for p in ports), session.osp_level(name))
+        DeviceLevel(name, tuple(index[p] for p in ports), session.osp_level(name), session.devices[name].held_torque)
         for name, ports in own.items()
         if ports[0] in index
     )

@@ -34,6 +34,7 @@ from pydantic import (
 )
 from pydantic.json_schema import SkipJsonSchema
 
+from manyhands.design.levels.held_torque import HeldTorque
 from manyhands.design.passivity.operators import PassivityFinding, RationalMatrix
 from manyhands.launch.session.errors import listed, show
 from manyhands.launch.session.fields import (
@@ -232,6 +233,7 @@ class Hand(SessionModel):
         return operator
 
 
+_TORQUE: Final = "torque"
 _ROUNDING: Final = 1e-12  # rounding error of the eigenvalues of a difference, relative to the largest entry
 _per_axis: Final = PerAxis(OSP_LEVEL)
 _SIMULATED, _TRACE, _BROWSER = _DRIVERS = ("simulated", "trace", "browser")
@@ -319,6 +321,18 @@ def _trace(value: object, info: ValidationInfo) -> object:
     return motion_of(value, info.data.get("dof", 1), info.context)
 
 
+_KAPPA: Final = Quantity("kappa", "1/m", above=0.0, smallest=MIN_POSITIVE)
+_LINKAGE_FORM: Final = mapping_of({"kappa": _KAPPA.json_schema})
+
+
+def _linkage(value: object) -> dict[str, float]:
+    """The linkage of a device that holds torques: how much its tip's path bends where the joints move evenly, 1/m."""
+    if not isinstance(value, Mapping) or set(value) != {"kappa"}:
+        found = f"a mapping with {listed(value)}" if isinstance(value, Mapping) else show(value)
+        raise refuse(found, "{kappa: 18.8}, the greatest bending of its tip's path in 1/m")
+    return {"kappa": _KAPPA(value["kappa"])}
+
+
 _axis_names: Final = Items("axis names", MAX_DOF, AXIS_NAME)
 
 
@@ -401,6 +415,12 @@ class Device(SessionModel):
         None, "the damping in N·s/m, at least the OSP level: a number, or one for each axis"
     )
     limits: PortLimits = defaulted({}, "the force, displacement and speed that it never goes beyond")
+    held: Literal["force", "torque"] = Field(
+        default="force", description="what its motors hold from tick to tick: the force at the tip, or joint torques"
+    )
+    linkage: Annotated[dict[str, float] | None, Described(_linkage, _LINKAGE_FORM)] = Field(
+        default=None, description="with held: torque, the linkage from its motors to its tip"
+    )
     hand: Hand | None = defaulted(None, "the simulated hand that holds it")
 
     @property
@@ -422,6 +442,14 @@ class Device(SessionModel):
         if self.mass is None or self.driver == _BROWSER:
             return None
         return Inertia(self.mass, self.limits.hand, self.step or (0.0,) * self.dof)
+
+    @property
+    def held_torque(self) -> HeldTorque | None:
+        """How its motors hold a force where they hold torques: with the most force and speed of its limits together."""
+        if self.linkage is None:
+            return None
+        force, speed = (math.nextafter(math.hypot(*own), math.inf) for own in (self.limits.force, self.limits.speed))
+        return HeldTorque(self.linkage["kappa"], force, speed)
 
     @property
     def word(self) -> DriverWord | None:
@@ -497,6 +525,11 @@ class Device(SessionModel):
     def _problems(self) -> Iterator[Problem]:
         """A problem for each key that the driver needs and lacks, and for each key that it does not use."""
         here = f"with 'driver: {self.driver}'"
+        if (self.held == _TORQUE) != (self.linkage is not None):
+            expected = "its linkage as well, such as {kappa: 18.8}" if self.held == _TORQUE else "held: torque as well"
+            yield Problem((), f"{'held: torque' if self.held == _TORQUE else 'a linkage'} alone", expected)
+        if self.held == _TORQUE and self.driver == _TRACE:
+            yield Problem(("held",), f"held: torque {here}", "held: force, for a recorded motion has no motors")
         if self.factory is not None:
             yield from self._plugin_problems(here)
             return
