@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from tests.attack.arithmetic import Floats
-from tests.attack.parties import Data, Reader, Realisation
+from tests.attack.parties import Data, NoSystem, Reader, Realisation
 
 Array = NDArray[np.float64]
 
@@ -71,23 +71,21 @@ class Arm:
         The links turn at w and w' about their ends: the acceleration is -w^2 times each link's vector.
         """
         q = np.array([0.0, second])
-        speeds = np.linalg.solve(self.jacobian(q), direction)
-        w, both = speeds[0], speeds[0] + speeds[1]
+        speeds = np.linalg.solve(self.jacobian(q), direction.T).T
+        w, both = speeds[..., :1], speeds[..., :1] + speeds[..., 1:]
         first = self.upper * np.array([1.0, 0.0])
         last = self.lower * np.array([np.cos(second), np.sin(second)])
         return np.asarray(-(w**2) * first - both**2 * last)
 
     def worst(self) -> tuple[float, float, Array, Array]:
         """kappa (1/m), and where it is: the second angle, the direction of motion and that of the acceleration."""
-        best = (0.0, self.least, np.zeros(2), np.zeros(2))
-        for second in np.linspace(self.least, self.most, 60):
-            for angle in np.linspace(0.0, np.pi, 180, endpoint=False):
-                v = np.array([np.cos(angle), np.sin(angle)])
-                s = self.bending(float(second), v)
-                size = float(np.linalg.norm(s))
-                if size > best[0]:
-                    best = size, float(second), v, s / size
-        return best
+        seconds = np.linspace(self.least, self.most, 60)
+        angles = np.linspace(0.0, np.pi, 180, endpoint=False)
+        v = np.stack([np.cos(angles), np.sin(angles)], -1)
+        s = np.stack([self.bending(float(second), v) for second in seconds])
+        sizes = np.sqrt(np.sum(s**2, -1))
+        i, j = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
+        return float(sizes[i, j]), float(seconds[i]), v[j], s[i, j] / sizes[i, j]
 
 
 @dataclass(frozen=True)
@@ -177,38 +175,53 @@ def searched(data: Data, arm: Arm, timing: Timing, rng: np.random.Generator, ste
     """The greatest ratio that a search among motions finds, and how many motions it looked at.
 
     It begins where the theory is sharpest: at the pose of kappa, under the greatest force along the acceleration
-    there, with a dither along the direction of motion.
+    there, with a dither along the direction of motion. The best of these beginnings is improved.
     """
     _, second, along, towards = arm.worst()
-    nudge = float(np.clip(second, arm.least + 2e-3, arm.most - 2e-3))  # room for the motion
-    best, looked, number = 0.0, 0, timing.ticks * timing.parts
+    room = min(2e-3, 0.1 * (arm.most - arm.least))  # for the motion
+    nudge = float(np.clip(second, arm.least + room, arm.most - room))
+    looked, number = 0, timing.ticks * timing.parts
     waves = {number} if timing.ticks % 2 else {number, 2 * timing.parts}  # parts of a period: all, or two ticks
+    best: tuple[float, Cycle | None, Array] = 0.0, None, np.zeros(0)
     for sign, long in product((1.0, -1.0), sorted(waves)):
         cycle = Cycle(data, arm, np.array([0.0, nudge]), timing)
         static = cycle.responses[0].real
-        if not np.all(np.isfinite(static)) or abs(np.linalg.det(static)) < 1e-9:
+        if not np.all(np.isfinite(static)) or np.linalg.cond(static) > 1e9:
             static = -np.eye(2)
         offset = np.linalg.solve(static, sign * 0.999 * cycle.force * towards)
-        # the pose is to be the worst one with the offset in place
-        cycle.home = cycle.home - offset
+        cycle.home = cycle.home - offset  # the pose is to be the worst one with the offset in place
         wave = np.cos(2.0 * np.pi * np.arange(number) / long)
         size = 0.1 * cycle.speed * cycle.h * (1.0 + rng.random())
         start = offset + size * (wave[:, None] * along + 0.05 * rng.normal(size=(number, 2)))
+        found, looked = float(cycle.ratio(start)), looked + 1
+        if best[1] is None or found > best[0]:
+            best = found, cycle, start
+    value, cycle, start = best
+    if cycle is None or not steps:
+        return value, looked
 
-        def negative(values: Array, cycle: Cycle = cycle) -> tuple[float, Array]:
-            nonlocal looked
-            step = 1e-7
-            shifts = np.concatenate([np.zeros((1, 2 * number)), step * np.eye(2 * number)])
-            found = cycle.ratio((values + shifts).reshape(-1, number, 2))
-            looked += len(found)
-            return -float(found[0]), -(found[1:] - found[0]) / step * 1e-3
+    def negative(micrometres: Array) -> tuple[float, Array]:
+        nonlocal looked
+        step = 0.1
+        shifts = np.concatenate([np.zeros((1, 2 * number)), step * np.eye(2 * number)])
+        found = cycle.ratio(1e-6 * (micrometres + shifts).reshape(-1, number, 2))
+        looked += len(found)
+        return -float(found[0]), -(found[1:] - found[0]) / step
 
-        # in millimetres, so that steps are of the size of the motion
-        result = minimize(
-            lambda mm: negative(mm * 1e-3), start.ravel() * 1e3, jac=True, method="L-BFGS-B", options={"maxiter": steps}
-        )
-        best = max(best, -float(result.fun))
-    return best, looked
+    result = minimize(negative, 1e6 * start.ravel(), jac=True, method="L-BFGS-B", options={"maxiter": steps})
+    return max(value, -float(result.fun)), looked
+
+
+def pays(data: Data, rng: np.random.Generator, steps: int) -> tuple[float, int]:
+    """As :func:`searched`, for a certificate with the kinematics of a planar arm, and a timing that it covers."""
+    [device] = data["devices"].values()
+    linkage = device["held"]["linkage"]
+    arm = Arm(linkage["links"][0][0], linkage["links"][1][0], linkage["low"][1], linkage["high"][1])
+    every = timings(data, rng)
+    try:
+        return searched(data, arm, every[int(rng.integers(len(every)))], rng, steps)
+    except (ArithmeticError, NoSystem, np.linalg.LinAlgError):
+        return 0.0, 0
 
 
 def timings(data: Data, rng: np.random.Generator) -> Sequence[Timing]:
