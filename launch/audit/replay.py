@@ -101,6 +101,10 @@ class GivenMotion:
         """Zero: the work of a person is unknown."""
         return 0.0
 
+    def work(self) -> float | None:
+        """None: what its motors did was not recorded."""
+        return None
+
     def figures(self) -> Figures:
         """No figures."""
         return Figures()

@@ -70,6 +70,7 @@ class DeviceTick(ABC):
         self._first = True
         # of a driver of another package: what it really exerts of the force that it was given; it is held to its word
         self._exerted = driver.exerted if isinstance(driver, PluginDriver) else None
+        self._torques = bundle.held is not None  # its motors hold them, and their work is asked for
         self.driver = driver
         self.guard = Guard(bundle.limits, common.period, common.ports)
         self.core = DeviceCore(*bundle.promises[0], common.period, bundle.allowed.energy)
@@ -99,7 +100,7 @@ class DeviceTick(ABC):
             self.x, self.sent = x, goal
         elif first:
             self.x, self._row_at = x, at
-            self.sent = interface.send(x, goal, at)
+            self.sent = interface.send(x, goal, at, self.driver.work() if self._torques else None)
             if interface.shortened:
                 self.driver.apply(interface.exerted, at, interface.until)
         return self.sent
@@ -239,7 +240,8 @@ class WallTimeTick(DeviceTick):
         moved, interface = self._moved, self.wall_interface
         self.x_a = None if moved is None else list(map(float, moved))
         exerted = self.held if self._exerted is None else self._exerted(self.held)
-        ended = interface.applied(self.x_a, self._applied, exerted, self._until)
+        work = self.driver.work() if self._torques and moved is not None else None
+        ended = interface.applied(self.x_a, self._applied, exerted, self._until, work)
         self.instants = (self._row_at, self._applied, ended)
         # not before the force is applied: ZeroMQ's thread may send x(k) only while this one waits
         self._count(self.driver.intended_work())

@@ -240,6 +240,8 @@ class SimulatedHand:
         hand_stiffness: N/m.
         force: intended force (N): a number, a formula in t, or {"times", "values"}.
         motion: intended motion (m), in the same forms.
+        linkage: the kinematics of the joints whose motors hold torques, as plain data
+            (:func:`manyhands.nodes.device.mechanism.joints_of`); None where the force itself is held.
 
     Raises:
         ValueError: the entries are not of one number of axes.
@@ -252,6 +254,7 @@ class SimulatedHand:
     hand_stiffness: tuple[float, ...]
     force: tuple[Any, ...]
     motion: tuple[Any, ...]
+    linkage: Added[Mapping[str, Any] | None] = None
 
     def __post_init__(self) -> None:
         vectors = (self.mass, self.damping, self.hand_damping, self.hand_stiffness, self.force, self.motion)
@@ -269,9 +272,16 @@ class BrowserHand:
 
     Attributes:
         physics: the device, and the hand that joins it to the pointer.
+
+    Raises:
+        ValueError: the device has a linkage, which a pointer does not move.
     """
 
     physics: SimulatedHand
+
+    def __post_init__(self) -> None:
+        if self.physics.linkage is not None:
+            raise ValueError("found a linkage of a device that a pointer moves; expected none, or a simulated hand")
 
     @property
     def axes(self) -> int:
