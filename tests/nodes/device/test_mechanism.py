@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,30 +12,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.design.levels.contract import DeviceShare
 from manyhands.design.levels.held_torque import HeldTorque
 from manyhands.design.models.device import held_device
 from manyhands.design.models.statespace import StateSpace
-from manyhands.launch.plan.bundles import RunPlan, cut
-from manyhands.launch.plan.prepare import prepare
-from manyhands.launch.session import load_session
 from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.mechanism import Mechanism, TipAstray, joints_of
 from manyhands.nodes.device.simulated import Intention
 from manyhands.nodes.device.tick import OwnTimeTick, WallTimeTick
 from manyhands.nodes.kernel.allowance import LatenessAllowance
-from manyhands.nodes.kernel.bundle import OWN, WALL, BrowserHand, DeviceBundle, DeviceRung, Limits, SimulatedHand
+from manyhands.nodes.kernel.bundle import WALL, BrowserHand, DeviceBundle, SimulatedHand
 from tests.support.held_arm import Arm
 from tests.support.instants import instant
+from tests.support.mechanisms import CHAIN, HOME, mechanism_bundle, swinging, worst
 
-SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 T = 1e-3
 TICK = 1_000_000
-HOME = (0.3, 2.5843)  # of condition number 2.4; it bends by 18.8/m
-CHAIN = {
-    "kind": "chain", "turns": ["z", "z"], "links": [[0.12, 0, 0], [0.14, 0, 0]],
-    "low": [HOME[0] - 0.3, HOME[1] - 0.3], "high": [HOME[0] + 0.3, HOME[1] + 0.3],
-}  # fmt: skip
+bundle = pytest.fixture(scope="module")(mechanism_bundle)
 IN_SPACE = {
     "kind": "chain", "turns": ["z", "y", "y"], "links": [[0, 0, 0.1], [0.13, 0, 0], [0.13, 0, 0]],
     "low": [-0.5, -0.8, 0.7], "high": [0.5, -0.2, 1.6],
@@ -142,34 +133,6 @@ def test_a_long_step_moves_the_mass_as_many_short_ones_do() -> None:
     held = plant.after(before, t, at_rest)[2:4]
     free = plant._linear(before[: plant.order], [12.0, 5.0], at_rest, TICK, plant.order)[2:4]
     assert max(map(abs, np.subtract(held, free))) > 4e-4  # m/s, that the torques make
-
-
-def worst() -> tuple[list[float], list[float]]:
-    """The direction in which the arm bends most, and the force of 12 N that grows on each way along it."""
-    arm, q = Arm(HOME), np.array(HOME)
-    ways = [np.array([math.cos(way), math.sin(way)]) for way in np.linspace(0.0, math.pi, 181)]
-    way = max(ways, key=lambda along: float(np.linalg.norm(arm.bending(q, along))))
-    bending = arm.bending(q, way)
-    return way.tolist(), (-12.0 * bending / np.linalg.norm(bending)).tolist()
-
-
-def swinging(linkage: Mapping[str, Any] | None, speed: float = 0.95) -> SimulatedHand:
-    """A hand that nothing withstands swings a device almost without mass, a tick each way, in the worst direction."""
-    way, _ = worst()
-    motion = tuple(f"{0.5 * speed * T * part!r} * (1 - cos({1.0 / T!r} * pi * t))" for part in way)
-    nothing = StateSpace.static(np.zeros((2, 2)))
-    return SimulatedHand((1e-6,) * 2, (0.1,) * 2, nothing, (200.0,) * 2, (1e6,) * 2, (0.0,) * 2, motion, linkage)
-
-
-@pytest.fixture(scope="module")
-def bundle() -> DeviceBundle:
-    """A device with two axes and 0.1 N*s/m, promised without a delay."""
-    prepared = prepare(load_session(SESSIONS / "example1.yaml"))
-    of = cut(prepared, RunPlan("realtime", None, ""))["dx"]
-    assert isinstance(of, DeviceBundle)
-    two, rung = dataclasses.replace(of.common, ports=("d.x", "d.y")), DeviceRung(0.0, 0.0, DeviceShare(0.5, 1.0, 0.0))
-    limits = Limits((12.0,) * 2, (0.1,) * 2, (1.0,) * 2)
-    return DeviceBundle(two, 0.1 * np.eye(2), (rung,), swinging(None), limits, OWN)
 
 
 @pytest.mark.parametrize(("linkage", "broken"), [(None, False), (CHAIN, True)], ids=["force", "torque"])
