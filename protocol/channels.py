@@ -194,6 +194,7 @@ class Topic:
         columns: the columns of the trace.
         wall: whether only devices in wall time have it, which the realtime clock alone has.
         linked: whether only the ends of wave links have it.
+        torques: whether only devices have it whose motors hold torques.
     """
 
     name: str
@@ -203,6 +204,7 @@ class Topic:
     columns: Columns
     wall: bool = False
     linked: bool = False
+    torques: bool = False
 
     def columns_of(
         self, ports: tuple[str, ...], masses: tuple[str, ...], links: Mapping[str, tuple[str, ...]] = _NO_LINKS
@@ -238,7 +240,7 @@ TOPICS: Final[Mapping[Role, tuple[Topic, ...]]] = MappingProxyType(
             Topic("interface", INTERFACE, "e", "J", Columns.ONE, wall=True),
             Topic("applied", APPLIED, "x(a)", "m", Columns.PORTS, wall=True),
             Topic("instants", INSTANTS, "s, a", "ns", Columns.INSTANTS, wall=True),
-            Topic("work", WORK, "W", "J", Columns.WORKS, wall=True),
+            Topic("work", WORK, "W", "J", Columns.WORKS, wall=True, torques=True),
         ),
         Role.COUPLING: (
             Topic("tool", FREE_POSITION, "p", "m", Columns.PORTS),
@@ -261,7 +263,9 @@ TOPICS: Final[Mapping[Role, tuple[Topic, ...]]] = MappingProxyType(
 """The topics of each role, in the order in which they are shown."""
 
 
-def topics_of(role: Role, masses: tuple[str, ...] = (), wall: bool = False, linked: bool = False) -> tuple[Topic, ...]:
+def topics_of(
+    role: Role, masses: tuple[str, ...] = (), wall: bool = False, linked: bool = False, torques: bool = False
+) -> tuple[Topic, ...]:
     """The topics of a node of this role.
 
     Args:
@@ -269,11 +273,15 @@ def topics_of(role: Role, masses: tuple[str, ...] = (), wall: bool = False, link
         masses: of the environment; without them its topic of masses is left out.
         wall: whether it is, or may be, a device in wall time; the topics of these are left out otherwise.
         linked: whether a wave link ends at it; the topics of such ends are left out otherwise.
+        torques: whether its motors hold torques, or may; the topics of such devices are left out otherwise.
     """
     return tuple(
         topic
         for topic in TOPICS.get(role, ())
-        if (masses or topic.columns is not Columns.MASSES) and (wall or not topic.wall) and (linked or not topic.linked)
+        if (masses or topic.columns is not Columns.MASSES)
+        and (wall or not topic.wall)
+        and (linked or not topic.linked)
+        and (torques or not topic.torques)
     )
 
 
