@@ -76,11 +76,16 @@ REACH: Final = 0.03
 
 
 class HeldDevice(Device):
-    """A device whose arm holds torques; its account is given their work, or what ``told`` makes of it.
+    """A device whose arm holds torques.
 
     Attributes:
         arm: the arm.
-        taken: the joints' torque, N*m.
+        told: whether its account is told of the torques; otherwise it takes the device to hold the force.
+        tells: whether it knows what its motors did.
+        level: what the promise is made of, N*s/m.
+        torque: of the joints, N*m.
+        read: the displacement at the last sample, m.
+        done: by the motors, J.
     """
 
     def __init__(
@@ -96,7 +101,7 @@ class HeldDevice(Device):
         told: bool = True,
     ) -> None:
         super().__init__(osp, promised, tau, tank, 0, None, speed)
-        self.arm, self.told = arm, told
+        self.arm, self.told, self.tells = arm, told, True
         allowed = None if tank is None else LatenessAllowance(tank)
         self.interface = DeviceInterface(
             osp,
@@ -138,7 +143,7 @@ class HeldDevice(Device):
 
     def _work(self) -> float | None:
         done, self.seen = self.done - self.seen, self.done
-        return done if self.told else None
+        return None if not self.told else done if self.tells else math.inf
 
     def send(self) -> None:
         self.read = self.x

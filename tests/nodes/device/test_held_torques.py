@@ -57,7 +57,7 @@ def test_no_sequence_of_delays_takes_more_than_the_tank(
     osp: Array, tau: float, above: float, data: st.DataObject
 ) -> None:
     device = HeldDevice(osp, promise(tau, above), tau, E_0, HELD, SPEED, ARM)
-    known = data.draw(st.booleans())
+    known, device.tells = data.draw(st.booleans()), data.draw(st.integers(0, 3)) > 0
     for before, after, f, delay, rest in data.draw(hostile_ticks()):
         device.send()
         device.move(SPEED * np.array(before), device.now + delay)
@@ -179,6 +179,19 @@ def test_a_stated_inertia_counts_with_what_torques_may_push_beside_the_force(
     for tick, x in enumerate((0.0, 0.0, far)):
         account.sampled([0.0, x], Instant(tick * TICK), 0.0)
     assert account.broken == broken
+
+
+def test_a_change_of_rung_promises_what_the_torques_leave_at_its_delay() -> None:
+    osp = np.eye(2)
+    interface = HeldDevice(osp, promise(0.0, 0.0), 0.0, E_0, HELD, SPEED, ARM).interface
+    for tau in (0.0, 1e-3):
+        interface.change(promise(tau, 0.5), tau, 0.0)
+        left = HELD.left(osp, T, tau, 0.0)
+        assert left is not None
+        assert interface.account.burn([1.0, 2.0]) == pytest.approx((left @ [1.0, 2.0]).tolist(), rel=1e-15)
+        assert interface.account.compliance([1.0, 2.0]) == pytest.approx(np.linalg.solve(left, [1.0, 2.0]).tolist())
+    with pytest.raises(ValueError, match=r"held: found nothing left of Delta_D at a delay of 0.05 s"):
+        interface.change(promise(1e-3, 0.5), 0.05, 0.0)
 
 
 def test_a_tip_that_may_turn_too_far_is_refused() -> None:
