@@ -34,12 +34,20 @@ class DeviceLevel:
         ports: its ports, as indices into the loop's m ports.
         level: Delta_Di, m_i x m_i symmetric positive definite, N*s/m.
         held: how its motors hold a force, where they hold torques; None where they hold the force itself.
+        step: of its encoder, one entry for each port, m; None where no port has one.
+        friction: what it burns at least besides its level, as a force against its velocity, by port, N; None for 0.
+
+    Raises:
+        ValueError: the level is not symmetric positive definite, or a step or a friction is negative, not finite, or
+            not one for each port.
     """
 
     name: str
     ports: tuple[int, ...]
     level: Matrix
     held: HeldTorque | None = None
+    step: tuple[float, ...] | None = None
+    friction: tuple[float, ...] | None = None
 
     __repr__ = brief_repr
 
@@ -48,6 +56,15 @@ class DeviceLevel:
         object.__setattr__(self, "level", matrix(self.level, m, m))
         if np.any(self.level != self.level.T) or np.linalg.eigvalsh(self.level)[0] <= 0.0:
             raise ValueError(f"{self.name}: expected a symmetric positive definite OSP level")
+        for what, stated in (("step", self.step), ("friction", self.friction)):
+            if stated is not None and not (len(stated) == m and all(0.0 <= x < np.inf for x in stated) and any(stated)):
+                expected = f"{m} finite numbers, none negative and one greater than 0"
+                raise ValueError(f"{self.name}: {what}: found {stated}; expected {expected}")
+
+    @property
+    def of_mechanism(self) -> bool:
+        """Whether more than a level is stated: how it holds a force, the steps of its encoder, or its dry friction."""
+        return any(stated is not None for stated in (self.held, self.step, self.friction))
 
 
 Objective = Literal["feasible", "stiffest", "loop-shaping", "closed-loop"]

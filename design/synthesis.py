@@ -31,6 +31,7 @@ from manyhands.design.certificate import Certificate, TransparencyClaim, content
 from manyhands.design.errors import Infeasible, SolverFailure
 from manyhands.design.levels.contract import ENERGY, DeviceShare, Levels, least_coupling_level, margin
 from manyhands.design.levels.device import PIECES, device_share, gain_for_share, greatest_share
+from manyhands.design.levels.encoder import EncoderClaim
 from manyhands.design.levels.environment import lack_of_passivity
 from manyhands.design.levels.floats import within_floats
 from manyhands.design.levels.spring_damper import centred, stiffest
@@ -51,7 +52,9 @@ from manyhands.design.problem import (
     SpringDamperWanted,
     Wish,
 )
-from manyhands.design.proof import ProofInputError, prove
+from manyhands.design.proof import Finding, ProofInputError, prove
+from manyhands.design.proof.quantisation import BOUNDED
+from manyhands.design.quantisation import encoder_claim
 from manyhands.design.solver import SOLVER
 from manyhands.design.statics import check_block, check_environment
 from manyhands.design.theorem3 import MOST_SEARCHED, BlockLevel, certify_beside, certify_given, devices
@@ -417,21 +420,31 @@ def _proved(
     asked = describe_request(wanted, loop.partition.names)
     draft = Certificate(loop, found.coupling, levels, claim, {}, found.method, asked)
     of_environment = loop.environment.margins(lambda: _compliance(loop, draft.blocks))
-    draft = replace(draft, margins={"(10)": margin(loop.partition, levels), **of_environment})
-    data = content(draft)
-    data["id"] = identity(data)
+    encoder = encoder_claim(loop, draft.blocks)
+    draft = replace(draft, margins={"(10)": margin(loop.partition, levels), **of_environment}, encoder=encoder)
     if progress is not None:
         progress("proving the certificate")
-    try:
-        failing = [finding for finding in prove(data) if not finding.holds]
-    except ProofInputError as error:
-        raise SolverFailure(f"the certificate cannot be proved: {error}") from error
+    draft, failing = _tried(draft)
+    if encoder is not None and [finding.condition for finding in failing] == [BOUNDED]:
+        # the responses decay too slowly to be summed: a certificate that says so is better than none
+        draft, failing = _tried(replace(draft, encoder=EncoderClaim(None, False)))
     if failing:
         worst = failing[0]
         figure = "" if np.isnan(worst.value) else f": found {worst.value:.3g}, bound {worst.bound:.3g}"
         because = f" ({worst.argument})" if worst.argument else ""
         raise SolverFailure(f"the solver's answer does not survive the proof: {worst.condition}{figure}{because}")
-    return replace(draft, id=data["id"])
+    return draft
+
+
+def _tried(draft: Certificate) -> tuple[Certificate, list[Finding]]:
+    """The draft with its id, and the findings of its proof that fail."""
+    data = content(draft)
+    data["id"] = identity(data)
+    try:
+        failing = [finding for finding in prove(data) if not finding.holds]
+    except ProofInputError as error:
+        raise SolverFailure(f"the certificate cannot be proved: {error}") from error
+    return replace(draft, id=data["id"]), failing
 
 
 def _compliance(loop: HapticLoop, blocks: tuple[StateSpace, ...]) -> Matrix:

@@ -22,6 +22,7 @@ from manyhands.design.errors import CertificateError
 from manyhands.design.models.coupling import SpringDamper
 from manyhands.design.models.statespace import Matrix
 from manyhands.design.problem import HapticLoop
+from manyhands.design.quantisation import not_covered, steps
 from manyhands.design.wave_link import FELT_STIFFNESS
 from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK
 from manyhands.launch.look.display import figure_table, printable, promise_lines, say, status, world_lines
@@ -62,6 +63,7 @@ def certificate_object(certificate: Certificate, proved: bool = True) -> dict[st
         "gamma": None if certificate.transparency is None else certificate.transparency.gamma,
         "coupling": coupling,
         "series": series_rows(certificate) or None,
+        "encoder": None if certificate.encoder is None else certificate.encoder.describe(),
         "levels": {
             "Delta_D": loop.partition.embed(levels.Delta_D).tolist(),
             "Delta_V": loop.partition.embed(levels.Delta_V).tolist(),
@@ -89,6 +91,7 @@ def infeasible_object(loop: HapticLoop, reason: str, relax: tuple[str, ...]) -> 
         "gamma": None,
         "coupling": None,
         "series": None,
+        "encoder": None,
         "levels": {"Delta_D": loop.Delta_D.tolist(), "Delta_V": None, "Phi_E": None},
         "margins": {},
         "period": loop.period,
@@ -124,6 +127,8 @@ def print_certificate(console: Console, certificate: Certificate) -> None:
         )
         table.add_row("states of V" + (", run" if loop.series else ""), orders)
     _series_rows(table, certificate)
+    if certificate.encoder is not None:
+        table.add_row("encoder steps", "\n".join(encoder_lines(certificate)))
     claim = certificate.transparency
     if claim is not None:
         norm = "‖W1 E V W2‖" if claim.aim.objective == "loop-shaping" else "‖W1 (F(E,V) − E) W2‖"
@@ -280,6 +285,26 @@ def _series_rows(table: Table, certificate: Certificate) -> None:
     table.add_row("coupling, contact,\nboth, at rest", "\n".join([*felt, *more]))
 
 
+def encoder_lines(certificate: Certificate) -> list[str]:
+    """What the steps of encoders add to the forces, by port, and whether dry friction covers it; empty without steps.
+
+    Beside the force stands what it is in steps of the port's encoder, at the coupling's stiffness.
+    """
+    loop, claim = certificate.loop, certificate.encoder
+    if claim is None:
+        return []
+    if claim.force is None:
+        return [f"not covered: {not_covered(loop) or 'no bound on what they add is proved'}"]
+    one_step = steps(loop) * np.diag(certificate.stiffness)
+    rows = []
+    for port, w, own in zip(loop.ports, claim.force, one_step.tolist(), strict=True):
+        if w > 0.0:
+            rows.append(f"{port} at most {1e3 * w:.3g} mN" + (f", {w / own:.3g} steps" if own > 0.0 else ""))
+    more = [f"and {len(rows) - _LARGEST_SHOWN} more"] if len(rows) > _LARGEST_SHOWN else []
+    covered = "covered by dry friction" if claim.covered else "not covered: no dry friction of that force is stated"
+    return [*rows[:_LARGEST_SHOWN], *more, covered]
+
+
 def _matrix_text(M: Matrix, form: str) -> str:
     if M.shape[0] > _LARGEST_SHOWN:
         diagonal = np.diag(M)
@@ -341,7 +366,10 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
         return EXIT_NOT_CERTIFIED
     if not as_json:
         proved = certificate.loop.environment.verdict(certificate.loop.partition.names[0])
-        say(out, f"{certificate.loop.session}: {proved}; certificate {certificate.id}")
+        exactly = (
+            "" if certificate.encoder is None or certificate.encoder.covered else ", of devices that measure exactly"
+        )
+        say(out, f"{certificate.loop.session}: {proved}{exactly}; certificate {certificate.id}")
     return EXIT_OK
 
 
@@ -368,6 +396,7 @@ def run_budget(session: Session, out: Console, err: Console, picture: Path | Non
         plot_budget,
         print_budget,
         print_series,
+        print_steps,
         print_wave_links,
         series_budget,
         session_budget,
@@ -385,6 +414,7 @@ def run_budget(session: Session, out: Console, err: Console, picture: Path | Non
     else:
         print_budget(out, found)
         print_series(out, series_budget(found), loop.tau)
+        print_steps(out, found)
         print_wave_links(out, links)
         print_rates(out, session.name, rates)
     if picture is not None:

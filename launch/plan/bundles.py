@@ -27,6 +27,7 @@ from manyhands.design.models.statespace import Matrix, StateSpace, matrix
 from manyhands.design.peak_gain import output_bounds
 from manyhands.launch.files import require_target
 from manyhands.launch.plan.keys import Keys
+from manyhands.launch.plan.loop import NotCertified
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.reach import IPC, Listen, Reach, ReachError, reach
 from manyhands.launch.plan.topology import Topology
@@ -125,6 +126,16 @@ def tool_bounds(session: Session, blocks: Sequence[StateSpace]) -> tuple[PortBou
     return _in_order(session, magnitude), _in_order(session, step)
 
 
+def _require_real_friction(prepared: Prepared) -> None:
+    """Refuse a certified run of a simulated device that states dry friction, for its mechanism has none."""
+    for name, device in prepared.session.devices.items():
+        if prepared.certified and device.friction is not None and device.factory is None:
+            raise NotCertified(
+                f"{prepared.session.name}: devices.{name}.friction: found friction of a simulated device, which burns "
+                "none as it moves; expected no friction for a run, a driver's factory, or an uncertified run"
+            )
+
+
 def _in_order(session: Session, bounds: Mapping[str, float]) -> PortBounds:
     return tuple(bounds[port] if math.isfinite(bounds[port]) else None for port in session.ports)
 
@@ -160,8 +171,12 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
     Args:
         prepared: the session with its coupling and certificate.
         run: how the session is to be run.
+
+    Raises:
+        NotCertified: the certificate counts on dry friction that a simulated device has not.
     """
     session = prepared.session
+    _require_real_friction(prepared)
     links_of = _links_of(prepared.graph)
     commons = {name: _common(prepared, run, name, links_of) for name in prepared.graph.nodes}
     rungs = _rungs(prepared)

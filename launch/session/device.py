@@ -241,7 +241,7 @@ _ELSEWHERE: Final = ("mass", "damping", "hand")
 _NOT_OF_A_PLUGIN: Final = ("damping", "hand")
 """Those that a driver of another package has itself. Of its mass a session may state the least."""
 
-_OF_A_PLUGIN: Final = ("parameters", "sample_age", "age_jitter", "actuation_delay", "axis_map", "scale", "step")
+_OF_A_PLUGIN: Final = ("parameters", "sample_age", "age_jitter", "actuation_delay", "axis_map", "scale")
 """Keys of a driver of another package; no other device has them."""
 
 _AGE: Final = Quantity("a time", "s", least=0.0, most=LONGEST_PERIOD)
@@ -313,6 +313,36 @@ def _damping(value: object, info: ValidationInfo) -> object:
 
 _MASS: Final = PerAxis(MASS)
 _STEP: Final = PerAxis(Quantity("a step", "m", least=0.0))
+_NOT_MEASURED: Final = ("step", "friction")
+"""Keys of an encoder and its mechanism; a recorded motion and a pointer at a browser have neither."""
+
+
+@dataclass(frozen=True, slots=True)
+class LeastFriction(FieldCheck):
+    """The check of a device's dry friction, ``{least: c}``: c for all axes, or a list with one for each."""
+
+    least: PerAxis
+
+    @property
+    def json_schema(self) -> JsonSchema:
+        """The mapping, with a number or a list."""
+        return mapping_of({"least": {**self.least.json_schema, "description": "c in N, greater than 0"}})
+
+    def in_part(self, value: object, info: ValidationInfo) -> Any:
+        """The friction c by axis, N."""
+        if isinstance(value, tuple):  # as a device has it
+            return self.least.in_part(value, info)
+        if not isinstance(value, Mapping) or set(value) != {"least"}:
+            raise refuse(show(value), "{least: c}, with the least dry friction in N: a number, or one for each axis")
+        return self.least.in_part(value["least"], info)
+
+
+_FRICTION: Final = LeastFriction(PerAxis(Quantity("a friction", "N", above=0.0, smallest=MIN_POSITIVE)))
+
+
+def _plain_friction(friction: tuple[float, ...] | None) -> object:
+    """The friction in the notation of a session file."""
+    return None if friction is None else {"least": list(friction)}
 
 
 def _trace(value: object, info: ValidationInfo) -> object:
@@ -344,9 +374,10 @@ class Device(SessionModel):
                     "if": where("driver", _SIMULATED, _BROWSER),
                     "then": {"required": ["mass"], **without("trace", *_OF_A_PLUGIN)},
                 },
+                {"if": where("driver", _BROWSER), "then": without(*_NOT_MEASURED)},
                 {
                     "if": where("driver", _TRACE),
-                    "then": {"required": ["trace"], **without(*_ELSEWHERE, *_OF_A_PLUGIN)},
+                    "then": {"required": ["trace"], **without(*_ELSEWHERE, *_OF_A_PLUGIN, *_NOT_MEASURED)},
                 },
                 {
                     "if": {"properties": {"driver": {"not": {"enum": [*_DRIVERS]}}}, "required": ["driver"]},
@@ -385,7 +416,10 @@ class Device(SessionModel):
         default=None, description="with a driver's factory, by how much motions grow from the device to the session"
     )
     step: Annotated[tuple[float, ...] | None, _STEP] = Field(
-        default=None, description="with a driver's factory and a mass, the step of its displacements in m"
+        default=None, description="the step of its encoder in m: a number, or one for each axis"
+    )
+    friction: Annotated[tuple[float, ...] | None, _FRICTION, PlainSerializer(_plain_friction)] = Field(
+        default=None, description="{least: c}, the dry friction in N that it has at least, in every pose and direction"
     )
     time: Literal["wall", "own"] = Field(
         default="wall",
@@ -503,6 +537,10 @@ class Device(SessionModel):
         for key in _OF_A_PLUGIN:
             if getattr(self, key) is not None:
                 yield Problem((key,), f"{key} {here}", f"a driver's factory, package.module:factory, or no {key}")
+        for key in _NOT_MEASURED:
+            if self.driver != _SIMULATED and getattr(self, key) is not None:
+                expected = f"driver: simulated, a driver's factory, package.module:factory, or no {key}"
+                yield Problem((key,), f"{key} {here}", expected)
         if self.driver == _TRACE:
             if self.trace is None:
                 yield Problem((), f"no key 'trace' {here}", "trace, the recorded motion, such as {file: run.mcap}")
@@ -531,8 +569,6 @@ class Device(SessionModel):
         for key in _NOT_OF_A_PLUGIN:
             if getattr(self, key) is not None:
                 yield Problem((key,), f"{key} {here}", f"no {key}: the driver's device and its user have their own")
-        if self.step is not None and self.mass is None:
-            yield Problem(("step",), f"a step without a mass {here}", "the least moving mass as well, or no step")
         if self.time != WALL:
             yield Problem(("time",), f"time: {self.time} {here}", f"time: {WALL}, for a driver follows the clock")
         if self.age_jitter is not None and self.age_jitter > (self.sample_age or 0.0):
