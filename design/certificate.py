@@ -9,7 +9,8 @@ bit.
 A file that says more of a device than its level is of version 6. The key ``held`` of a device says how it holds its
 force (docs/decisions/0050-held-torques.md), ``step`` has the steps of its encoder and ``friction`` its dry friction.
 Where a device has steps, ``encoder`` claims what they add to the forces, and whether the friction covers that
-(docs/decisions/0051-encoder-steps-and-friction.md). Files of the other versions say nothing of these: they are about
+(docs/decisions/0051-encoder-steps-and-friction.md). With ``speed`` the dry friction counts as damping, and the whole
+claim is about motions that are slower on every axis. Files of the other versions say nothing of these: they are about
 devices that hold the force itself and measure exactly.
 
 A file that counts a part of the world's contact springs in series with the coupling has the key ``series``, and is of
@@ -229,7 +230,7 @@ _EXTRA_KEYS: Mapping[int, set[str]] = {
     VERSION: set(),
     WITH_TOLERANCE: {"period_tolerance"},
     WITH_SERIES: {"period_tolerance", "series"},
-    WITH_MECHANISM: {"period_tolerance", "series", "encoder"},
+    WITH_MECHANISM: {"period_tolerance", "series", "encoder", "speed"},
 }
 
 
@@ -391,9 +392,10 @@ class Certificate:
         K = "linear blocks" if springs is None else f"K = {brief(springs.stiffness)} N/m"
         gamma = "" if self.transparency is None else f", gamma {self.transparency.gamma:.4g}"
         margin = f"{self.margins['(10)']:.4g} N·s/m" if "(10)" in self.margins else "not stated"
+        below = "" if loop.speed is None else f", below {loop.speed:g} m/s"
         return (
             f"Certificate({loop.session}: blocks {brief_names(loop.partition.names)}, {K}, T = {loop.period:g} s, "
-            f"tau = {loop.tau:g} s, margin {margin}{gamma}, id {self.id[:16] or 'none'})"
+            f"tau = {loop.tau:g} s{below}, margin {margin}{gamma}, id {self.id[:16] or 'none'})"
         )
 
     @cached_property
@@ -423,6 +425,7 @@ def content(certificate: Certificate) -> dict[str, Any]:
         "structure": describe_structure(ports, partition),
         "environment": loop.environment.terms(),
         **({"series": describe_series(loop)} if loop.series else {}),
+        **({"speed": loop.speed} if loop.speed is not None else {}),
         **({"encoder": certificate.encoder.describe()} if certificate.encoder is not None else {}),
         "asked": dict(certificate.asked),
         "coupling": describe_coupling(partition.names, certificate.coupling),
@@ -604,6 +607,8 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
     ports = tuple(str(p) for p in data["ports"])
     index = {port: i for i, port in enumerate(ports)}
     structure, environment = data["structure"], environment_of(data["environment"], ports)
+    encoder = encoder_of(data["encoder"], len(ports)) if "encoder" in data else None
+    speed = float(data["speed"]) if "speed" in data else None
     loop = HapticLoop(
         session=str(data["session"]),
         period=float(data["period"]),
@@ -616,6 +621,8 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
         tau=float(data["tau"]),
         period_tolerance=period_tolerance,
         series=_series(data["series"], ports, environment) if version == WITH_SERIES or "series" in data else (),
+        speed=speed,
+        kept=None if speed is None else (encoder and encoder.force) or (0.0,) * len(ports),
     )
     partition, levels, storage = loop.partition, data["levels"], data["storage"]
     linear = data["coupling"]["class"] == "linear"
@@ -637,7 +644,7 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
         margins={str(k): float(v) for k, v in data["margins"].items()},
         method={str(k): v for k, v in data["method"].items()},
         asked=asked,
-        encoder=encoder_of(data["encoder"], len(ports)) if "encoder" in data else None,
+        encoder=encoder,
         id=str(data["id"]),
     )
 
@@ -704,6 +711,7 @@ def differences(certificate: Certificate, loop: HapticLoop, wanted: CouplingRequ
             ("period", own.period, loop.period),
             ("delay inside the tick", own.tau, loop.tau),
             ("period tolerance", own.period_tolerance, loop.period_tolerance),
+            ("speed below which it holds", own.speed, loop.speed),
             ("list of ports", ", ".join(own.ports), ", ".join(loop.ports)),
         )
         if mine != theirs

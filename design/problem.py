@@ -14,6 +14,7 @@ import numpy as np
 
 from manyhands.design.errors import Infeasible
 from manyhands.design.levels.contract import NO_DELAY_GAIN
+from manyhands.design.levels.dry_friction import damping_below
 from manyhands.design.levels.held_torque import HeldTorque
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import Partition, SpringDamper, loop_gain
@@ -181,6 +182,10 @@ class HapticLoop:
         series: by port, what of the world's compliance is counted in series with the coupling; empty if nothing is
             counted (docs/decisions/0045-series-compliance.md). Of a network it is the part of the compliance of the
             port's own link, 0 ... 1; of a state space or rational functions it is a compliance, m/N.
+        speed: v*, m/s: the devices' dry friction counts as damping, and the claim holds while every axis is slower;
+            None for a claim about every motion.
+        kept: by port, how much of the dry friction is kept for the steps of encoders, N; None while that is not
+            settled, and the levels count no friction.
     """
 
     session: str
@@ -192,6 +197,8 @@ class HapticLoop:
     tau: float = 0.0
     period_tolerance: float = 0.0
     series: tuple[float, ...] = ()
+    speed: float | None = None
+    kept: tuple[float, ...] | None = None
 
     __repr__ = brief_repr
 
@@ -211,6 +218,10 @@ class HapticLoop:
             raise ValueError(f"found the period tolerance {self.period_tolerance}; expected 0 to 1")
         if self.series:
             self._check_series()
+        if self.speed is not None and not 0.0 < self.speed < np.inf:
+            raise ValueError(f"speed: found {self.speed}; expected a finite number greater than 0")
+        if self.kept is not None and (len(self.kept) != m or not all(0.0 <= w < np.inf for w in self.kept)):
+            raise ValueError(f"kept: found {self.kept}; expected {m} finite numbers of 0 or more")
 
     def _check_series(self) -> None:
         counts = self.environment.counts
@@ -262,7 +273,8 @@ class HapticLoop:
 
         Where two blocks of V split a device whose level joins their ports, the level of that device is replaced by its
         least eigenvalue times the identity. Delta-OSP implies Delta'-OSP for every Delta' <= Delta, and each block can
-        then keep its promise with its own data alone. Of a device that holds torques it is what these leave.
+        then keep its promise with its own data alone. Of a device that holds torques it is what these leave. Below
+        :attr:`speed` it is more by what dry friction stands for.
 
         Raises:
             Infeasible: held torques leave nothing of a device's level.
@@ -283,14 +295,18 @@ class HapticLoop:
         return tuple(matrix(M) for M in out)
 
     def _left(self, device: DeviceLevel) -> Matrix:
-        """The level of a device, less what its held torques may give out, N*s/m."""
+        """The level of a device with what its friction adds, less what its held torques may give out, N*s/m."""
+        level = device.level
+        if self.speed is not None and self.kept is not None and device.friction is not None:
+            paid = damping_below(self.speed, device.friction, [self.kept[port] for port in device.ports])
+            level = matrix(level + np.diag(paid))
         if device.held is None:
-            return device.level
+            return level
         times = self.period, self.tau, self.period_tolerance
-        left = device.held.left(device.level, *times)
+        left = device.held.left(level, *times)
         if left is not None:
             return left
-        least, d = float(np.linalg.eigvalsh(device.level)[0]), device.held.damping(*times)
+        least, d = float(np.linalg.eigvalsh(level)[0]), device.held.damping(*times)
         condition = (
             f"the held torques of {device.name} may give out what {d:.4g} N*s/m of damping take up, and it has "
             f"{least:.4g} (docs/decisions/0050-held-torques.md)"

@@ -22,6 +22,7 @@ from typing import Final
 
 import numpy as np
 
+from manyhands.design.errors import DesignError, Infeasible
 from manyhands.design.levels.encoder import EncoderClaim
 from manyhands.design.models.statespace import Matrix, StateSpace
 from manyhands.design.peak_gain import peak_gain
@@ -62,13 +63,44 @@ def force_of_steps(loop: HapticLoop, blocks: Sequence[StateSpace]) -> Matrix | N
 
 
 def encoder_claim(loop: HapticLoop, blocks: Sequence[StateSpace]) -> EncoderClaim | None:
-    """The claim about the steps of the loop's encoders; None where no device states a step."""
+    """The claim about the steps of the loop's encoders; None where no device states a step.
+
+    Where the levels keep a part of the friction for the steps, that part is what is claimed.
+
+    Raises:
+        KeptTooLittle: the steps add more than that.
+        Infeasible: the levels count on friction, and nothing bounds what the steps take of it.
+    """
     if not np.any(steps(loop)):
         return None
     force = force_of_steps(loop, blocks)
+    if loop.speed is None:
+        if force is None:
+            return EncoderClaim(None, False)
+        return EncoderClaim(tuple(force.tolist()), bool(np.all(friction(loop) >= force)))
     if force is None:
-        return EncoderClaim(None, False)
-    return EncoderClaim(tuple(force.tolist()), bool(np.all(friction(loop) >= force)))
+        why = not_covered(loop) or "the responses of the loop do not decay in time"
+        raise Infeasible(
+            f"dry friction is to count below {loop.speed:g} m/s, and what the encoders' steps take of it is not known: "
+            f"{why}",
+            ("leave the speed out",),
+        )
+    kept = np.array(loop.kept if loop.kept is not None else [0.0] * len(loop.ports))
+    if np.any(force > kept):
+        raise KeptTooLittle(force)
+    return EncoderClaim(tuple(kept.tolist()), bool(np.all(friction(loop) >= kept)))
+
+
+class KeptTooLittle(DesignError):
+    """The steps of encoders add more to the forces than the levels keep of the dry friction.
+
+    Attributes:
+        force: what they add, by port, N.
+    """
+
+    def __init__(self, force: Matrix) -> None:
+        super().__init__("the steps of the encoders add more than is kept of the dry friction")
+        self.force = force
 
 
 def closed(V: StateSpace, E: StateSpace) -> StateSpace:

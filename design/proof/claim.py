@@ -479,6 +479,7 @@ _KEYS: tuple[str, ...] = (
 _KEYS += (_ASKED, "coupling", "levels", "storage", "transparency", "margins", "method")
 _HELD, _STEP, _FRICTION = _MECHANISM = ("held", "step", "friction")
 _ENCODER = "encoder"
+_SPEED = "speed"
 _TOLERANCE = "period_tolerance"
 _SERIES = "series"
 _MOST_ASKED = 50_000  # values in ``asked``: an order for each of MAX_PORTS blocks, and room for the rest
@@ -595,6 +596,7 @@ class Claim:
         step: the steps of each device's encoder by its ports, m; None where none are stated.
         friction: the least dry friction of each device by its ports, N; None where none is stated.
         encoder: what is claimed about the steps; None where nothing is.
+        speed: v*, m/s, below which dry friction counts as damping; None where it does not.
         blocks: name and ports of each block of V.
         environment: the physical data of E.
         series: by port, what of the world's compliance V contains: the part of that of a network's own link, or a
@@ -621,6 +623,7 @@ class Claim:
     step: tuple[tuple[fmpq, ...] | None, ...]
     friction: tuple[tuple[fmpq, ...] | None, ...]
     encoder: EncoderData | None
+    speed: fmpq | None
     blocks: tuple[PortGroup, ...]
     environment: EnvironmentData
     series: Mapping[int, fmpq]
@@ -642,7 +645,7 @@ def read(data: Mapping[str, Any]) -> Claim:
     Raises:
         ProofInputError: a key is missing or unknown, or its value has the wrong type, shape or size.
     """
-    fields = Item(data, "").fields(_KEYS, (_TOLERANCE, _SERIES, _ENCODER))
+    fields = Item(data, "").fields(_KEYS, (_TOLERANCE, _SERIES, _ENCODER, _SPEED))
     fields["format"].text(FORMAT)
     version = fields["version"].whole(VERSION, WITH_MECHANISM)
     _require_plain(fields[_ASKED])
@@ -661,8 +664,9 @@ def read(data: Mapping[str, Any]) -> Claim:
     if len(set(ports)) != len(ports) or not ports:
         raise fields["ports"].refusal("one distinct name for each port, and at least one port")
     index = {name: i for i, name in enumerate(ports)}
-    if _ENCODER in fields and version != WITH_MECHANISM:
-        raise ProofInputError(f"{_ENCODER}: expected it in version {WITH_MECHANISM} alone")
+    for key in (_ENCODER, _SPEED):
+        if key in fields and version != WITH_MECHANISM:
+            raise ProofInputError(f"{key}: expected it in version {WITH_MECHANISM} alone")
     devices, osp, held, step, friction = [], [], [], [], []
     for name, item in fields["devices"].entries(MAX_PORTS).items():
         device = item.fields(("ports", "osp"), _MECHANISM if version == WITH_MECHANISM else ())
@@ -693,6 +697,7 @@ def read(data: Mapping[str, Any]) -> Claim:
         step=tuple(step),
         friction=tuple(friction),
         encoder=_encoder(fields[_ENCODER], len(ports)) if _ENCODER in fields else None,
+        speed=exact_decimal(fields[_SPEED].number()) if _SPEED in fields else None,
         blocks=blocks,
         environment=environment,
         series=_series(fields[_SERIES], index, environment) if _SERIES in fields else {},

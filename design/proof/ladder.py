@@ -40,7 +40,7 @@ from manyhands.design.proof.exact import Sparse
 from manyhands.design.proof.finding import Finding, Verdict, weakest
 from manyhands.design.proof.rational import rounded
 
-_SHARED = ("period", "period_tolerance", "ports", "devices", "structure", "environment", "series")
+_SHARED = ("period", "period_tolerance", "ports", "devices", "structure", "environment", "series", "speed")
 _STRUCTURED = "Phi_E joins no two blocks, so that every mixture is made of conditions that (10) of a rung contains"
 _PASSIVE = "Phi_E <= 0, so that (10) is positive for all levels that are"
 

@@ -74,6 +74,7 @@ def certificate_object(certificate: Certificate, proved: bool = True) -> dict[st
         "margins": dict(certificate.margins),
         "period": loop.period,
         "tau": certificate.tau,
+        "speed": loop.speed,
         "period_tolerance": certificate.period_tolerance,
         "structure": _structure(loop),
         "enforced": list(loop.enforced),
@@ -96,6 +97,7 @@ def infeasible_object(loop: HapticLoop, reason: str, relax: tuple[str, ...]) -> 
         "margins": {},
         "period": loop.period,
         "tau": None,
+        "speed": loop.speed,
         "period_tolerance": None,
         "structure": _structure(loop),
         "enforced": list(loop.enforced),
@@ -107,6 +109,8 @@ def infeasible_object(loop: HapticLoop, reason: str, relax: tuple[str, ...]) -> 
 def print_certificate(console: Console, certificate: Certificate) -> None:
     """Print a certificate's id, structure, coupling and margins."""
     loop = certificate.loop
+    if loop.speed is not None:
+        console.print(f"{loop.session}: holds{below_speed(loop)}")
     console.print(f"certificate {certificate.id}")  # outside the table, which could cut it
     table = Table(title=f"{loop.session}: certified", title_justify="left", show_header=False)
     table.add_column(style="bold")
@@ -285,6 +289,11 @@ def _series_rows(table: Table, certificate: Certificate) -> None:
     table.add_row("coupling, contact,\nboth, at rest", "\n".join([*felt, *more]))
 
 
+def below_speed(loop: HapticLoop) -> str:
+    """The speed below which a claim about this loop holds, to be added to a verdict; empty for every speed."""
+    return "" if loop.speed is None else f" below {loop.speed:g} m/s on every axis, and not beyond"
+
+
 def encoder_lines(certificate: Certificate) -> list[str]:
     """What the steps of encoders add to the forces, by port, and whether dry friction covers it; empty without steps.
 
@@ -359,6 +368,8 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
         object_ = certificate_object(certificate, proved=not failing)
         print_json(object_ | {"failing": [finding.condition for finding in failing]})
     else:
+        if certificate.loop.speed is not None:
+            say(out, f"{certificate.loop.session}: claimed{below_speed(certificate.loop)}")
         print_findings(out, proof.findings)
         print_request(out, file, certificate)
     say_failing(err, [(str(file), finding) for finding in failing])
@@ -369,6 +380,7 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
         exactly = (
             "" if certificate.encoder is None or certificate.encoder.covered else ", of devices that measure exactly"
         )
+        proved += below_speed(certificate.loop)
         say(out, f"{certificate.loop.session}: {proved}{exactly}; certificate {certificate.id}")
     return EXIT_OK
 

@@ -126,8 +126,13 @@ def tool_bounds(session: Session, blocks: Sequence[StateSpace]) -> tuple[PortBou
     return _in_order(session, magnitude), _in_order(session, step)
 
 
-def _require_real_friction(prepared: Prepared) -> None:
-    """Refuse a certified run of a simulated device that states dry friction, for its mechanism has none."""
+def _require_runnable(prepared: Prepared) -> None:
+    """Refuse a certified run that counts on dry friction which is not there, or on a speed that nothing keeps."""
+    if prepared.certified and prepared.session.design.speed is not None:
+        raise NotCertified(
+            f"{prepared.session.name}: design.speed: found {prepared.session.design.speed:g} m/s; expected none for a "
+            "run: no account goes on beyond the speed below which the certificate holds"
+        )
     for name, device in prepared.session.devices.items():
         if prepared.certified and device.friction is not None and device.factory is None:
             raise NotCertified(
@@ -173,10 +178,10 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         run: how the session is to be run.
 
     Raises:
-        NotCertified: the certificate counts on dry friction that a simulated device has not.
+        NotCertified: the certificate counts on dry friction that a simulated device has not, or holds below a speed.
     """
     session = prepared.session
-    _require_real_friction(prepared)
+    _require_runnable(prepared)
     links_of = _links_of(prepared.graph)
     commons = {name: _common(prepared, run, name, links_of) for name in prepared.graph.nodes}
     rungs = _rungs(prepared)

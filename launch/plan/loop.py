@@ -63,6 +63,7 @@ def haptic_loop(session: Session) -> HapticLoop:
         environment=session.environment.for_design(session.ports),
         tau=tau,
         period_tolerance=session.period_tolerance,
+        speed=session.design.speed,
     )
     most = session.design.counted
     return loop if most is None else replace(loop, series=counted_parts(loop, most))

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from manyhands.design.certificate import Certificate, content, differences, from_content, identity
+from manyhands.design.errors import Infeasible
 from manyhands.design.ladder import automatic_delays, design_ladder
 from manyhands.design.levels.encoder import EncoderClaim
+from manyhands.design.levels.held_torque import HeldTorque
 from manyhands.design.models.coupling import Partition, SpringDamper
 from manyhands.design.models.declared import DeclaredEnvironment
 from manyhands.design.models.environment import (
@@ -23,7 +25,15 @@ from manyhands.design.models.environment import (
 from manyhands.design.models.kind import Environment
 from manyhands.design.models.network import GROUND, Network, NetworkLink
 from manyhands.design.models.statespace import StateSpace
-from manyhands.design.problem import CouplingRequest, DeviceLevel, HapticLoop, SpringDamperGiven, SpringDamperWanted
+from manyhands.design.peak_gain import peak_gain
+from manyhands.design.problem import (
+    CouplingRequest,
+    DeviceLevel,
+    HapticLoop,
+    SpringDamperGiven,
+    SpringDamperWanted,
+    Wish,
+)
 from manyhands.design.proof import Finding, ProofInputError, prove
 from manyhands.design.proof.ladder import prove_ladder
 from manyhands.design.proof.quantisation import BOUNDED, MEASURED
@@ -269,3 +279,115 @@ def test_the_closed_loop_is_that_of_its_parts() -> None:
         of_parts = E.response(z) @ np.linalg.inv(np.eye(2) + V.response(z) @ E.response(z))
         np.testing.assert_allclose(closed(V, E).response(z), of_parts, rtol=1e-8, atol=1e-6)
     assert isinstance(closed(V, E), StateSpace)
+
+
+# --- dry friction as damping below a speed
+
+
+def below(speed: float, step: float = 0.0, friction: float = 0.1, tau: float = 0.0) -> HapticLoop:
+    """A spring at a wall, with a device of 0.1 N*s/m."""
+    one_axis = DeviceLevel("a", (0,), np.array([[0.1]]), None, (step,) if step else None, (friction,))
+    stiff = Network(("a",), (), (NetworkLink(("a", GROUND), 1e5, 0.0),))
+    return HapticLoop("s", T, ("a",), (one_axis,), Partition(("a",), ((0,),)), stiff, tau, speed=speed)
+
+
+def level(certificate: Certificate) -> float:
+    return float(certificate.levels.Delta_D[0][0, 0])
+
+
+def test_friction_counts_as_a_damping_below_the_speed() -> None:
+    """1000 N/m at T = tau = 1 ms needs 2 N*s/m: 0.1 of the device, and 1.9 of 0.1 N below 53 mm/s."""
+    found = design(below(0.0525, tau=T), springs(1, 990.0)).certificate
+    assert level(found) == pytest.approx(0.1 + 0.1 / 0.0525, rel=1e-9)
+    assert found.encoder is None
+    with pytest.raises(Infeasible):
+        design(below(0.0535, tau=T), springs(1, 990.0))
+
+
+@pytest.mark.parametrize("tau", [0.0, T])
+def test_hands_find_no_energy_below_the_speed_and_some_beyond_it(tau: float) -> None:
+    speed, step = 0.05, 1e-5
+    found = design(below(speed, step, tau=tau), SpringDamperWanted(Wish("stiffest"))).certificate
+    hands = Hands(ticks=600)
+    assert most_given(found, np.array([0.1]), hands, speed) == 0.0
+    assert most_given(found, np.array([0.1]), hands, 40.0 * speed) > 0.0
+
+
+def test_what_the_steps_take_of_the_friction_is_no_damping() -> None:
+    without, taking = (design(below(0.05, step), SpringDamperWanted()).certificate for step in (0.0, 4e-5))
+    w = force(taking)[0]
+    assert level(without) == pytest.approx(0.1 + 0.1 / 0.05)
+    assert level(taking) == pytest.approx(0.1 + (0.1 - w) / 0.05)
+    assert findings(plain(taking))[BOUNDED].holds
+    V, E = taking.loop.partition.join(taking.blocks), taking.loop.environment.environment(T)
+    own = peak_gain(closed(V, E))[0, 0] * 4e-5 / 2.0
+    assert own <= w <= 1.15 * own  # not much more is kept than the coupling asks for
+
+
+def test_a_given_coupling_keeps_what_its_steps_add() -> None:
+    found = design(below(0.05, 4e-5), springs(1, 1000.0)).certificate
+    assert force(found)[0] == pytest.approx(1000.0 / 1.01 * 2e-5 * 1.02, rel=1e-5)
+
+
+def test_friction_that_the_steps_use_up_is_refused() -> None:
+    with pytest.raises(Infeasible, match=r"a: its dry friction of 1 mN does not cover what the steps of encoders add"):
+        design(below(0.05, 4e-5, friction=1e-3), springs(1, 150.0))
+    intervals = replace(below(0.05, 4e-5), environment=NOT_LINEAR["intervals"][0])
+    with pytest.raises(Infeasible, match="is not known: the world is known up to intervals"):
+        design(intervals, SpringDamperWanted())
+
+
+def test_without_steps_friction_pays_in_any_world() -> None:
+    for world, _ in NOT_LINEAR.values():
+        found = design(replace(below(0.05), environment=world), SpringDamperWanted()).certificate
+        assert level(found) == pytest.approx(2.1)
+
+
+def test_the_prover_takes_no_more_than_the_friction_that_is_left() -> None:
+    data = plain(design(below(0.05, 4e-5), SpringDamperWanted()).certificate)
+    assert all(finding.holds for finding in findings(data).values())
+    slower = [finding for finding in findings(data).values() if finding.assumed]
+    assert [finding.condition for finding in slower] == ["every axis is slower than 0.05 m/s"]
+    for change in (
+        {"speed": data["speed"] * (1.0 + 1e-9)},
+        {"speed": 0.0},
+        {"speed": -1.0},
+        {"encoder": {"force": [data["encoder"]["force"][0] + 1e-9], "covered": True}},
+        {"encoder": {"force": data["encoder"]["force"], "covered": False}},
+        {"encoder": {"force": None, "covered": False}},
+    ):
+        assert not all(finding.holds for finding in findings({**data, **change}).values())
+    held = copy.deepcopy(data)
+    held["devices"]["a"]["friction"] = [0.1 - 1e-9]
+    assert not all(finding.holds for finding in findings(held).values())
+    del held["devices"]["a"]["friction"]
+    assert not all(finding.holds for finding in findings(held).values())
+    silent = {key: value for key, value in data.items() if key != "speed"}
+    assert not all(finding.holds for finding in findings(silent).values())
+
+
+def test_the_speed_is_read_back_compared_and_in_version_6_alone() -> None:
+    loop_below = below(0.05, 4e-5)
+    found = design(loop_below, SpringDamperWanted()).certificate
+    again = from_content({**content(found), "id": found.id})
+    assert (again.loop.speed, again.loop.kept) == (0.05, tuple(force(found)))
+    assert content(again) == content(found)
+    assert not differences(again, loop_below, SpringDamperWanted())
+    (text,) = differences(again, replace(loop_below, speed=0.1), SpringDamperWanted())
+    assert text == "the speed below which it holds differs: the certificate has 0.05, the session 0.1"
+    assert "below 0.05 m/s" in repr(found)
+    bare = {**plain(design(loop(wall, (0.0,), (0.0,)), springs(1)).certificate), "speed": 0.05}
+    with pytest.raises(ProofInputError, match="speed: expected it in version 6 alone"):
+        findings(bare)
+    for speed, kept in ((0.0, None), (float("inf"), None), (0.1, (1.0, 1.0)), (0.1, (-1.0,))):
+        with pytest.raises(ValueError, match="found"):
+            replace(loop_below, speed=speed, kept=kept)
+
+
+def test_held_torques_and_friction_add_up() -> None:
+    held = HeldTorque(5.0, 3.0, 1.0)
+    both = below(0.05)
+    both = replace(both, devices=(replace(both.devices[0], level=np.eye(1), held=held),))
+    found = design(both, SpringDamperWanted()).certificate
+    assert level(found) == pytest.approx(1.0 + 0.1 / 0.05 - held.damping(T, 0.0, 0.0))
+    assert all(finding.holds for finding in findings(plain(found)).values())

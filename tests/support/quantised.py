@@ -34,13 +34,14 @@ class Hands:
     seed: int = 0
 
 
-def most_given(certificate: Certificate, friction: Matrix, hands: Hands) -> float:
+def most_given(certificate: Certificate, friction: Matrix, hands: Hands, speed: float = np.inf) -> float:
     """The most that any hand was given at any instant, J; 0 for the hand that stays where it is.
 
     Args:
         certificate: of the loop; its devices state steps.
         friction: c by port, N, that the devices burn.
         hands: who search.
+        speed: m/s, that no axis exceeds at any instant.
     """
     loop = certificate.loop
     V, E = loop.partition.join(certificate.blocks), loop.cut.environment.environment(loop.period)
@@ -59,7 +60,8 @@ def most_given(certificate: Certificate, friction: Matrix, hands: Hands) -> floa
         state = state @ Y.A.T + measured @ Y.B.T
         late = loop.tau * rng.choice([0.0, 0.5, 1.0], size=B)
         for f, h in ((old, late), (force, T - late)):
-            d = np.where(h[:, None] > 0.0, hand.moves(k, x, f, force, h), 0.0)
+            most_far = np.where(h > 0.0, speed * np.maximum(h, 1e-12), 0.0)[:, None]
+            d = np.clip(hand.moves(k, x, f, force, h), -most_far, most_far)
             burnt = np.einsum("bi,ij,bj->b", d, Delta, d) / np.where(h > 0.0, h, 1.0) + np.abs(d) @ friction
             given += np.einsum("bi,bi->b", f, d) - burnt
             x = x + d

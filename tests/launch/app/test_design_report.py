@@ -59,3 +59,22 @@ def test_nothing_is_said_without_steps(tmp_path: Path) -> None:
     lines, last = said(tmp_path, "example1")
     assert not lines
     assert "exactly" not in last
+
+
+def test_a_claim_below_a_speed_says_so_in_its_first_lines_and_its_verdict(tmp_path: Path) -> None:
+    session = load_named("example1", ["devices.dx.friction={least: 0.1}", "design.speed=0.05"])
+    certificate = prepare(session).certificate
+    assert certificate is not None
+    certificate.save(tmp_path / "c.json")
+    console = Console(width=200)
+    for printed in (lambda: print_certificate(console, certificate), lambda: verified(tmp_path, console)):
+        with console.capture() as capture:
+            printed()
+        first, *_, last = capture.get().splitlines()
+        assert "below 0.05 m/s on every axis, and not beyond" in first
+    assert last.startswith("example-1: proved below 0.05 m/s on every axis, and not beyond; certificate")
+    assert certificate_object(certificate)["speed"] == 0.05
+
+
+def verified(folder: Path, console: Console) -> None:
+    run_verify(folder / "c.json", None, console, console, as_json=False)

@@ -55,6 +55,9 @@ def test_a_certified_run_of_a_simulated_device_does_not_count_on_friction_that_i
     with pytest.raises(NotCertified, match=r"devices\.dx\.friction: found friction of a simulated device"):
         cut(prepare(stated), run)
     assert cut(prepare(session("example1.yaml", ("devices.dx.step=1e-5",))), run)
+    below = prepare(session("example1.yaml", ("devices.dx.friction={least: 0.1}", "design.speed=0.1")))
+    with pytest.raises(NotCertified, match=r"design\.speed: found 0\.1 m/s; expected none for a run"):
+        cut(below, run)
 
 
 def test_each_bundle_holds_its_own_ports_limits_and_the_environments_none(tmp_path: Path) -> None:
