@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test test-long test-rest guests lint types imports pytest campaign attack heavy limits worlds fuzz datagrams wan far-user scenes world-peers flood loop watched soak users linked-users chaos faults lateness inertia honest hostile blamed remote pictures page benchmark curve figures docs docs-pictures clean
+.PHONY: demo test test-long test-rest guests lint types imports pytest campaign attack heavy limits worlds fuzz datagrams wan far-user scenes world-peers encoder flood loop watched soak users linked-users chaos faults lateness inertia honest hostile blamed remote pictures page benchmark curve figures docs docs-pictures clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -117,6 +117,11 @@ scenes: $(VENV)/.installed
 world-peers: $(VENV)/.installed
 	$(BIN)/python -m benchmarks.world_peers --rest --markdown docs/worlds.md
 	$(BIN)/python -m benchmarks.world_peers --json docs/world-peers.json --plot docs/images/world-peers.png --markdown docs/worlds.md
+
+# 1000 random linear loops whose devices measure in steps, and hands that look for energy in them; exits 1 if one is given
+# any although dry friction covers the steps, or if single springs give none with 2/3 of that friction: 15 minutes
+encoder: $(VENV)/.installed
+	$(BIN)/python -m benchmarks.encoder --seed $(SEED)
 
 # what honest nodes feel of a rogue that sends as fast as it can: about ten minutes
 flood: $(VENV)/.installed

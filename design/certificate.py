@@ -6,9 +6,12 @@ Every fact stands in the file once: a check rebuilds what follows from the physi
 of springs and dampers). Floats are written by their shortest exact representation, so that the file round-trips bit by
 bit.
 
-A file that says how a device holds its force has the key ``held`` there, and is of version 6
-(docs/decisions/0050-held-torques.md). Files of the other versions say nothing of a linkage: they are about devices that
-hold the force itself.
+A file that says more of a device than its level is of version 6. The key ``held`` of a device says how it holds its
+force (docs/decisions/0050-held-torques.md), ``step`` has the steps of its encoder and ``friction`` its dry friction.
+Where a device has steps, ``encoder`` claims what they add to the forces, and whether the friction covers that
+(docs/decisions/0051-encoder-steps-and-friction.md). With ``speed`` the dry friction counts as damping, and the whole
+claim is about motions that are slower on every axis. Files of the other versions say nothing of these: they are about
+devices that hold the force itself and measure exactly.
 
 A file that counts a part of the world's contact springs in series with the coupling has the key ``series``, and is of
 version 5. Its coupling is the one that the processes run, which contains that part; its environment is the world as the
@@ -42,6 +45,7 @@ from manyhands.design.environments import environment_of
 from manyhands.design.errors import CertificateError, OldCertificate
 from manyhands.design.files import read_regular, replacing
 from manyhands.design.levels.contract import ENERGY, ENFORCED, DeviceShare, Levels, Storage
+from manyhands.design.levels.encoder import EncoderClaim, encoder_of
 from manyhands.design.levels.held_torque import held_torque_of
 from manyhands.design.models.brief import brief, brief_names, brief_repr
 from manyhands.design.models.coupling import CouplingBlock, Partition, SpringDamper, realisations, spring_damper_of
@@ -215,7 +219,7 @@ WITH_TOLERANCE = 4
 WITH_SERIES = 5
 """The version that counts compliance of the world in series, with or without a period tolerance."""
 WITH_MECHANISM = 6
-"""The version that says how a device holds its force, with or without the two others' keys."""
+"""The version that says more of a device than its level, with or without the two others' keys."""
 _LAST_READERS: Mapping[int, str] = {1: "0.1.0", 2: "0.6.0"}
 """The last release that reads each version that is read no more."""
 MAX_FILE_BYTES = 256 * 2**20
@@ -226,7 +230,7 @@ _EXTRA_KEYS: Mapping[int, set[str]] = {
     VERSION: set(),
     WITH_TOLERANCE: {"period_tolerance"},
     WITH_SERIES: {"period_tolerance", "series"},
-    WITH_MECHANISM: {"period_tolerance", "series"},
+    WITH_MECHANISM: {"period_tolerance", "series", "encoder", "speed"},
 }
 
 
@@ -262,6 +266,7 @@ class Certificate:
         margins: for each condition, its distance to failure.
         method: how the coupling was found: algorithm, iterations, solver.
         asked: the request for the coupling, as plain data; it is not a claim and is not proved.
+        encoder: the claim about the steps of the devices' encoders; None where no device has any.
         id: SHA-256 (hex) over the content; empty until :func:`seal`.
     """
 
@@ -272,12 +277,13 @@ class Certificate:
     margins: Mapping[str, float]
     method: Mapping[str, str | int]
     asked: Mapping[str, Any]
+    encoder: EncoderClaim | None = None
     id: str = ""
 
     @property
     def version(self) -> int:
         """The version of the file format that holds exactly this content."""
-        if any(device.held is not None for device in self.loop.devices):
+        if any(device.of_mechanism for device in self.loop.devices):
             return WITH_MECHANISM
         if self.loop.series:
             return WITH_SERIES
@@ -386,9 +392,10 @@ class Certificate:
         K = "linear blocks" if springs is None else f"K = {brief(springs.stiffness)} N/m"
         gamma = "" if self.transparency is None else f", gamma {self.transparency.gamma:.4g}"
         margin = f"{self.margins['(10)']:.4g} N·s/m" if "(10)" in self.margins else "not stated"
+        below = "" if loop.speed is None else f", below {loop.speed:g} m/s"
         return (
             f"Certificate({loop.session}: blocks {brief_names(loop.partition.names)}, {K}, T = {loop.period:g} s, "
-            f"tau = {loop.tau:g} s, margin {margin}{gamma}, id {self.id[:16] or 'none'})"
+            f"tau = {loop.tau:g} s{below}, margin {margin}{gamma}, id {self.id[:16] or 'none'})"
         )
 
     @cached_property
@@ -418,6 +425,8 @@ def content(certificate: Certificate) -> dict[str, Any]:
         "structure": describe_structure(ports, partition),
         "environment": loop.environment.terms(),
         **({"series": describe_series(loop)} if loop.series else {}),
+        **({"speed": loop.speed} if loop.speed is not None else {}),
+        **({"encoder": certificate.encoder.describe()} if certificate.encoder is not None else {}),
         "asked": dict(certificate.asked),
         "coupling": describe_coupling(partition.names, certificate.coupling),
         "levels": {
@@ -441,9 +450,12 @@ def content(certificate: Certificate) -> dict[str, Any]:
 
 
 def describe_device(device: DeviceLevel, ports: Sequence[str]) -> dict[str, Any]:
-    """The ports of a device, its level, and how it holds its force where it holds torques."""
-    held = {} if device.held is None else {"held": device.held.describe()}
-    return {"ports": [ports[p] for p in device.ports], "osp": device.level.tolist(), **held}
+    """The ports of a device, its level, and what else is stated of its mechanism."""
+    out = {"ports": [ports[p] for p in device.ports], "osp": device.level.tolist()}
+    if device.held is not None:
+        out["held"] = device.held.describe()
+    stated = {"step": device.step, "friction": device.friction}
+    return out | {key: list(value) for key, value in stated.items() if value is not None}
 
 
 def device_of(name: str, data: Mapping[str, Any], index: Mapping[str, int], mechanism: bool) -> DeviceLevel:
@@ -452,10 +464,15 @@ def device_of(name: str, data: Mapping[str, Any], index: Mapping[str, int], mech
     Raises:
         KeyError, TypeError, ValueError: a key is missing or unknown, or its value has the wrong type.
     """
-    if unknown := set(data) - {"ports", "osp", *(("held",) if mechanism else ())}:
+    if unknown := set(data) - {"ports", "osp", *(_MECHANISM if mechanism else ())}:
         raise ValueError(f"devices.{name}: found the keys {sorted(unknown)}; expected ports and osp")
     held = held_torque_of(data["held"]) if "held" in data else None
-    return DeviceLevel(name, tuple(index[p] for p in data["ports"]), matrix(data["osp"]), held)
+    step, friction = (tuple(map(float, data[key])) if key in data else None for key in ("step", "friction"))
+    return DeviceLevel(name, tuple(index[p] for p in data["ports"]), matrix(data["osp"]), held, step, friction)
+
+
+_MECHANISM = ("held", "step", "friction")
+"""Keys of a device in version 6, of which some device has one."""
 
 
 def describe_structure(ports: Sequence[str], partition: Partition) -> dict[str, list[str]]:
@@ -581,8 +598,8 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
     period_tolerance = float(data["period_tolerance"]) if tolerant else 0.0
     if tolerant and not period_tolerance > 0.0:
         raise ValueError(f"period_tolerance: found {period_tolerance}; expected more than 0 in version {version}")
-    if version == WITH_MECHANISM and not any("held" in device for device in data["devices"].values()):
-        raise ValueError(f"devices: found none with held; expected one in version {version}")
+    if version == WITH_MECHANISM and not any(set(_MECHANISM) & set(device) for device in data["devices"].values()):
+        raise ValueError(f"devices: found none with {' or '.join(_MECHANISM)}; expected one in version {version}")
     if unknown := set(asked) - _ASKED:
         raise ValueError(f"asked: found the keys {sorted(unknown)}; expected some of {sorted(_ASKED)}")
     if not isinstance(data["session"], str) or not all(isinstance(v, str | int) for v in data["method"].values()):
@@ -590,6 +607,8 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
     ports = tuple(str(p) for p in data["ports"])
     index = {port: i for i, port in enumerate(ports)}
     structure, environment = data["structure"], environment_of(data["environment"], ports)
+    encoder = encoder_of(data["encoder"], len(ports)) if "encoder" in data else None
+    speed = float(data["speed"]) if "speed" in data else None
     loop = HapticLoop(
         session=str(data["session"]),
         period=float(data["period"]),
@@ -602,6 +621,8 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
         tau=float(data["tau"]),
         period_tolerance=period_tolerance,
         series=_series(data["series"], ports, environment) if version == WITH_SERIES or "series" in data else (),
+        speed=speed,
+        kept=None if speed is None else (encoder and encoder.force) or (0.0,) * len(ports),
     )
     partition, levels, storage = loop.partition, data["levels"], data["storage"]
     linear = data["coupling"]["class"] == "linear"
@@ -623,6 +644,7 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
         margins={str(k): float(v) for k, v in data["margins"].items()},
         method={str(k): v for k, v in data["method"].items()},
         asked=asked,
+        encoder=encoder,
         id=str(data["id"]),
     )
 
@@ -689,6 +711,7 @@ def differences(certificate: Certificate, loop: HapticLoop, wanted: CouplingRequ
             ("period", own.period, loop.period),
             ("delay inside the tick", own.tau, loop.tau),
             ("period tolerance", own.period_tolerance, loop.period_tolerance),
+            ("speed below which it holds", own.speed, loop.speed),
             ("list of ports", ", ".join(own.ports), ", ".join(loop.ports)),
         )
         if mine != theirs
@@ -701,6 +724,11 @@ def differences(certificate: Certificate, loop: HapticLoop, wanted: CouplingRequ
             ("compliance of the world that is counted in series", own.series, loop.series),
             ("level or order of devices", [_level(d) for d in own.devices], [_level(d) for d in loop.devices]),
             ("way in which devices hold a force", [d.held for d in own.devices], [d.held for d in loop.devices]),
+            (
+                "encoder steps or friction",
+                [(d.step, d.friction) for d in own.devices],
+                [(d.step, d.friction) for d in loop.devices],
+            ),
         )
         if mine != theirs
     ]

@@ -59,6 +59,11 @@ MOST_PORTS = 256
 
 _SOFTENED = "spring-damper class in proportion to Delta_D"
 
+_NO_RUNGS = (
+    "no rungs: dry friction covers what the steps of encoders add to one coupling, and nothing is proved of a change "
+    "from one to another"
+)
+
 
 @dataclass(frozen=True, eq=False)
 class Ladder:
@@ -107,7 +112,7 @@ def design_ladder(
     """Find and prove a rung for each delay, and prove the rungs together.
 
     A delay without a rung is left out with a note. If no coupling exists for a delay, all longer delays are left out
-    too.
+    too. Where dry friction covers the steps of encoders, there is no ladder, with a note.
 
     Args:
         first: rung 0.
@@ -121,6 +126,8 @@ def design_ladder(
     bounds = (first.tau, *delays)
     if any(b <= a for a, b in zip(bounds, delays, strict=False)) or bounds[-1] > first.loop.period:
         raise ValueError(f"found delays of {delays} s; expected them to grow from {first.tau} s to the period at most")
+    if first.encoder is not None and first.encoder.covered:
+        return LadderFound(None, (_NO_RUNGS,))
     rungs, notes = [first], []
     for number, tau in enumerate(delays):
         if progress is not None:

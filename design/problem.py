@@ -14,6 +14,7 @@ import numpy as np
 
 from manyhands.design.errors import Infeasible
 from manyhands.design.levels.contract import NO_DELAY_GAIN
+from manyhands.design.levels.dry_friction import damping_below
 from manyhands.design.levels.held_torque import HeldTorque
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import Partition, SpringDamper, loop_gain
@@ -34,12 +35,20 @@ class DeviceLevel:
         ports: its ports, as indices into the loop's m ports.
         level: Delta_Di, m_i x m_i symmetric positive definite, N*s/m.
         held: how its motors hold a force, where they hold torques; None where they hold the force itself.
+        step: of its encoder, one entry for each port, m; None where no port has one.
+        friction: what it burns at least besides its level, as a force against its velocity, by port, N; None for 0.
+
+    Raises:
+        ValueError: the level is not symmetric positive definite, or a step or a friction is negative, not finite, or
+            not one for each port.
     """
 
     name: str
     ports: tuple[int, ...]
     level: Matrix
     held: HeldTorque | None = None
+    step: tuple[float, ...] | None = None
+    friction: tuple[float, ...] | None = None
 
     __repr__ = brief_repr
 
@@ -48,6 +57,15 @@ class DeviceLevel:
         object.__setattr__(self, "level", matrix(self.level, m, m))
         if np.any(self.level != self.level.T) or np.linalg.eigvalsh(self.level)[0] <= 0.0:
             raise ValueError(f"{self.name}: expected a symmetric positive definite OSP level")
+        for what, stated in (("step", self.step), ("friction", self.friction)):
+            if stated is not None and not (len(stated) == m and all(0.0 <= x < np.inf for x in stated) and any(stated)):
+                expected = f"{m} finite numbers, none negative and one greater than 0"
+                raise ValueError(f"{self.name}: {what}: found {stated}; expected {expected}")
+
+    @property
+    def of_mechanism(self) -> bool:
+        """Whether more than a level is stated: how it holds a force, the steps of its encoder, or its dry friction."""
+        return any(stated is not None for stated in (self.held, self.step, self.friction))
 
 
 Objective = Literal["feasible", "stiffest", "loop-shaping", "closed-loop"]
@@ -164,6 +182,10 @@ class HapticLoop:
         series: by port, what of the world's compliance is counted in series with the coupling; empty if nothing is
             counted (docs/decisions/0045-series-compliance.md). Of a network it is the part of the compliance of the
             port's own link, 0 ... 1; of a state space or rational functions it is a compliance, m/N.
+        speed: v*, m/s: the devices' dry friction counts as damping, and the claim holds while every axis is slower;
+            None for a claim about every motion.
+        kept: by port, how much of the dry friction is kept for the steps of encoders, N; None while that is not
+            settled, and the levels count no friction.
     """
 
     session: str
@@ -175,6 +197,8 @@ class HapticLoop:
     tau: float = 0.0
     period_tolerance: float = 0.0
     series: tuple[float, ...] = ()
+    speed: float | None = None
+    kept: tuple[float, ...] | None = None
 
     __repr__ = brief_repr
 
@@ -194,6 +218,10 @@ class HapticLoop:
             raise ValueError(f"found the period tolerance {self.period_tolerance}; expected 0 to 1")
         if self.series:
             self._check_series()
+        if self.speed is not None and not 0.0 < self.speed < np.inf:
+            raise ValueError(f"speed: found {self.speed}; expected a finite number greater than 0")
+        if self.kept is not None and (len(self.kept) != m or not all(0.0 <= w < np.inf for w in self.kept)):
+            raise ValueError(f"kept: found {self.kept}; expected {m} finite numbers of 0 or more")
 
     def _check_series(self) -> None:
         counts = self.environment.counts
@@ -245,7 +273,8 @@ class HapticLoop:
 
         Where two blocks of V split a device whose level joins their ports, the level of that device is replaced by its
         least eigenvalue times the identity. Delta-OSP implies Delta'-OSP for every Delta' <= Delta, and each block can
-        then keep its promise with its own data alone. Of a device that holds torques it is what these leave.
+        then keep its promise with its own data alone. Of a device that holds torques it is what these leave. Below
+        :attr:`speed` it is more by what dry friction stands for.
 
         Raises:
             Infeasible: held torques leave nothing of a device's level.
@@ -266,14 +295,18 @@ class HapticLoop:
         return tuple(matrix(M) for M in out)
 
     def _left(self, device: DeviceLevel) -> Matrix:
-        """The level of a device, less what its held torques may give out, N*s/m."""
+        """The level of a device with what its friction adds, less what its held torques may give out, N*s/m."""
+        level = device.level
+        if self.speed is not None and self.kept is not None and device.friction is not None:
+            paid = damping_below(self.speed, device.friction, [self.kept[port] for port in device.ports])
+            level = matrix(level + np.diag(paid))
         if device.held is None:
-            return device.level
+            return level
         times = self.period, self.tau, self.period_tolerance
-        left = device.held.left(device.level, *times)
+        left = device.held.left(level, *times)
         if left is not None:
             return left
-        least, d = float(np.linalg.eigvalsh(device.level)[0]), device.held.damping(*times)
+        least, d = float(np.linalg.eigvalsh(level)[0]), device.held.damping(*times)
         condition = (
             f"the held torques of {device.name} may give out what {d:.4g} N*s/m of damping take up, and it has "
             f"{least:.4g} (docs/decisions/0050-held-torques.md)"

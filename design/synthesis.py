@@ -28,9 +28,10 @@ import numpy as np
 from scipy.linalg import eigh
 
 from manyhands.design.certificate import Certificate, TransparencyClaim, content, describe_request, identity
-from manyhands.design.errors import Infeasible, SolverFailure
+from manyhands.design.errors import DesignError, Infeasible, SolverFailure
 from manyhands.design.levels.contract import ENERGY, DeviceShare, Levels, least_coupling_level, margin
 from manyhands.design.levels.device import PIECES, device_share, gain_for_share, greatest_share
+from manyhands.design.levels.encoder import EncoderClaim
 from manyhands.design.levels.environment import lack_of_passivity
 from manyhands.design.levels.floats import within_floats
 from manyhands.design.levels.spring_damper import centred, stiffest
@@ -51,7 +52,9 @@ from manyhands.design.problem import (
     SpringDamperWanted,
     Wish,
 )
-from manyhands.design.proof import ProofInputError, prove
+from manyhands.design.proof import Finding, ProofInputError, prove
+from manyhands.design.proof.quantisation import BOUNDED
+from manyhands.design.quantisation import KeptTooLittle, encoder_claim, friction
 from manyhands.design.solver import SOLVER
 from manyhands.design.statics import check_block, check_environment
 from manyhands.design.theorem3 import MOST_SEARCHED, BlockLevel, certify_beside, certify_given, devices
@@ -356,9 +359,74 @@ def design(loop: HapticLoop, wanted: CouplingRequest, progress: Progress | None 
     """
     with within_floats(loop.environment):
         check_environment(loop.environment)
-        found = _take(loop, wanted) or search(loop, wanted, progress)
-        certificate = certificate_of(loop, wanted, found, progress)
+        if loop.speed is not None:
+            return _below_speed(loop, wanted, progress)
+        return _designed(loop, wanted, progress)
+
+
+def _designed(loop: HapticLoop, wanted: CouplingRequest, progress: Progress | None) -> Designed:
+    found = _take(loop, wanted) or search(loop, wanted, progress)
+    certificate = certificate_of(loop, wanted, found, progress)
     return Designed(certificate, found.history, found.watched, found.interrupted)
+
+
+_MOST_ROUNDS = 12
+_KEPT_ABOVE = 1.02  # of what the steps add: a little more is kept, so that the next round ends
+_HALVINGS = 3  # of what is kept too much
+
+
+def _below_speed(loop: HapticLoop, wanted: CouplingRequest, progress: Progress | None) -> Designed:
+    """The design whose levels count the dry friction that the steps of encoders leave.
+
+    What the steps add depends on the coupling, and the coupling on what is left. So it begins with nothing kept for the
+    steps, and keeps what the coupling that was found asks for, and never less again. As more is kept, levels sink, and
+    with them what softer couplings ask for. So the last round keeps too much, and what is between it and the round
+    before is halved a few times, where a design is quick.
+
+    Raises:
+        Infeasible: the friction does not cover the steps of any coupling that was tried, or no round was the last.
+        DesignError: as :func:`design`.
+    """
+    most, kept = friction(loop), np.zeros(len(loop.ports))
+    too_little = kept
+    for number in range(_MOST_ROUNDS):
+        if progress is not None and number:
+            progress(f"keeping dry friction for the steps of encoders, round {number + 1}")
+        try:
+            found = _designed(_keeping(loop, kept), wanted, progress)
+        except KeptTooLittle as error:
+            more = np.maximum(kept, np.minimum(error.force * _KEPT_ABOVE, most))
+            if np.all(more == kept):
+                raise _uncovered(loop, error.force) from error
+            too_little, kept = kept, more
+            continue
+        break
+    else:
+        raise Infeasible(
+            f"after {_MOST_ROUNDS} rounds the steps of the encoders still ask for more dry friction than was kept",
+            ("leave the speed out", "more dry friction, or finer encoders"),
+        )
+    for _ in range(_HALVINGS if number and isinstance(wanted, SpringDamperWanted) else 0):
+        middle = (too_little + kept) / 2.0
+        try:
+            found, kept = _designed(_keeping(loop, middle), wanted, progress), middle
+        except DesignError:
+            too_little = middle
+    return found
+
+
+def _keeping(loop: HapticLoop, kept: Matrix) -> HapticLoop:
+    return replace(loop, kept=tuple(kept.tolist()))
+
+
+def _uncovered(loop: HapticLoop, force: Matrix) -> Infeasible:
+    """The error of a loop whose dry friction does not cover what the steps add, N by port."""
+    port = int(np.argmax(force - friction(loop)))
+    return Infeasible(
+        f"{loop.ports[port]}: its dry friction of {1e3 * friction(loop)[port]:.4g} mN does not cover what the steps of "
+        f"encoders add, {1e3 * force[port]:.4g} mN",
+        ("leave the speed out", "finer encoders", "a softer coupling"),
+    )
 
 
 def certificate_of(
@@ -417,21 +485,31 @@ def _proved(
     asked = describe_request(wanted, loop.partition.names)
     draft = Certificate(loop, found.coupling, levels, claim, {}, found.method, asked)
     of_environment = loop.environment.margins(lambda: _compliance(loop, draft.blocks))
-    draft = replace(draft, margins={"(10)": margin(loop.partition, levels), **of_environment})
-    data = content(draft)
-    data["id"] = identity(data)
+    encoder = encoder_claim(loop, draft.blocks)
+    draft = replace(draft, margins={"(10)": margin(loop.partition, levels), **of_environment}, encoder=encoder)
     if progress is not None:
         progress("proving the certificate")
-    try:
-        failing = [finding for finding in prove(data) if not finding.holds]
-    except ProofInputError as error:
-        raise SolverFailure(f"the certificate cannot be proved: {error}") from error
+    draft, failing = _tried(draft)
+    if encoder is not None and loop.speed is None and [finding.condition for finding in failing] == [BOUNDED]:
+        # the responses decay too slowly to be summed: a certificate that says so is better than none
+        draft, failing = _tried(replace(draft, encoder=EncoderClaim(None, False)))
     if failing:
         worst = failing[0]
         figure = "" if np.isnan(worst.value) else f": found {worst.value:.3g}, bound {worst.bound:.3g}"
         because = f" ({worst.argument})" if worst.argument else ""
         raise SolverFailure(f"the solver's answer does not survive the proof: {worst.condition}{figure}{because}")
-    return replace(draft, id=data["id"])
+    return draft
+
+
+def _tried(draft: Certificate) -> tuple[Certificate, list[Finding]]:
+    """The draft with its id, and the findings of its proof that fail."""
+    data = content(draft)
+    data["id"] = identity(data)
+    try:
+        failing = [finding for finding in prove(data) if not finding.holds]
+    except ProofInputError as error:
+        raise SolverFailure(f"the certificate cannot be proved: {error}") from error
+    return replace(draft, id=data["id"]), failing
 
 
 def _compliance(loop: HapticLoop, blocks: tuple[StateSpace, ...]) -> Matrix:

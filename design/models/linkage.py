@@ -26,8 +26,6 @@ from itertools import product
 from typing import Any, Final
 
 import numpy as np
-from scipy.optimize import minimize
-
 from manyhands.design.models.statespace import Matrix, matrix
 
 _GRID = {1: 201, 2: 41, 3: 15}  # poses for each coordinate of the first, coarse search, by how many vary
@@ -498,6 +496,8 @@ def greatest_bending(linkage: Linkage) -> float:
     Raises:
         LinkageError: a pose of the grid is singular or out of reach.
     """
+    from scipy.optimize import minimize  # a tenth of a second, which commands without a linkage would take too
+
     ranges, m = linkage.searched, linkage.axes
     along = _directions(m)
     number = _GRID[sum(b > a for a, b in ranges)]

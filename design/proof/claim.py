@@ -1,8 +1,8 @@
 """The claim of a certificate, read from its plain data: every name is resolved, every number is exact, none is trusted.
 
 The format is version 3 of the certificate file. Version 4 has a period tolerance, version 5 the parts of the world's
-links that are counted in series, and version 6 how devices hold their forces. Matrices keep the paper's letters.
-Indices count ports from 0 in the certificate's order, and masses after them.
+links that are counted in series, and version 6 more of a device's mechanism than its level. Matrices keep the paper's
+letters. Indices count ports from 0 in the certificate's order, and masses after them.
 
 An environment's physical data are a network, a state space, or rational functions of s. A declared environment has
 none: only the level that a controller enforces at run time is stated. A scene has its level by its kind, 0, and the
@@ -31,6 +31,7 @@ from manyhands.design.proof.exact import (
     exact_decimal,
 )
 from manyhands.design.proof.finding import ProofInputError
+from manyhands.design.proof.linkage import LinkageData, read_linkage
 
 GROUND = "ground"
 _MAX_DELAY = 1_000  # ticks
@@ -476,7 +477,9 @@ _KEYS: tuple[str, ...] = (
     "environment",
 )
 _KEYS += (_ASKED, "coupling", "levels", "storage", "transparency", "margins", "method")
-_HELD = "held"
+_HELD, _STEP, _FRICTION = _MECHANISM = ("held", "step", "friction")
+_ENCODER = "encoder"
+_SPEED = "speed"
 _TOLERANCE = "period_tolerance"
 _SERIES = "series"
 _MOST_ASKED = 50_000  # values in ``asked``: an order for each of MAX_PORTS blocks, and room for the rest
@@ -504,13 +507,26 @@ class HeldTorqueData:
         kappa: 1/m, how much its tip's path bends where the joints move evenly.
         force: F, N.
         speed: v, m/s.
-        linkage: the kinematics that prove kappa, as stated; None where kappa is believed.
+        linkage: the kinematics that prove kappa; None where kappa is believed.
     """
 
     kappa: fmpq
     force: fmpq
     speed: fmpq
-    linkage: Item | None
+    linkage: LinkageData | None
+
+
+@dataclass(frozen=True)
+class EncoderData:
+    """What is claimed about the steps of the devices' encoders.
+
+    Attributes:
+        force: w by port, N; None where nothing is bounded.
+        covered: whether dry friction is claimed to cover it.
+    """
+
+    force: tuple[fmpq, ...] | None
+    covered: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -577,6 +593,10 @@ class Claim:
         devices: name and ports of each device.
         osp: the promised level of each device, N*s/m.
         held: how each device holds its force; None for the force itself.
+        step: the steps of each device's encoder by its ports, m; None where none are stated.
+        friction: the least dry friction of each device by its ports, N; None where none is stated.
+        encoder: what is claimed about the steps; None where nothing is.
+        speed: v*, m/s, below which dry friction counts as damping; None where it does not.
         blocks: name and ports of each block of V.
         environment: the physical data of E.
         series: by port, what of the world's compliance V contains: the part of that of a network's own link, or a
@@ -600,6 +620,10 @@ class Claim:
     devices: tuple[PortGroup, ...]
     osp: tuple[StatedMatrix, ...]
     held: tuple[HeldTorqueData | None, ...]
+    step: tuple[tuple[fmpq, ...] | None, ...]
+    friction: tuple[tuple[fmpq, ...] | None, ...]
+    encoder: EncoderData | None
+    speed: fmpq | None
     blocks: tuple[PortGroup, ...]
     environment: EnvironmentData
     series: Mapping[int, fmpq]
@@ -621,7 +645,7 @@ def read(data: Mapping[str, Any]) -> Claim:
     Raises:
         ProofInputError: a key is missing or unknown, or its value has the wrong type, shape or size.
     """
-    fields = Item(data, "").fields(_KEYS, (_TOLERANCE, _SERIES))
+    fields = Item(data, "").fields(_KEYS, (_TOLERANCE, _SERIES, _ENCODER, _SPEED))
     fields["format"].text(FORMAT)
     version = fields["version"].whole(VERSION, WITH_MECHANISM)
     _require_plain(fields[_ASKED])
@@ -640,14 +664,20 @@ def read(data: Mapping[str, Any]) -> Claim:
     if len(set(ports)) != len(ports) or not ports:
         raise fields["ports"].refusal("one distinct name for each port, and at least one port")
     index = {name: i for i, name in enumerate(ports)}
-    devices, osp, held = [], [], []
+    for key in (_ENCODER, _SPEED):
+        if key in fields and version != WITH_MECHANISM:
+            raise ProofInputError(f"{key}: expected it in version {WITH_MECHANISM} alone")
+    devices, osp, held, step, friction = [], [], [], [], []
     for name, item in fields["devices"].entries(MAX_PORTS).items():
-        device = item.fields(("ports", "osp"), (_HELD,) if version == WITH_MECHANISM else ())
+        device = item.fields(("ports", "osp"), _MECHANISM if version == WITH_MECHANISM else ())
         devices.append(PortGroup(name, indices(device["ports"], index)))
-        osp.append(device["osp"].symmetric(len(devices[-1].ports)))
-        held.append(_held(device[_HELD]) if _HELD in device else None)
-    if version == WITH_MECHANISM and not any(held):
-        raise fields["version"].refusal(f"{VERSION} to {WITH_SERIES}, for no device has {_HELD}")
+        m = len(devices[-1].ports)
+        osp.append(device["osp"].symmetric(m))
+        held.append(_held(device[_HELD], m) if _HELD in device else None)
+        step.append(_of_axes(device[_STEP], m) if _STEP in device else None)
+        friction.append(_of_axes(device[_FRICTION], m) if _FRICTION in device else None)
+    if version == WITH_MECHANISM and not any((*held, *step, *friction)):
+        raise fields["version"].refusal(f"{VERSION} to {WITH_SERIES}, for no device has any of {', '.join(_MECHANISM)}")
     blocks = tuple(
         PortGroup(name, indices(item, index)) for name, item in fields["structure"].entries(MAX_PORTS).items()
     )
@@ -664,6 +694,10 @@ def read(data: Mapping[str, Any]) -> Claim:
         devices=tuple(devices),
         osp=tuple(osp),
         held=tuple(held),
+        step=tuple(step),
+        friction=tuple(friction),
+        encoder=_encoder(fields[_ENCODER], len(ports)) if _ENCODER in fields else None,
+        speed=exact_decimal(fields[_SPEED].number()) if _SPEED in fields else None,
         blocks=blocks,
         environment=environment,
         series=_series(fields[_SERIES], index, environment) if _SERIES in fields else {},
@@ -680,10 +714,31 @@ def read(data: Mapping[str, Any]) -> Claim:
     )
 
 
-def _held(item: Item) -> HeldTorqueData:
+def _held(item: Item, m: int) -> HeldTorqueData:
     fields = item.fields(("kappa", "force", "speed"), ("linkage",))
     kappa, force, speed = (exact_decimal(fields[key].number()) for key in ("kappa", "force", "speed"))
-    return HeldTorqueData(kappa, force, speed, fields.get("linkage"))
+    linkage = read_linkage(fields["linkage"]) if "linkage" in fields else None
+    if linkage is not None and len(linkage.low) != m:
+        raise fields["linkage"].refusal(f"a linkage whose tip has the {m} axes of its device")
+    return HeldTorqueData(kappa, force, speed, linkage)
+
+
+def _of_axes(item: Item, m: int) -> tuple[fmpq, ...]:
+    """A number of 0 or more for each of the m ports of a device."""
+    found = tuple(exact_decimal(entry.number()) for entry in item.items(m, exactly=m))
+    if not all(value >= 0 for value in found) or not any(found):
+        raise item.refusal("numbers of 0 or more, and one greater than 0")
+    return found
+
+
+def _encoder(item: Item, m: int) -> EncoderData:
+    fields = item.fields(("force", "covered"))
+    covered, force = fields["covered"], fields["force"]
+    if not isinstance(covered.value, bool):
+        raise covered.refusal("true or false")
+    if force.value is None:
+        return EncoderData(None, covered.value)
+    return EncoderData(tuple(exact_decimal(w.number()) for w in force.items(m, exactly=m)), covered.value)
 
 
 def _series(item: Item, index: dict[str, int], environment: EnvironmentData) -> dict[int, fmpq]:

@@ -27,13 +27,16 @@ from manyhands.design.proof.claim import Claim, HeldTorqueData, StatedSpringDamp
 from manyhands.design.proof.coupling import loop_stiffness_limit
 from manyhands.design.proof.exact import Sparse
 from manyhands.design.proof.finding import Finding, Verdict
+from manyhands.design.proof.linkage import bends_at_most
 
 _ALLOWED = fmpq(1, 10**6)  # relative: a stated margin may exceed the proved margin by this
 
 
 def device_levels(claim: Claim) -> Sparse:
-    """The devices' promised levels, m x m, less what held torques may give out."""
+    """The devices' promised levels, m x m, with what dry friction adds, less what held torques may give out."""
     out = exact.block_diagonal([device.ports for device in claim.devices], claim.osp)
+    for port, paid in enumerate(friction_damping(claim)):
+        exact.add_entry(out, port, port, paid)
     for device, held in zip(claim.devices, claim.held, strict=True):
         if held is not None:
             for port in device.ports:
@@ -56,6 +59,35 @@ def _turned(held: HeldTorqueData, claim: Claim) -> fmpq:
     return held.kappa * held.speed * ((1 + claim.period_tolerance) * claim.period + claim.tau)
 
 
+def friction_damping(claim: Claim) -> list[fmpq]:
+    """(c - w)/v* by port, N*s/m: below v* dry friction of c, less the w that encoder steps add, is such a damping.
+
+    (c - w) |v| >= (c - w) v^2/v* for |v| <= v*. It is 0 where no speed is stated. That w is enough for the steps is a
+    finding of :mod:`manyhands.design.proof.quantisation`.
+    """
+    out = [fmpq(0)] * len(claim.ports)
+    if claim.speed is None or not claim.speed > 0:
+        return out
+    force = None if claim.encoder is None else claim.encoder.force
+    for device, stated in zip(claim.devices, claim.friction, strict=True):
+        for axis, port in enumerate(device.ports if stated is not None else ()):
+            left = stated[axis] - (force[port] if force is not None else 0) if stated is not None else fmpq(0)
+            out[port] = max(left, fmpq(0)) / claim.speed
+    return out
+
+
+def speed_findings(claim: Claim) -> list[Finding]:
+    """Where a claim holds below a speed: v* > 0, the steps of encoders leave known friction, and the speed is kept."""
+    if claim.speed is None:
+        return []
+    steps_known = not any(claim.step) or (claim.encoder is not None and claim.encoder.covered)
+    holds = claim.speed > 0 and any(claim.friction) and steps_known
+    condition = "v* > 0, and dry friction counts as damping below it beside what encoder steps take"
+    found = [Finding(condition, bool(holds), rational.rounded(claim.speed), 0.0, "", "exactly")]
+    slower = f"every axis is slower than {rational.rounded(claim.speed):g} m/s"
+    return [*found, Finding(slower, True, rational.rounded(claim.speed), 0.0, "", "of every motion", assumed=True)]
+
+
 def held_findings(claim: Claim) -> list[Finding]:
     """Of each device that holds torques: its numbers are positive, kappa l < 2, and its linkage bends by kappa."""
     found = []
@@ -66,6 +98,11 @@ def held_findings(claim: Claim) -> list[Finding]:
         holds = held.kappa > 0 and held.force > 0 and held.speed > 0 and turned < 2
         condition = f"{device.name} holds torques: kappa, F and v > 0, kappa v (lambda T + tau) < 2"
         found.append(Finding(condition, holds, rational.rounded(2 - turned), 0.0, "", "exactly"))
+        if holds and held.linkage is not None:
+            verdict = bends_at_most(held.linkage, held.kappa)
+            found.append(
+                verdict.finding(f"the tip of {device.name} bends by at most {rational.rounded(held.kappa):g}/m")
+            )
     return found
 
 
@@ -121,7 +158,7 @@ def device_findings(claim: Claim) -> list[Finding]:
     Different periods alone do not separate the devices: without a delay, the form needs only what they dissipate
     together, at least sigma^T Delta_D sigma/lambda.
     """
-    held = held_findings(claim)
+    held = [*speed_findings(claim), *held_findings(claim)]
     if not all(finding.holds for finding in held):
         return held
     m = len(claim.ports)

@@ -20,6 +20,9 @@ blockdiag(D, V) > 0 plus [I; I] (-Phi_E) [I I] >= 0 for every mixture.
 If two blocks share the ports of a device, the device may have a different gain kappa for each of them. Delta_D joins no
 two blocks, so that the device's dissipation, and with it the form F_t of :mod:`manyhands.design.proof.device`, is
 separate for each block.
+
+Encoder steps are covered with one coupling. A change of rung has no impulse response whose peak gain could be summed.
+So rungs whose certificates count on dry friction to cover steps are refused.
 """
 
 from __future__ import annotations
@@ -37,7 +40,7 @@ from manyhands.design.proof.exact import Sparse
 from manyhands.design.proof.finding import Finding, Verdict, weakest
 from manyhands.design.proof.rational import rounded
 
-_SHARED = ("period", "period_tolerance", "ports", "devices", "structure", "environment", "series")
+_SHARED = ("period", "period_tolerance", "ports", "devices", "structure", "environment", "series", "speed")
 _STRUCTURED = "Phi_E joins no two blocks, so that every mixture is made of conditions that (10) of a rung contains"
 _PASSIVE = "Phi_E <= 0, so that (10) is positive for all levels that are"
 
@@ -97,6 +100,9 @@ def _one_loop(claims: Sequence[Claim]) -> Finding:
         if different or claim.blocks != first.blocks:  # equal mappings may differ in the order of the blocks
             argument = f"rung {number}: {different[0] if different else 'the order of structure'} is not rung 0's"
             return Finding(condition, False, float("nan"), 0.0, argument=argument)
+    if any(claim.encoder is not None and claim.encoder.covered for claim in claims):
+        argument = "dry friction covers encoder steps with one coupling, and not while a rung changes"
+        return Finding(condition, False, float("nan"), 0.0, argument=argument)
     steps = [after.tau - before.tau for before, after in pairwise(claims)]
     least = min(steps, default=fmpq(1))
     return Finding(condition, bool(least > 0), rounded(least), 0.0, argument="compared")

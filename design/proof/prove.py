@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from manyhands.design.proof import contract, environment, series, transparency, wave_link, work
+from manyhands.design.proof import contract, environment, quantisation, series, transparency, wave_link, work
 from manyhands.design.proof.claim import Claim, ProxyData, StatedSpringDamper, read
 from manyhands.design.proof.coupling import linear, spring_damper
 from manyhands.design.proof.device import device_form
@@ -61,6 +61,9 @@ def prove(data: Mapping[str, Any], progress: Progress | None = None) -> tuple[Fi
     # springs to proxies are solved with D_E = K
     enforced = any(finding.enforced for finding in promises) and not isinstance(claim.environment, ProxyData)
     findings += [*promises, contract.well_posed(promises, enforced)]
+    if any(claim.step) or claim.encoder is not None:
+        report("the encoders' steps")
+        findings += quantisation.findings(claim)
     if claim.transparency is not None:
         report("transparency")
         findings.append(transparency.finding(claim, claim.transparency))

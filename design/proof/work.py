@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 from flint import fmpq
 
-from manyhands.design.proof import contract, cost, environment, exact
+from manyhands.design.proof import contract, cost, environment, exact, quantisation
 from manyhands.design.proof.claim import (
     Claim,
     DeclaredData,
@@ -112,6 +112,8 @@ def parts_of(claim: Claim) -> Iterator[Expense]:
         yield _wave_link(claim.environment, claim.coupling, m)
     if claim.transparency is not None:
         yield from _transparency(claim, claim.transparency.P.rows)
+    if claim.encoder is not None:
+        yield Expense("encoder", quantisation.expense(claim))
     yield from of_environment(environment_of(claim), claim.P_E, claim.Phi_E, m, claim.period)
     yield from _groups("levels", [contract.condition_10(claim)], 2 * m, bits, 1 + len(claim.margins))
     yield from _groups("levels", [contract.Delta_V(claim)], m, bits, 1)

@@ -313,7 +313,58 @@ def budget_object(found: DelayBudget) -> dict[str, Any]:
             for device in found.devices
         },
         **({"series": [asdict(row) for row in in_series]} if (in_series := series_budget(found)) else {}),
+        **({"steps": [asdict(row) for row in of_steps]} if (of_steps := step_budget(found)) else {}),
     }
+
+
+@dataclass(frozen=True)
+class StepBudget:
+    """What the step of an encoder adds to the force of a spring, on one axis.
+
+    Attributes:
+        port: the axis.
+        stiffness: K, the greatest that can be certified for its device at the session's delay, N/m.
+        force: K q/2 of a spring of that stiffness to a wall, N [AbbottOkamura2005]_; couplings with dampers and worlds
+            that swing add more, which a design states.
+        friction: the device's dry friction, N; 0 where none is stated.
+    """
+
+    port: str
+    stiffness: float
+    force: float
+    friction: float
+
+
+def step_budget(found: DelayBudget) -> tuple[StepBudget, ...]:
+    """Of each axis with an encoder: what its step adds to the force of the stiffest spring."""
+    limits, loop = found.at(found.loop.tau), found.loop
+    out = []
+    for device in loop.devices:
+        K = limits[device.name].certified
+        friction = device.friction or (0.0,) * len(device.ports)
+        for port, q, c in zip(device.ports, device.step or (), friction, strict=False):
+            if q > 0.0:
+                out.append(StepBudget(loop.ports[port], K, K * q / 2.0, c))
+    return tuple(out)
+
+
+def print_steps(console: Console, found: DelayBudget) -> None:
+    """Print a line for each axis with an encoder."""
+    rows = step_budget(found)
+    for row in rows[:_MOST_ROWS]:
+        covers = "no dry friction is stated"
+        if row.friction:
+            covers = f"the dry friction of {1e3 * row.friction:.3g} mN " + (
+                "covers it" if row.friction >= row.force else "does not cover it"
+            )
+        console.print(
+            f"{row.port}: the encoder's step can add {1e3 * row.force:.3g} mN to a spring of "
+            f"{_figure(row.stiffness)} N/m; {covers}",
+            markup=False,
+            soft_wrap=True,
+        )
+    if len(rows) > _MOST_ROWS:
+        console.print(f"{len(rows) - _MOST_ROWS} more axes with encoders; --json has all", markup=False)
 
 
 def wave_links_object(found: Sequence[WaveLinkBudget]) -> dict[str, Any]:

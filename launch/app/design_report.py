@@ -23,6 +23,7 @@ from manyhands.design.levels.held_torque import HeldTorque
 from manyhands.design.models.coupling import SpringDamper
 from manyhands.design.models.statespace import Matrix
 from manyhands.design.problem import DeviceLevel, HapticLoop
+from manyhands.design.quantisation import not_covered, steps
 from manyhands.design.wave_link import FELT_STIFFNESS
 from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK
 from manyhands.launch.look.display import figure_table, printable, promise_lines, say, status, world_lines
@@ -63,6 +64,7 @@ def certificate_object(certificate: Certificate, proved: bool = True) -> dict[st
         "gamma": None if certificate.transparency is None else certificate.transparency.gamma,
         "coupling": coupling,
         "series": series_rows(certificate) or None,
+        "encoder": None if certificate.encoder is None else certificate.encoder.describe(),
         "levels": {
             "Delta_D": loop.partition.embed(levels.Delta_D).tolist(),
             "Delta_V": loop.partition.embed(levels.Delta_V).tolist(),
@@ -73,6 +75,7 @@ def certificate_object(certificate: Certificate, proved: bool = True) -> dict[st
         "margins": dict(certificate.margins),
         "period": loop.period,
         "tau": certificate.tau,
+        "speed": loop.speed,
         "period_tolerance": certificate.period_tolerance,
         "structure": _structure(loop),
         "enforced": list(loop.enforced),
@@ -91,10 +94,12 @@ def infeasible_object(loop: HapticLoop, reason: str, relax: tuple[str, ...]) -> 
         "gamma": None,
         "coupling": None,
         "series": None,
+        "encoder": None,
         "levels": {"Delta_D": None if left is None else left.tolist(), "Delta_V": None, "Phi_E": None},
         "margins": {},
         "period": loop.period,
         "tau": None,
+        "speed": loop.speed,
         "period_tolerance": None,
         "structure": _structure(loop),
         "enforced": list(loop.enforced),
@@ -117,6 +122,8 @@ def held_text(loop: HapticLoop, device: DeviceLevel, held: HeldTorque) -> str:
 def print_certificate(console: Console, certificate: Certificate) -> None:
     """Print a certificate's id, structure, coupling and margins."""
     loop = certificate.loop
+    if loop.speed is not None:
+        console.print(f"{loop.session}: holds{below_speed(loop)}")
     console.print(f"certificate {certificate.id}")  # outside the table, which could cut it
     table = Table(title=f"{loop.session}: certified", title_justify="left", show_header=False)
     table.add_column(style="bold")
@@ -140,6 +147,8 @@ def print_certificate(console: Console, certificate: Certificate) -> None:
         )
         table.add_row("states of V" + (", run" if loop.series else ""), orders)
     _series_rows(table, certificate)
+    if certificate.encoder is not None:
+        table.add_row("encoder steps", "\n".join(encoder_lines(certificate)))
     claim = certificate.transparency
     if claim is not None:
         norm = "‖W1 E V W2‖" if claim.aim.objective == "loop-shaping" else "‖W1 (F(E,V) − E) W2‖"
@@ -296,6 +305,31 @@ def _series_rows(table: Table, certificate: Certificate) -> None:
     table.add_row("coupling, contact,\nboth, at rest", "\n".join([*felt, *more]))
 
 
+def below_speed(loop: HapticLoop) -> str:
+    """The speed below which a claim about this loop holds, to be added to a verdict; empty for every speed."""
+    return "" if loop.speed is None else f" below {loop.speed:g} m/s on every axis, and not beyond"
+
+
+def encoder_lines(certificate: Certificate) -> list[str]:
+    """What the steps of encoders add to the forces, by port, and whether dry friction covers it; empty without steps.
+
+    Beside the force stands what it is in steps of the port's encoder, at the coupling's stiffness.
+    """
+    loop, claim = certificate.loop, certificate.encoder
+    if claim is None:
+        return []
+    if claim.force is None:
+        return [f"not covered: {not_covered(loop) or 'no bound on what they add is proved'}"]
+    one_step = steps(loop) * np.diag(certificate.stiffness)
+    rows = []
+    for port, w, own in zip(loop.ports, claim.force, one_step.tolist(), strict=True):
+        if w > 0.0:
+            rows.append(f"{port} at most {1e3 * w:.3g} mN" + (f", {w / own:.3g} steps" if own > 0.0 else ""))
+    more = [f"and {len(rows) - _LARGEST_SHOWN} more"] if len(rows) > _LARGEST_SHOWN else []
+    covered = "covered by dry friction" if claim.covered else "not covered: no dry friction of that force is stated"
+    return [*rows[:_LARGEST_SHOWN], *more, covered]
+
+
 def _matrix_text(M: Matrix, form: str) -> str:
     if M.shape[0] > _LARGEST_SHOWN:
         diagonal = np.diag(M)
@@ -350,6 +384,8 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
         object_ = certificate_object(certificate, proved=not failing)
         print_json(object_ | {"failing": [finding.condition for finding in failing]})
     else:
+        if certificate.loop.speed is not None:
+            say(out, f"{certificate.loop.session}: claimed{below_speed(certificate.loop)}")
         print_findings(out, proof.findings)
         print_request(out, file, certificate)
     say_failing(err, [(str(file), finding) for finding in failing])
@@ -357,7 +393,11 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
         return EXIT_NOT_CERTIFIED
     if not as_json:
         proved = certificate.loop.environment.verdict(certificate.loop.partition.names[0])
-        say(out, f"{certificate.loop.session}: {proved}; certificate {certificate.id}")
+        exactly = (
+            "" if certificate.encoder is None or certificate.encoder.covered else ", of devices that measure exactly"
+        )
+        proved += below_speed(certificate.loop)
+        say(out, f"{certificate.loop.session}: {proved}{exactly}; certificate {certificate.id}")
     return EXIT_OK
 
 
@@ -384,6 +424,7 @@ def run_budget(session: Session, out: Console, err: Console, picture: Path | Non
         plot_budget,
         print_budget,
         print_series,
+        print_steps,
         print_wave_links,
         series_budget,
         session_budget,
@@ -401,6 +442,7 @@ def run_budget(session: Session, out: Console, err: Console, picture: Path | Non
     else:
         print_budget(out, found)
         print_series(out, series_budget(found), loop.tau)
+        print_steps(out, found)
         print_wave_links(out, links)
         print_rates(out, session.name, rates)
     if picture is not None:

@@ -27,6 +27,7 @@ from manyhands.design.models.statespace import Matrix, StateSpace, matrix
 from manyhands.design.peak_gain import output_bounds
 from manyhands.launch.files import require_target
 from manyhands.launch.plan.keys import Keys
+from manyhands.launch.plan.loop import NotCertified
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.reach import IPC, Listen, Reach, ReachError, reach
 from manyhands.launch.plan.topology import Topology
@@ -125,6 +126,21 @@ def tool_bounds(session: Session, blocks: Sequence[StateSpace]) -> tuple[PortBou
     return _in_order(session, magnitude), _in_order(session, step)
 
 
+def _require_runnable(prepared: Prepared) -> None:
+    """Refuse a certified run that counts on dry friction which is not there, or on a speed that nothing keeps."""
+    if prepared.certified and prepared.session.design.speed is not None:
+        raise NotCertified(
+            f"{prepared.session.name}: design.speed: found {prepared.session.design.speed:g} m/s; expected none for a "
+            "run: no account goes on beyond the speed below which the certificate holds"
+        )
+    for name, device in prepared.session.devices.items():
+        if prepared.certified and device.friction is not None and device.factory is None:
+            raise NotCertified(
+                f"{prepared.session.name}: devices.{name}.friction: found friction of a simulated device, which burns "
+                "none as it moves; expected no friction for a run, a driver's factory, or an uncertified run"
+            )
+
+
 def _in_order(session: Session, bounds: Mapping[str, float]) -> PortBounds:
     return tuple(bounds[port] if math.isfinite(bounds[port]) else None for port in session.ports)
 
@@ -160,8 +176,12 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
     Args:
         prepared: the session with its coupling and certificate.
         run: how the session is to be run.
+
+    Raises:
+        NotCertified: the certificate counts on dry friction that a simulated device has not, or holds below a speed.
     """
     session = prepared.session
+    _require_runnable(prepared)
     links_of = _links_of(prepared.graph)
     commons = {name: _common(prepared, run, name, links_of) for name in prepared.graph.nodes}
     rungs = _rungs(prepared)
@@ -176,8 +196,9 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         osp = matrix(session.osp_level(name))
         time = WALL if session.in_wall_time(name, run.clock) else OWN
         inertia = session.devices[name].inertia
+        held = session.devices[name].held_torque if prepared.certified else None  # without a certificate, no promise
         bundles[name] = DeviceBundle(
-            commons[name], osp, of_device, _source(session, name), limits, time, allowance, inertia
+            commons[name], osp, of_device, _source(session, name), limits, time, allowance, inertia, held
         )
     longest = max(map(len, rungs.values()))
     at_rungs = ([of_one[min(rung, len(of_one) - 1)].block for of_one in rungs.values()] for rung in range(longest))
@@ -456,6 +477,7 @@ def _source(session: Session, name: str) -> Source:
         hand_stiffness=hand.stiffness,
         force=tuple(plain_intent(intent) for intent in hand.force),
         motion=tuple(plain_intent(intent) for intent in hand.motion),
+        linkage=device.kinematics,
     )
     return BrowserHand(physics) if device.driver == "browser" else physics
 

@@ -55,13 +55,7 @@ def haptic_loop(session: Session) -> HapticLoop:
         period=session.period,
         ports=session.ports,
         devices=tuple(
-            DeviceLevel(
-                name,
-                tuple(index[p] for p in session.ports_of(name)),
-                session.osp_level(name),
-                session.devices[name].held_torque,
-            )
-            for name in session.devices
+            device_level(session, name, tuple(index[p] for p in session.ports_of(name))) for name in session.devices
         ),
         partition=Partition(
             tuple(session.couplings), tuple(tuple(index[p] for p in block) for block in session.blocks)
@@ -69,9 +63,17 @@ def haptic_loop(session: Session) -> HapticLoop:
         environment=session.environment.for_design(session.ports),
         tau=tau,
         period_tolerance=session.period_tolerance,
+        speed=session.design.speed,
     )
     most = session.design.counted
     return loop if most is None else replace(loop, series=counted_parts(loop, most))
+
+
+def device_level(session: Session, name: str, ports: tuple[int, ...]) -> DeviceLevel:
+    """What a device promises and states of its mechanism, at these places in a loop's ports."""
+    device = session.devices[name]
+    step = device.step if device.step is not None and any(device.step) else None
+    return DeviceLevel(name, ports, session.osp_level(name), device.held_torque, step, device.friction)
 
 
 def stated_delay(session: Session) -> float:

@@ -239,6 +239,7 @@ Blocks: TypeAlias = Mapping[str, tuple[str, ...]]
 _FREQUENCY: Final = Quantity("a natural frequency", "rad/s", above=0.0, smallest=MIN_POSITIVE)
 _RATIO: Final = Quantity("a damping ratio", above=0.0, most=1.0, smallest=MIN_POSITIVE)
 _DELAY: Final = Quantity("a delay inside the tick", "s", least=0.0, most=LONGEST_PERIOD)
+_SPEED_BELOW: Final = Quantity("a speed", "m/s", above=0.0, smallest=MIN_POSITIVE)
 _TOLERANCE: Final = Quantity("a part of the period", least=0.0, most=1.0)
 _DELAYS: Final = Items("delays", MAX_RUNGS, _DELAY, least=0)
 AUTO: Final = "auto"
@@ -356,6 +357,11 @@ class Design(SessionModel):
         default=0.0,
         description="by which part of the period the time between two samples may be longer, as the certificate is to "
         "allow",
+    )
+    speed: Annotated[float | None, _SPEED_BELOW] = Field(
+        default=None,
+        description="a speed in m/s on every axis: the devices' dry friction counts as damping, and the certificate "
+        "holds below it only",
     )
     series: Annotated[bool | float, Described(_series, _SERIES_FORM)] = Field(
         default=False,

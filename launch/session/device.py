@@ -16,6 +16,7 @@ session's author named.
 """
 
 import functools
+import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -35,6 +36,7 @@ from pydantic import (
 from pydantic.json_schema import SkipJsonSchema
 
 from manyhands.design.levels.held_torque import HeldTorque
+from manyhands.design.models.linkage import LinkageError, greatest_bending, linkage_of
 from manyhands.design.passivity.operators import PassivityFinding, RationalMatrix
 from manyhands.launch.session.errors import listed, show
 from manyhands.launch.session.fields import (
@@ -243,7 +245,7 @@ _ELSEWHERE: Final = ("mass", "damping", "hand")
 _NOT_OF_A_PLUGIN: Final = ("damping", "hand")
 """Those that a driver of another package has itself. Of its mass a session may state the least."""
 
-_OF_A_PLUGIN: Final = ("parameters", "sample_age", "age_jitter", "actuation_delay", "axis_map", "scale", "step")
+_OF_A_PLUGIN: Final = ("parameters", "sample_age", "age_jitter", "actuation_delay", "axis_map", "scale")
 """Keys of a driver of another package; no other device has them."""
 
 _AGE: Final = Quantity("a time", "s", least=0.0, most=LONGEST_PERIOD)
@@ -315,6 +317,36 @@ def _damping(value: object, info: ValidationInfo) -> object:
 
 _MASS: Final = PerAxis(MASS)
 _STEP: Final = PerAxis(Quantity("a step", "m", least=0.0))
+_NOT_MEASURED: Final = ("step", "friction")
+"""Keys of an encoder and its mechanism; a recorded motion and a pointer at a browser have neither."""
+
+
+@dataclass(frozen=True, slots=True)
+class LeastFriction(FieldCheck):
+    """The check of a device's dry friction, ``{least: c}``: c for all axes, or a list with one for each."""
+
+    least: PerAxis
+
+    @property
+    def json_schema(self) -> JsonSchema:
+        """The mapping, with a number or a list."""
+        return mapping_of({"least": {**self.least.json_schema, "description": "c in N, greater than 0"}})
+
+    def in_part(self, value: object, info: ValidationInfo) -> Any:
+        """The friction c by axis, N."""
+        if isinstance(value, tuple):  # as a device has it
+            return self.least.in_part(value, info)
+        if not isinstance(value, Mapping) or set(value) != {"least"}:
+            raise refuse(show(value), "{least: c}, with the least dry friction in N: a number, or one for each axis")
+        return self.least.in_part(value["least"], info)
+
+
+_FRICTION: Final = LeastFriction(PerAxis(Quantity("a friction", "N", above=0.0, smallest=MIN_POSITIVE)))
+
+
+def _plain_friction(friction: tuple[float, ...] | None) -> object:
+    """The friction in the notation of a session file."""
+    return None if friction is None else {"least": list(friction)}
 
 
 def _trace(value: object, info: ValidationInfo) -> object:
@@ -322,15 +354,50 @@ def _trace(value: object, info: ValidationInfo) -> object:
 
 
 _KAPPA: Final = Quantity("kappa", "1/m", above=0.0, smallest=MIN_POSITIVE)
-_LINKAGE_FORM: Final = mapping_of({"kappa": _KAPPA.json_schema})
+_NUMBERS: Final = list_of({"type": "number"}, 3)
+_POSES: Final = {"low": _NUMBERS, "high": _NUMBERS}
+_LINKAGE_FORM: Final = either(
+    mapping_of({"kappa": _KAPPA.json_schema}),
+    *(
+        mapping_of({"kind": {"enum": [kind]}, **parts, **_POSES}, {"kappa": _KAPPA.json_schema})
+        for kind, parts in (
+            ("chain", {"turns": list_of({"enum": ["x", "y", "z"]}, 3), "links": list_of(_NUMBERS, 3)}),
+            ("five-bar", {length: {"type": "number"} for length in ("apart", "upper", "rod")}),
+            ("delta", {length: {"type": "number"} for length in ("base", "platform", "upper", "rod")}),
+        )
+    ),
+)
+_SEARCHED: Final = 1.05
+"""What a kappa is stated above the one that a search finds, so that a proof decides it."""
 
 
-def _linkage(value: object) -> dict[str, float]:
-    """The linkage of a device that holds torques: how much its tip's path bends where the joints move evenly, 1/m."""
-    if not isinstance(value, Mapping) or set(value) != {"kappa"}:
-        found = f"a mapping with {listed(value)}" if isinstance(value, Mapping) else show(value)
-        raise refuse(found, "{kappa: 18.8}, the greatest bending of its tip's path in 1/m")
-    return {"kappa": _KAPPA(value["kappa"])}
+def _linkage(value: object) -> dict[str, Any]:
+    """The linkage of a device that holds torques: its kinematics, or kappa alone, 1/m."""
+    if not isinstance(value, Mapping):
+        raise refuse(show(value), "{kappa: 18.8}, in 1/m, or kinematics such as {kind: chain, …}")
+    out = dict(value)
+    if "kappa" in out:
+        out["kappa"] = _KAPPA(out["kappa"])
+    kinematics = _kinematics(out)
+    if kinematics is None and set(out) != {"kappa"}:
+        raise refuse(f"a mapping with {listed(value)}", "{kappa: 18.8}, in 1/m, or a kind of kinematics as well")
+    if kinematics is not None:
+        try:
+            linkage_of(kinematics)
+        except LinkageError as error:
+            raise refuse(str(error), "kinematics of a chain, five-bar or delta") from None
+    return out
+
+
+def _kinematics(linkage: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The kinematics of a linkage, without its kappa; None where it has none."""
+    return {key: value for key, value in linkage.items() if key != "kappa"} if "kind" in linkage else None
+
+
+@functools.lru_cache(maxsize=64)
+def _kappa_of(kinematics: str) -> float:
+    """The kappa to be proved of kinematics, as JSON: a search takes a second."""
+    return _SEARCHED * greatest_bending(linkage_of(json.loads(kinematics)))
 
 
 _axis_names: Final = Items("axis names", MAX_DOF, AXIS_NAME)
@@ -358,9 +425,10 @@ class Device(SessionModel):
                     "if": where("driver", _SIMULATED, _BROWSER),
                     "then": {"required": ["mass"], **without("trace", *_OF_A_PLUGIN)},
                 },
+                {"if": where("driver", _BROWSER), "then": without(*_NOT_MEASURED)},
                 {
                     "if": where("driver", _TRACE),
-                    "then": {"required": ["trace"], **without(*_ELSEWHERE, *_OF_A_PLUGIN)},
+                    "then": {"required": ["trace"], **without(*_ELSEWHERE, *_OF_A_PLUGIN, *_NOT_MEASURED)},
                 },
                 {
                     "if": {"properties": {"driver": {"not": {"enum": [*_DRIVERS]}}}, "required": ["driver"]},
@@ -399,7 +467,10 @@ class Device(SessionModel):
         default=None, description="with a driver's factory, by how much motions grow from the device to the session"
     )
     step: Annotated[tuple[float, ...] | None, _STEP] = Field(
-        default=None, description="with a driver's factory and a mass, the step of its displacements in m"
+        default=None, description="the step of its encoder in m: a number, or one for each axis"
+    )
+    friction: Annotated[tuple[float, ...] | None, _FRICTION, PlainSerializer(_plain_friction)] = Field(
+        default=None, description="{least: c}, the dry friction in N that it has at least, in every pose and direction"
     )
     time: Literal["wall", "own"] = Field(
         default="wall",
@@ -418,7 +489,7 @@ class Device(SessionModel):
     held: Literal["force", "torque"] = Field(
         default="force", description="what its motors hold from tick to tick: the force at the tip, or joint torques"
     )
-    linkage: Annotated[dict[str, float] | None, Described(_linkage, _LINKAGE_FORM)] = Field(
+    linkage: Annotated[dict[str, Any] | None, Described(_linkage, _LINKAGE_FORM)] = Field(
         default=None, description="with held: torque, the linkage from its motors to its tip"
     )
     hand: Hand | None = defaulted(None, "the simulated hand that holds it")
@@ -449,7 +520,14 @@ class Device(SessionModel):
         if self.linkage is None:
             return None
         force, speed = (math.nextafter(math.hypot(*own), math.inf) for own in (self.limits.force, self.limits.speed))
-        return HeldTorque(self.linkage["kappa"], force, speed)
+        kinematics = self.kinematics
+        kappa = self.linkage.get("kappa") or _kappa_of(json.dumps(kinematics))
+        return HeldTorque(kappa, force, speed, kinematics)
+
+    @property
+    def kinematics(self) -> dict[str, Any] | None:
+        """Those of its linkage as plain data; None where none are stated."""
+        return None if self.linkage is None else _kinematics(self.linkage)
 
     @property
     def word(self) -> DriverWord | None:
@@ -530,12 +608,18 @@ class Device(SessionModel):
             yield Problem((), f"{'held: torque' if self.held == _TORQUE else 'a linkage'} alone", expected)
         if self.held == _TORQUE and self.driver == _TRACE:
             yield Problem(("held",), f"held: torque {here}", "held: force, for a recorded motion has no motors")
+        if self.kinematics is not None:
+            yield from self._linkage_problems(self.kinematics)
         if self.factory is not None:
             yield from self._plugin_problems(here)
             return
         for key in _OF_A_PLUGIN:
             if getattr(self, key) is not None:
                 yield Problem((key,), f"{key} {here}", f"a driver's factory, package.module:factory, or no {key}")
+        for key in _NOT_MEASURED:
+            if self.driver != _SIMULATED and getattr(self, key) is not None:
+                expected = f"driver: simulated, a driver's factory, package.module:factory, or no {key}"
+                yield Problem((key,), f"{key} {here}", expected)
         if self.driver == _TRACE:
             if self.trace is None:
                 yield Problem((), f"no key 'trace' {here}", "trace, the recorded motion, such as {file: run.mcap}")
@@ -557,6 +641,21 @@ class Device(SessionModel):
                 expected = "a stiffness in N/m greater than 0: it ties the device to the pointer"
                 yield Problem(("hand", "stiffness"), f"0 {here}", expected)
 
+    def _linkage_problems(self, kinematics: Mapping[str, Any]) -> Iterator[Problem]:
+        """The problems of kinematics beside the rest of the device."""
+        axes = linkage_of(kinematics).axes
+        if axes != self.dof:
+            yield Problem(("linkage",), f"a tip of {axes} axes", f"as many as the device has, {self.dof}")
+        if (self.scale or 1.0) != 1.0:
+            expected = "kappa alone, in the session's metres, or no scale"
+            yield Problem(("linkage",), f"kinematics with a scale of {self.scale:g}", expected)
+        if self.driver == _BROWSER:
+            yield Problem(("linkage",), "kinematics with 'driver: browser'", "kappa alone, or driver: simulated")
+        try:
+            _ = self.held_torque
+        except LinkageError as error:
+            yield Problem(("linkage",), str(error), "a box without singular poses, within reach")
+
     def _plugin_problems(self, here: str) -> Iterator[Problem]:
         """The problems of a device that a driver of another package moves."""
         if self.trace is not None:
@@ -564,8 +663,6 @@ class Device(SessionModel):
         for key in _NOT_OF_A_PLUGIN:
             if getattr(self, key) is not None:
                 yield Problem((key,), f"{key} {here}", f"no {key}: the driver's device and its user have their own")
-        if self.step is not None and self.mass is None:
-            yield Problem(("step",), f"a step without a mass {here}", "the least moving mass as well, or no step")
         if self.time != WALL:
             yield Problem(("time",), f"time: {self.time} {here}", f"time: {WALL}, for a driver follows the clock")
         if self.age_jitter is not None and self.age_jitter > (self.sample_age or 0.0):

@@ -375,6 +375,7 @@ class Session(SessionModel):
         if not problems:
             problems += islice(self._wave_link_problems(), MAX_PROBLEMS)
             problems += islice(self._series_problems(), MAX_PROBLEMS)
+            problems += self._speed_problems()
         if not problems:
             problems += islice(self._delay_problems(), MAX_PROBLEMS)
         if not problems:
@@ -418,6 +419,17 @@ class Session(SessionModel):
         elif self.wave_links:
             found = f"{show(self.design.series)} with the wave link of {next(iter(self.wave_links))!r}"
             yield Problem(at, found, "no wave link, or series: false: the spring of a world is not there across a link")
+
+    def _speed_problems(self) -> Iterator[Problem]:
+        """A problem where no dry friction may count below a speed."""
+        if self.design.speed is None:
+            return
+        at, found = ("design", "speed"), show(self.design.speed)
+        if all(device.friction is None for device in self.devices.values()):
+            yield Problem(at, f"{found} without any friction", "the friction of a device, or no speed")
+        if self.wave_links:
+            expected = "no wave link, or no speed: the certificates of parts count no dry friction"
+            yield Problem(at, f"{found} with the wave link of {next(iter(self.wave_links))!r}", expected)
 
     def _wave_link_problems(self) -> Iterator[Problem]:
         """A problem for each wave link that fits neither its coupling nor the design."""

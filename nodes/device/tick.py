@@ -18,6 +18,9 @@ with the next tick.
 the time from a sample to a force counts, so one shift stands for both. A force may then act after the next sample was
 taken. The account has both at their true instants. The loop's schedule knows nothing of it: a late device is no late
 loop.
+
+**Encoder steps.** What a simulated device sends is rounded to the steps of its encoder. Its row, ledger and account
+have its true displacement, which no real device knows. So they count the energy that the steps put into the loop.
 """
 
 from __future__ import annotations
@@ -32,7 +35,7 @@ from manyhands.nodes.device.drivers import Driver
 from manyhands.nodes.device.interface import DeviceInterface, interface_of
 from manyhands.nodes.device.plugin import PluginDriver
 from manyhands.nodes.kernel.arithmetic import Floats
-from manyhands.nodes.kernel.bundle import WALL, DeviceBundle
+from manyhands.nodes.kernel.bundle import WALL, DeviceBundle, SimulatedHand
 from manyhands.nodes.kernel.passivity import Ledger
 from manyhands.nodes.rows.two_port import Row
 from manyhands.protocol.clock import Instant, from_seconds
@@ -73,6 +76,8 @@ class DeviceTick(ABC):
         # of a driver of another package: what it really exerts of the force that it was given; it is held to its word
         self._exerted = driver.exerted if isinstance(driver, PluginDriver) else None
         self._torques = bundle.held is not None  # its motors hold them, and their work is asked for
+        simulated = bundle.inertia if isinstance(bundle.source, SimulatedHand) else None
+        self._steps = simulated.step if simulated is not None and any(simulated.step) else None
         self.driver = driver
         self.guard = Guard(bundle.limits, common.period, common.ports)
         self.core = DeviceCore(*bundle.promises[0], common.period, bundle.allowed.energy)
@@ -98,7 +103,8 @@ class DeviceTick(ABC):
         if recorded is not None:
             x = recorded
         last, period, interface = self._at, self._period, self.interface
-        goal = self.guard.report(x, max(1, -((last - at + period // 2) // period)))
+        measured = x if self._steps is None else in_steps(x, self._steps)
+        goal = self.guard.report(measured, max(1, -((last - at + period // 2) // period)))
         self._at, self._first = at, first
         if interface is None:
             self.x, self.sent = x, goal
@@ -268,6 +274,11 @@ class WallTimeTick(DeviceTick):
             self.work, self._since = self._since + work, 0.0
         else:
             self._since += work
+
+
+def in_steps(x: Floats, steps: Sequence[float]) -> Floats:
+    """The displacement x as an encoder gives it, m: to the nearest multiple of its step on each axis that has one."""
+    return [q * math.floor(at / q + 0.5) if q > 0.0 else at for at, q in zip(x, steps, strict=True)]
 
 
 def tick_of(bundle: DeviceBundle, driver: Driver) -> DeviceTick:

@@ -23,9 +23,11 @@ from manyhands.launch.app.budget import (
     budget_object,
     plot_budget,
     print_budget,
+    print_steps,
     print_wave_links,
     series_budget,
     session_budget,
+    step_budget,
     wave_link_budgets,
     wave_links_object,
 )
@@ -118,6 +120,26 @@ def test_the_worlds_own_springs_in_series() -> None:
     plainly = session_budget(load_named("example1"))
     assert series_budget(plainly) == ()
     assert "series" not in budget_object(plainly)
+
+
+def test_a_line_for_each_encoder_says_what_its_step_can_add() -> None:
+    steps = ["devices.dx.step=1e-5", "devices.dy.step=1e-5"]
+    friction = ["devices.dx.friction={least: 0.01}", "devices.dy.friction={least: 0.02}"]
+    found = session_budget(load_named("example1", [*steps, *friction]))
+    assert [(row.port, row.friction) for row in step_budget(found)] == [("dx", 0.01), ("dy", 0.02)]
+    assert step_budget(found)[0].force == pytest.approx(2740.0 * 1e-5 / 2.0)
+    assert json.loads(json.dumps(budget_object(found)))["steps"][1]["port"] == "dy"
+    console = Console(width=140, highlight=False)
+    with console.capture() as capture:
+        print_steps(console, found)
+        print_steps(console, session_budget(load_named("example1", steps[:1])))
+    lines = capture.get().splitlines()
+    assert [line.partition("; ")[2] for line in lines] == [
+        "the dry friction of 10 mN does not cover it",
+        "the dry friction of 20 mN covers it",
+        "no dry friction is stated",
+    ]
+    assert lines[0].startswith("dx: the encoder's step can add 13.7 mN to a spring of 2740 N/m")
 
 
 def test_longer_periods_cost_stiffness() -> None:

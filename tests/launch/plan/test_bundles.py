@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from manyhands.design.models.statespace import StateSpace
 from manyhands.launch.plan import bundles
 from manyhands.launch.plan.bundles import RunPlan, cut, limits_at, tool_bounds
+from manyhands.launch.plan.loop import NotCertified
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import Session, load_session
 from manyhands.nodes.coupling.core import CouplingCore
@@ -46,6 +47,17 @@ def test_limits_are_those_of_the_ports_in_their_order() -> None:
     axes = ("devices.d.limits={force: [1, 2, 3], displacement: 0.5, speed: [4, 5, 6]}",)
     held = session("example1-operator.yaml", axes)
     assert limits_at(held, held.ports[1:]) == Limits((2.0, 3.0), (0.5, 0.5), (5.0, 6.0))
+
+
+def test_a_certified_run_of_a_simulated_device_does_not_count_on_friction_that_it_has_not(tmp_path: Path) -> None:
+    stated = session("example1.yaml", ("devices.dx.step=1e-5", "devices.dx.friction={least: 0.1}"))
+    run = RunPlan("simulated", tmp_path, "")
+    with pytest.raises(NotCertified, match=r"devices\.dx\.friction: found friction of a simulated device"):
+        cut(prepare(stated), run)
+    assert cut(prepare(session("example1.yaml", ("devices.dx.step=1e-5",))), run)
+    below = prepare(session("example1.yaml", ("devices.dx.friction={least: 0.1}", "design.speed=0.1")))
+    with pytest.raises(NotCertified, match=r"design\.speed: found 0\.1 m/s; expected none for a run"):
+        cut(below, run)
 
 
 def test_each_bundle_holds_its_own_ports_limits_and_the_environments_none(tmp_path: Path) -> None:

@@ -196,3 +196,34 @@ def test_the_papers_algorithm_with_a_cap() -> None:
     assert (design.algorithm, design.iterations, design.wanted) == ("complementarity", 20, True)
     linear = example("example1", "design={coupling: linear, order: 2, algorithm: complementarity}")
     assert (linear.design.wanted, linear.orders) == (True, (2, 2, 2))
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (["design.speed=0.1"], "design.speed: found 0.1 without any friction; expected the friction of a device"),
+        (
+            ["design.speed=0.1", "devices.dx.friction={least: 1}", "couplings.cx.wave_link={b: 10}"],
+            "design.speed: found 0.1 with the wave link of 'cx'; expected no wave link, or no speed",
+        ),
+        (["design.speed=0", "devices.dx.friction={least: 1}"], "design.speed: found 0; expected a speed in m/s"),
+    ],
+)
+def test_a_speed_needs_friction_and_no_wave_link(overrides: list[str], words: str) -> None:
+    with pytest.raises(SessionError, match=words.replace("(", r"\(")):
+        example("example1", *overrides)
+
+
+def test_friction_is_stated_by_axis_and_is_written_as_it_is_read() -> None:
+    session = example("example1", "devices.dx.friction={least: 0.5}", "devices.dx.step=1e-5", "design.speed=0.1")
+    device = session.devices["dx"]
+    assert (device.friction, device.step, session.design.speed) == ((0.5,), (1e-5,), 0.1)
+    assert session.as_plain()["devices"]["dx"]["friction"] == {"least": [0.5]}
+    assert Session.model_validate(session.as_plain()).devices["dx"].friction == (0.5,)
+
+
+@pytest.mark.parametrize("key", ["step=1e-5", "friction={least: 1}"])
+def test_a_pointer_has_neither_encoder_nor_friction(key: str) -> None:
+    name = next(iter(example("browser").devices))
+    with pytest.raises(SessionError, match="with 'driver: browser'; expected driver: simulated"):
+        example("browser", f"devices.{name}.{key}")

@@ -10,7 +10,7 @@ import pytest
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import load_session
-from manyhands.nodes.device.tick import NO_INSTANTS, OwnTimeTick, WallTimeTick, tick_of
+from manyhands.nodes.device.tick import NO_INSTANTS, OwnTimeTick, WallTimeTick, in_steps, tick_of
 from manyhands.nodes.kernel.bundle import REALTIME, SIMULATED, DeviceBundle
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Figures
@@ -135,6 +135,26 @@ def test_in_its_own_time_every_sample_is_a_period_of_the_ledger(bundles: dict[st
     assert totals == pytest.approx([1e-3, 3e-3 - burned, 7e-3 - burned + last])
     assert tick.instants == NO_INSTANTS
     assert tick.row() == ([2e-3], [-2.0], (tick.ledger.total,), (), (), ())
+
+
+@pytest.mark.parametrize("clock", [REALTIME, SIMULATED])
+def test_a_simulated_device_sends_whole_steps_of_its_encoder(clock: str) -> None:
+    """Row and ledger have the true displacement: the energy that the rounding puts in is not the device's."""
+    overrides = ["design.tau=0.0005", "devices.dx.step=0.0004", "devices.dx.limits={displacement: 0.0031}"]
+    bundle = cut(prepare(load_session(SESSIONS / "example1.yaml", overrides)), RunPlan(clock, None, ""))["dx"]
+    assert isinstance(bundle, DeviceBundle)
+    tick, sent = tick_of(bundle, Scripted()), []
+    for turn in range(4):
+        sent.append(tick.sample(turn, instant(turn)))
+        tick.exert([0.0], instant(turn + 0.1))
+        tick.book()
+        assert tick.x == [1e-3 * turn]
+    assert [x[0] for x in sent[:3]] == pytest.approx([0.0, 1.2e-3, 2e-3], abs=1e-15)
+    assert sent[3] == [3.1e-3]  # 3.2 mm by its encoder are beyond its limit, and it lets go; 3 mm are not
+
+
+def test_steps_are_rounded_to_the_nearest_on_each_axis() -> None:
+    assert in_steps([0.24, 0.26, -0.26, 0.3], (0.5, 0.5, 0.5, 0.0)) == [0.0, 0.5, -0.5, 0.3]
 
 
 def test_a_recorded_force_is_exerted_in_place_of_what_follows(bundles: dict[str, DeviceBundle]) -> None:
