@@ -26,6 +26,7 @@ from itertools import product
 from typing import Any, Final
 
 import numpy as np
+
 from manyhands.design.models.statespace import Matrix, matrix
 
 _GRID = {1: 201, 2: 41, 3: 15}  # poses for each coordinate of the first, coarse search, by how many vary
