@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -31,6 +31,7 @@ from manyhands.design.models.statespace import Matrix, matrix
 
 _GRID = {1: 201, 2: 41, 3: 15}  # poses for each coordinate of the first, coarse search, by how many vary
 _BEST = 8  # so many of them are the beginnings of a finer one
+_SINGULAR: Final = 1e6  # 1/m: what bends by more is singular, but for rounding
 _CLOSE: Final = 1e-12  # of the chain's length: how near a pose's tip is to the one that was asked for
 _MOST_STEPS: Final = 50
 _LONGEST_STEP: Final = 0.5  # rad
@@ -495,7 +496,7 @@ def greatest_bending(linkage: Linkage) -> float:
     """kappa, 1/m, by a search over poses and directions: from a grid on, the best places of which are improved.
 
     Raises:
-        LinkageError: a pose of the grid is singular or out of reach.
+        LinkageError: a pose that the search comes to is singular or out of reach.
     """
     from scipy.optimize import minimize  # a tenth of a second, which commands without a linkage would take too
 
@@ -504,9 +505,7 @@ def greatest_bending(linkage: Linkage) -> float:
     number = _GRID[sum(b > a for a, b in ranges)]
     grid = [np.linspace(a, b, number) if b > a else np.array([a]) for a, b in ranges]
     found = sorted(((bending_at(linkage, np.array(pose), along), pose) for pose in product(*grid)), reverse=True)
-    best, worst = found[0]
-    if not np.isfinite(best):
-        raise LinkageError(f"found a pose at {[float(at) for at in worst]} that is singular or out of reach")
+    best = _regular(*found[0])
 
     def negative(place: Matrix) -> float:
         return -bending_at(linkage, place[:m], _unit(place[m:])[None, :])
@@ -516,8 +515,15 @@ def greatest_bending(linkage: Linkage) -> float:
         size = np.sum(np.einsum("aij,ni,nj->na", tensor, along, along) ** 2, axis=1)
         start = np.array([*pose, *_angles(along[int(np.argmax(size))])])
         better = minimize(negative, start, method="L-BFGS-B", bounds=[*ranges, *[(None, None)] * (m - 1)])
-        best = max(best, -float(better.fun))
+        best = max(best, _regular(-float(better.fun), better.x[:m]))
     return best
+
+
+def _regular(kappa: float, pose: Iterable[float]) -> float:
+    """How much the tip bends at a pose, 1/m; an error if that is without limit."""
+    if not kappa < _SINGULAR:
+        raise LinkageError(f"found a pose at {[float(at) for at in pose]} that is singular or out of reach")
+    return kappa
 
 
 def _unit(angles: Matrix) -> Matrix:

@@ -20,7 +20,8 @@ so that of the slopes those along s_0 count alone, up to squares of the widths.
 
 **Inverses.** M over a part is inverted as (C M)^-1 C, with C the inverse in its middle, in floats. C M is about I,
 whose cofactors have no cancellation that balls would miss; where rods are nearly parallel, M's own have. A part in
-which C M is not proved regular is halved as well. So a box with a singular pose is never proved.
+which C M is not proved regular is halved as well. So a box with a singular pose is never proved; nor is one in which a
+tip passes the height of a shoulder, where it would be another elbow that is further outside.
 
 The first angle of a chain turns everything, and changes no length: one value stands for all.
 """

@@ -25,6 +25,7 @@ from tests.support.linkages import ARM, DELTA, FIVE_BAR, LINKAGES, STYLUS
 
 STEP = 1e-6  # rad or m: differences over it have errors of about 1e-9 of the value, by rounding
 TOLERANCE = 1e-6
+OVER = Poses((-0.9, -0.5, -2.36), (0.9, 1.0, -0.79))
 
 
 def pose_of(linkage: Linkage, shares: list[float]) -> Matrix:
@@ -101,6 +102,8 @@ def test_links_twice_as_long_bend_half_as_much() -> None:
         (lambda: SerialChain(ARM.poses, (2, 2, 2), ARM.links), "3 joints"),
         (lambda: FiveBar(FIVE_BAR.poses, apart=0.06, upper=0.0, rod=0.1), "lengths"),
         (lambda: greatest_bending(SerialChain(Poses((0.0, -1.0), (1.0, 1.0)), ARM.turns, ARM.links)), "singular"),
+        # no pose of the grid has its tip on the axis of the first joint
+        (lambda: greatest_bending(SerialChain(OVER, STYLUS.turns, STYLUS.links)), "singular"),
         (lambda: greatest_bending(FiveBar(Poses((-1.0, 0.1), (1.0, 0.2)), apart=0.06, upper=0.12, rod=0.16)), "reach"),
     ],
 )
