@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from manyhands.design.levels.held_torque import HeldTorque
 from manyhands.design.models.device import held_device
+from manyhands.design.models.linkage import linkage_of
 from manyhands.design.models.statespace import StateSpace
 from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.mechanism import Mechanism, TipAstray, joints_of
@@ -57,6 +58,20 @@ def test_torques_push_by_the_derivative_of_the_joints(
         ends = [[at + side * (i == axis) for i, at in enumerate(x)] for side in (-1e-6, 1e-6)]
         before, after = (np.array(joints.at(end, q)) for end in ends)
         assert float(np.array(t) @ (after - before)) / 2e-6 == pytest.approx(f[axis], abs=1e-7)
+
+
+@pytest.mark.parametrize("data", ALL.values(), ids=list(ALL))
+@given(place=st.lists(st.floats(-0.015, 0.015), min_size=3, max_size=3))
+def test_the_joints_are_those_that_a_certificate_bounds(data: Mapping[str, Any], place: list[float]) -> None:
+    linkage, joints = linkage_of(data), joints_of(data)
+    m = linkage.axes
+    x = place[:m]
+    q = joints.at(x, joints.home)
+    pose = linkage.pose_at(linkage.tip(linkage.home) + x, linkage.home)
+    assert np.mod(q - linkage.joints(pose) + 1.0, 2.0 * np.pi) == pytest.approx(1.0, abs=1e-9)
+    J = linkage.jacobian(pose)
+    for unit in np.eye(m).tolist():
+        assert joints.torque(unit, x, q) == pytest.approx((J.T @ unit).tolist(), abs=1e-9)
 
 
 def test_the_joints_are_at_home_in_the_middle_of_their_ranges() -> None:

@@ -134,7 +134,7 @@ def test_in_its_own_time_every_sample_is_a_period_of_the_ledger(bundles: dict[st
     last = T * (-2.0 * (v + g) - level.item() * (v + g) ** 2)
     assert totals == pytest.approx([1e-3, 3e-3 - burned, 7e-3 - burned + last])
     assert tick.instants == NO_INSTANTS
-    assert tick.row() == ([2e-3], [-2.0], (tick.ledger.total,), (), (), ())
+    assert tick.row() == ([2e-3], [-2.0], (tick.ledger.total,), (), (), (), ())
 
 
 @pytest.mark.parametrize("clock", [REALTIME, SIMULATED])
