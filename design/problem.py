@@ -307,12 +307,17 @@ class HapticLoop:
         if left is not None:
             return left
         least, d = float(np.linalg.eigvalsh(level)[0]), device.held.damping(*times)
+        if not np.isfinite(d):
+            slower = 2.0 / (device.held.kappa * ((1.0 + self.period_tolerance) * self.period + self.tau))
+            raise Infeasible(
+                f"at {device.held.speed:.4g} m/s the tip of {device.name} may turn too far while its torques are held "
+                "(docs/decisions/0050-held-torques.md)",
+                (f"a limit of speed well below {slower:.4g} m/s, all axes together",),
+            )
         condition = (
             f"the held torques of {device.name} may give out what {d:.4g} N*s/m of damping take up, and it has "
             f"{least:.4g} (docs/decisions/0050-held-torques.md)"
         )
-        if not np.isfinite(d):
-            raise Infeasible(condition, ("a lower limit of its speed", "a shorter period and delay"))
         raise Infeasible(
             condition,
             (

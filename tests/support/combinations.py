@@ -118,6 +118,14 @@ FEATURES: Final[Mapping[str, Feature]] = {
     "uncertain device": Feature(
         12, {"devices.dx.osp": {"between": [2.8, 3.2]}},
         "the certificate has the lower end, and the device's damping is the middle"),
+    "held torques": Feature(
+        50,
+        {"devices.dx.held": "torque", "devices.dx.linkage": {"kappa": 20},
+         "devices.dx.limits": {"force": 20, "speed": 2}},
+        "the certificate has less of the device's level, and the device promises as much"),
+    "encoder step": Feature(
+        51, {"devices.dx.step": 1e-5},
+        "the device has its step, and the certificate states what it adds to the force, or that it does not know"),
     "wave link": Feature(
         33, {"couplings.cx.wave_link": {"b": 10, "depth": 2, "tank": 0.02}},
         "site, world and users in the tick have certificates, and the world's end hears waves"),

@@ -49,6 +49,9 @@ TICKS, SHORT = 250, 100
 LENGTHS = {"ladder": 400, "clutch": 400, "reserve for lateness": 200}
 """Ticks of a session in virtual time, where these take part; otherwise :data:`SHORT`."""
 
+LEVEL = ("osp", "held", "linkage", "step")
+"""Keys of a device on which a design depends."""
+
 SILENT = range(40, 60)  # ticks
 IN_PROCESSES = {"own period", "ladder", "co-location", "reserve for lateness"}
 """Features of processes: their pairs run as the product's nodes in virtual time, all others in one process."""
@@ -75,7 +78,7 @@ def designs() -> dict[str, Prepared]:
 def prepared_of(session: Session, designs: dict[str, Prepared]) -> Prepared:
     """The session, designed; sessions that differ in hands, limits, processes or faults alone have one design."""
     plain = session.as_plain()
-    levels = [device["osp"] for device in plain["devices"].values()]
+    levels = [[device.get(key) for key in LEVEL] for device in plain["devices"].values()]
     key = json.dumps([levels, *(plain[key] for key in ("couplings", "environment", "design"))])
     if key not in designs:
         designs[key] = prepare(session)
@@ -237,6 +240,30 @@ def uncertain_device(course: Course) -> None:
     assert source.damping == (3.0,)
 
 
+def held_torques(course: Course) -> None:
+    own = [(proof, one) for proof in course.prepared.certificates for one in proof.loop.devices if one.name == "dx"]
+    [(proof, one)] = own
+    assert one.held is not None
+    assert one.held.kappa == 20.0
+    at = one.ports[0]
+    left = float(proof.loop.Delta_D[at, at])
+    assert 0.0 < left < one.level[0, 0]
+    bundle = course.device("dx")
+    assert bundle.held == one.held
+    assert bundle.levels[0].tolist() == [[left]]
+
+
+def encoder_step(course: Course) -> None:
+    inertia = course.device("dx").inertia
+    assert inertia is not None
+    assert inertia.step == (1e-5,)
+    claims = [proof.encoder for proof in course.prepared.certificates if any(d.step for d in proof.loop.devices)]
+    [claim] = claims
+    assert claim is not None
+    assert claim.force is None or max(claim.force) > 1e-4
+    assert not claim.covered
+
+
 def wave_link(course: Course) -> None:
     assert course.prepared.world is not None
     assert [*course.prepared.parts] == ["cx", "in-tick"]
@@ -332,6 +359,8 @@ TRACES: Mapping[str, Callable[[Course], None]] = {
     "late world": late_world,
     "uncertain world": uncertain_world,
     "uncertain device": uncertain_device,
+    "held torques": held_torques,
+    "encoder step": encoder_step,
     "wave link": wave_link,
     "own period": own_period,
     "thinned waves": thinned_waves,
