@@ -243,6 +243,11 @@ def test_responses_that_hardly_decay_are_not_bounded() -> None:
     )
     found = design(loop(adrift, (Q,), (1.0,)), springs(1)).certificate
     assert found.encoder == EncoderClaim(None, False)
+    data = plain(found)
+    data["encoder"] = {"force": [1e3], "covered": False}  # far more than what the prover would sum in its time
+    refused = findings(data)[BOUNDED]
+    assert not refused.holds
+    assert "not proved to decay" in refused.argument
 
 
 def test_covered_steps_have_no_rungs() -> None:
