@@ -723,7 +723,7 @@ def differences(certificate: Certificate, loop: HapticLoop, wanted: CouplingRequ
             ("environment", own.environment, loop.environment),
             ("compliance of the world that is counted in series", own.series, loop.series),
             (
-                "level, mechanism or order of devices",
+                "level or order of devices",
                 [_level(d) for d in own.devices],
                 [_level(d) for d in loop.devices],
             ),
