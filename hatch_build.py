@@ -39,6 +39,7 @@ MODULES = [
     "nodes/device/given",
     "nodes/device/speed_bound",
     "nodes/device/interface",
+    "nodes/device/mechanism",
     "nodes/device/node",
     "nodes/device/pointer",
     "nodes/device/simulated",

@@ -43,6 +43,7 @@ from manyhands.design.levels.device import gain_for_share, greatest_share
 from manyhands.design.levels.environment import lack_of_passivity
 from manyhands.design.models.kind import Environment
 from manyhands.design.models.statespace import Matrix, matrix
+from manyhands.design.problem import DeviceLevel, HapticLoop
 
 
 @dataclass(frozen=True)
@@ -66,11 +67,13 @@ class Stiffness:
     kappa: float | None
 
 
-def stiffest(level: Matrix, T: float, tau: float, share: float = 0.0, period_tolerance: float = 0.0) -> Stiffness:
+def stiffest(
+    level: Matrix | None, T: float, tau: float, share: float = 0.0, period_tolerance: float = 0.0
+) -> Stiffness:
     """The greatest stiffness of a coupling to a device of this level.
 
     Args:
-        level: Delta_Di, m_i x m_i symmetric positive definite, N*s/m.
+        level: Delta_Di, m_i x m_i symmetric positive definite, N*s/m; None where nothing is left of it.
         T: period, s.
         tau: the longest delay inside the tick, s, 0 ... T.
         share: part of the devices' levels that the environment needs, :func:`needed_share`; 0 if it is passive.
@@ -86,6 +89,8 @@ def stiffest(level: Matrix, T: float, tau: float, share: float = 0.0, period_tol
         raise ValueError(f"tau: found {tau!r} s; expected 0 ... T = {T!r} s: a delay inside the tick")
     if not 0.0 <= share < np.inf:
         raise ValueError(f"share: found {share!r}; expected 0 or more")
+    if level is None:
+        return Stiffness(T, tau, 0.0, 0.0, None)
     least = float(np.linalg.eigvalsh(matrix(level))[0])
     if least <= 0.0:
         raise ValueError(f"level: found the eigenvalue {least:.3g}; expected a positive definite OSP level")
@@ -94,6 +99,31 @@ def stiffest(level: Matrix, T: float, tau: float, share: float = 0.0, period_tol
     kappa = gain_for_share(share, tau / T, period_tolerance=period_tolerance) if share < left else None
     certified = 0.0 if kappa is None else least / (kappa * T)
     return Stiffness(T, tau, certified, colgate_limit(least, (1.0 + period_tolerance) * T, tau), kappa)
+
+
+def certified_limit(
+    loop: HapticLoop, device: DeviceLevel, T: float, tau: float, share: float, period_tolerance: float | None = None
+) -> Stiffness:
+    """The greatest stiffness of a coupling to one device of a loop, at another period and delay.
+
+    Args:
+        loop: the loop; its coupling does not matter.
+        device: one of its devices.
+        T: period, s.
+        tau: the longest delay inside the tick, s, 0 ... T.
+        share: part of the devices' levels that the environment needs at this period.
+        period_tolerance: rho; None for the loop's.
+
+    Raises:
+        SolverFailure: the search for the share that is needed beside held torques did not end.
+        ValueError: as for :func:`stiffest`.
+    """
+    rho = loop.period_tolerance if period_tolerance is None else period_tolerance
+    whole = loop.Delta_D_at(T, tau, rho)
+    if share > 0.0 and device.held is not None:  # it is a part of what the torques leave at this delay
+        share = environment_share(loop.environment, whole, T)
+    level = None if whole is None else whole[np.ix_(device.ports, device.ports)]
+    return stiffest(level, T, tau, min(share, 1.0), rho)  # a share of 1 or more leaves nothing
 
 
 def colgate_limit(damping: float, T: float, tau: float) -> float:
@@ -133,7 +163,7 @@ class Felt:
 
 
 def felt_over(
-    level: Matrix,
+    level: Matrix | None,
     T: float,
     tau: float,
     b: Matrix,
@@ -144,7 +174,7 @@ def felt_over(
     """What is felt at most over a wave link, in its weakest direction; the mass is that of its heaviest one.
 
     Args:
-        level: Delta_D of the site, m_i x m_i symmetric positive definite, N*s/m.
+        level: Delta_D of the site, m_i x m_i symmetric positive definite, N*s/m; None where nothing is left of it.
         T: period of the site, s.
         tau: longest delay inside its tick, s, 0 ... T.
         b: wave impedance, m_i x m_i symmetric positive definite, N*s/m.
@@ -157,13 +187,13 @@ def felt_over(
     """
     if not 0.0 < round_trip < np.inf:
         raise ValueError(f"round trip: found {round_trip!r} s; expected a finite positive time")
-    share = 0.0 if harvest is None else needed_share(level, harvest)
+    share = 0.0 if harvest is None or level is None else needed_share(level, harvest)
     site = stiffest(level, T, tau, share, period_tolerance)
     impedances = np.linalg.eigvalsh(b)
     felt = 0.0
     if site.certified > 0.0:
         felt = 1.0 / (1.0 / site.certified + round_trip / (2.0 * float(impedances[0])))
-    least = float(np.linalg.eigvalsh(level)[0])
+    least = 0.0 if level is None else float(np.linalg.eigvalsh(level)[0])
     return Felt(
         T=T,
         tau=tau,
@@ -186,7 +216,7 @@ def needed_share(Delta_D: Matrix, Phi_E: Matrix) -> float:
     return max(0.0, float(eigh(Phi_E, Delta_D, eigvals_only=True)[-1]))
 
 
-def environment_share(environment: Environment, Delta_D: Matrix, T: float) -> float:
+def environment_share(environment: Environment, Delta_D: Matrix | None, T: float) -> float:
     """The least :func:`needed_share` over all admissible Phi_E; 0 for a passive environment.
 
     Phi_E = s Delta_D reaches it, because s Delta_D is admissible if some Phi_E <= s Delta_D is. So
@@ -197,7 +227,7 @@ def environment_share(environment: Environment, Delta_D: Matrix, T: float) -> fl
 
     Args:
         environment: E.
-        Delta_D: m x m, N*s/m.
+        Delta_D: m x m, N*s/m; None where nothing is left of it: then the share is infinite.
         T: period, s.
 
     Raises:
@@ -205,6 +235,8 @@ def environment_share(environment: Environment, Delta_D: Matrix, T: float) -> fl
     """
     if environment.passive_network is not None:
         return 0.0
+    if Delta_D is None:
+        return float("inf")
     if environment.declared_level is not None:
         return needed_share(Delta_D, environment.declared_level)
     try:

@@ -722,10 +722,12 @@ def differences(certificate: Certificate, loop: HapticLoop, wanted: CouplingRequ
             ("block structure", own.partition, loop.partition),
             ("environment", own.environment, loop.environment),
             ("compliance of the world that is counted in series", own.series, loop.series),
+            ("level or order of devices", [_level(d) for d in own.devices], [_level(d) for d in loop.devices]),
+            ("way in which devices hold a force", [d.held for d in own.devices], [d.held for d in loop.devices]),
             (
-                "level or order of devices",
-                [_level(d) for d in own.devices],
-                [_level(d) for d in loop.devices],
+                "encoder steps or friction",
+                [(d.step, d.friction) for d in own.devices],
+                [(d.step, d.friction) for d in loop.devices],
             ),
         )
         if mine != theirs
@@ -788,8 +790,8 @@ def _shown(value: object) -> str:
     return text if len(text) <= _MOST_SHOWN else f"{text[: _MOST_SHOWN - 3]}..."
 
 
-def _level(device: DeviceLevel) -> tuple[object, ...]:
-    return device.name, device.ports, device.level.tolist(), device.held, device.step, device.friction
+def _level(device: DeviceLevel) -> tuple[str, tuple[int, ...], list[list[float]]]:
+    return device.name, device.ports, device.level.tolist()
 
 
 def _system(system: StateSpace) -> list[list[list[float]]]:

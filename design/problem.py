@@ -314,7 +314,11 @@ class HapticLoop:
         if not np.isfinite(d):
             raise Infeasible(condition, ("a lower limit of its speed", "a shorter period and delay"))
         raise Infeasible(
-            condition, (f"an osp above {d:.4g} N*s/m", f"a force below {device.held.force * least / d:.4g} N")
+            condition,
+            (
+                f"an osp above {d:.4g} N*s/m",
+                f"a greatest force below {device.held.force * least / d:.4g} N, all axes together",
+            ),
         )
 
     @property
@@ -329,8 +333,22 @@ class HapticLoop:
 
     @cached_property
     def Delta_D(self) -> Matrix:
-        """Delta_D with the coupling's structure, m x m, N*s/m."""
+        """Delta_D with the coupling's structure, m x m, N*s/m.
+
+        Raises:
+            Infeasible: as for :attr:`Delta_D_blocks`.
+        """
         return self.partition.embed(self.Delta_D_blocks)
+
+    def Delta_D_at(self, T: float, tau: float, period_tolerance: float | None = None) -> Matrix | None:
+        """Delta_D at another period (s), delay (s) and tolerance; None where held torques leave nothing of a level."""
+        if not any(device.held for device in self.devices):
+            return self.Delta_D
+        rho = self.period_tolerance if period_tolerance is None else period_tolerance
+        try:
+            return replace(self, period=T, tau=tau, period_tolerance=rho).Delta_D
+        except Infeasible:
+            return None
 
     def loop_gain(self, kappa: float) -> tuple[Matrix, ...]:
         """K = kappa T Delta_D^{-1} by block of V, m_i x m_i, m/N; kappa = 1/2 is (8)."""

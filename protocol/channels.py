@@ -143,11 +143,16 @@ TAU: Final = "tau_us"
 INTERFACE: Final = "interface"
 INSTANTS: Final = "instants"
 APPLIED: Final = "x_a"
+WORK: Final = "work"
 WAVE: Final = "c"
 TANK: Final = "tank"
 
 INSTANT_NAMES: Final = ("sampled", "applied", "ended")
 """The columns of the trace of instants: when x was sampled, when f was applied, and when the force before had ended."""
+
+WORK_NAMES: Final = ("sampled", "applied")
+"""The columns of the trace of the work of motors that hold torques: from the last number until x was sampled, and from
+then until f was applied, J."""
 
 TANK_NAMES: Final = ("L", "G", "H")
 """The columns of the trace of a tank, for each wave link: the energy in it, what it has shipped in the present life of
@@ -162,13 +167,14 @@ CONDITION: Final = "condition"
 
 class Columns(StrEnum):
     """The columns of a trace: one for each port, each mass, or each port with a wave link; a single one; the three
-    instants of a tick; or the three figures of a tank for each wave link.
+    instants of a tick; the work until two of them; or the three figures of a tank for each wave link.
     """
 
     PORTS = "ports"
     MASSES = "masses"
     ONE = "one"
     INSTANTS = "instants"
+    WORKS = "works"
     LINKED = "linked ports"
     TANKS = "tanks"
 
@@ -188,6 +194,7 @@ class Topic:
         columns: the columns of the trace.
         wall: whether only devices in wall time have it, which the realtime clock alone has.
         linked: whether only the ends of wave links have it.
+        torques: whether only devices have it whose motors hold torques.
     """
 
     name: str
@@ -197,6 +204,7 @@ class Topic:
     columns: Columns
     wall: bool = False
     linked: bool = False
+    torques: bool = False
 
     def columns_of(
         self, ports: tuple[str, ...], masses: tuple[str, ...], links: Mapping[str, tuple[str, ...]] = _NO_LINKS
@@ -213,6 +221,7 @@ class Topic:
             Columns.MASSES: masses,
             Columns.ONE: (self.symbol,),
             Columns.INSTANTS: INSTANT_NAMES,
+            Columns.WORKS: WORK_NAMES,
             Columns.LINKED: tuple(port for own in links.values() for port in own),
             Columns.TANKS: tuple(f"{coupling}.{figure}" for coupling in links for figure in TANK_NAMES),
         }[self.columns]
@@ -231,6 +240,7 @@ TOPICS: Final[Mapping[Role, tuple[Topic, ...]]] = MappingProxyType(
             Topic("interface", INTERFACE, "e", "J", Columns.ONE, wall=True),
             Topic("applied", APPLIED, "x(a)", "m", Columns.PORTS, wall=True),
             Topic("instants", INSTANTS, "s, a", "ns", Columns.INSTANTS, wall=True),
+            Topic("work", WORK, "W", "J", Columns.WORKS, wall=True, torques=True),
         ),
         Role.COUPLING: (
             Topic("tool", FREE_POSITION, "p", "m", Columns.PORTS),
@@ -253,7 +263,9 @@ TOPICS: Final[Mapping[Role, tuple[Topic, ...]]] = MappingProxyType(
 """The topics of each role, in the order in which they are shown."""
 
 
-def topics_of(role: Role, masses: tuple[str, ...] = (), wall: bool = False, linked: bool = False) -> tuple[Topic, ...]:
+def topics_of(
+    role: Role, masses: tuple[str, ...] = (), wall: bool = False, linked: bool = False, torques: bool = False
+) -> tuple[Topic, ...]:
     """The topics of a node of this role.
 
     Args:
@@ -261,11 +273,15 @@ def topics_of(role: Role, masses: tuple[str, ...] = (), wall: bool = False, link
         masses: of the environment; without them its topic of masses is left out.
         wall: whether it is, or may be, a device in wall time; the topics of these are left out otherwise.
         linked: whether a wave link ends at it; the topics of such ends are left out otherwise.
+        torques: whether its motors hold torques, or may; the topics of such devices are left out otherwise.
     """
     return tuple(
         topic
         for topic in TOPICS.get(role, ())
-        if (masses or topic.columns is not Columns.MASSES) and (wall or not topic.wall) and (linked or not topic.linked)
+        if (masses or topic.columns is not Columns.MASSES)
+        and (wall or not topic.wall)
+        and (linked or not topic.linked)
+        and (torques or not topic.torques)
     )
 
 

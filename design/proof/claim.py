@@ -2,8 +2,7 @@
 
 The format is version 3 of the certificate file. Version 4 has a period tolerance, version 5 the parts of the world's
 links that are counted in series, and version 6 more of a device's mechanism than its level. Matrices keep the paper's
-letters.
-Indices count ports from 0 in the certificate's order, and masses after them.
+letters. Indices count ports from 0 in the certificate's order, and masses after them.
 
 An environment's physical data are a network, a state space, or rational functions of s. A declared environment has
 none: only the level that a controller enforces at run time is stated. A scene has its level by its kind, 0, and the
@@ -32,6 +31,7 @@ from manyhands.design.proof.exact import (
     exact_decimal,
 )
 from manyhands.design.proof.finding import ProofInputError
+from manyhands.design.proof.linkage import LinkageData, read_linkage
 
 GROUND = "ground"
 _MAX_DELAY = 1_000  # ticks
@@ -507,13 +507,13 @@ class HeldTorqueData:
         kappa: 1/m, how much its tip's path bends where the joints move evenly.
         force: F, N.
         speed: v, m/s.
-        linkage: the kinematics that prove kappa, as stated; None where kappa is believed.
+        linkage: the kinematics that prove kappa; None where kappa is believed.
     """
 
     kappa: fmpq
     force: fmpq
     speed: fmpq
-    linkage: Item | None
+    linkage: LinkageData | None
 
 
 @dataclass(frozen=True)
@@ -673,7 +673,7 @@ def read(data: Mapping[str, Any]) -> Claim:
         devices.append(PortGroup(name, indices(device["ports"], index)))
         m = len(devices[-1].ports)
         osp.append(device["osp"].symmetric(m))
-        held.append(_held(device[_HELD]) if _HELD in device else None)
+        held.append(_held(device[_HELD], m) if _HELD in device else None)
         step.append(_of_axes(device[_STEP], m) if _STEP in device else None)
         friction.append(_of_axes(device[_FRICTION], m) if _FRICTION in device else None)
     if version == WITH_MECHANISM and not any((*held, *step, *friction)):
@@ -714,10 +714,13 @@ def read(data: Mapping[str, Any]) -> Claim:
     )
 
 
-def _held(item: Item) -> HeldTorqueData:
+def _held(item: Item, m: int) -> HeldTorqueData:
     fields = item.fields(("kappa", "force", "speed"), ("linkage",))
     kappa, force, speed = (exact_decimal(fields[key].number()) for key in ("kappa", "force", "speed"))
-    return HeldTorqueData(kappa, force, speed, fields.get("linkage"))
+    linkage = read_linkage(fields["linkage"]) if "linkage" in fields else None
+    if linkage is not None and len(linkage.low) != m:
+        raise fields["linkage"].refusal(f"a linkage whose tip has the {m} axes of its device")
+    return HeldTorqueData(kappa, force, speed, linkage)
 
 
 def _of_axes(item: Item, m: int) -> tuple[fmpq, ...]:

@@ -27,6 +27,7 @@ from manyhands.design.proof.claim import Claim, HeldTorqueData, StatedSpringDamp
 from manyhands.design.proof.coupling import loop_stiffness_limit
 from manyhands.design.proof.exact import Sparse
 from manyhands.design.proof.finding import Finding, Verdict
+from manyhands.design.proof.linkage import bends_at_most
 
 _ALLOWED = fmpq(1, 10**6)  # relative: a stated margin may exceed the proved margin by this
 
@@ -97,6 +98,11 @@ def held_findings(claim: Claim) -> list[Finding]:
         holds = held.kappa > 0 and held.force > 0 and held.speed > 0 and turned < 2
         condition = f"{device.name} holds torques: kappa, F and v > 0, kappa v (lambda T + tau) < 2"
         found.append(Finding(condition, holds, rational.rounded(2 - turned), 0.0, "", "exactly"))
+        if holds and held.linkage is not None:
+            verdict = bends_at_most(held.linkage, held.kappa)
+            found.append(
+                verdict.finding(f"the tip of {device.name} bends by at most {rational.rounded(held.kappa):g}/m")
+            )
     return found
 
 

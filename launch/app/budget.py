@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from manyhands.design.budget import Felt, Stiffness, environment_share, felt_over, stiffest
+from manyhands.design.budget import Felt, Stiffness, certified_limit, environment_share, felt_over
 from manyhands.design.models.brief import brief_names, brief_repr
 from manyhands.design.models.statespace import Matrix
 from manyhands.design.problem import HapticLoop
@@ -106,7 +106,7 @@ class DelayBudget:
         if not 0.0 < period < np.inf:
             raise ValueError(f"T: found {period!r} s; expected a finite positive period")
         share = self.share_at(period)
-        return {device.name: _limits(self.loop, device.level, period, tau, share) for device in self.devices}
+        return {device.name: certified_limit(self.loop, device, period, tau, share) for device in self.loop.devices}
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """The budget against the delay, at the session's period, as a table: a row for each device and delay.
@@ -155,21 +155,23 @@ def budget(loop: HapticLoop, share_at: Callable[[float], float] | None = None) -
         share_at: the share that the environment takes at a period (s); computed where the caller does not give it.
     """
     T, tau = loop.period, loop.tau
-    share = cache(share_at or (lambda period: environment_share(loop.environment, loop.Delta_D, period)))
+    share = cache(
+        share_at
+        or (lambda period: environment_share(loop.environment, loop.Delta_D_at(period, min(tau, period)), period))
+    )
     periods = _periods(loop, PERIODS)
     delays = sorted({*(part * T for part in TICK_PARTS), tau})
     grid = [(period, delay) for period in periods for delay in sorted({0.0, min(tau, period), period})]
-    devices = []
-    for device in loop.devices:
-        level = loop.Delta_D[np.ix_(device.ports, device.ports)]
-        devices.append(
-            DeviceBudget(
-                device.name,
-                level,
-                tuple(_limits(loop, level, T, delay, share(T)) for delay in delays),
-                tuple(_limits(loop, level, period, delay, share(period)) for period, delay in grid),
-            )
+    whole = loop.Delta_D_at(T, tau)
+    devices = [
+        DeviceBudget(
+            device.name,
+            device.level if whole is None else whole[np.ix_(device.ports, device.ports)],
+            tuple(certified_limit(loop, device, T, delay, share(T)) for delay in delays),
+            tuple(certified_limit(loop, device, period, delay, share(period)) for period, delay in grid),
         )
+        for device in loop.devices
+    ]
     return DelayBudget(loop, periods, share, tuple(devices))
 
 
@@ -178,11 +180,6 @@ def _periods(loop: HapticLoop, wanted: Iterable[float]) -> tuple[float, ...]:
     if not loop.environment.at_any_period:
         return (loop.period,)
     return tuple(sorted({*wanted, loop.period}))
-
-
-def _limits(loop: HapticLoop, level: Matrix, T: float, tau: float, share: float) -> Stiffness:
-    # a share of 1 or more leaves nothing
-    return stiffest(level, T, tau, min(share, 1.0), loop.period_tolerance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,7 +228,8 @@ def _wave_link_budget(session: Session, name: str) -> WaveLinkBudget:
 
     def at(T: float, round_trip: float) -> Felt:
         b = link.model_copy(update={"round_trip": round_trip}).impedance(len(loop.ports))
-        return felt_over(loop.Delta_D, T, min(loop.tau, T), b, round_trip, harvest, loop.period_tolerance)
+        tau = min(loop.tau, T)
+        return felt_over(loop.Delta_D_at(T, tau), T, tau, b, round_trip, harvest, loop.period_tolerance)
 
     return WaveLinkBudget(name, loop.period, loop.tau, link.round_trip, cache(at))
 
@@ -485,9 +483,10 @@ def draw_budget(axes: Axes, found: DelayBudget, device: DeviceBudget) -> None:
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     loop, periods = found.loop, _plotted_periods(found)
+    [shown] = [own for own in loop.devices if own.name == device.name]
     for T, colour in zip(periods, _colours(len(periods)), strict=True):
         delays = np.linspace(0.0, T, _PLOTTED_DELAYS)
-        curve = [_limits(loop, device.level, T, float(min(tau, T)), found.share_at(T)) for tau in delays]
+        curve = [certified_limit(loop, shown, T, float(min(tau, T)), found.share_at(T)) for tau in delays]
         certified = np.array([row.certified if row.certified > 0.0 else np.nan for row in curve])
         axes.plot(1e3 * delays, certified, color=colour, linewidth=1.8)
         axes.plot(1e3 * delays, [row.colgate for row in curve], color=colour, linewidth=1.2, linestyle="--")

@@ -19,9 +19,10 @@ from rich.table import Table
 
 from manyhands.design.certificate import Certificate, asked_text, load
 from manyhands.design.errors import CertificateError
+from manyhands.design.levels.held_torque import HeldTorque
 from manyhands.design.models.coupling import SpringDamper
 from manyhands.design.models.statespace import Matrix
-from manyhands.design.problem import HapticLoop
+from manyhands.design.problem import DeviceLevel, HapticLoop
 from manyhands.design.quantisation import not_covered, steps
 from manyhands.design.wave_link import FELT_STIFFNESS
 from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK
@@ -83,6 +84,7 @@ def certificate_object(certificate: Certificate, proved: bool = True) -> dict[st
 
 def infeasible_object(loop: HapticLoop, reason: str, relax: tuple[str, ...]) -> dict[str, Any]:
     """The object that ``--json`` prints when nothing could be certified."""
+    left = loop.Delta_D_at(loop.period, loop.tau)
     return {
         "status": INFEASIBLE,
         "id": None,
@@ -93,7 +95,7 @@ def infeasible_object(loop: HapticLoop, reason: str, relax: tuple[str, ...]) -> 
         "coupling": None,
         "series": None,
         "encoder": None,
-        "levels": {"Delta_D": loop.Delta_D.tolist(), "Delta_V": None, "Phi_E": None},
+        "levels": {"Delta_D": None if left is None else left.tolist(), "Delta_V": None, "Phi_E": None},
         "margins": {},
         "period": loop.period,
         "tau": None,
@@ -104,6 +106,17 @@ def infeasible_object(loop: HapticLoop, reason: str, relax: tuple[str, ...]) -> 
         "reason": reason,
         "relax": list(relax),
     }
+
+
+def held_text(loop: HapticLoop, device: DeviceLevel, held: HeldTorque) -> str:
+    """What the held torques of a device take of its level, in words."""
+    d = held.damping(loop.period, loop.tau, loop.period_tolerance)
+    least = float(np.linalg.eigvalsh(device.level)[0])
+    proved = "believed" if held.linkage is None else "proved of its kinematics"
+    return (
+        f"{device.name}: {d:.4g} of {least:.4g} N·s/m, up to {held.force:.4g} N and {held.speed:.4g} m/s, "
+        f"with κ = {held.kappa:.4g}/m {proved}"
+    )
 
 
 def print_certificate(console: Console, certificate: Certificate) -> None:
@@ -121,6 +134,9 @@ def print_certificate(console: Console, certificate: Certificate) -> None:
     tolerance = f", periods up to {1.0 + loop.period_tolerance:g} T" if loop.period_tolerance else ""
     table.add_row("assumes", f"T = {loop.period:g} s, tau = {certificate.tau:g} s{tolerance}")
     levels = certificate.levels
+    for device in loop.devices:
+        if device.held is not None:
+            table.add_row("held torques", held_text(loop, device, device.held))
     if not loop.punctual:
         table.add_row("left of Δ_D", f"{levels.device.share:.4f}, with K = {levels.device.kappa:.4f} T/Δ_D")
     if certificate.spring_damper is not None:

@@ -104,7 +104,7 @@ from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.promises import Promise
 from manyhands.nodes.rows.tick_events import Kind, events_in
 from manyhands.nodes.wave_link.faces import wave_feedthrough
-from manyhands.protocol.channels import TANK_NAMES
+from manyhands.protocol.channels import TANK_NAMES, WORK, WORK_NAMES
 from manyhands.protocol.clock import from_seconds
 from manyhands.protocol.messages import PromiseStatus
 from manyhands.protocol.plain import written
@@ -152,6 +152,7 @@ WALL_TIME_FOLLOWS: Final = (
     ),
     Follows("interface", names.INTERFACE, "its account e_k follows from motion, forces, s_k and a_k"),
 )
+WORK_FOLLOWS: Final = Follows("work", WORK, "the work of its motors follows likewise, until s_k and until a_k", True)
 ENDED_FOLLOWS: Final = Follows("ended", ENDED, "the force before ended when the device states")
 COUPLING_FOLLOWS: Final = (
     Follows("signal", names.FREE_POSITION, "p follows from x and f_v by the certificate's block"),
@@ -433,6 +434,7 @@ class _AuditRun:
             let_go=let_go,
             stopped=grown_in(figures, names.SUSPENDED, len(x)),
             unexerted=changed_after(figures, names.UNEXERTED),
+            work=rows_of(run, name, WORK) if wall and bundle.held is not None else None,
         )
         device = (FollowedInWallTime if wall else FollowedInOwnTime)(
             bundle, lambda: hand_of(bundle, self._session, run.recorded.clock), rows, guarded
@@ -450,6 +452,7 @@ class _AuditRun:
             return self._compared(name, again, OWN_TIME_FOLLOWS, device.motion_gaps)
         return [
             *self._compared(name, again, WALL_TIME_FOLLOWS, device.motion_gaps),
+            *self._compared(name, again, () if rows.work is None else (WORK_FOLLOWS,), device.motion_gaps),
             *self._given(name, figures, again[GIVEN], again.gaps),
             *self._compared(name, again, (ENDED_FOLLOWS,), recorded={ENDED: rows.instants[:, 2:]}),
             ordered(run, name, rows.instants, course, self._presence.owed[name], from_seconds(bundle.timing.latency)),
@@ -619,13 +622,14 @@ class _AuditRun:
         """
         out, run = [], self._run
         columns = {names.MASS_POSITION: masses, names.LEDGER: ("E",), names.INTERFACE: ("e",), ENDED: ("ended",)}
+        columns[WORK] = WORK_NAMES
         for name, field, what, of_motion in follows:
             if field == names.LEDGER and not self._has_ledger(party):
                 continue
             told = recorded[field] if field in recorded else rows_of(run, party, field)
             owed: NDArray[np.bool_] = self._presence.owed[party]
             tolerance: Array | float = 0.0
-            if field == names.APPLIED:
+            if field in (names.APPLIED, WORK):
                 owed = owed & (there(told) | there(again[field]))  # not every device measures it
             if field == names.LEDGER and TOLERANCE in again.fields:
                 tolerance = np.nan_to_num(again[TOLERANCE])

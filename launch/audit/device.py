@@ -42,6 +42,7 @@ from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import DeviceBundle
 from manyhands.nodes.monitor.given import FIGURES
 from manyhands.nodes.rows import figures as names
+from manyhands.protocol.channels import WORK
 from manyhands.protocol.clock import Instant, from_seconds
 
 MOST_FREE: Final = 600_000
@@ -79,6 +80,7 @@ class DeviceRows:
         stopped: by tick, whether its process may not have run for a while.
         unexerted: the tick from which on its hardware may have exerted other forces than it was given; None if it
             never did.
+        work: of motors that hold torques, until s(k) and from then until a(k), ticks x 2, J; None for others.
     """
 
     x: Array
@@ -89,6 +91,7 @@ class DeviceRows:
     let_go: int | None
     stopped: NDArray[np.bool_]
     unexerted: int | None = None
+    work: Array | None = None
 
 
 class FollowedDevice(FollowedParty):
@@ -131,7 +134,8 @@ class FollowedDevice(FollowedParty):
     def _hand(self, joins: bool) -> Driver:
         """The device with its hand, at rest, or what moves as was recorded."""
         made = self._make() if joins else self._made
-        return GivenMotion(self._recorded.x, self._recorded.applied) if isinstance(made, str) else made
+        of = self._recorded
+        return GivenMotion(of.x, of.applied, of.work) if isinstance(made, str) else made
 
     def _free(self, periods: int) -> None:
         """Count free periods.
@@ -201,6 +205,8 @@ class FollowedInWallTime(FollowedDevice):
             why = f"{lacks}: its motion, account and ledger are not checked"
             self.gaps, self.motion_gaps = [UncheckedTicks(0, self.ticks, why)], []
         self.rows = [k for k in self.rows if np.isfinite(rows.instants[k]).all()]
+        if rows.work is not None:
+            self.fields = {**self.fields, WORK: 2}
         more = {names.APPLIED: rows.x.shape[1], names.INTERFACE: 1, ENDED: 1, GIVEN: len(FIGURES), TOLERANCE: 1}
         self.fields = {**self.fields, **more}
 
@@ -246,6 +252,8 @@ class FollowedInWallTime(FollowedDevice):
             out |= {names.DISPLACEMENT: tick.x, names.LEDGER: [tick.ledger.total], TOLERANCE: [tolerance]}
             if tick.x_a is not None:
                 out[names.APPLIED] = tick.x_a
+        if rows.work is not None:
+            out[WORK] = tick.done
         return out
 
     def _periods_to(self, sampled: Instant, applied: Instant, free: bool) -> int:

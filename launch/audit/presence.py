@@ -27,7 +27,7 @@ from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes.kernel.bundle import REALTIME
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.own_ticks import own_ticks_before
-from manyhands.protocol.channels import APPLIED
+from manyhands.protocol.channels import APPLIED, WORK
 from manyhands.protocol.messages import Role
 
 Flags = NDArray[np.bool_]
@@ -100,11 +100,11 @@ class Presence:
         return out
 
     def _traces(self, node: str) -> list[str]:
-        """The traces whose rows a node owes: all but a ledger that it does not keep, and x_a, which not every device
-        can measure.
+        """The traces whose rows a node owes: all but a ledger that it does not keep, and x_a and the work of motors,
+        which not every device can measure.
         """
         of = (topic.trace for topic in self._run.recorded.topics(node))
-        return [one for one in of if one != APPLIED and (one != names.LEDGER or node in self._ledgers)]
+        return [one for one in of if one not in (APPLIED, WORK) and (one != names.LEDGER or node in self._ledgers)]
 
     def check(self, node: str) -> Check:
         """Whether every row that a node owed is there, and every number in it finite."""

@@ -63,13 +63,20 @@ class GivenMotion:
         ticks: number of ticks that were recorded without a gap.
     """
 
-    def __init__(self, x: NDArray[np.float64], applied: NDArray[np.float64] | None = None) -> None:
+    def __init__(
+        self,
+        x: NDArray[np.float64],
+        applied: NDArray[np.float64] | None = None,
+        work: NDArray[np.float64] | None = None,
+    ) -> None:
         """Move as ``x`` at the samples, and as ``applied`` when a force is applied.
 
         Args:
             x: ticks x axes, m.
             applied: likewise; NaN in ticks in which it is not known. None for ``x``.
+            work: of motors that hold torques, until the sample and from then until the force, ticks x 2, J.
         """
+        self._work, self._called = work, 0
         self._x, self._applied, self._tick = x, x if applied is None else applied, 0
         holes = np.flatnonzero(~np.isfinite(x).all(axis=1))
         self.ticks = int(holes[0]) if len(holes) else len(x)
@@ -81,12 +88,13 @@ class GivenMotion:
 
     def sample(self, tick: int, at: Instant) -> list[float]:
         """The position at that tick, m."""
-        self._tick = tick
+        self._tick, self._called = tick, 0
         row: list[float] = self._x[tick].tolist()
         return row
 
     def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> list[float] | None:
         """The force has no effect; returns the position at which it is applied, m, or None where it is not known."""
+        self._called = 1
         row: list[float] = self._applied[self._tick].tolist()
         return row if all(map(math.isfinite, row)) else None
 
@@ -100,6 +108,16 @@ class GivenMotion:
     def intended_work(self) -> float:
         """Zero: the work of a person is unknown."""
         return 0.0
+
+    def work(self) -> float | None:
+        """What its motors did until the sample or the force that was called last, J; infinite where they cannot tell.
+
+        None where nothing of it was recorded.
+        """
+        if self._work is None:
+            return None
+        done = float(self._work[self._tick, self._called])
+        return done if math.isfinite(done) else math.inf
 
     def figures(self) -> Figures:
         """No figures."""

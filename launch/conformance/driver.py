@@ -23,6 +23,8 @@ moves its device.
 - *wrong force*: the gain, stated mass over the mass of the fit, is within :data:`GAIN` of 1. Of hardware it is not
   judged by the mass, which friction and pose change. Where the driver measures the force that it exerts, that is one it
   was given, within :data:`manyhands.nodes.device.plugin.PART` of its stated limit, in every tick.
+- *wrong work*: where the driver tells the work of its motors, that is f^T dx over a push and the rest after it, within
+  :data:`WORK_GAIN`, asked in every :data:`SELDOM`-th tick and, on the way back, in every one.
 - *no release*: after ``release`` less than :data:`LEFT` of a is left.
 - *force kept on silence*: a force that was applied until an instant ends there, though no call follows.
 
@@ -58,6 +60,7 @@ SWAPPED: Final = "swapped axes"
 SIGN: Final = "wrong sign"
 UNIT: Final = "wrong unit"
 FORCE: Final = "wrong force"
+WORK: Final = "wrong work"
 RELEASE: Final = "no release"
 SILENCE: Final = "force kept on silence"
 CLOSE: Final = "close"
@@ -85,6 +88,12 @@ LONGEST_DELAY: Final = 40
 
 GAIN: Final = 0.05
 """The part by which an exerted force may differ from the one that was given."""
+
+WORK_GAIN: Final = 0.15
+"""The part by which the work of the motors may differ from f^T dx: a force acts up to a tick and its delay later."""
+
+SELDOM: Final = 5
+"""Ticks from one question for the work to the next, for an answer must be all that was done since the last one."""
 
 AGAIN: Final = 3
 """Calls longer than a period that no busy machine explains: what waits for its device does so again and again."""
@@ -136,6 +145,23 @@ class _Record:
         return len(self.at)
 
 
+@dataclass
+class _Books:
+    """What motors and ports did in a stretch.
+
+    Attributes:
+        every: the work of the motors is asked for in every so many-th tick.
+        motors: as the driver tells it, J; infinite where it cannot.
+        ports: f^T dx, J.
+        size: the sum of |f^T dx|, J: a push may brake first, and then speed up.
+    """
+
+    every: int = 1
+    motors: float = 0.0
+    ports: float = 0.0
+    size: float = 0.0
+
+
 class SuiteStopped(Exception):
     """The user has ended the suite."""
 
@@ -168,6 +194,8 @@ class Bench:
         self.inside: tuple[str, int] | None = None
         self.stopping = False
         self.samples = _Record()  # all of them
+        self.books = _Books()
+        self._held: list[float] | None = None
 
     def rest(self, ticks: int) -> _Record:
         """Read the device for some ticks, with no force."""
@@ -220,6 +248,9 @@ class Bench:
         x = self._call("sample", lambda: driver.sample(turn, at))
         self.samples.at.append(at * 1e-9)
         self.samples.x.append(list(x))
+        if isinstance(driver, PluginDriver) and driver.tells_work:
+            self._book(driver)
+        self._held = f
         if f is None:
             self._call("release", lambda: driver.release(at))
         else:
@@ -231,6 +262,16 @@ class Bench:
             self._call("exerted", lambda: driver.exerted(f or [0.0] * driver.axes))
         due = Instant(self._slot * self._period)
         self._call("idle", lambda: driver.idle(due))
+
+    def _book(self, driver: PluginDriver) -> None:
+        books = self.books
+        if self._held is not None:
+            before, now = self.samples.x[-2:]
+            seen = sum(F * (b - a) for F, a, b in zip(self._held, before, now, strict=True))
+            books.ports += seen
+            books.size += abs(seen)
+        if self._turn % books.every == 0:
+            books.motors += self._call("work", driver.work) or 0.0
 
     def _now(self) -> Instant:
         return Instant(self._clock.now() - self._epoch)
@@ -268,11 +309,16 @@ def check_driver(bench: Bench, stated: DeviceSpecification, push: Push | None) -
             force = min(push.force, stated.force[axis])
             f = [force if i == axis else 0.0 for i in range(m)]
             back = [-value for value in f]
-            ways = []
-            for way in (f, back):
+            ways, books = [], []
+            for way, every in ((f, SELDOM), (back, 1)):  # the first from rest, so that it brakes nothing
+                bench.books = _Books(every)
                 ways += [bench.push(way, PUSH_TICKS, push.travel), bench.rest(PUSH_TICKS)]
+                books.append(bench.books)
+            bench.books = _Books()
             pushed = _Pushed(axis, force, *ways)
             found = list(_judged(pushed, bench.T, stated))
+            if not broken(found):  # forces and displacements are in order, so what they did is known
+                found = [*_worked(bench, pushed, books, stated), *found]
             judged += found
             if broken(found):
                 break  # what does not obey is not pushed any more
@@ -297,6 +343,36 @@ def check_driver(bench: Bench, stated: DeviceSpecification, push: Push | None) -
     yield closing
 
 
+def _worked(bench: Bench, pushed: _Pushed, books: list[_Books], stated: DeviceSpecification) -> Iterator[Judgement]:
+    """Whether the motors did what the ports saw, in a push each way; nothing where the driver does not tell."""
+    if not isinstance(bench.driver, PluginDriver) or not bench.driver.tells_work:
+        return
+    of = pushed.words(stated)
+    seldom, often = books
+    if not np.isfinite(often.motors + seldom.motors) or min(often.size, seldom.size) == 0.0:
+        yield Judgement(
+            WORK, Conformance.OPEN, f"the driver could not tell the work of a push {of}, or it moved nothing"
+        )
+        return
+    for one, when in ((seldom, f"asked in one of {SELDOM} ticks"), (often, "asked in every tick")):
+        if abs(one.motors - one.ports) > WORK_GAIN * one.size:
+            found = f"found a work of {one.motors:.3g} J in a push {of}, {when}; expected {one.ports:.3g} J, f dx"
+            yield Judgement(WORK, Conformance.BROKEN, f"{found}: {_fault(one.motors / one.ports)}")
+            return
+    yield Judgement(WORK, Conformance.KEPT, f"its motors did {often.motors:.3g} J in a push {of}, as its ports saw")
+
+
+def _fault(ratio: float) -> str:
+    """What may be wrong with books that are off by this factor."""
+    if abs(ratio + 1.0) <= WORK_GAIN:
+        return "it is that of the motors on the device, and not the other way round"
+    if 0.5 < ratio * SELDOM < 1.5:
+        return "it is all since the last answer, and not of the last tick alone"
+    if any(abs(ratio * unit - 1.0) <= WORK_GAIN for unit in (1e3, 1e-3, 1e6, 1e-6)):
+        return "it is in J, of torques in N*m and angles in rad"
+    return "it is the sum of t^T (q_new - q_old) since the last answer, with the torques that were held in between"
+
+
 def _silent(bench: Bench, f: list[float]) -> _Record:
     """A push that ends by itself in silence, after some ticks that show how the device moves without it."""
     before = bench.rest(LEAST_TICKS)
@@ -319,7 +395,7 @@ def _closed(bench: Bench) -> Judgement:
 def _times(bench: Bench) -> Iterator[Judgement]:
     """The durations of the calls of the loop."""
     T, texts = bench.T * 1e6, []
-    for method in ("sample", "apply", "release", "exerted", "idle"):
+    for method in ("sample", "apply", "release", "exerted", "work", "idle"):
         if method not in bench.durations:
             continue
         p50, most = (float(value) / 1e3 for value in np.percentile(bench.durations[method], (50, 100)))

@@ -12,9 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
-from manyhands.design.budget import environment_share, stiffest
+from manyhands.design.budget import certified_limit, environment_share
 from manyhands.design.problem import HapticLoop
 from manyhands.launch.doctor.machine import Machine
 from manyhands.launch.doctor.probe import Measured, Ticking
@@ -46,7 +44,7 @@ class Worth:
         Raises:
             SolverFailure: the search for the share did not converge.
         """
-        return cls(loop, environment_share(loop.environment, loop.Delta_D, loop.period))
+        return cls(loop, environment_share(loop.environment, loop.Delta_D_at(loop.period, loop.tau), loop.period))
 
     def at(self, period: float) -> Worth | None:
         """The same at another period, s; None for an environment that is given in discrete time, at its own alone."""
@@ -64,17 +62,10 @@ class Worth:
             period_tolerance: rho; by default the loop's.
         """
         loop = self.loop
-        tolerance = loop.period_tolerance if period_tolerance is None else period_tolerance
         if tau > loop.period:
             return {device.name: 0.0 for device in loop.devices}
         return {
-            device.name: stiffest(
-                loop.Delta_D[np.ix_(device.ports, device.ports)],
-                loop.period,
-                tau,
-                min(self.share, 1.0),
-                tolerance,
-            ).certified
+            device.name: certified_limit(loop, device, loop.period, tau, self.share, period_tolerance).certified
             for device in loop.devices
         }
 
@@ -181,8 +172,7 @@ def _at(worth: Worth, T: float, tau: float) -> str:
     if worth.share > 0.0:
         return "what manyhands budget shows"
     loop = worth.loop
-    levels = (loop.Delta_D[np.ix_(device.ports, device.ports)] for device in loop.devices)
-    return f"{min(stiffest(level, T, tau, 0.0, loop.period_tolerance).certified for level in levels):.0f} N/m"
+    return f"{min(certified_limit(loop, device, T, tau, 0.0).certified for device in loop.devices):.0f} N/m"
 
 
 def longer_period(seconds: float) -> float:

@@ -196,8 +196,9 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         osp = matrix(session.osp_level(name))
         time = WALL if session.in_wall_time(name, run.clock) else OWN
         inertia = session.devices[name].inertia
+        held = session.devices[name].held_torque if prepared.certified else None  # without a certificate, no promise
         bundles[name] = DeviceBundle(
-            commons[name], osp, of_device, _source(session, name), limits, time, allowance, inertia
+            commons[name], osp, of_device, _source(session, name), limits, time, allowance, inertia, held
         )
     longest = max(map(len, rungs.values()))
     at_rungs = ([of_one[min(rung, len(of_one) - 1)].block for of_one in rungs.values()] for rung in range(longest))
@@ -476,6 +477,7 @@ def _source(session: Session, name: str) -> Source:
         hand_stiffness=hand.stiffness,
         force=tuple(plain_intent(intent) for intent in hand.force),
         motion=tuple(plain_intent(intent) for intent in hand.motion),
+        linkage=device.kinematics,
     )
     return BrowserHand(physics) if device.driver == "browser" else physics
 

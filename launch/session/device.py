@@ -16,6 +16,7 @@ session's author named.
 """
 
 import functools
+import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -34,6 +35,8 @@ from pydantic import (
 )
 from pydantic.json_schema import SkipJsonSchema
 
+from manyhands.design.levels.held_torque import HeldTorque
+from manyhands.design.models.linkage import LinkageError, greatest_bending, linkage_of
 from manyhands.design.passivity.operators import PassivityFinding, RationalMatrix
 from manyhands.launch.session.errors import listed, show
 from manyhands.launch.session.fields import (
@@ -232,6 +235,7 @@ class Hand(SessionModel):
         return operator
 
 
+_TORQUE: Final = "torque"
 _ROUNDING: Final = 1e-12  # rounding error of the eigenvalues of a difference, relative to the largest entry
 _per_axis: Final = PerAxis(OSP_LEVEL)
 _SIMULATED, _TRACE, _BROWSER = _DRIVERS = ("simulated", "trace", "browser")
@@ -349,6 +353,53 @@ def _trace(value: object, info: ValidationInfo) -> object:
     return motion_of(value, info.data.get("dof", 1), info.context)
 
 
+_KAPPA: Final = Quantity("kappa", "1/m", above=0.0, smallest=MIN_POSITIVE)
+_NUMBERS: Final = list_of({"type": "number"}, 3)
+_POSES: Final = {"low": _NUMBERS, "high": _NUMBERS}
+_LINKAGE_FORM: Final = either(
+    mapping_of({"kappa": _KAPPA.json_schema}),
+    *(
+        mapping_of({"kind": {"enum": [kind]}, **parts, **_POSES}, {"kappa": _KAPPA.json_schema})
+        for kind, parts in (
+            ("chain", {"turns": list_of({"enum": ["x", "y", "z"]}, 3), "links": list_of(_NUMBERS, 3)}),
+            ("five-bar", {length: {"type": "number"} for length in ("apart", "upper", "rod")}),
+            ("delta", {length: {"type": "number"} for length in ("base", "platform", "upper", "rod")}),
+        )
+    ),
+)
+_SEARCHED: Final = 1.05
+"""What a kappa is stated above the one that a search finds, so that a proof decides it."""
+
+
+def _linkage(value: object) -> dict[str, Any]:
+    """The linkage of a device that holds torques: its kinematics, or kappa alone, 1/m."""
+    if not isinstance(value, Mapping):
+        raise refuse(show(value), "{kappa: 18.8}, in 1/m, or kinematics such as {kind: chain, …}")
+    out = dict(value)
+    if "kappa" in out:
+        out["kappa"] = _KAPPA(out["kappa"])
+    kinematics = _kinematics(out)
+    if kinematics is None and set(out) != {"kappa"}:
+        raise refuse(f"a mapping with {listed(value)}", "{kappa: 18.8}, in 1/m, or a kind of kinematics as well")
+    if kinematics is not None:
+        try:
+            linkage_of(kinematics)
+        except LinkageError as error:
+            raise refuse(str(error), "kinematics of a chain, five-bar or delta") from None
+    return out
+
+
+def _kinematics(linkage: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The kinematics of a linkage, without its kappa; None where it has none."""
+    return {key: value for key, value in linkage.items() if key != "kappa"} if "kind" in linkage else None
+
+
+@functools.lru_cache(maxsize=64)
+def _kappa_of(kinematics: str) -> float:
+    """The kappa to be proved of kinematics, as JSON: a search takes a second."""
+    return _SEARCHED * greatest_bending(linkage_of(json.loads(kinematics)))
+
+
 _axis_names: Final = Items("axis names", MAX_DOF, AXIS_NAME)
 
 
@@ -435,6 +486,12 @@ class Device(SessionModel):
         None, "the damping in N·s/m, at least the OSP level: a number, or one for each axis"
     )
     limits: PortLimits = defaulted({}, "the force, displacement and speed that it never goes beyond")
+    held: Literal["force", "torque"] = Field(
+        default="force", description="what its motors hold from tick to tick: the force at the tip, or joint torques"
+    )
+    linkage: Annotated[dict[str, Any] | None, Described(_linkage, _LINKAGE_FORM)] = Field(
+        default=None, description="with held: torque, the linkage from its motors to its tip"
+    )
     hand: Hand | None = defaulted(None, "the simulated hand that holds it")
 
     @property
@@ -456,6 +513,21 @@ class Device(SessionModel):
         if self.mass is None or self.driver == _BROWSER:
             return None
         return Inertia(self.mass, self.limits.hand, self.step or (0.0,) * self.dof)
+
+    @property
+    def held_torque(self) -> HeldTorque | None:
+        """How its motors hold a force where they hold torques: with the most force and speed of its limits together."""
+        if self.linkage is None:
+            return None
+        force, speed = (math.nextafter(math.hypot(*own), math.inf) for own in (self.limits.force, self.limits.speed))
+        kinematics = self.kinematics
+        kappa = self.linkage.get("kappa") or _kappa_of(json.dumps(kinematics))
+        return HeldTorque(kappa, force, speed, kinematics)
+
+    @property
+    def kinematics(self) -> dict[str, Any] | None:
+        """Those of its linkage as plain data; None where none are stated."""
+        return None if self.linkage is None else _kinematics(self.linkage)
 
     @property
     def word(self) -> DriverWord | None:
@@ -531,6 +603,13 @@ class Device(SessionModel):
     def _problems(self) -> Iterator[Problem]:
         """A problem for each key that the driver needs and lacks, and for each key that it does not use."""
         here = f"with 'driver: {self.driver}'"
+        if (self.held == _TORQUE) != (self.linkage is not None):
+            expected = "its linkage as well, such as {kappa: 18.8}" if self.held == _TORQUE else "held: torque as well"
+            yield Problem((), f"{'held: torque' if self.held == _TORQUE else 'a linkage'} alone", expected)
+        if self.held == _TORQUE and self.driver == _TRACE:
+            yield Problem(("held",), f"held: torque {here}", "held: force, for a recorded motion has no motors")
+        if self.kinematics is not None:
+            yield from self._linkage_problems(self.kinematics)
         if self.factory is not None:
             yield from self._plugin_problems(here)
             return
@@ -561,6 +640,21 @@ class Device(SessionModel):
             if 0.0 in self.hand.stiffness:
                 expected = "a stiffness in N/m greater than 0: it ties the device to the pointer"
                 yield Problem(("hand", "stiffness"), f"0 {here}", expected)
+
+    def _linkage_problems(self, kinematics: Mapping[str, Any]) -> Iterator[Problem]:
+        """The problems of kinematics beside the rest of the device."""
+        axes = linkage_of(kinematics).axes
+        if axes != self.dof:
+            yield Problem(("linkage",), f"a tip of {axes} axes", f"as many as the device has, {self.dof}")
+        if (self.scale or 1.0) != 1.0:
+            expected = "kappa alone, in the session's metres, or no scale"
+            yield Problem(("linkage",), f"kinematics with a scale of {self.scale:g}", expected)
+        if self.driver == _BROWSER:
+            yield Problem(("linkage",), "kinematics with 'driver: browser'", "kappa alone, or driver: simulated")
+        try:
+            _ = self.held_torque
+        except LinkageError as error:
+            yield Problem(("linkage",), str(error), "a box without singular poses, within reach")
 
     def _plugin_problems(self, here: str) -> Iterator[Problem]:
         """The problems of a device that a driver of another package moves."""

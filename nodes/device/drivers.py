@@ -21,9 +21,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
+from manyhands.nodes.device.mechanism import Mechanism
 from manyhands.nodes.device.plugin import plugin_driver
 from manyhands.nodes.device.pointer import pointer_hand, pointer_of
-from manyhands.nodes.device.simulated import Hand, HeldDeviceDriver, OwnTimeDriver, intent_hand
+from manyhands.nodes.device.simulated import Hand, HeldDeviceDriver, OwnTimeDriver, device_of, intent_hand
 from manyhands.nodes.device.wall_time import WallTimeDriver
 from manyhands.nodes.kernel.arithmetic import Floats, dot, linear_map
 from manyhands.nodes.kernel.bundle import WALL, BrowserHand, DeviceBundle, PluginDevice, RecordedMotion, SimulatedHand
@@ -71,6 +72,14 @@ class Driver(Protocol):
 
     def intended_work(self) -> float:
         """The work of the hand's intention between the last two samples, J; 0 where it is unknown."""
+        ...
+
+    def work(self) -> float | None:
+        """The work of its motors on the device since the last call, J, up to the displacement that it returned last.
+
+        It is asked at once after that displacement, where motors hold torques. It is infinite where it is unknown this
+        once, and None where the motors hold the force itself, whose work is f^T dx.
+        """
         ...
 
     def figures(self) -> Figures:
@@ -133,6 +142,10 @@ class TraceDriver:
     def intended_work(self) -> float:
         """The work W(k) of the hand's intention between the last two samples, J."""
         return self._work
+
+    def work(self) -> float | None:
+        """None: whatever moves this device, it holds the force itself."""
+        return None
 
     def figures(self) -> Figures:
         """No figures."""
@@ -209,7 +222,8 @@ def driver_of(bundle: DeviceBundle) -> Driver:
     T, wall = bundle.common.period, bundle.time == WALL
     match bundle.source:
         case SimulatedHand() as hand:
-            return _held(intent_hand(hand, T, wall), T, wall)
+            plant = None if hand.linkage is None else Mechanism(device_of(hand), T, hand.linkage)
+            return _held(intent_hand(hand, T, wall, plant), T, wall)
         case RecordedMotion() as motion:
             return WallTimeTrace(motion, T) if wall else TraceDriver(motion, T)
         case BrowserHand(physics):

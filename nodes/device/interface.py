@@ -41,6 +41,26 @@ reserve for the delays that were seen, nothing is made up. A force that lasts lo
 **A device's own latency** shifts its samples against its forces: the time of the account is that of the forces, and a
 sample is of so much earlier. A force may then act after the next sample was taken. It is booked from when it acts, and
 R holds all that still acts. No force ends before the device can be told.
+
+**Held torques.** The motors of a linkage hold the torques t = J(q_k)^T r in place of r. Then the tip is pushed by
+another force as it moves on, and a piece takes in t^T (q' - q) in place of r^T d. The two roles of Delta_D part then.
+What couplings are promised is what held torques leave of it (:mod:`manyhands.design.levels.held_torque`): Delta_D in y,
+K, m and c above stands for that. What the mechanism burns in a piece is d^T Delta_D d / h as before.
+
+The driver states the work W of its motors, and a piece costs W - d^T Delta_D d / h. It does so in any number of pieces,
+for W is their sum, and of their burns d^T Delta_D d / h is the least.
+
+What a force may still cost is bounded by how far it may stray. After a path l since the joints were read the tip is
+pushed by r and at most |r| (e^(kappa l) - 1) beside it. No force acts for longer than L after its sample, so that l is
+at most v L with v the limit of speed. Each piece's work depends on the ends of its motion alone, so let every joint
+have moved evenly (or the tip, where poses are ranges of its coordinates). That path is at most (2/kappa) arcsin(kappa
+|d|/2) long, for its direction turns by no more than kappa for each unit of it. So with x = kappa v L < 2
+
+    t^T (q' - q)  <=  r^T d + E |r| |d|,    E = s (e^(s x) - 1),    s = arcsin(x/2)/(x/2),
+
+and p(r) holds with |r_i| + E |r| on each axis in place of |r_i|. So does all that follows from the stated inertia. The
+bound then rests on the limit of speed of the whole path from the sample on, and on the poses that kappa is of. A driver
+that cannot tell W is refused; where it cannot tell it once, the piece counts at h p(r).
 """
 
 from __future__ import annotations
@@ -53,6 +73,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.design.levels.contract import DeviceShare
+from manyhands.design.levels.held_torque import HeldTorque
 from manyhands.nodes.device.given import ForceGiven
 from manyhands.nodes.device.speed_bound import SpeedBound
 from manyhands.nodes.kernel.allowance import LatenessAllowance
@@ -73,6 +94,8 @@ class InterfaceAccount:
     """The account e(k) of one device.
 
     Attributes:
+        burn: v -> Delta v, with Delta the level that is promised, N*s/m.
+        compliance: f -> Delta^-1 f.
         balance: e - f^T K f / 2, J, with the motion received so far counted at its least. It has no answer to wait for.
         least: the least e so far, J; at most 0.
         f: the force f(k) that the couplings sent last, N.
@@ -88,6 +111,8 @@ class InterfaceAccount:
         T: float,
         speed: Sequence[float],
         inertia: Inertia | None = None,
+        level: Matrix | None = None,
+        strays: float = 0.0,
     ) -> None:
         """Begin at rest in x = 0, without a force; time begins with the first sample.
 
@@ -97,13 +122,15 @@ class InterfaceAccount:
             T: period, s.
             speed: the device's limit of speed on each axis, m/s; a faster device lets go.
             inertia: what is stated of the device's mass and its hand; None where nothing is.
+            level: what held torques leave of Delta_D at that rung; None for Delta_D.
+            strays: E of :func:`straying`; 0 where the force itself is held.
         """
-        self._T, self._speed = T, tuple(speed)
+        self._T, self._speed, self._strays = T, tuple(speed), strays
         self._reach = None if inertia is None else SpeedBound(inertia)
         joins = bool(np.any(osp - np.diag(np.diag(osp))))
         self._least: Floats = [float(np.linalg.eigvalsh(osp)[0])] * len(speed) if joins else np.diag(osp).tolist()
-        self.burn = linear_map(osp)
-        self.compliance = linear_map(np.array(np.linalg.inv(osp), dtype=np.float64))
+        self._burned = linear_map(osp)
+        self._yields = linear_map(_inverse(osp))
         zero = [0.0] * osp.shape[0]
         self.f, self.exerted = zero, zero
         self.until: Instant | None = None
@@ -115,19 +142,24 @@ class InterfaceAccount:
         self._parts: list[tuple[Floats, int, int]] = []  # forces since the last sample, with beginning and end, ns
         self._moved: Floats | None = None  # w(k), until its answer
         self.broken: int | None = None
-        self.change(promise)
+        self.change(promise, level)
 
-    def change(self, promise: DeviceShare) -> None:
+    def change(self, promise: DeviceShare, level: Matrix | None = None) -> None:
         """Promise a different level from now on; call this only where the last two forces are zero."""
         self._share, self._kappa, self.weight = promise.share, promise.kappa, promise.weight
+        self.burn = self._burned if level is None else linear_map(level)
+        self.compliance = self._yields if level is None else linear_map(_inverse(level))
 
     @property
     def energy(self) -> float:
         """e(k), J."""
         return self.balance + self._stored
 
-    def sampled(self, x: Floats, at: Instant) -> None:
+    def sampled(self, x: Floats, at: Instant, work: float | None = None) -> None:
         """The device was at x (m) at the instant ``at``: book what the forces have done since the last call.
+
+        ``work`` is that of its motors since then, J; infinite where it is unknown this once. It is None where the force
+        itself is held, whose work is r^T d.
 
         Where more than one force acted since then, each one's part d_j of the motion d is unknown. Then the parts count
         that cost most. With r the mean force over the time h,
@@ -153,19 +185,20 @@ class InterfaceAccount:
         reach = self._reach
         before = None if reach is None else reach.fastest
         if reach is not None:
-            reach.saw(d, parts)
+            reach.saw(d, parts if self._strays == 0.0 else [(self._felt(r), h) for r, h in parts])
             if reach.broken is not None:  # what was stated is not so: from now on the limit of speed alone counts
                 self.broken, self._reach = reach.broken, None
                 before = None
+        several = len(parts) > 1 or work == math.inf
         mean = parts[0][0]
         spread = 0.0
-        if len(parts) > 1:
+        if work is None and several:
             mean = [sum(r[axis] * time for r, time in parts) / h for axis in range(len(d))]
             for r, time in parts:
                 beside = minus(r, mean)
-                spread += 0.25 * time * dot(beside, self.compliance(beside))
-        cost = dot(mean, d) - dot(d, self.burn(d)) / h + spread
-        if len(parts) > 1:
+                spread += 0.25 * time * dot(beside, self._yields(beside))
+        cost = (dot(mean, d) if work is None else work) - dot(d, self._burned(d)) / h + spread
+        if several:
             limits = zip(d, self._speed, strict=True)
             within = [v if abs(way) <= _ROUNDING * v * h else math.inf for way, v in limits]
             cost = min(cost, self._most_of(parts, within, before))
@@ -178,9 +211,17 @@ class InterfaceAccount:
             if reach is None or u is None:
                 total += h * self.cost(r, within)
             else:
-                total += h * self.cost(r, list(map(min, within, reach.speeds(u, r, h))))
-                u = reach.grown(u, r, h)
+                felt = self._felt(r)
+                total += h * self.cost(r, list(map(min, within, reach.speeds(u, felt, h))))
+                u = reach.grown(u, felt, h)
         return total
+
+    def _felt(self, r: Floats) -> Floats:
+        """A bound of what pushes the tip on each axis while r (N) stands, N: r itself where it is held."""
+        if self._strays == 0.0:
+            return r
+        beside = self._strays * math.hypot(*r)
+        return [abs(force) + beside for force in r]
 
     def _close(self, at: Instant) -> None:
         """Keep how long the present force was exerted until ``at``, and how long none was after its end."""
@@ -216,7 +257,8 @@ class InterfaceAccount:
         reach = self._reach
         if reach is None:
             return h * self.cost(r)
-        return h * self.cost(r, list(map(min, self._speed, reach.speeds(self._at_most(begin), r, h))))
+        u = self._at_most(begin)
+        return h * self.cost(r, list(map(min, self._speed, reach.speeds(u, self._felt(r), h))))
 
     def lasts(self, r: Floats, begin: Instant, paid: float) -> float:
         """For how long r (N) may act from ``begin`` on where ``paid`` (J, at least 0) is there for it, s.
@@ -230,7 +272,7 @@ class InterfaceAccount:
         reach = self._reach
         if reach is None or paid == 0.0:
             return paid / power
-        rate, growth = reach.work(self._at_most(begin), r)
+        rate, growth = reach.work(self._at_most(begin), self._felt(r))
         return max(paid / power, 2.0 * paid / (rate + math.sqrt(rate * rate + 2.0 * growth * paid)))
 
     def _at_most(self, begin: Instant) -> Floats:
@@ -240,12 +282,12 @@ class InterfaceAccount:
             raise AssertionError("asked only where an inertia is stated")
         u = reach.fastest
         for r, first, end in self._parts:
-            u = reach.grown(u, r, (end - first) * _NS)
+            u = reach.grown(u, self._felt(r), (end - first) * _NS)
         left = (begin - max(self._since, self._at or self._since)) * _NS
-        return reach.grown(u, self.exerted, left) if left > 0.0 else u
+        return reach.grown(u, self._felt(self.exerted), left) if left > 0.0 else u
 
     def cost(self, r: Floats, speed: Sequence[float] | None = None) -> float:
-        """p(r), W: the most that r (N) can cost in a second, the greatest r^T v - v^T Delta_D v.
+        """p(r), W: the most that r (N) can cost in a second, the greatest r^T v - v^T Delta_D v, and more by torques.
 
         The device moves at no more than its limit of speed in the mean: nothing enforces that between two samples.
         Where Delta_D joins axes, its least eigenvalue stands for it.
@@ -254,9 +296,9 @@ class InterfaceAccount:
             r: N.
             speed: the greatest |v| on each axis, m/s; None for the limits.
         """
-        most_power, limits = 0.0, speed or self._speed
+        most_power, limits, felt = 0.0, speed or self._speed, self._felt(r)
         for axis in range(len(r)):
-            size, d = abs(r[axis]), self._least[axis]
+            size, d = abs(felt[axis]), self._least[axis]
             v = min(size / (2.0 * d), limits[axis])
             most_power += v * (size - d * v)
         return most_power
@@ -297,6 +339,31 @@ class InterfaceAccount:
         self._close(at)
         self.exerted, self.until = r, until
         self.least = min(self.least, self.energy)
+
+
+def _inverse(level: Matrix) -> Matrix:
+    return np.array(np.linalg.inv(level), dtype=np.float64)
+
+
+def straying(held: HeldTorque, speed: Sequence[float], longest: float) -> float:
+    """E, by which part the push on a tip may differ from the force that its motors' torques stand for.
+
+    Args:
+        held: how its torques are held.
+        speed: its limit of speed on each axis, m/s; a tip that is faster on all of them counts as fast as ``held`` has.
+        longest: L, for how long after its sample a force acts at most, s.
+
+    Raises:
+        ValueError: in that time a tip may turn too far for any bound.
+    """
+    x = held.kappa * max(held.speed, math.hypot(*speed)) * longest
+    if not x < 2.0:
+        raise ValueError(
+            f"held: found a tip that may turn by {x:.3g} while a force is held for up to {longest:g} s; expected "
+            "kappa times speed times that time to be less than 2"
+        )
+    s = math.asin(0.5 * x) / (0.5 * x)
+    return s * math.expm1(s * x)
 
 
 CALM: Final = 0.02
@@ -367,6 +434,7 @@ class DeviceInterface:
         allowance: LatenessAllowance | None,
         latency: Duration = Duration(0),  # noqa: B008 -- a number
         inertia: Inertia | None = None,
+        held: HeldTorque | None = None,
     ) -> None:
         """Begin at rest in x = 0, with a full tank.
 
@@ -382,13 +450,19 @@ class DeviceInterface:
             latency: how much older than its call each sample is, and how much later than its call each force acts,
                 together, ns.
             inertia: what is stated of the device's mass and its hand; None where nothing is.
+            held: how its motors hold torques; None where the force itself is held.
+
+        Raises:
+            ValueError: of held torques nothing is left of Delta_D, or a tip may turn too far while a force is held.
         """
-        self.account = InterfaceAccount(osp, promise, T, speed, inertia)
+        self._T, self._osp, self._held = T, osp, held
+        strays = 0.0 if held is None else straying(held, speed, longest * _NS)
+        self.account = InterfaceAccount(osp, promise, T, speed, inertia, self._left_by(tau, tolerance), strays)
         self._bounded = allowance is not None
         self._allowance = allowance or LatenessAllowance(0.0)
         self.tank = self.allowed = self.margin = self._allowance.energy
         self._first: Instant | None = None  # instant of a force
-        self._T, self._longest, self._latency, self._speed = T, longest, latency, tuple(speed)
+        self._longest, self._latency, self._speed = longest, latency, tuple(speed)
         self._tau = self._expected = self._seen = tau
         self._tolerance = tolerance
         self._sent: Floats = [0.0] * len(speed)
@@ -398,7 +472,7 @@ class DeviceInterface:
         self.speed, self.shortened = 0.0, False
         self._since = Instant(0)  # since when the present force is exerted
         self._exact = True  # whether the device knew where it was then
-        self._sample: tuple[Floats, Instant, Floats, float] | None = None  # sent, and not booked yet
+        self._sample: tuple[Floats, Instant, float | None, Floats, float] | None = None  # sent, and not booked yet
         self._answer: Floats | None = None  # likewise
         self._power = 0.0  # of the exerted force at the limit of speed, W
         self._booked, self._changed = 0.0, False
@@ -421,10 +495,19 @@ class DeviceInterface:
 
     def change(self, promise: DeviceShare, tau: float, tolerance: float) -> None:
         """Follow a change of rung; call this only where the last two forces are zero."""
-        self.account.change(promise)
+        self.account.change(promise, self._left_by(tau, tolerance))
         self._tau, self._tolerance = tau, tolerance
 
-    def send(self, x: Floats, goal: Floats, now: Instant) -> Floats:
+    def _left_by(self, tau: float, tolerance: float) -> Matrix | None:
+        """What held torques leave of Delta_D where the certificate covers these; None for all of it."""
+        if self._held is None:
+            return None
+        left = self._held.left(self._osp, self._T, tau, tolerance)
+        if left is None:
+            raise ValueError(f"held: found nothing left of Delta_D at a delay of {tau:g} s; expected a positive rest")
+        return left
+
+    def send(self, x: Floats, goal: Floats, now: Instant, work: float | None = None) -> Floats:
         """The displacement to send: the nearest to ``goal`` that is paid for.
 
         If the exerted force may last longer than the tank pays for, :attr:`until` comes nearer, and at most to ``now``.
@@ -433,6 +516,8 @@ class DeviceInterface:
             x: the device's displacement, m.
             goal: what it would send without a bound, m.
             now: the instant of the call; the sample was taken earlier by the latency.
+            work: of the motors until the sample, since the last work that was given, J, as of
+                :meth:`InterfaceAccount.sampled`.
         """
         at = Instant(now - self._latency)
         self._settle()
@@ -450,10 +535,10 @@ class DeviceInterface:
         if not self._bounded or (enough and self._exact and self._sent is self._goal):
             self._goal = self._sent = goal
             self._changed = False
-            self._sample = x, at, w, gain
+            self._sample = x, at, work, w, gain
             return goal
         known = self.tank
-        account.sampled(x, at)
+        account.sampled(x, at, work)
         self._book()
         brought = max(0.0, self.tank - known)
         acts, committed = account.ahead  # with a latency, earlier forces may act until after this sample
@@ -521,7 +606,7 @@ class DeviceInterface:
         self._power = power
         longest = (until - at) * _NS
         if self._sample is not None:  # nothing is booked yet: the least that the tank can hold
-            paid = self.tank + self._sample[3] - (at - self._since) * _NS * before
+            paid = self.tank + self._sample[4] - (at - self._since) * _NS * before
             least = min(paid, self._most(power))
             if least >= power * longest:
                 return held, until
@@ -544,7 +629,9 @@ class DeviceInterface:
         self.ticks += self._changed
         return held, until
 
-    def applied(self, x: Floats | None, at: Instant, exerted: Floats, until: Instant | None) -> Instant:
+    def applied(
+        self, x: Floats | None, at: Instant, exerted: Floats, until: Instant | None, work: float | None = None
+    ) -> Instant:
         """The device exerts ``exerted`` (N) from the instant ``at`` on, as :meth:`force` has decided.
 
         Args:
@@ -552,6 +639,7 @@ class DeviceInterface:
             at: the instant.
             exerted: N.
             until: the end of the force.
+            work: of the motors until then, as of :meth:`send`; for nothing where ``x`` is None.
 
         Returns:
             The instant at which the force before had ended.
@@ -564,7 +652,7 @@ class DeviceInterface:
         self._whole = self._next_whole
         self._exact = x is not None
         if x is not None:
-            self.account.sampled(x, at)
+            self.account.sampled(x, at, work)
             self._book()
         self._since = at
         self._grow(at)
@@ -594,9 +682,9 @@ class DeviceInterface:
     def _settle(self) -> None:
         """Book what :meth:`send` and :meth:`force` have put off until nobody waits."""
         if self._sample is not None:
-            x, at, w, gain = self._sample
+            x, at, work, w, gain = self._sample
             self._sample = None
-            self.account.sampled(x, at)
+            self.account.sampled(x, at, work)
             self.account.received(w, gain)
         if self._answer is not None:
             self.account.answered(self._answer)
@@ -693,4 +781,5 @@ def interface_of(bundle: DeviceBundle) -> DeviceInterface:
         bundle.allowance,
         from_seconds(bundle.timing.latency),
         bundle.inertia,
+        bundle.held,
     )

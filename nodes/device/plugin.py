@@ -27,7 +27,7 @@ from typing import Final
 
 from manyhands.nodes.device.specification import AxisMap, DeviceSpecification, promises_too_much
 from manyhands.nodes.kernel.arithmetic import Floats
-from manyhands.nodes.kernel.bundle import SIMULATED, DeviceBundle, PluginDevice
+from manyhands.nodes.kernel.bundle import SIMULATED, WALL, DeviceBundle, PluginDevice
 from manyhands.nodes.kernel.driver_statement import DeviceTiming
 from manyhands.nodes.kernel.factory import FactoryError, FactoryName, in_one_line, made_by
 from manyhands.nodes.kernel.lifetime import Stopped
@@ -38,7 +38,8 @@ from manyhands.protocol.messages import Figures
 REQUIRED: Final = (
     "specification", "sample", "apply", "release", "close", "exerted", "idle", "figures",
 )  # fmt: skip
-"""The methods of a driver; the last three have a default in :class:`DeviceDriver`."""
+"""The methods of a driver; the last three have a default in :class:`DeviceDriver`, as ``work`` has, which is asked only
+where motors hold torques."""
 
 
 class DeviceDriver(ABC):
@@ -87,6 +88,16 @@ class DeviceDriver(ABC):
         """The force that the device really exerts since the last :meth:`apply`, N; None where it cannot tell.
 
         The loop asks for it when nobody waits, once a tick.
+        """
+        return None
+
+    def work(self) -> float | None:
+        """The work of the motors on the device since the last call, J, up to the displacement that was returned last.
+
+        Of joints q and the torques t that the motors held between two readings it is the sum of t^T (q_new - q_old).
+        The loop asks at once after each displacement that it uses, where the session states that the motors hold
+        torques. None where the driver cannot tell this once, as when its watchdog ended a force between two readings;
+        the next answer then begins with this call.
         """
         return None
 
@@ -310,6 +321,30 @@ class PluginDriver:
         """0: the intention of a person's hand is not known."""
         return 0.0
 
+    @property
+    def tells_work(self) -> bool:
+        """Whether the driver has a method of its own for the work of its motors."""
+        own = getattr(type(self._driver), "work", None)
+        return own is not None and own is not DeviceDriver.work
+
+    def work(self) -> float | None:
+        """The work of its motors since the last call, J; infinite where the driver cannot tell, None if it never can.
+
+        Ports and axes have the same power, so it is that of the driver's own axes.
+        """
+        if not self.tells_work:
+            return None
+        try:
+            given = self._driver.work()
+            done = None if given is None else float(given)
+        except (Exception, SystemExit) as error:  # foreign code: every exception is named
+            raise self._raised("work", error, "a work in J or None") from error
+        if done is None:
+            return math.inf
+        if not math.isfinite(done):
+            raise self._unusable("work", done, "a finite work in J, or None")
+        return done
+
     def figures(self) -> Figures:
         """The driver's figures, whether it measures its forces, and what of them differs from those it was given."""
         try:
@@ -381,6 +416,12 @@ def plugin_driver(device: PluginDevice, bundle: DeviceBundle) -> PluginDriver:
                 "mechanism moves in real time"
             )
         limits = bundle.limits.force, bundle.limits.displacement, bundle.limits.speed
+        made = PluginDriver(name, driver, axis_map, stated, bundle.common.period, device.timing)
+        if bundle.held is not None and bundle.time == WALL and not made.tells_work:
+            raise FactoryError(
+                f"devices.{bundle.common.name}: found the driver {name} without a method work; expected the work of "
+                "its motors in J, for they hold torques, and the account of lateness rests on it"
+            )
         if found := list(promises_too_much(stated, axis_map, limits, device.timing, bundle.inertia)):
             raise FactoryError(
                 f"devices.{bundle.common.name}: the session promises more than its driver {name} states: "
@@ -389,4 +430,4 @@ def plugin_driver(device: PluginDevice, bundle: DeviceBundle) -> PluginDriver:
     except FactoryError:
         driver.close()
         raise
-    return PluginDriver(name, driver, axis_map, stated, bundle.common.period, device.timing)
+    return made

@@ -127,6 +127,14 @@ class Plant:
             return self._step(before + inputs)
         return self._parts.step(before, inputs, part)
 
+    def holds(self, f: Floats, read: Floats) -> Floats:
+        """What is held while the couplings' force is f (N), the device having been read in the state ``read``: f."""
+        return f
+
+    def done(self, state: Floats) -> float | None:
+        """What its motors have done so far, J; None where they hold the force itself, whose work is f^T dx."""
+        return None
+
     def seen(self, before: Floats, f: Floats, intention: Intention, part: int) -> Floats:
         """Displacement (m) and velocity (m/s) as :meth:`after` has them, in less time."""
         if self._parts is None or part == self._period:
@@ -136,15 +144,21 @@ class Plant:
 
     def work(self, before: Floats, after: Floats, f: Floats, intention: Intention, part: int | None = None) -> float:
         """The intention's work over a step of :meth:`after`, J; of both states the first 2m entries are used."""
-        m, T = self.axes, self._T if part is None or part == self._period else seconds(Duration(part))
+        T = self._T if part is None or part == self._period else seconds(Duration(part))
+        goal = intention.velocity
+        impulse = [force * T for force in plus(f, intention.force)] if any(goal) else goal
+        return self._work_by(impulse, before, after, intention)
+
+    def _work_by(self, impulse: Floats, before: Floats, after: Floats, intention: Intention) -> float:
+        """The intention's work where motors and hand have given ``impulse``, N*s; that counts only with a velocity."""
+        m = self.axes
         moved = minus(after[:m], before[:m])
         work = dot(intention.force, moved)
         goal = intention.velocity
         if any(goal):
-            total = plus(f, intention.force)
             faster = minus(after[m : 2 * m], before[m : 2 * m])
-            lost = zip(total, self._damping, moved, self._mass, faster, strict=True)
-            work -= dot(goal, [force * T - b * dx - mass * dv for force, b, dx, mass, dv in lost])
+            lost = zip(impulse, self._damping, moved, self._mass, faster, strict=True)
+            work -= dot(goal, [given - b * dx - mass * dv for given, b, dx, mass, dv in lost])
         return work
 
 
@@ -192,7 +206,7 @@ class OwnTimeDriver:
         self._zero: Floats = [0.0] * m
         self._state: Floats = hand.plant.holding(self._zero, self._zero)
         self._tick = 0
-        self._work = 0.0
+        self._work = self._done = 0.0
         self._f = self._zero
         self._intention: Intention | None = None  # over the period that has begun, once it is known
         self._next: tuple[Floats, float] | None = (self._state, 0.0)
@@ -210,7 +224,8 @@ class OwnTimeDriver:
 
     def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Floats:
         """Hold f (N) over the period that begins; returns the displacement of the last sample, m."""
-        self._f, self._next = list(map(float, f)), None  # a float of numpy is slow in the products
+        held = list(map(float, f))  # a float of numpy is slow in the products
+        self._f, self._next = self._hand.plant.holds(held, self._state), None
         return self._state[: self._m]
 
     def release(self, at: Instant) -> Floats:
@@ -224,6 +239,14 @@ class OwnTimeDriver:
     def intended_work(self) -> float:
         """Work of the intention over the last period, J."""
         return self._work
+
+    def work(self) -> float | None:
+        """Work of the motors since the last call, up to the last sample, J; None where they hold the force itself."""
+        done = self._hand.plant.done(self._state)
+        if done is None:
+            return None
+        since, self._done = done - self._done, done
+        return since
 
     def figures(self) -> Figures:
         """The hand's figures."""
@@ -256,6 +279,33 @@ class HeldDeviceDriver(WallTimeDriver):
         super().__init__(hand.plant.axes, T)
         self._hand = hand
         self._intention = Intention(self._zero, self._zero)  # over the period that was entered last
+        self._read = hand.plant.holding(self._zero, self._zero)  # the state at the last sample
+        self._torques = hand.plant.done(self._read) is not None
+        self._done = 0.0
+
+    def sample(self, tick: int, at: Instant) -> Floats:
+        """As of :class:`WallTimeDriver`; the joints are read here."""
+        x = super().sample(tick, at)
+        if self._torques:
+            self._read = self._latest()
+        return x
+
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Floats:
+        """As of :class:`WallTimeDriver`; of a linkage the torques are held that stand for f at the last sample."""
+        if self._torques:
+            f = self._hand.plant.holds(list(map(float, f)), self._read)
+        return super().apply(f, at, until)
+
+    def work(self) -> float | None:
+        """Work of the motors since the last call, J, up to the displacement that was returned last.
+
+        None where they hold the force itself.
+        """
+        done = self._hand.plant.done(self._latest()) if self._torques else None
+        if done is None:
+            return None
+        since, self._done = done - self._done, done
+        return since
 
     def figures(self) -> Figures:
         """The hand's figures."""
@@ -348,16 +398,17 @@ class IntentHand(Hand):
         return Intention([force(t) for force in self._force], goal)
 
 
-def intent_hand(hand: SimulatedHand, T: float, parts: bool = False) -> IntentHand:
+def intent_hand(hand: SimulatedHand, T: float, parts: bool = False, plant: Plant | None = None) -> IntentHand:
     """The simulated hand that a bundle describes.
 
     Args:
         hand: the physics of device and hand, and the hand's intention.
         T: period, s.
         parts: whether the plant steps over parts of a period, for a driver in wall time.
+        plant: the device with the hand, where it is not this plant.
 
     Raises:
         ValueError: a mass is not positive, or an intention is not usable.
     """
     forces, motions = ([intent_from(data) for data in every] for every in (hand.force, hand.motion))
-    return IntentHand(Plant(device_of(hand), T, parts), forces, motions, T)
+    return IntentHand(plant or Plant(device_of(hand), T, parts), forces, motions, T)

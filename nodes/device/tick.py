@@ -60,6 +60,8 @@ class DeviceTick(ABC):
         held: the force of the tick, within what limits and account allow, N.
         x_a: the displacement when the force was applied, m; None where it is not known.
         instants: of the last tick, of a device in wall time.
+        done: the work of motors that hold torques until the sample of the last tick, and from then until its force, J;
+            NaN where it is not known. Empty for others.
     """
 
     interface: DeviceInterface | None = None
@@ -73,6 +75,7 @@ class DeviceTick(ABC):
         self._first = True
         # of a driver of another package: what it really exerts of the force that it was given; it is held to its word
         self._exerted = driver.exerted if isinstance(driver, PluginDriver) else None
+        self._torques = bundle.held is not None  # its motors hold them, and their work is asked for
         simulated = bundle.inertia if isinstance(bundle.source, SimulatedHand) else None
         self._steps = simulated.step if simulated is not None and any(simulated.step) else None
         self.driver = driver
@@ -81,6 +84,8 @@ class DeviceTick(ABC):
         self.moved = self.x = self.sent = self.held = self._zero
         self.x_a: Floats | None = None
         self.instants: Instants = NO_INSTANTS
+        self.done: tuple[float, ...] = ()
+        self._until_sampled = math.nan
 
     def sample(self, turn: int, at: Instant, first: bool = True, recorded: Floats | None = None) -> Floats:
         """Take a sample; returns the displacement that the couplings receive, m.
@@ -105,7 +110,9 @@ class DeviceTick(ABC):
             self.x, self.sent = x, goal
         elif first:
             self.x, self._row_at = x, at
-            self.sent = interface.send(x, goal, at)
+            work = self.driver.work() if self._torques else None
+            self.sent = interface.send(x, goal, at, work)
+            self._until_sampled = math.nan if work is None else work
             if interface.shortened:
                 self.driver.apply(interface.exerted, at, interface.until)
         return self.sent
@@ -137,7 +144,7 @@ class DeviceTick(ABC):
 
     @abstractmethod
     def row(self) -> Row:
-        """x, f_v, the ledger's total; of a device in wall time also e(k), x at the instant of the force, the instants.
+        """x, f_v, the ledger's total; in wall time also e(k), x at the instant of the force, the instants, the work.
 
         A part without numbers stands for what a device in its own time has not.
         """
@@ -196,7 +203,7 @@ class OwnTimeTick(DeviceTick):
 
     def row(self) -> Row:
         """x, f_v and the ledger's total."""
-        return self.x, self.held, (self.core.ledger.total,), (), (), ()
+        return self.x, self.held, (self.core.ledger.total,), (), (), (), ()
 
 
 class WallTimeTick(DeviceTick):
@@ -245,7 +252,10 @@ class WallTimeTick(DeviceTick):
         moved, interface = self._moved, self.wall_interface
         self.x_a = None if moved is None else list(map(float, moved))
         exerted = self.held if self._exerted is None else self._exerted(self.held)
-        ended = interface.applied(self.x_a, self._applied, exerted, self._until)
+        work = self.driver.work() if self._torques and moved is not None else None
+        ended = interface.applied(self.x_a, self._applied, exerted, self._until, work)
+        if self._torques:
+            self.done = self._until_sampled, math.nan if work is None else work
         self.instants = (self._row_at, self._applied, ended)
         # not before the force is applied: ZeroMQ's thread may send x(k) only while this one waits
         self._count(self.driver.intended_work())
@@ -254,9 +264,9 @@ class WallTimeTick(DeviceTick):
         self.core.apply(self._asked, self.work)
 
     def row(self) -> Row:
-        """x, f_v, the ledger's total, e(k), x at the instant of the force, and the instants."""
+        """x, f_v, the ledger's total, e(k), x at the instant of the force, the instants, and the work of its motors."""
         energy, x_a = self.wall_interface.account.energy, self._unknown if self.x_a is None else self.x_a
-        return self.x, self.held, (self.core.ledger.total,), (energy,), x_a, self.instants
+        return self.x, self.held, (self.core.ledger.total,), (energy,), x_a, self.instants, self.done
 
     def _count(self, work: float) -> None:
         """Count the work of the intention up to the latest sample, J."""

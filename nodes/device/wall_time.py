@@ -130,6 +130,10 @@ class WallTimeDriver(ABC):
         self._settle()
         return self._work
 
+    def work(self) -> float | None:
+        """None: the device holds the force itself."""
+        return None
+
     def figures(self) -> Figures:
         """No figures."""
         return Figures()
@@ -138,6 +142,12 @@ class WallTimeDriver(ABC):
         """Exert no force from the last event on."""
         if self._present is not None:
             self.release(Instant(self._last))
+
+    def _latest(self) -> Floats:
+        """The state whose displacement was returned last, as far as :meth:`_seen` has it; before any later question."""
+        if self._sampled is not None:
+            return self._sampled[1]
+        return self._begin(self._last)[0] if self._present is None else self._present.state
 
     def _settle(self) -> None:
         """Compute the work of the intention between the last two samples."""

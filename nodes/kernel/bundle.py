@@ -26,6 +26,7 @@ import numpy as np
 
 from manyhands.design.files import open_new, read_regular
 from manyhands.design.levels.contract import DeviceShare
+from manyhands.design.levels.held_torque import HeldTorque
 from manyhands.design.models.coupling import loop_gain
 from manyhands.design.models.scene import ContactScene, scene_of
 from manyhands.design.models.statespace import Matrix, StateSpace
@@ -199,8 +200,8 @@ class DevicePromise(NamedTuple):
     """The numbers of a device's promise: G_hat is ``level``-OSP, with this K.
 
     Attributes:
-        level: share Delta_D, m_i x m_i, N*s/m.
-        K: kappa T Delta_D^{-1}, m_i x m_i, m/N.
+        level: share Delta, m_i x m_i, N*s/m, with Delta of :attr:`DeviceBundle.levels`.
+        K: kappa T Delta^{-1}, m_i x m_i, m/N.
     """
 
     level: Matrix
@@ -239,6 +240,8 @@ class SimulatedHand:
         hand_stiffness: N/m.
         force: intended force (N): a number, a formula in t, or {"times", "values"}.
         motion: intended motion (m), in the same forms.
+        linkage: the kinematics of the joints whose motors hold torques, as plain data
+            (:func:`manyhands.nodes.device.mechanism.joints_of`); None where the force itself is held.
 
     Raises:
         ValueError: the entries are not of one number of axes.
@@ -251,6 +254,7 @@ class SimulatedHand:
     hand_stiffness: tuple[float, ...]
     force: tuple[Any, ...]
     motion: tuple[Any, ...]
+    linkage: Added[Mapping[str, Any] | None] = None
 
     def __post_init__(self) -> None:
         vectors = (self.mass, self.damping, self.hand_damping, self.hand_stiffness, self.force, self.motion)
@@ -268,9 +272,16 @@ class BrowserHand:
 
     Attributes:
         physics: the device, and the hand that joins it to the pointer.
+
+    Raises:
+        ValueError: the device has a linkage, which a pointer does not move.
     """
 
     physics: SimulatedHand
+
+    def __post_init__(self) -> None:
+        if self.physics.linkage is not None:
+            raise ValueError("found a linkage of a device that a pointer moves; expected none, or a simulated hand")
 
     @property
     def axes(self) -> int:
@@ -359,10 +370,12 @@ class DeviceBundle:
         time: :data:`WALL` or :data:`OWN`, the time in which the source moves the device.
         allowance: what lateness may put into the loop; None where it is counted alone.
         inertia: what is stated of the device's mass and its hand; None where nothing is.
+        held: how the motors of its linkage hold torques in place of the force; None where the force itself is held.
 
     Raises:
         ValueError: Delta_D is not symmetric positive definite with a row for each port, the axes of the source are not
-            the ports, the rungs' delays do not grow, the time is unknown, or it is wall time under the simulated clock.
+            the ports, the rungs' delays do not grow, the time is unknown, it is wall time under the simulated clock, or
+            the held torques leave nothing of Delta_D at a rung.
     """
 
     common: Common
@@ -373,6 +386,7 @@ class DeviceBundle:
     time: str = OWN
     allowance: Added[LatenessAllowance | None] = None
     inertia: Added[Inertia | None] = None
+    held: Added[HeldTorque | None] = None
 
     def __post_init__(self) -> None:
         m = len(self.common.ports)
@@ -393,6 +407,7 @@ class DeviceBundle:
         taus = [rung.tau for rung in self.rungs]
         if any(not a < b for a, b in pairwise(taus)):
             raise ValueError(f"found rungs for delays of {taus} s; expected them to grow")
+        _ = self.levels
 
     @property
     def timing(self) -> DeviceTiming:
@@ -405,11 +420,31 @@ class DeviceBundle:
         return self.allowance if self.allowance is not None and self.time == WALL else NOTHING
 
     @cached_property
+    def levels(self) -> tuple[Matrix, ...]:
+        """What each rung's promise is made of, m_i x m_i, N*s/m: Delta_D, or what held torques leave of it."""
+        return tuple(self._left(rung) for rung in self.rungs)
+
+    def _left(self, rung: DeviceRung) -> Matrix:
+        held = self.held
+        if held is None:
+            return self.osp
+        left = held.left(self.osp, self.common.period, rung.tau, rung.period_tolerance)
+        if left is None:
+            lost = held.damping(self.common.period, rung.tau, rung.period_tolerance)
+            least = float(np.linalg.eigvalsh(self.osp)[0])
+            raise ValueError(
+                f"held: found an osp of {least:.6g} N*s/m; expected more than the {lost:.6g} N*s/m that held torques "
+                f"may give out at a delay of {rung.tau:g} s"
+            )
+        return left
+
+    @cached_property
     def promises(self) -> tuple[DevicePromise, ...]:
         """The promise at each rung, computed once."""
         T = self.common.period
         return tuple(
-            DevicePromise(rung.share.share * self.osp, loop_gain(self.osp, T, rung.share.kappa)) for rung in self.rungs
+            DevicePromise(rung.share.share * level, loop_gain(level, T, rung.share.kappa))
+            for rung, level in zip(self.rungs, self.levels, strict=True)
         )
 
 

@@ -261,10 +261,10 @@ class Recorded:
         return {name: self.ports[name] for name, role in self.roles.items() if role is Role.DEVICE}
 
     def topics(self, node: str) -> tuple[Topic, ...]:
-        """The topics of a node, in the table's order; empty for an unknown node."""
+        """The topics that a node has or may have, in the table's order; empty for an unknown node."""
         role = self.roles.get(node)
         wall = self.clock == REALTIME
-        return () if role is None else topics_of(role, self.masses, wall, bool(self.links_of(node)))
+        return () if role is None else topics_of(role, self.masses, wall, bool(self.links_of(node)), wall)
 
     def columns(self, node: str, topic: Topic) -> tuple[str, ...]:
         """Names of the columns of a node's topic."""

@@ -109,6 +109,27 @@ def _osp(rng: Generator, data: Data) -> None:
     device["osp"] = touched(rng, device["osp"], True)
 
 
+def _version(rng: Generator, data: Data, with_key: int, often: float = 0.95) -> int:
+    """The version that has a key; that of the file now and then, or where its version has all keys."""
+    own: int = data["version"]
+    return with_key if own < 6 and rng.random() < often else own
+
+
+def _held(rng: Generator, data: Data) -> None:
+    """How a device holds its force: other numbers, another arm, or nothing of it."""
+    device = data["devices"][_block(rng, data["devices"])]
+    if rng.random() < 0.05:
+        del device["held"]
+        data["version"] = 4 if "period_tolerance" in data else 3
+    elif rng.random() < 0.7:
+        held = device["held"]
+        key = str(rng.choice(["kappa", "force", "speed"]))
+        held[key] = held[key] * factor(rng)
+    else:
+        linkage = device["held"]["linkage"]
+        linkage["links"] = touched(rng, linkage["links"], False)
+
+
 def _storage(rng: Generator, data: Data) -> None:
     stored = data["storage"]
     names = list(stored["V_hat"])
@@ -134,7 +155,7 @@ def _period_tolerance(rng: Generator, data: Data) -> None:
     rho = float(rng.choice([1.0, 10.0 ** rng.uniform(-9.0, 0.0), before * factor(rng), -0.1, 0.0]))
     data["period_tolerance"] = rho
     if "series" not in data:
-        data["version"] = 4 if rng.random() < 0.95 else data["version"]
+        data["version"] = _version(rng, data, 4)
 
 
 def _series(rng: Generator, data: Data) -> None:
@@ -145,12 +166,12 @@ def _series(rng: Generator, data: Data) -> None:
         stated = parts.get(port, {}).get("compliance", data["period"])
         found = [stated * factor(rng), stated * (1.0 + 1e-3 * rng.random()), 10.0 * stated, 0.0, -stated]
         parts[port] = {"compliance": float(rng.choice(found))}
-        data["version"] = 5
+        data["version"] = _version(rng, data, 5, 1.0)
         return
     parts[port] = float(rng.choice([rng.random(), parts.get(port, 0.5) * factor(rng), 1.0, 0.0, 1.5, -0.5]))
     if rng.random() < 0.2:
         parts.pop(_block(rng, parts))
-    data["version"] = 5 if rng.random() < 0.95 else data["version"]
+    data["version"] = _version(rng, data, 5)
 
 
 def _period(rng: Generator, data: Data) -> None:
@@ -266,6 +287,7 @@ CHANGES: dict[str, Callable[[Generator, Data], None]] = {
     "Phi_E": _level("Phi_E"),
     "joined Phi_E": _joined_level,
     "osp": _osp,
+    "held": _held,
     "storage": _storage,
     "tau": _tau,
     "period_tolerance": _period_tolerance,
@@ -286,6 +308,7 @@ def applies(change: str, data: Data) -> bool:
     """Whether a change of this class changes anything in this certificate."""
     E = data["environment"]["type"]
     needs = {
+        "held": any("held" in device for device in data["devices"].values()),
         "gamma": data["transparency"] is not None,
         "delay": E != "declared",
         "series": "series" in data or (E in ("network", "state-space", "transfer-function") and data["version"] == 3),

@@ -10,11 +10,14 @@ from flint import ctx
 
 from tests.attack.arithmetic import BITS, Floats, Precise
 from tests.attack.hands import at_level, worst
+from tests.attack.linkages import pays
 from tests.attack.loop import Hand, Repeating, Tick, growth
 from tests.attack.parties import Data, NoSystem, Reader, precise
 from tests.attack.passivity import confirmed, levels, mixture_levels, poles, statics, suspects
 
 SHAKEN = 1e-7  # of a period, in floats: eigenvalues at 1 that meet are split by the root of rounding
+PAYS = 1e-6  # relative: sums of a few hundred terms in floats, whose differences are a millionth of them
+MOST_STEPS = 10  # of the search among motions, each of some hundred of them
 CERTAIN = 1e-30  # in long numbers of 600 bits, where six that meet are split by 2^-100
 
 
@@ -74,7 +77,19 @@ def judge(data: Data, rng: np.random.Generator, draws: int = 3, steps: int = 0) 
                     out.findings.append(f"{suspect.what}, at {suspect.angle:.4g} rad")
         if data["environment"]["type"] != "declared":
             out += shaken([data], rng, draws, steps)
+        out += paid(data, rng, steps)
         out += shaken([at_level(rng, data)], rng, max(draws // 2, 1), steps, "with an environment at its level: ")
+    return out
+
+
+def paid(data: Data, rng: np.random.Generator, steps: int) -> Judgement:
+    """Whether some motion of an arm that holds torques gives more than the mechanism burns."""
+    out = Judgement()
+    if any("linkage" in device.get("held", {}) for device in data["devices"].values()):
+        ratio, out.loops = pays(data, rng, min(steps, MOST_STEPS))
+        if ratio > 1.0 + PAYS:
+            out.suspects.append("held torques pay")
+            out.findings.append(f"held torques pay {ratio:.6g} times what is burnt")
     return out
 
 

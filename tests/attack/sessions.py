@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from manyhands.design.certificate import content
-from manyhands.design.errors import DesignError
+from manyhands.design.errors import DesignError, Infeasible
+from manyhands.design.levels.held_torque import HeldTorque
 from manyhands.design.models.coupling import Partition, SpringDamper
 from manyhands.design.models.declared import DeclaredEnvironment
 from manyhands.design.models.environment import DelayedNetwork, NetworkBox, StateSpaceEnvironment, TransferEnvironment
@@ -33,6 +34,7 @@ from manyhands.design.problem import (
 )
 from manyhands.design.series import counted_parts
 from manyhands.design.synthesis import design
+from tests.attack.linkages import Arm
 
 Data = dict[str, Any]
 Generator = np.random.Generator
@@ -374,6 +376,29 @@ def _some_aim(rng: Generator) -> Transparency:
     return Transparency(objective, Filter((1.0 - p,), (1.0, -p)), Filter((1.0,), (1.0,)))  # type: ignore[arg-type]
 
 
+def of_held_torque(rng: Generator) -> Data | None:
+    """A planar arm whose motors hold torques, before a network; kinematics are stated, and kappa a little too high."""
+    T, osp, _ = _scales(rng)
+    environment, tau, rho = network(rng, 2, osp, T), late(rng, T), float(rng.choice([0.0, 0.0, 0.1]))
+    least = float(rng.uniform(0.5, 2.0))
+    arm = Arm(*(spread(rng, -1.3, -0.3) for _ in range(2)), least, least + float(rng.uniform(0.1, 0.8)))  # type: ignore[call-arg]
+    linkage = {
+        "kind": "chain", "turns": ["z", "z"], "links": [[arm.upper, 0.0, 0.0], [arm.lower, 0.0, 0.0]],
+        "low": [-1.0, arm.least], "high": [1.0, arm.most],
+    }  # fmt: skip
+    kappa = arm.worst()[0] * float(rng.uniform(1.15, 1.3))
+    K_geo = 2.0 * osp * float(rng.uniform(0.05, 0.95)) / ((1.0 + rho) * T + 3.0 * tau)
+    turned = float(rng.uniform(0.001, 0.2))
+    held = HeldTorque(kappa, K_geo / kappa, turned / (kappa * ((1.0 + rho) * T + tau)), linkage)
+    device = DeviceLevel("arm", (0, 1), symmetric(rng, 2, osp, 0.1), held)
+    blocks = Partition(("c",), ((0, 1),)) if rng.random() < 0.5 else Partition(("cx", "cy"), ((0,), (1,)))
+    loop = HapticLoop("attack", T, environment.ports, (device,), blocks, environment, tau, rho)
+    try:
+        return designed(loop, spring_damper(rng, loop))
+    except Infeasible:
+        return None
+
+
 def of_transparency(rng: Generator) -> Data | None:
     T, osp, m = _scales(rng)
     environment: Environment = network(rng, m, osp, T) if rng.random() < 0.6 else system(rng, m, 0.1 * osp / T, T)
@@ -401,6 +426,7 @@ KINDS: dict[str, Callable[[Generator], Data | None]] = {
     "linear coupling": of_linear,
     "transparency": of_transparency,
     "series": of_series,
+    "held torque": of_held_torque,
 }
 
 

@@ -269,7 +269,7 @@ def test_the_claim_is_read_back_and_compared() -> None:
     assert not differences(again, found.loop, springs(2))
     for other in (loop(two, (2 * Q, 0.0)), loop(two, (Q, 0.0), (FREE, 2 * FREE))):
         (text,) = differences(again, other, springs(2))
-        assert text == "the level or order of devices differs"
+        assert text == "the encoder steps or friction differs"
 
 
 def test_a_device_states_one_number_for_each_axis() -> None:

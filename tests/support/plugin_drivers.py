@@ -51,7 +51,8 @@ class Counterpart(DeviceDriver):
         self.x, self.v, self.f = [0.0] * n, [0.0] * n, [0.0] * n
         self.commanded = [0.0] * n
         self.coming: list[tuple[int, list[float]]] = []  # forces, from an instant on
-        self.past: list[tuple[int, list[float]]] = []  # displacements
+        self.done = 0.0  # by the motors, J
+        self.past: list[tuple[int, list[float], float]] = []  # displacements, and what was done until then
         self.closed = False
 
     def specification(self) -> DeviceSpecification:
@@ -89,7 +90,7 @@ class Counterpart(DeviceDriver):
     def _move(self, to: int) -> None:
         now = to if self.now is None else self.now
         if self.now is None:
-            self.past.append((now, list(self.x)))
+            self.past.append((now, list(self.x), 0.0))
         while now < to:
             end = min(to, now + STEP)
             while self.coming and self.coming[0][0] <= now:
@@ -101,9 +102,70 @@ class Counterpart(DeviceDriver):
             for i in range(self.n):
                 self.v[i] += dt * (self.f[i] + pushed - self.damping * self.v[i]) / self.mass
                 self.x[i] += dt * self.v[i]
+                self.done += self.f[i] * dt * self.v[i]
             now = end
-            self.past.append((now, list(self.x)))
+            self.past.append((now, list(self.x), self.done))
         self.now = now
+
+
+class Working(Counterpart):
+    """It tells the work of its motors."""
+
+    def __init__(self, ports: tuple[str, ...], period: float, parameters: Mapping[str, Any]) -> None:
+        super().__init__(ports, period, parameters)
+        self.seen = self.told = 0.0
+
+    def sample(self, tick: int, at: Instant) -> Sequence[float]:
+        x = super().sample(tick, at)
+        self.seen = self.past[0][2]
+        return x
+
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Sequence[float] | None:
+        x = super().apply(f, at, until)
+        if x is not None:
+            self.seen = self.done
+        return x
+
+    def work(self) -> float | None:
+        since, self.told = self.seen - self.told, self.seen
+        return since
+
+
+class WorkAgainst(Working):
+    """Wrong work: that of the device on its motors."""
+
+    def work(self) -> float | None:
+        return -(super().work() or 0.0)
+
+
+class WorkInMillijoules(Working):
+    """Wrong work: it is not in J."""
+
+    def work(self) -> float | None:
+        return 1e3 * (super().work() or 0.0)
+
+
+class WorkOfAll(Working):
+    """Wrong work: all since the beginning, in every answer."""
+
+    def work(self) -> float | None:
+        return self.seen
+
+
+class WorkOfOneSample(Working):
+    """Wrong work: what was done since the last sample alone, however long nobody asked."""
+
+    def sample(self, tick: int, at: Instant) -> Sequence[float]:
+        self.told = self.seen
+        return super().sample(tick, at)
+
+
+class WorkUnknown(Working):
+    """It cannot tell what a force did that its watchdog ended."""
+
+    def work(self) -> float | None:
+        super().work()
+        return None
 
 
 class OldSample(Counterpart):

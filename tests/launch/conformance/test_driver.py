@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -18,6 +19,7 @@ from manyhands.launch.conformance.driver import (
     STALE,
     SWAPPED,
     UNIT,
+    WORK,
     WRONG_ANSWER,
     Bench,
     Push,
@@ -54,6 +56,32 @@ def test_a_good_driver_keeps_everything(axes: int, damping: float) -> None:
     assert {STALE, SIGN, UNIT, RELEASE, SILENCE, EXCEPTION, BLOCKING, SWAPPED} <= {finding.check for finding in found}
 
 
+@pytest.mark.parametrize("damping", [0.0, 1.5, 10.0])
+@pytest.mark.parametrize(
+    "timing", [{}, {"age": 2e-4, "delay": 1e-4, "timing": {"sample_age": 2e-4, "actuation_delay": 1e-4}}]
+)
+def test_the_work_of_motors_is_compared_with_what_the_ports_saw(damping: float, timing: dict[str, Any]) -> None:
+    found = findings(drivers.Working, damping=damping, step=1e-6, **timing)
+    assert {finding.verdict for finding in found} == {Conformance.KEPT}, found
+    assert [finding.check for finding in found].count(WORK) == 2
+    [text, *_] = (finding.text for finding in findings(drivers.WorkUnknown) if finding.check == WORK)
+    assert text.startswith("the driver could not tell the work of a push on axis 0")
+
+
+@pytest.mark.parametrize(
+    ("kind", "fault"),
+    [
+        (drivers.WorkAgainst, "of the motors on the device, and not the other way round"),
+        (drivers.WorkInMillijoules, "it is in J"),
+        (drivers.WorkOfAll, "since the last answer, with the torques"),
+        (drivers.WorkOfOneSample, "asked in one of 5 ticks; .* and not of the last tick alone"),
+    ],
+)
+def test_wrong_books_are_named_for_their_fault(kind: type[DeviceDriver], fault: str) -> None:
+    [text] = {finding.text for finding in findings(kind) if finding.verdict is Conformance.BROKEN}
+    assert re.search(fault, text), text
+
+
 @pytest.mark.parametrize("step", [1e-6, 1e-5, 5e-5])
 def test_the_steps_of_an_encoder_are_no_fault(step: float) -> None:
     assert broken(findings(drivers.Counterpart, step=step)) == []
@@ -75,6 +103,10 @@ def test_the_steps_of_an_encoder_are_no_fault(step: float) -> None:
         (drivers.SometimesSlow, BLOCKING),
         (drivers.Tenth, FORCE),
         (drivers.LateForce, STALE),
+        (drivers.WorkAgainst, WORK),
+        (drivers.WorkInMillijoules, WORK),
+        (drivers.WorkOfAll, WORK),
+        (drivers.WorkOfOneSample, WORK),
         (drivers.HoldsOn, STALE),  # the end of its force comes late
         (drivers.Raising, EXCEPTION),
         (drivers.WrongAnswer, WRONG_ANSWER),

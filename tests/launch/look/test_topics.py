@@ -33,7 +33,7 @@ class TestNames:
             f"{name}/{topic.name}"
             for name, node in ABOUT.nodes.items()
             for topic in TOPICS[node.role]
-            if not topic.linked
+            if not (topic.linked or topic.torques)
         ]
         expected += [f"{name}/telemetry" for name in ABOUT.nodes]
         assert sorted(named_topics(ABOUT)) == sorted([*expected, "supervisor/condition"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from manyhands.design.levels.held_torque import HeldTorque
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
@@ -25,7 +27,7 @@ from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import Duration, Instant
 
 from ...support.instants import instant
-from ...support.plugin_drivers import Counterpart, Raising, WrongAnswer
+from ...support.plugin_drivers import Counterpart, Raising, Working, WorkUnknown, WrongAnswer
 
 SESSIONS = Path(__file__).parents[3] / "launch" / "sessions"
 MADE = "tests.support.plugin_drivers:Counterpart"
@@ -56,6 +58,74 @@ def bundle_for(
 
 def named(**parameters: Any) -> FactoryName:
     return FactoryName(MADE, parameters)
+
+
+class NoNumber(Working):
+    def work(self) -> Any:
+        return math.nan
+
+
+class Unplugged(Working):
+    def work(self) -> Any:
+        raise OSError("unplugged")
+
+
+def test_the_work_of_motors_is_that_of_the_ports_whatever_their_axes_and_scale() -> None:
+    _, mapped = plugin(Working, AxisMap((2, 0, 1), (-1.0, 1.0, -1.0), 2.5))
+    x, seen = mapped.sample(0, instant(0)), 0.0
+    for tick in range(1, 50):
+        f = [0.3, -0.2, 0.1]
+        mapped.apply(f, instant(tick - 1))
+        before, x = x, mapped.sample(tick, instant(tick))
+        seen += sum(force * (b - a) for force, a, b in zip(f, before, x, strict=True))
+    assert mapped.tells_work
+    assert mapped.work() == pytest.approx(seen, rel=1e-9)
+    assert mapped.work() == 0.0
+
+
+def test_a_work_that_is_unknown_once_is_no_number_and_one_that_is_never_told_is_none() -> None:
+    assert plugin(WorkUnknown)[1].work() == math.inf
+    silent = plugin(Counterpart)[1]
+    assert (silent.tells_work, silent.work()) == (False, None)
+
+
+@pytest.mark.parametrize(
+    ("kind", "found"),
+    [
+        (NoNumber, "failed in work: found nan; expected a finite work in J, or None"),
+        (Unplugged, "found .*unplugged.*J or"),
+    ],
+)
+def test_a_work_of_no_use_ends_the_node(kind: type[Any], found: str) -> None:
+    with pytest.raises(DriverFailure, match=found):
+        plugin(kind)[1].work()
+
+
+def test_torques_in_wall_time_need_a_driver_that_tells_their_work() -> None:
+    held = HeldTorque(18.0, 8.0, 2.0)
+    silent, told = (
+        PluginDevice(FactoryName(f"tests.support.plugin_drivers:{of}", {}), 1) for of in ("Counterpart", "Working")
+    )
+    with pytest.raises(
+        FactoryError, match=r"devices.dx: found the driver .*:Counterpart without a method work; expected"
+    ):
+        driver_of(replace(bundle_for(silent), held=held))
+    driver_of(replace(bundle_for(silent, SIMULATED), held=held)).close()  # its own time has no lateness
+    driver_of(bundle_for(silent)).close()
+    driver_of(replace(bundle_for(told), held=held)).close()
+
+
+@pytest.mark.parametrize("name", ["Working", "WorkUnknown"])
+def test_the_account_takes_what_its_motors_did(name: str) -> None:
+    """Cartesian motors that tell f dx have the account of a held force; of an unknown work it counts the most."""
+    device = PluginDevice(FactoryName(f"tests.support.plugin_drivers:{name}", {}), 1)
+    bundle = replace(bundle_for(device), held=HeldTorque(18.0, 8.0, 2.0), allowance=None)
+    tick = WallTimeTick(bundle, driver_of(bundle))
+    for turn in range(200):
+        tick.sample(turn, instant(turn))
+        tick.exert([0.5], instant(turn))
+        tick.book()
+    assert (tick.wall_interface.account.energy < 0.0) == (name == "WorkUnknown")
 
 
 def test_axes_signs_and_scale_keep_the_power() -> None:

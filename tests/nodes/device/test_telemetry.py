@@ -49,7 +49,7 @@ class TelemetryDevice:
         self.account, self.line, self.at = DeviceTelemetry(COMMON, rung(TAU), device), line, 0  # type: ignore[arg-type]
 
     def row(self) -> Row:
-        return self.x, -self.x, (CORE.ledger.total,), (), (), ()
+        return self.x, -self.x, (CORE.ledger.total,), (), (), (), ()
 
     def tick(self, tick: int, after: int = MS, tau: int = 0, value: float | None = None) -> None:
         """A tick that comes ``after`` ns, and whose force is there ``tau`` ns after the sample."""

@@ -87,7 +87,7 @@ def test_what_is_sent_in_wall_time_stays_until_it_is_answered(bundles: dict[str,
     assert (tick.x, tick.x_a) == ([1e-3], [pytest.approx(3.1e-3)])
     assert tick.instants == (instant(1.1), instant(3.4), instant(1.6))
     energies = (tick.ledger.total,), (tick.wall_interface.account.energy,)
-    assert tick.row() == ([1e-3], [2.0], *energies, tick.x_a, tick.instants)
+    assert tick.row() == ([1e-3], [2.0], *energies, tick.x_a, tick.instants, ())
     assert [call[:3] for call in driver.calls] == [
         ("release", instant(1.6), [0.0]),
         ("release", instant(2.0), [0.0]),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import stat
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from manyhands.design.levels.contract import DeviceShare
+from manyhands.design.levels.held_torque import HeldTorque
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
@@ -49,12 +51,35 @@ def test_round_trip_is_exact(prepared: Prepared, tmp_path: Path) -> None:
         assert again.read_bytes() == path.read_bytes()
 
 
-def test_a_devices_bundle_of_an_older_recording_has_a_tank_and_no_inertia(prepared: Prepared, tmp_path: Path) -> None:
+def test_a_devices_bundle_of_an_older_recording_has_a_tank_and_neither_inertia_nor_torques(
+    prepared: Prepared, tmp_path: Path
+) -> None:
     data = json.loads(encoded(cut(prepared, RunPlan("realtime", tmp_path, "ipc:///nowhere"))["dx"]))
-    del data["allowance"], data["inertia"]
+    del data["allowance"], data["inertia"], data["held"]
     for tank, allowance in ((2e-3, LatenessAllowance(2e-3)), (None, None)):
         older = decoded({**data, "tank": tank}, DeviceBundle, tmp_path)
-        assert (older.allowance, older.inertia) == (allowance, None)
+        assert (older.allowance, older.inertia, older.held) == (allowance, None, None)
+
+
+def test_held_torques_leave_a_part_of_the_level_to_each_rungs_promise(prepared: Prepared, tmp_path: Path) -> None:
+    device = cut(prepared, RunPlan("realtime", tmp_path, "ipc:///nowhere"))["dx"]
+    assert isinstance(device, DeviceBundle)
+    assert [level is device.osp for level in device.levels] == [True] * len(device.rungs)
+    longer = dataclasses.replace(device.rungs[0], tau=2e-3)
+    held = HeldTorque(18.0, 12.0, 1.0)
+    holds = dataclasses.replace(device, held=held, rungs=(device.rungs[0], longer))
+    for rung, level, promise in zip(holds.rungs, holds.levels, holds.promises, strict=True):
+        left = held.left(device.osp, device.common.period, rung.tau, rung.period_tolerance)
+        assert left is not None
+        assert level.tolist() == left.tolist()
+        assert promise.level.tolist() == (rung.share.share * left).tolist()
+        K = rung.share.kappa * device.common.period * np.linalg.inv(left)
+        assert pytest.approx(K, rel=1e-14) == promise.K
+    assert holds.levels[1][0, 0] < holds.levels[0][0, 0] < device.osp[0, 0]
+    again = decoded(json.loads(encoded(holds)), DeviceBundle, tmp_path)
+    assert (again.held, again.levels[1].tolist()) == (held, holds.levels[1].tolist())
+    with pytest.raises(ValueError, match=r"held: found an osp of 1\.37 N\*s/m; expected more than the .* N\*s/m that"):
+        dataclasses.replace(holds, held=HeldTorque(18.0, 400.0, 1.0))
 
 
 def test_a_node_is_given_its_own_part_and_nothing_else(prepared: Prepared, tmp_path: Path) -> None:
