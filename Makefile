@@ -119,7 +119,7 @@ world-peers: $(VENV)/.installed
 	$(BIN)/python -m benchmarks.world_peers --json docs/world-peers.json --plot docs/images/world-peers.png --markdown docs/worlds.md
 
 # 1000 random linear loops whose devices measure in steps, and hands that look for energy in them; exits 1 if one is given
-# any although dry friction covers the steps, or if single springs give none with 2/3 of that friction: 15 minutes
+# any although dry friction covers the steps, or if single springs give none with 2/3 of that friction: 20 minutes
 encoder: $(VENV)/.installed
 	$(BIN)/python -m benchmarks.encoder --seed $(SEED)
 

@@ -77,7 +77,7 @@ def findings(claim: Claim) -> list[Finding]:
     found = [_bound(claim, force)]
     least = min(c - w for c, w in zip(friction(claim), force, strict=True))
     if claim.encoder.covered:
-        argument = "exactly, in rationals: the force does at most w |dx| of work"
+        argument = "exactly, in rationals: the force does at most w |dx| of work; every clutch engaged"
         found.append(Finding(condition, bool(least >= 0), rounded(least), 0.0, argument=argument))
     else:
         found.append(_assumed("no dry friction is claimed to cover the force that they add"))

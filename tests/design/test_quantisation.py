@@ -243,6 +243,11 @@ def test_responses_that_hardly_decay_are_not_bounded() -> None:
     )
     found = design(loop(adrift, (Q,), (1.0,)), springs(1)).certificate
     assert found.encoder == EncoderClaim(None, False)
+    data = plain(found)
+    data["encoder"] = {"force": [1e3], "covered": False}  # far more than what the prover would sum in its time
+    refused = findings(data)[BOUNDED]
+    assert not refused.holds
+    assert "not proved to decay" in refused.argument
 
 
 def test_covered_steps_have_no_rungs() -> None:
@@ -264,7 +269,7 @@ def test_the_claim_is_read_back_and_compared() -> None:
     assert not differences(again, found.loop, springs(2))
     for other in (loop(two, (2 * Q, 0.0)), loop(two, (Q, 0.0), (FREE, 2 * FREE))):
         (text,) = differences(again, other, springs(2))
-        assert text == "the level, mechanism or order of devices differs"
+        assert text == "the encoder steps or friction differs"
 
 
 def test_a_device_states_one_number_for_each_axis() -> None:
