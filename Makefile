@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test test-long test-rest guests lint types imports pytest campaign attack heavy limits worlds fuzz datagrams wan far-user scenes world-peers encoder flood loop watched soak users linked-users chaos faults lateness inertia honest hostile blamed remote pictures page benchmark curve figures docs docs-pictures clean
+.PHONY: demo test test-long test-rest guests lint types imports pytest campaign attack heavy limits worlds fuzz datagrams wan far-user scenes world-peers encoder mechanisms flood loop watched soak users linked-users chaos faults lateness inertia honest hostile blamed remote pictures page benchmark curve figures docs docs-pictures clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -30,8 +30,8 @@ SPREAD  := --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 # collecting the other files would take twenty seconds; looked up where it is used alone
 ALONE    = $(shell grep -rl --include='test_*.py' 'mark\.alone' tests)
 # matrices of ten rows: more threads in BLAS only wait for each other, and for the other test process
-pytest test-long test-rest campaign attack worlds scenes world-peers: export OMP_NUM_THREADS = 1
-pytest test-long test-rest campaign attack worlds scenes world-peers: export OPENBLAS_NUM_THREADS = 1
+pytest test-long test-rest campaign attack worlds scenes world-peers mechanisms: export OMP_NUM_THREADS = 1
+pytest test-long test-rest campaign attack worlds scenes world-peers mechanisms: export OPENBLAS_NUM_THREADS = 1
 # where it is set, every process of every session that a test starts would compile the product and the tests anew
 pytest test-long test-rest campaign attack: export PYTHONDONTWRITEBYTECODE =
 pytest: $(VENV)/.installed
@@ -122,6 +122,10 @@ world-peers: $(VENV)/.installed
 # any although dry friction covers the steps, or if single springs give none with 2/3 of that friction: 20 minutes
 encoder: $(VENV)/.installed
 	$(BIN)/python -m benchmarks.encoder --seed $(SEED)
+
+# what held torques, encoder steps and dry friction do to a certified stiffness: a minute and a half
+mechanisms: $(VENV)/.installed
+	$(BIN)/python -m benchmarks.mechanisms --images docs/images --markdown docs/mechanisms.md
 
 # what honest nodes feel of a rogue that sends as fast as it can: about ten minutes
 flood: $(VENV)/.installed
