@@ -9,14 +9,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from manyhands.design.levels.contract import DeviceShare
+from manyhands.design.levels.dry_friction import DryFriction
 from manyhands.design.models.device import HeldDevice, held_device
 from manyhands.design.models.statespace import StateSpace
+from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.friction import STEP, DryPlant
 from manyhands.nodes.device.simulated import HeldDeviceDriver, IntentHand, Intention, OwnTimeDriver, Plant
+from manyhands.nodes.device.tick import DeviceTick, OwnTimeTick, WallTimeTick
+from manyhands.nodes.kernel.allowance import LatenessAllowance
 from manyhands.nodes.kernel.arithmetic import Floats
-from manyhands.nodes.kernel.bundle import BrowserHand, SimulatedHand
+from manyhands.nodes.kernel.bundle import OWN, WALL, BrowserHand, DeviceBundle, DeviceRung, Limits, SimulatedHand
 from manyhands.nodes.kernel.intent import Intent
 from manyhands.protocol.clock import Instant
+from tests.support.mechanisms import mechanism_bundle
 
 T = 1e-3
 TICK = 1_000_000
@@ -147,3 +153,56 @@ def test_friction_is_one_for_each_axis_and_not_behind_joints_or_a_pointer() -> N
         dataclasses.replace(hand, linkage={"kind": "chain"})
     with pytest.raises(ValueError, match="found friction of a device that a pointer moves"):
         BrowserHand(hand)
+
+
+C, B, BELOW = 0.1, 0.1, 0.05
+K = 2.0 * (B + C / BELOW) / T
+"""The stiffness up to which a held spring is passive in a device of that damping, without a delay, N/m."""
+
+
+def dithered(speed: float, time: str, tank: float | None = None, burned: float = C) -> DeviceTick:
+    """A firm hand swings a device almost without mass by ``speed``, a tick each way, in such a spring."""
+    of = mechanism_bundle()
+    motion = f"{0.5 * speed * T!r} * (1 - cos({1.0 / T!r} * pi * t))"
+    nothing = StateSpace.static(np.zeros((1, 1)))
+    bundle = DeviceBundle(
+        dataclasses.replace(of.common, ports=("d",)),
+        np.array([[B]]),
+        (DeviceRung(0.0, 0.0, DeviceShare(0.5, 1.0, 0.0)),),
+        SimulatedHand((1e-5,), (B,), nothing, (200.0,), (1e6,), (0.0,), (motion,), friction=(burned,)),
+        Limits((12.0,), (0.1,), (1.0,)),
+        time,
+        None if tank is None else LatenessAllowance(tank),
+        friction=DryFriction((C,), (0.0,), BELOW),
+    )
+    tick = (WallTimeTick if time == WALL else OwnTimeTick)(bundle, driver_of(bundle))
+    for number in range(1000):
+        at = Instant(number * TICK)
+        sent = tick.sample(number, at)
+        tick.exert([-K * sent[0]], at)
+        tick.book()
+    return tick
+
+
+@pytest.mark.parametrize("time", [OWN, WALL])
+def test_below_its_speed_the_promise_with_friction_holds_and_beyond_it_does_not(time: str) -> None:
+    below, beyond = dithered(0.99 * BELOW, time), dithered(1.5 * BELOW, time)
+    assert (below.beyond, below.ledger.minimum >= -1e-12) == (0, True)
+    assert below.fastest == pytest.approx(0.99 * BELOW, rel=0.01)
+    assert beyond.beyond > 900
+    assert beyond.ledger.minimum < -1e-3
+    if time == WALL:
+        accounts = [tick.interface.account.least for tick in (below, beyond) if tick.interface is not None]
+        assert accounts[0] >= -1e-12
+        assert accounts[1] < -1e-3
+
+
+def test_beyond_its_speed_the_tank_bounds_what_friction_does_not_pay_for() -> None:
+    tick = dithered(1.5 * BELOW, WALL, 5e-4)
+    assert tick.interface is not None
+    assert tick.interface.account.least >= -5e-4
+    assert tick.interface.ticks > 10
+
+
+def test_a_device_that_burns_half_of_what_it_promises_breaks_it_below_its_speed() -> None:
+    assert dithered(0.99 * BELOW, OWN, burned=0.5 * C).ledger.minimum < -1e-4
