@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test test-long test-rest guests lint types imports pytest campaign attack heavy limits worlds fuzz datagrams wan far-user scenes world-peers encoder mechanisms flood loop watched soak users linked-users chaos faults lateness inertia honest hostile blamed remote pictures page benchmark curve figures docs docs-pictures clean
+.PHONY: demo test test-long test-rest guests lint types imports pytest campaign attack heavy limits worlds fuzz datagrams wan far-user scenes world-peers encoder friction mechanisms flood loop watched soak users linked-users chaos faults lateness inertia honest hostile blamed remote pictures page benchmark curve figures docs docs-pictures clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -122,6 +122,11 @@ world-peers: $(VENV)/.installed
 # any although dry friction covers the steps, or if single springs give none with 2/3 of that friction: 20 minutes
 encoder: $(VENV)/.installed
 	$(BIN)/python -m benchmarks.encoder --seed $(SEED)
+
+# 1000 random devices with dry friction at springs that are proved below a speed, and hands that look for energy in them;
+# exits 1 if an account is below its bound, or anything is enforced below that speed at covered delays: 10 minutes
+friction: $(VENV)/.installed
+	$(BIN)/python -m benchmarks.friction --seed $(SEED)
 
 # what held torques, encoder steps and dry friction do to a certified stiffness: a minute and a half
 mechanisms: $(VENV)/.installed

@@ -36,6 +36,7 @@ MODULES = [
     "nodes/rows/two_port",
     "nodes/device/core",
     "nodes/device/drivers",
+    "nodes/device/friction",
     "nodes/device/given",
     "nodes/device/speed_bound",
     "nodes/device/interface",

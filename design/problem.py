@@ -14,7 +14,7 @@ import numpy as np
 
 from manyhands.design.errors import Infeasible
 from manyhands.design.levels.contract import NO_DELAY_GAIN
-from manyhands.design.levels.dry_friction import damping_below
+from manyhands.design.levels.dry_friction import DryFriction
 from manyhands.design.levels.held_torque import HeldTorque
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import Partition, SpringDamper, loop_gain
@@ -298,8 +298,8 @@ class HapticLoop:
         """The level of a device with what its friction adds, less what its held torques may give out, N*s/m."""
         level = device.level
         if self.speed is not None and self.kept is not None and device.friction is not None:
-            paid = damping_below(self.speed, device.friction, [self.kept[port] for port in device.ports])
-            level = matrix(level + np.diag(paid))
+            kept = tuple(self.kept[port] for port in device.ports)
+            level = DryFriction(device.friction, kept, self.speed).raised(level)
         if device.held is None:
             return level
         times = self.period, self.tau, self.period_tolerance

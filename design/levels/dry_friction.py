@@ -13,7 +13,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from fractions import Fraction
+
+import numpy as np
+
+from manyhands.design.models.statespace import Matrix, matrix
 
 _BELOW = Fraction(1, 10**12)  # of c: a file's numbers are its shortest decimals, which a proof takes exactly
 
@@ -32,3 +37,35 @@ def damping_below(speed: float, friction: Sequence[float], kept: Sequence[float]
         rounded = float(exact)
         out.append(rounded if Fraction(rounded) <= exact else math.nextafter(rounded, 0.0))
     return tuple(out)
+
+
+@dataclass(frozen=True)
+class DryFriction:
+    """The dry friction of a device, by axis.
+
+    Attributes:
+        least: c, what it burns at least besides its level, as a force against its velocity, N.
+        kept: w, how much of it is kept for the steps of encoders, N.
+        speed: v*, m/s, below which the rest counts as damping; None where none of it does.
+
+    Raises:
+        ValueError: there is not one w for each c, or a number is out of its range.
+    """
+
+    least: tuple[float, ...]
+    kept: tuple[float, ...]
+    speed: float | None = None
+
+    def __post_init__(self) -> None:
+        if len(self.kept) != len(self.least):
+            raise ValueError(f"friction: found {len(self.kept)} numbers kept of {len(self.least)}; expected as many")
+        if not all(0.0 <= force < math.inf for force in (*self.least, *self.kept)):
+            raise ValueError(f"friction: found {self.least} and {self.kept} N; expected finite numbers of at least 0")
+        if self.speed is not None and not 0.0 < self.speed < math.inf:
+            raise ValueError(f"friction: found a speed of {self.speed} m/s; expected a finite one greater than 0")
+
+    def raised(self, level: Matrix) -> Matrix:
+        """The level Delta_D (N*s/m) with what the friction adds below v*: Delta_D + diag((c - w)/v*)."""
+        if self.speed is None:
+            return level
+        return matrix(level + np.diag(damping_below(self.speed, self.least, self.kept)))

@@ -22,6 +22,7 @@ import numpy as np
 
 from manyhands.design.files import replacing
 from manyhands.design.levels.contract import DeviceShare
+from manyhands.design.levels.dry_friction import DryFriction
 from manyhands.design.models.kind import WhatRuns
 from manyhands.design.models.statespace import Matrix, StateSpace, matrix
 from manyhands.design.peak_gain import output_bounds
@@ -127,18 +128,38 @@ def tool_bounds(session: Session, blocks: Sequence[StateSpace]) -> tuple[PortBou
 
 
 def _require_runnable(prepared: Prepared) -> None:
-    """Refuse a certified run that counts on dry friction which is not there, or on a speed that nothing keeps."""
-    if prepared.certified and prepared.session.design.speed is not None:
-        raise NotCertified(
-            f"{prepared.session.name}: design.speed: found {prepared.session.design.speed:g} m/s; expected none for a "
-            "run: no account goes on beyond the speed below which the certificate holds"
-        )
+    """Refuse a certified run that counts on dry friction which is not there, or of which no account can be kept."""
+    if not prepared.certified:
+        return
     for name, device in prepared.session.devices.items():
-        if prepared.certified and device.friction is not None and device.factory is None:
+        at = f"{prepared.session.name}: devices.{name}"
+        if device.friction is None:
+            continue
+        if device.factory is None and device.kinematics is not None:
             raise NotCertified(
-                f"{prepared.session.name}: devices.{name}.friction: found friction of a simulated device, which burns "
-                "none as it moves; expected no friction for a run, a driver's factory, or an uncertified run"
+                f"{at}.friction: found friction behind the kinematics of a simulated linkage, which burns none as it "
+                "moves; expected no friction, or kappa alone as its linkage, for a run; or an uncertified run"
             )
+        if device.factory is not None and prepared.session.design.speed is not None:
+            raise NotCertified(
+                f"{at}.driver: found a driver's factory with friction and design.speed; expected no speed for a run: "
+                "its account knows measured positions, and friction counts in true ones alone"
+            )
+
+
+def _friction_of(prepared: Prepared, name: str) -> DryFriction | None:
+    """The dry friction that the account of a device counts; None where it counts none.
+
+    It is that of a simulated device, whose true displacement is known. Steps and noise of a measured one would count as
+    ways, and as more friction than there is.
+    """
+    device, certificate = prepared.session.devices[name], prepared.certificate_of(name)
+    if certificate is None or device.friction is None or device.factory is not None:
+        return None
+    loop = certificate.loop  # every rung keeps as much: friction that is kept for steps has no ladder
+    kept = dict.fromkeys(loop.ports, 0.0) if loop.kept is None else dict(zip(loop.ports, loop.kept, strict=True))
+    own = tuple(kept[port] for port in prepared.session.ports_of(name))
+    return DryFriction(device.friction, own, prepared.session.design.speed)
 
 
 def _in_order(session: Session, bounds: Mapping[str, float]) -> PortBounds:
@@ -178,7 +199,8 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         run: how the session is to be run.
 
     Raises:
-        NotCertified: the certificate counts on dry friction that a simulated device has not, or holds below a speed.
+        NotCertified: the certificate counts on dry friction that a simulated device has not, or of which no account
+            can be kept.
     """
     session = prepared.session
     _require_runnable(prepared)
@@ -198,8 +220,9 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         inertia = session.devices[name].inertia
         held = session.devices[name].held_torque if prepared.certified else None  # without a certificate, no promise
         bundles[name] = DeviceBundle(
-            commons[name], osp, of_device, _source(session, name), limits, time, allowance, inertia, held
-        )
+            commons[name], osp, of_device, _source(session, name), limits, time, allowance, inertia, held,
+            _friction_of(prepared, name),
+        )  # fmt: skip
     longest = max(map(len, rungs.values()))
     at_rungs = ([of_one[min(rung, len(of_one) - 1)].block for of_one in rungs.values()] for rung in range(longest))
     tools = _widest([tool_bounds(session, blocks) for blocks in at_rungs])
@@ -479,6 +502,7 @@ def _source(session: Session, name: str) -> Source:
         force=tuple(plain_intent(intent) for intent in hand.force),
         motion=tuple(plain_intent(intent) for intent in hand.motion),
         linkage=device.kinematics,
+        friction=None if device.kinematics is not None else device.friction,
     )
     return BrowserHand(physics) if device.driver == "browser" else physics
 

@@ -21,10 +21,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
+from manyhands.nodes.device.friction import DryPlant
 from manyhands.nodes.device.mechanism import Mechanism
 from manyhands.nodes.device.plugin import plugin_driver
 from manyhands.nodes.device.pointer import pointer_hand, pointer_of
-from manyhands.nodes.device.simulated import Hand, HeldDeviceDriver, OwnTimeDriver, device_of, intent_hand
+from manyhands.nodes.device.simulated import Hand, HeldDeviceDriver, OwnTimeDriver, Plant, device_of, intent_hand
 from manyhands.nodes.device.wall_time import WallTimeDriver
 from manyhands.nodes.kernel.arithmetic import Floats, dot, linear_map
 from manyhands.nodes.kernel.bundle import WALL, BrowserHand, DeviceBundle, PluginDevice, RecordedMotion, SimulatedHand
@@ -222,14 +223,20 @@ def driver_of(bundle: DeviceBundle) -> Driver:
     T, wall = bundle.common.period, bundle.time == WALL
     match bundle.source:
         case SimulatedHand() as hand:
-            plant = None if hand.linkage is None else Mechanism(device_of(hand), T, hand.linkage)
-            return _held(intent_hand(hand, T, wall, plant), T, wall)
+            return _held(intent_hand(hand, T, wall, _plant(hand, T)), T, wall)
         case RecordedMotion() as motion:
             return WallTimeTrace(motion, T) if wall else TraceDriver(motion, T)
         case BrowserHand(physics):
             return _held(pointer_hand(physics, bundle.limits, T, pointer_of(bundle.common), wall), T, wall)
         case PluginDevice() as device:
             return plugin_driver(device, bundle)
+
+
+def _plant(hand: SimulatedHand, T: float) -> Plant | None:
+    """The plant of a device that has a linkage or dry friction; None for any other."""
+    if hand.linkage is not None:
+        return Mechanism(device_of(hand), T, hand.linkage)
+    return None if hand.friction is None else DryPlant(device_of(hand), T, hand.friction)
 
 
 def _held(hand: Hand, T: float, wall: bool) -> Driver:

@@ -61,6 +61,28 @@ have moved evenly (or the tip, where poses are ranges of its coordinates). That 
 and p(r) holds with |r_i| + E |r| on each axis in place of |r_i|. So does all that follows from the stated inertia. The
 bound then rests on the limit of speed of the whole path from the sample on, and on the poses that kappa is of. A driver
 that cannot tell W is refused; where it cannot tell it once, the piece counts at h p(r).
+
+**Dry friction** parts the two roles of Delta_D as well. A device that burns at least sum c_i |v_i| besides takes in
+r^T d of a piece, and burns at least d^T Delta_D d / h + sum c_i |d_i| of it, for its way on an axis is at least |d_i|.
+What couplings are promised is the level L = Delta_D + diag((c - w)/v*), less what held torques may give out, in y, K, m
+and c above; w is what the certificate keeps for the steps of encoders (:mod:`manyhands.design.levels.dry_friction`).
+
+*While every axis is no faster than v*, at the delays and periods that are covered, e(k) >= f^T K f / 2.* For then
+|d_i| <= v* h in each piece, so that c_i |d_i| >= (c_i - w_i) d_i^2 / (v* h): a piece burns at least d^T L d / h, and
+what holds of a device of the level L holds of this one. The mean over each piece is enough. Beyond v* a piece burns
+less than that by at most sum (c_i - w_i) (d_i^2 / (v* h) - |d_i|), and e falls as it does by lateness. It is bounded
+likewise, at every speed within the limit, with
+
+    p(r) = max over v of sum (|r_i| - c_i) |v_i| - v^T Delta_D v,
+
+so that a force of |r_i| <= c_i on each axis costs nothing, however long it acts and however fast the device is. The
+several pieces of an unknown motion count as before, less c_i |d_i| for their sum d, or at h_j p(r_j) each. Friction
+only brakes: how far a device comes by its inertia is bounded as without it, and R has |r_i| - c_i in place of |r_i|.
+
+The whole c counts, without w: the account has the device's true displacements, and what the steps put in shows as the
+work of the motion that was sent. That is paid by w_i |d_i| in a linear loop as a whole, and not in each account, so
+that with steps e may fall below v* too. Then the bound holds, and nothing else is claimed. Of a device whose
+displacements are measured, c_i |d_i| would count steps and noise as ways. Its friction is not counted.
 """
 
 from __future__ import annotations
@@ -73,6 +95,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.design.levels.contract import DeviceShare
+from manyhands.design.levels.dry_friction import DryFriction
 from manyhands.design.levels.held_torque import HeldTorque
 from manyhands.nodes.device.given import ForceGiven
 from manyhands.nodes.device.speed_bound import SpeedBound
@@ -113,6 +136,7 @@ class InterfaceAccount:
         inertia: Inertia | None = None,
         level: Matrix | None = None,
         strays: float = 0.0,
+        friction: Sequence[float] | None = None,
     ) -> None:
         """Begin at rest in x = 0, without a force; time begins with the first sample.
 
@@ -122,11 +146,14 @@ class InterfaceAccount:
             T: period, s.
             speed: the device's limit of speed on each axis, m/s; a faster device lets go.
             inertia: what is stated of the device's mass and its hand; None where nothing is.
-            level: what held torques leave of Delta_D at that rung; None for Delta_D.
+            level: what is promised at that rung, with what friction adds and less what held torques may give out; None
+                for Delta_D.
             strays: E of :func:`straying`; 0 where the force itself is held.
+            friction: c on each axis, N; None for none.
         """
         self._T, self._speed, self._strays = T, tuple(speed), strays
         self._reach = None if inertia is None else SpeedBound(inertia)
+        self._friction = None if friction is None else list(friction)
         joins = bool(np.any(osp - np.diag(np.diag(osp))))
         self._least: Floats = [float(np.linalg.eigvalsh(osp)[0])] * len(speed) if joins else np.diag(osp).tolist()
         self._burned = linear_map(osp)
@@ -167,7 +194,8 @@ class InterfaceAccount:
             max of sum r_j^T d_j - d_j^T Delta_D d_j / h_j  =  r^T d - d^T Delta_D d / h
                                                             + sum h_j (r_j - r)^T Delta_D^-1 (r_j - r) / 4,
 
-        and it is at most the sum of h_j times :meth:`cost`, with no limit on an axis that was seen to be faster.
+        and it is at most the sum of h_j times :meth:`cost`, with no limit on an axis that was seen to be faster. Of dry
+        friction c |d_i| is booked, for the parts' ways are at least as long as their sum.
         """
         known, self._at = self._at, at
         last, self._x = self._x, x
@@ -198,6 +226,8 @@ class InterfaceAccount:
                 beside = minus(r, mean)
                 spread += 0.25 * time * dot(beside, self._yields(beside))
         cost = (dot(mean, d) if work is None else work) - dot(d, self._burned(d)) / h + spread
+        if self._friction is not None:
+            cost -= sum([c * abs(way) for c, way in zip(self._friction, d, strict=True)])
         if several:
             limits = zip(d, self._speed, strict=True)
             within = [v if abs(way) <= _ROUNDING * v * h else math.inf for way, v in limits]
@@ -289,6 +319,7 @@ class InterfaceAccount:
     def cost(self, r: Floats, speed: Sequence[float] | None = None) -> float:
         """p(r), W: the most that r (N) can cost in a second, the greatest r^T v - v^T Delta_D v, and more by torques.
 
+        Dry friction takes c off the force on each axis, whose v is in the force's direction.
         The device moves at no more than its limit of speed in the mean: nothing enforces that between two samples.
         Where Delta_D joins axes, its least eigenvalue stands for it.
 
@@ -296,9 +327,11 @@ class InterfaceAccount:
             r: N.
             speed: the greatest |v| on each axis, m/s; None for the limits.
         """
-        most_power, limits, felt = 0.0, speed or self._speed, self._felt(r)
+        most_power, limits, felt, dry = 0.0, speed or self._speed, self._felt(r), self._friction
         for axis in range(len(r)):
             size, d = abs(felt[axis]), self._least[axis]
+            if dry is not None:
+                size = max(0.0, size - dry[axis])
             v = min(size / (2.0 * d), limits[axis])
             most_power += v * (size - d * v)
         return most_power
@@ -435,6 +468,7 @@ class DeviceInterface:
         latency: Duration = Duration(0),  # noqa: B008 -- a number
         inertia: Inertia | None = None,
         held: HeldTorque | None = None,
+        friction: DryFriction | None = None,
     ) -> None:
         """Begin at rest in x = 0, with a full tank.
 
@@ -451,13 +485,16 @@ class DeviceInterface:
                 together, ns.
             inertia: what is stated of the device's mass and its hand; None where nothing is.
             held: how its motors hold torques; None where the force itself is held.
+            friction: what it burns of dry friction; None where nothing is stated.
 
         Raises:
             ValueError: of held torques nothing is left of Delta_D, or a tip may turn too far while a force is held.
         """
-        self._T, self._osp, self._held = T, osp, held
+        self._T, self._held, self._friction = T, held, friction
+        self._raised = osp if friction is None else friction.raised(osp)
         strays = 0.0 if held is None else straying(held, speed, longest * _NS)
-        self.account = InterfaceAccount(osp, promise, T, speed, inertia, self._left_by(tau, tolerance), strays)
+        dry = None if friction is None else friction.least
+        self.account = InterfaceAccount(osp, promise, T, speed, inertia, self._left_by(tau, tolerance), strays, dry)
         self._bounded = allowance is not None
         self._allowance = allowance or LatenessAllowance(0.0)
         self.tank = self.allowed = self.margin = self._allowance.energy
@@ -499,10 +536,10 @@ class DeviceInterface:
         self._tau, self._tolerance = tau, tolerance
 
     def _left_by(self, tau: float, tolerance: float) -> Matrix | None:
-        """What held torques leave of Delta_D where the certificate covers these; None for all of it."""
+        """What is promised where the certificate covers these, N*s/m; None for Delta_D itself."""
         if self._held is None:
-            return None
-        left = self._held.left(self._osp, self._T, tau, tolerance)
+            return None if self._friction is None else self._raised
+        left = self._held.left(self._raised, self._T, tau, tolerance)
         if left is None:
             raise ValueError(f"held: found nothing left of Delta_D at a delay of {tau:g} s; expected a positive rest")
         return left
@@ -782,4 +819,5 @@ def interface_of(bundle: DeviceBundle) -> DeviceInterface:
         from_seconds(bundle.timing.latency),
         bundle.inertia,
         bundle.held,
+        bundle.friction,
     )

@@ -90,7 +90,11 @@ _FEW_BITS: Final = 5
 
 
 class Plant:
-    """A :class:`HeldDevice` and the steps of its state under constant inputs. It keeps no state of its own."""
+    """A :class:`HeldDevice` and the steps of its state under constant inputs. It keeps no state of its own.
+
+    Attributes:
+        divides: whether two parts of a step may lead elsewhere than the whole.
+    """
 
     def __init__(self, device: HeldDevice, T: float, parts: bool = False) -> None:
         """Sample ``device`` with the period ``T``, s.
@@ -104,6 +108,7 @@ class Plant:
         self._T = seconds(self._period) if parts else T
         sampled = device.sampled(self._T)
         self.axes, self.order = device.axes, sampled.order
+        self.divides = False
         self._step = linear_map(np.hstack([sampled.A, sampled.B]))  # over (state, force, intended velocity)
         self._parts = Transitions(device.continuous(), self._period) if parts else None
         self._damping: Floats = device.damping.tolist()
@@ -276,7 +281,7 @@ class HeldDeviceDriver(WallTimeDriver):
             hand: the hand; its plants step over parts of a period.
             T: period, s.
         """
-        super().__init__(hand.plant.axes, T)
+        super().__init__(hand.plant.axes, T, hand.plant.divides)
         self._hand = hand
         self._intention = Intention(self._zero, self._zero)  # over the period that was entered last
         self._read = hand.plant.holding(self._zero, self._zero)  # the state at the last sample

@@ -281,8 +281,16 @@ class DeviceTelemetry:
             names.PEAK_SPEED: core.peak_speed,
             names.PEAK_FORCE: self._peak_force,
             **names.ledger_figures(core.ledger),
+            **self._speed_figures(),
             **self._interface_figures(),
         }
+
+    def _speed_figures(self) -> dict[str, float]:
+        """How fast it was, where its certificate holds below a speed."""
+        device = self._device
+        if device.below is None:
+            return {}
+        return {names.BEYOND: float(device.beyond), names.FASTEST: device.fastest}
 
     def _interface_figures(self) -> dict[str, float]:
         interface = self._interface

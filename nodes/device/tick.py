@@ -43,6 +43,9 @@ from manyhands.protocol.clock import Instant, from_seconds
 Instants = tuple[Instant, Instant, Instant]
 """The instants of a tick in wall time, since tick 0's: x was sampled, f was applied, and the force before had ended."""
 
+_EQUAL: Final = 1.0 + 1e-9
+"""Of a speed: that of a difference of displacements, in doubles."""
+
 NO_INSTANTS: Final = (Instant(0), Instant(0), Instant(0))
 
 
@@ -58,6 +61,9 @@ class DeviceTick(ABC):
         x: the displacement of the tick's row, m.
         sent: the displacement that the couplings receive, m.
         held: the force of the tick, within what limits and account allow, N.
+        below: v*, the speed below which its certificate holds, m/s; None where it holds at every speed.
+        fastest: the greatest speed of an axis from one sample to the next, m/s; where there is such a speed.
+        beyond: the times that it was greater than that.
         x_a: the displacement when the force was applied, m; None where it is not known.
         instants: of the last tick, of a device in wall time.
         done: the work of motors that hold torques until the sample of the last tick, and from then until its force, J;
@@ -81,6 +87,9 @@ class DeviceTick(ABC):
         self.driver = driver
         self.guard = Guard(bundle.limits, common.period, common.ports)
         self.core = DeviceCore(*bundle.promises[0], common.period, bundle.allowed.energy)
+        self.below = None if bundle.friction is None else bundle.friction.speed
+        self.fastest, self.beyond = 0.0, 0
+        self._last: Floats | None = None  # the true displacement of the last sample, where there is such a speed
         self.moved = self.x = self.sent = self.held = self._zero
         self.x_a: Floats | None = None
         self.instants: Instants = NO_INSTANTS
@@ -105,6 +114,8 @@ class DeviceTick(ABC):
         last, period, interface = self._at, self._period, self.interface
         measured = x if self._steps is None else in_steps(x, self._steps)
         goal = self.guard.report(measured, max(1, -((last - at + period // 2) // period)))
+        if self.below is not None:
+            self._compare(x, (period if interface is None else at - last) * 1e-9, self.below)
         self._at, self._first = at, first
         if interface is None:
             self.x, self.sent = x, goal
@@ -116,6 +127,16 @@ class DeviceTick(ABC):
             if interface.shortened:
                 self.driver.apply(interface.exerted, at, interface.until)
         return self.sent
+
+    def _compare(self, x: Floats, h: float, below: float) -> None:
+        """Compare the speed of each axis, from the last sample to that at x (m), h (s) later, with ``below``, m/s."""
+        before, self._last = self._last, x
+        if before is None or not h > 0.0:
+            return
+        fastest = max([abs(to - at) for to, at in zip(x, before, strict=True)]) / h
+        self.fastest = max(self.fastest, fastest)
+        if fastest > below * _EQUAL:
+            self.beyond += 1
 
     @property
     def ledger(self) -> Ledger:

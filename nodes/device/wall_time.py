@@ -52,14 +52,16 @@ class Moment(NamedTuple):
 class WallTimeDriver(ABC):
     """A :class:`manyhands.nodes.device.drivers.Driver` in wall time; subclasses give the device and its hand."""
 
-    def __init__(self, axes: int, T: float) -> None:
+    def __init__(self, axes: int, T: float, divides: bool = False) -> None:
         """Wait for the first call, at whose instant the device begins.
 
         Args:
             axes: number of axes.
             T: period, s.
+            divides: whether the motion depends on where its integration is cut. Then it is cut at each sample that is
+                taken while a force acts, so that the motion goes on from what was seen.
         """
-        self._m, self._period = axes, from_seconds(T)
+        self._m, self._period, self._divides = axes, from_seconds(T), divides
         self._zero: Floats = [0.0] * axes
         self._present: Moment | None = None  # the last force, or a grid point since then; None before the first call
         self._last = Instant(0)  # the instant of the last call
@@ -77,6 +79,10 @@ class WallTimeDriver(ABC):
         """The displacement at ``at``, m; the work until then is computed by the next call, when nobody waits."""
         at = self._begun(at)
         self._present = now, state, force, until, work = self._cut(self._resumed(at), at)
+        if now < at and self._divides and force is not self._zero:
+            _, state, _, _, self._work = self._finished(self._present, at)
+            self._present = Moment(at, state, force, until, 0.0)
+            return state[: self._m]
         if now < at:
             seen = self._seen(state, force, now, at)
             self._sampled = at, seen

@@ -26,6 +26,7 @@ import numpy as np
 
 from manyhands.design.files import open_new, read_regular
 from manyhands.design.levels.contract import DeviceShare
+from manyhands.design.levels.dry_friction import DryFriction
 from manyhands.design.levels.held_torque import HeldTorque
 from manyhands.design.models.coupling import loop_gain
 from manyhands.design.models.scene import ContactScene, scene_of
@@ -242,9 +243,11 @@ class SimulatedHand:
         motion: intended motion (m), in the same forms.
         linkage: the kinematics of the joints whose motors hold torques, as plain data
             (:func:`manyhands.nodes.device.mechanism.joints_of`); None where the force itself is held.
+        friction: its dry friction, N; None for none.
 
     Raises:
-        ValueError: the entries are not of one number of axes.
+        ValueError: the entries are not of one number of axes, a friction is not positive and finite, or it has a
+            linkage as well.
     """
 
     mass: tuple[float, ...]
@@ -255,9 +258,16 @@ class SimulatedHand:
     force: tuple[Any, ...]
     motion: tuple[Any, ...]
     linkage: Added[Mapping[str, Any] | None] = None
+    friction: Added[tuple[float, ...] | None] = None
 
     def __post_init__(self) -> None:
-        vectors = (self.mass, self.damping, self.hand_damping, self.hand_stiffness, self.force, self.motion)
+        vectors = [self.mass, self.damping, self.hand_damping, self.hand_stiffness, self.force, self.motion]
+        if self.friction is not None:
+            vectors.append(self.friction)
+            if not all(0.0 < c < math.inf for c in self.friction):
+                raise ValueError(f"found the friction {self.friction} N; expected finite numbers greater than 0")
+            if self.linkage is not None:
+                raise ValueError("found dry friction behind a linkage; expected one of both")
         _require_one_number({len(vector) for vector in vectors} | {self.operator.inputs})
 
     @property
@@ -274,7 +284,7 @@ class BrowserHand:
         physics: the device, and the hand that joins it to the pointer.
 
     Raises:
-        ValueError: the device has a linkage, which a pointer does not move.
+        ValueError: the device has a linkage or dry friction, which a pointer does not move.
     """
 
     physics: SimulatedHand
@@ -282,6 +292,8 @@ class BrowserHand:
     def __post_init__(self) -> None:
         if self.physics.linkage is not None:
             raise ValueError("found a linkage of a device that a pointer moves; expected none, or a simulated hand")
+        if self.physics.friction is not None:
+            raise ValueError("found friction of a device that a pointer moves; expected none, or a simulated hand")
 
     @property
     def axes(self) -> int:
@@ -371,11 +383,12 @@ class DeviceBundle:
         allowance: what lateness may put into the loop; None where it is counted alone.
         inertia: what is stated of the device's mass and its hand; None where nothing is.
         held: how the motors of its linkage hold torques in place of the force; None where the force itself is held.
+        friction: the dry friction that its account counts; None where it counts none.
 
     Raises:
         ValueError: Delta_D is not symmetric positive definite with a row for each port, the axes of the source are not
-            the ports, the rungs' delays do not grow, the time is unknown, it is wall time under the simulated clock, or
-            the held torques leave nothing of Delta_D at a rung.
+            the ports, those of the friction neither, the rungs' delays do not grow, the time is unknown, it is wall
+            time under the simulated clock, or the held torques leave nothing of Delta_D at a rung.
     """
 
     common: Common
@@ -387,6 +400,7 @@ class DeviceBundle:
     allowance: Added[LatenessAllowance | None] = None
     inertia: Added[Inertia | None] = None
     held: Added[HeldTorque | None] = None
+    friction: Added[DryFriction | None] = None
 
     def __post_init__(self) -> None:
         m = len(self.common.ports)
@@ -401,6 +415,8 @@ class DeviceBundle:
             raise ValueError(f"found an osp of shape {self.osp.shape}; expected {m} x {m}, symmetric positive definite")
         if self.inertia is not None and len(self.inertia.mass) != m:
             raise ValueError(f"found an inertia of {len(self.inertia.mass)} axes; expected {m}, one a port")
+        if self.friction is not None and len(self.friction.least) != m:
+            raise ValueError(f"found a friction of {len(self.friction.least)} axes; expected {m}, one a port")
         _require_few_rungs(self.rungs)
         if not self.rungs:
             raise ValueError("found no rung; expected that of the certificate")
@@ -421,14 +437,18 @@ class DeviceBundle:
 
     @cached_property
     def levels(self) -> tuple[Matrix, ...]:
-        """What each rung's promise is made of, m_i x m_i, N*s/m: Delta_D, or what held torques leave of it."""
+        """What each rung's promise is made of, m_i x m_i, N*s/m.
+
+        It is Delta_D, with what dry friction adds below a speed, less what held torques may give out.
+        """
         return tuple(self._left(rung) for rung in self.rungs)
 
     def _left(self, rung: DeviceRung) -> Matrix:
         held = self.held
+        level = self.osp if self.friction is None else self.friction.raised(self.osp)
         if held is None:
-            return self.osp
-        left = held.left(self.osp, self.common.period, rung.tau, rung.period_tolerance)
+            return level
+        left = held.left(level, self.common.period, rung.tau, rung.period_tolerance)
         if left is None:
             lost = held.damping(self.common.period, rung.tau, rung.period_tolerance)
             least = float(np.linalg.eigvalsh(self.osp)[0])

@@ -112,6 +112,10 @@ PROMISES: Final[Mapping[Promise, PromiseText]] = MappingProxyType({
         "State a lesser mass or a stronger hand (devices: mass, limits.hand), or a step of its displacements. Until "
         "then the reserve for lateness rests on the limit of speed, and late ticks take more of its force.",
     ),
+    Promise.SPEED: PromiseText(
+        "every axis is slower than the speed below which the certificate holds (design.speed)", True,
+        "Move more slowly, or certify for a greater speed. Beyond it the tank pays for what dry friction does not.",
+    ),
     Promise.FORCE: PromiseText(
         "its forces stay within their limits, as the certificate assumes", True,
         "Raise the limits of force, or soften the world: the certificate does not cover a force that was cut.",

@@ -218,6 +218,7 @@ class HealthModel:
         self._pace = _Pace(terms.period, terms.may_colocate)
         self._free: frozenset[str] = frozenset()
         self._made = {*terms.promises, Promise.BUDGET}
+        self._stated: set[Promise] = set()  # of which only a device's telemetry says that they are made
         self._given = {name: _Given() for name in terms.wall}
         self._put_in = dict.fromkeys(terms.drivers, 0.0)  # by the users of these devices at least, J
         self._measure: set[str] = set()  # devices whose driver measures the force that they exert
@@ -253,6 +254,9 @@ class HealthModel:
         self.now = max(self.now, at)
         since = min(at, self._told.get(node, 0.0))
         self._told[node] = at
+        if names.BEYOND in figures and Promise.SPEED not in self._stated:
+            self._stated.add(Promise.SPEED)
+            self._made.add(Promise.SPEED)
         for counter in _COUNTERS:
             if counter.grows not in figures:
                 continue
@@ -263,6 +267,9 @@ class HealthModel:
                 continue
             cost = {unit: self._total(node, figure, figures) for unit, figure in counter.cost.items()}
             self._count(counter.promise, node, counter.grows, self._grown(node, counter.grows, figures), at, cost)
+        if (entry := self._entries.get((Promise.SPEED, node))) is not None:
+            fastest = figures.get(names.FASTEST, math.nan)
+            entry.remark = f"{node} moved at up to {fastest:.3g} m/s on an axis" if math.isfinite(fastest) else ""
         if figures.get(names.WAVE_HOLDING, 0.0) > 0.0:
             self._go_on(Promise.LINK, node, at)
         self._energy(node, at, figures)
@@ -317,7 +324,7 @@ class HealthModel:
             remarks: what has happened to a promise and what to do, where the session has a sentence about that.
         """
         out: list[PromiseStatus] = []
-        made = {*self._terms.promises, *(promise for promise, _ in self._entries)}
+        made = {*self._terms.promises, *self._stated, *(promise for promise, _ in self._entries)}
         for promise in (promise for promise in PROMISES if promise in made):
             if promise is not Promise.DRIVER:  # nobody knows that it is kept
                 out.append(PromiseStatus(promise.value, PromiseState.KEPT.value, since=0.0))
@@ -447,7 +454,7 @@ class HealthModel:
     def _state(self, promise: Promise, party: str) -> PromiseState:
         """The state of a promise that is not kept by itself."""
         terms = self._terms
-        if promise in (Promise.DELAY, Promise.PERIOD):
+        if promise in (Promise.DELAY, Promise.PERIOD, Promise.SPEED):
             return PromiseState.ENFORCED if terms.bounded and party in terms.wall else PromiseState.BROKEN
         if promise is Promise.FORCE:  # the limit itself holds; without a certificate nothing else was promised
             return PromiseState.BROKEN if terms.certified else PromiseState.ENFORCED

@@ -266,6 +266,12 @@ INTERFACE_OFFSET: str = _figure(Figure(
     report=_at("interface", "offset")))
 QUICKER: str = _figure(Figure(
     "quicker", Unit.STATE, "whether a device moved further than the stated mass and hand allow"))
+BEYOND: str = _figure(Figure(
+    "beyond", Unit.TIMES, "that an axis was faster, from one sample to the next, than the speed below which the "
+    "certificate holds", report=_at("proved_speed", "beyond", needed=True), promise=Promise.SPEED))
+FASTEST: str = _figure(Figure(
+    "fastest", Unit.SPEED, "the greatest of an axis from one sample to the next, where the certificate holds below a "
+    "speed", report=_at("proved_speed", "fastest", needed=True)))
 LEDGER_MIN: str = _figure(Figure(
     "ledger_min", Unit.JOULES, "the least total of the ledger", report=_at("ledger", "min", needed=True)))
 _figure(Figure(

@@ -16,6 +16,7 @@ class Promise(StrEnum):
     PERIOD = "period"
     LATENESS = "lateness energy"
     INERTIA = "stated inertia"
+    SPEED = "proved speed"
     GIVEN = "force given"
     FORCE = "force limits"
     LEVEL = "declared level"

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from manyhands.design.levels.contract import DeviceShare
 from manyhands.design.levels.device import device_share, least_gain
+from manyhands.design.levels.dry_friction import DryFriction
 from manyhands.nodes.device.interface import DeviceInterface
 from manyhands.nodes.kernel.allowance import LatenessAllowance
 from manyhands.nodes.kernel.arithmetic import Floats
@@ -51,14 +52,17 @@ class Course:
     pieces: list[tuple[Array, Array, float]] = field(default_factory=list)
     ticks: list[tuple[Array, Array, Array]] = field(default_factory=list)
 
-    def energy(self, osp: Array, promised: DeviceShare) -> float:
+    def energy(self, osp: Array, promised: DeviceShare, friction: DryFriction | None = None) -> float:
         """e by its definition, J."""
-        K = promised.kappa * T * np.linalg.inv(osp)
+        level = osp if friction is None else friction.raised(osp)
+        K = promised.kappa * T * np.linalg.inv(level)
         received = 0.0
         for w, f, before in self.ticks:
             y = (w + K @ (f - before)) / T
-            received += T * float(f @ y) - T * promised.share * float(y @ osp @ y)
+            received += T * float(f @ y) - T * promised.share * float(y @ level @ y)
         done = sum(float(r @ d) - float(d @ osp @ d) / h for r, d, h in self.pieces if h > 0.0)
+        if friction is not None:
+            done -= sum(float(np.array(friction.least) @ np.abs(d)) for _, d, _ in self.pieces)
         return received - done
 
 
@@ -82,12 +86,13 @@ class Device:
         inertia: Inertia | None = None,
         speed: float = SPEED,
         power: float = 0.0,
+        friction: DryFriction | None = None,
     ) -> None:
         m = len(osp)
-        self.osp, self.promised, self.latency = osp, promised, latency
+        self.osp, self.promised, self.latency, self.friction = osp, promised, latency, friction
         allowed = None if tank is None else LatenessAllowance(tank, power)
         self.interface = DeviceInterface(
-            osp, promised, tau, 0.0, T, (speed,) * m, STALE, allowed, Duration(latency), inertia
+            osp, promised, tau, 0.0, T, (speed,) * m, STALE, allowed, Duration(latency), inertia, None, friction
         )
         self.x, self.now, self.f = np.zeros(m), 0, np.zeros(m)
         self.sent, self.velocity = np.zeros(m), np.zeros(m)
@@ -106,6 +111,8 @@ class Device:
             self.course.pieces.append((r, d, h))
             if h > 0.0:
                 cost = float(r @ d) - float(d @ self.osp @ d) / h
+                if self.friction is not None:
+                    cost -= float(np.array(self.friction.least) @ np.abs(d))
                 self.beyond[-1] += max(0.0, cost - h * self.interface.account.cost(r.tolist()))
             self.x, self.now = self.x + d, at
             self.places.append((at, self.x))
@@ -159,7 +166,7 @@ class Device:
 
     @property
     def energy(self) -> float:
-        return self.course.energy(self.osp, self.promised)
+        return self.course.energy(self.osp, self.promised, self.friction)
 
     @property
     def scale(self) -> float:

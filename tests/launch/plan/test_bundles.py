@@ -19,7 +19,16 @@ from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import Session, load_session
 from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.kernel.arithmetic import feedthrough_digest
-from manyhands.nodes.kernel.bundle import CouplingBundle, DeviceBundle, EnvironmentBundle, Limits, load, save
+from manyhands.nodes.kernel.bundle import (
+    CouplingBundle,
+    DeviceBundle,
+    EnvironmentBundle,
+    Limits,
+    SimulatedHand,
+    encoded,
+    load,
+    save,
+)
 from manyhands.nodes.link.peer_link import bounds_by_peer
 from manyhands.protocol.codec import encode
 from manyhands.protocol.gate import Gate
@@ -49,15 +58,44 @@ def test_limits_are_those_of_the_ports_in_their_order() -> None:
     assert limits_at(held, held.ports[1:]) == Limits((2.0, 3.0), (0.5, 0.5), (5.0, 6.0))
 
 
-def test_a_certified_run_of_a_simulated_device_does_not_count_on_friction_that_it_has_not(tmp_path: Path) -> None:
-    stated = session("example1.yaml", ("devices.dx.step=1e-5", "devices.dx.friction={least: 0.1}"))
+@pytest.mark.parametrize(
+    "more", [(), ("design.speed=0.1",), ("design.speed=0.1", "devices.dx.step=1e-5")], ids=["", "below", "in steps"]
+)
+def test_a_simulated_device_burns_its_friction_and_its_account_counts_it(tmp_path: Path, more: tuple[str, ...]) -> None:
+    each = tuple(f"devices.{name}.friction={{least: 0.2}}" for name in ("dx", "dy", "dz"))
+    prepared = prepare(session("example1.yaml", (*each, *more)))
+    bundle = cut(prepared, RunPlan("simulated", tmp_path, ""))["dx"]
+    assert isinstance(bundle, DeviceBundle)
+    assert isinstance(bundle.source, SimulatedHand)
+    assert bundle.source.friction == (0.2,)
+    assert bundle.friction is not None
+    assert (bundle.friction.least, bundle.friction.speed) == ((0.2,), 0.1 if more else None)
+    certified = prepared.rungs[0].loop
+    assert bundle.friction.kept == (certified.kept[0] if certified.kept else 0.0,)
+    assert (bundle.friction.kept[0] > 0.0) == (len(more) == 2)
+    for level, rung in zip(bundle.levels, prepared.rungs, strict=True):
+        np.testing.assert_array_equal(level, rung.loop.Delta_D_blocks[0])
+    assert (bundle.levels[0][0, 0] > bundle.osp[0, 0]) == bool(more)
+    save(bundle, tmp_path / "dx")
+    assert encoded(load(tmp_path / "dx", DeviceBundle)) == encoded(bundle)
+
+
+PLUGIN = "{dof: 1, osp: 1.37, driver: 'devices_of.a_lab:device', friction: {least: 0.2}}"
+IN_SPACE = (
+    "{kind: chain, turns: [z, y, y], links: [[0, 0, 0.1], [0.13, 0, 0], [0.13, 0, 0]], "
+    "low: [-0.5, -0.8, 0.7], high: [0.5, -0.2, 1.6]}"
+)
+
+
+def test_a_certified_run_with_friction_of_which_no_account_can_be_kept_is_refused(tmp_path: Path) -> None:
     run = RunPlan("simulated", tmp_path, "")
-    with pytest.raises(NotCertified, match=r"devices\.dx\.friction: found friction of a simulated device"):
-        cut(prepare(stated), run)
-    assert cut(prepare(session("example1.yaml", ("devices.dx.step=1e-5",))), run)
-    below = prepare(session("example1.yaml", ("devices.dx.friction={least: 0.1}", "design.speed=0.1")))
-    with pytest.raises(NotCertified, match=r"design\.speed: found 0\.1 m/s; expected none for a run"):
-        cut(below, run)
+    slow = ("devices.d.limits={force: 1, speed: 0.1, displacement: 0.01}", "devices.d.friction={least: 0.2}")
+    joints = session("example1-operator.yaml", (*slow, "devices.d.held=torque", f"devices.d.linkage={IN_SPACE}"))
+    with pytest.raises(NotCertified, match=r"devices\.d\.friction: found friction behind the kinematics"):
+        cut(prepare(joints), run)
+    driver = session("example1.yaml", (f"devices.dx={PLUGIN}", "design.speed=0.1"))
+    with pytest.raises(NotCertified, match=r"devices\.dx\.driver: found a driver's factory with friction"):
+        cut(prepare(driver), run)
 
 
 def test_each_bundle_holds_its_own_ports_limits_and_the_environments_none(tmp_path: Path) -> None:

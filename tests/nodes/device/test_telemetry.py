@@ -45,7 +45,7 @@ class TelemetryDevice:
     def __init__(self, line: Any) -> None:
         self.x = np.zeros(1)
         driver = SimpleNamespace(figures=Figures)
-        device = SimpleNamespace(core=CORE, guard=GUARD, interface=None, driver=driver, row=self.row)
+        device = SimpleNamespace(core=CORE, guard=GUARD, interface=None, driver=driver, row=self.row, below=None)
         self.account, self.line, self.at = DeviceTelemetry(COMMON, rung(TAU), device), line, 0  # type: ignore[arg-type]
 
     def row(self) -> Row:

@@ -22,6 +22,7 @@ from manyhands.nodes.monitor.health import (
     summary,
 )
 from manyhands.nodes.monitor.health_model import HOLD, HealthModel, Terms
+from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.promises import Promise
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
@@ -464,3 +465,23 @@ def test_a_lack_of_force_is_over_once_the_last_seconds_are_well() -> None:
     found.take("dx", 8000, Figures({"began@8000": 1.0}))  # a new process counts from 0
     found.take(*told(8.0, 40.0, 36.0, held_back=0.8))
     assert session_health(found.rows()) is Health.OK
+
+
+@pytest.mark.parametrize(
+    ("device", "state"),
+    [("dx", PromiseState.ENFORCED), ("dz", PromiseState.BROKEN)],
+    ids=["in wall time", "in its own"],
+)
+def test_a_speed_below_which_a_certificate_holds_is_promised_by_the_device_that_states_it(
+    device: str, state: PromiseState
+) -> None:
+    terms = replace(TERMS, roles={**ROLES, "dz": Role.DEVICE})
+    health = HealthModel(terms)
+    assert "proved speed" not in {row.promise for row in health.rows()}
+    health.take(device, 100, Figures({names.BEYOND: 0.0, names.FASTEST: 0.04}))
+    (row,) = [row for row in health.rows() if row.promise == "proved speed"]
+    assert (row.state, row.remark) == (PromiseState.KEPT, "")
+    health.take(device, 200, Figures({names.BEYOND: 3.0, names.FASTEST: 0.135}))
+    row = next(row for row in health.rows() if row.promise == "proved speed" and row.who)
+    assert (row.state, row.who, dict(row.cost)) == (state, (device,), {"times": 3.0})
+    assert row.remark == f"{device} moved at up to 0.135 m/s on an axis"
