@@ -103,11 +103,11 @@ def simulate(
         if line := enforcement_sentence(enforcement_figures(world.controller)):
             say(out, line)
         for name, device in simulation.devices.items():
-            if (own := device.tick.pace).beyond:
+            if device.beyond:
                 say(
                     err,
-                    f"warning: {name} was faster than the speed below which its certificate holds (times: "
-                    f"{own.beyond}, up to {own.fastest:.3g} m/s)",
+                    f"warning: {name} was faster than the {device.below:g} m/s below which its certificate holds "
+                    f"(times: {device.beyond}, up to {device.fastest:.3g} m/s); beyond, only its account counts",
                 )
             if (guard := device.guard).let_go:
                 say(err, f"warning: {name} was beyond its limits and let go (times: {guard.let_go}); last: {guard.why}")
