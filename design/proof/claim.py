@@ -11,6 +11,7 @@ data that the theorem about it needs.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -508,12 +509,14 @@ class HeldTorqueData:
         force: F, N.
         speed: v, m/s.
         linkage: the kinematics that prove kappa; None where kappa is believed.
+        stated: the plain data of kappa and kinematics, by which equal ones are proved once.
     """
 
     kappa: fmpq
     force: fmpq
     speed: fmpq
     linkage: LinkageData | None
+    stated: str
 
 
 @dataclass(frozen=True)
@@ -720,7 +723,8 @@ def _held(item: Item, m: int) -> HeldTorqueData:
     linkage = read_linkage(fields["linkage"]) if "linkage" in fields else None
     if linkage is not None and len(linkage.low) != m:
         raise fields["linkage"].refusal(f"a linkage whose tip has the {m} axes of its device")
-    return HeldTorqueData(kappa, force, speed, linkage)
+    stated = json.dumps([fields["kappa"].value, fields["linkage"].value]) if linkage is not None else ""
+    return HeldTorqueData(kappa, force, speed, linkage, stated)
 
 
 def _of_axes(item: Item, m: int) -> tuple[fmpq, ...]:

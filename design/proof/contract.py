@@ -27,7 +27,7 @@ from manyhands.design.proof.claim import Claim, HeldTorqueData, StatedSpringDamp
 from manyhands.design.proof.coupling import loop_stiffness_limit
 from manyhands.design.proof.exact import Sparse
 from manyhands.design.proof.finding import Finding, Verdict
-from manyhands.design.proof.linkage import bends_at_most
+from manyhands.design.proof.linkage import MOST_PARTS, bends_at_most
 
 _ALLOWED = fmpq(1, 10**6)  # relative: a stated margin may exceed the proved margin by this
 
@@ -91,6 +91,8 @@ def speed_findings(claim: Claim) -> list[Finding]:
 def held_findings(claim: Claim) -> list[Finding]:
     """Of each device that holds torques: its numbers are positive, kappa l < 2, and its linkage bends by kappa."""
     found = []
+    bending: dict[str, Verdict] = {}
+    distinct = {held.stated for held in claim.held if held is not None and held.linkage is not None}
     for device, held in zip(claim.devices, claim.held, strict=True):
         if held is None:
             continue
@@ -99,7 +101,9 @@ def held_findings(claim: Claim) -> list[Finding]:
         condition = f"{device.name} holds torques: kappa, F and v > 0, kappa v (lambda T + tau) < 2"
         found.append(Finding(condition, holds, rational.rounded(2 - turned), 0.0, "", "exactly"))
         if holds and held.linkage is not None:
-            verdict = bends_at_most(held.linkage, held.kappa)
+            if held.stated not in bending:
+                bending[held.stated] = bends_at_most(held.linkage, held.kappa, MOST_PARTS // len(distinct))
+            verdict = bending[held.stated]
             found.append(
                 verdict.finding(f"the tip of {device.name} bends by at most {rational.rounded(held.kappa):g}/m")
             )

@@ -41,7 +41,9 @@ from manyhands.design.proof.exact import Item, exact_decimal
 from manyhands.design.proof.finding import ProofInputError, Verdict
 from manyhands.design.proof.jets import Jet
 
-_MOST_PARTS: Final = 20_000
+MOST_PARTS: Final = 6_000
+"""Parts of boxes that the proof of one file looks at, for all its kinematics together: half a minute of a slow core."""
+
 _ARM: Final = ("upper", "rod")
 _THETA: Final = {2: 0.05, 3: 0.1}  # rad, how far the nearest direction is at most, by the tip's coordinates
 
@@ -265,7 +267,7 @@ def _length(item: Item, zero: bool = False) -> fmpq:
     return length
 
 
-def bends_at_most(linkage: LinkageData, kappa: fmpq, most_parts: int = _MOST_PARTS) -> Verdict:
+def bends_at_most(linkage: LinkageData, kappa: fmpq, most_parts: int = MOST_PARTS) -> Verdict:
     """Whether |s(v)| <= kappa for every unit v and every pose of the box.
 
     Args:

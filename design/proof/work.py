@@ -8,7 +8,8 @@ has the same bound on every machine.
 A file of up to 1 MB may cost :data:`MOST` operations, which a slow core does within ten seconds, and a longer one in
 proportion.
 An honest large loop has a storage matrix of seventeen digits an entry, so that its file grows with its proof. Texts
-that nothing is proved of, and what was asked for, do not count.
+that nothing is proved of, and what was asked for, do not count. Kinematics have a bound of their own beside this one
+(:data:`manyhands.design.proof.linkage.MOST_PARTS`).
 """
 
 from __future__ import annotations

@@ -13,9 +13,13 @@ from manyhands.design.errors import CertificateError, Infeasible
 from manyhands.design.ladder import automatic_delays, design_ladder
 from manyhands.design.levels.held_torque import HeldTorque
 from manyhands.design.models.coupling import Partition
+from manyhands.design.models.linkage import greatest_bending, linkage_of
 from manyhands.design.problem import DeviceLevel, HapticLoop, SpringDamperWanted, Wish
-from manyhands.design.proof import ProofInputError, prove
+from manyhands.design.proof import ProofInputError, contract, prove
+from manyhands.design.proof.claim import read
+from manyhands.design.proof.finding import Verdict
 from manyhands.design.proof.ladder import prove_ladder
+from manyhands.design.proof.linkage import MOST_PARTS
 from manyhands.design.synthesis import design
 
 Data = dict[str, Any]
@@ -101,6 +105,59 @@ def test_what_is_no_such_file_is_refused_by_name(proved: Data, change: Callable[
         prove(data)
     with pytest.raises((CertificateError, KeyError, TypeError, ValueError)):
         from_content(data)
+
+
+ARM = {"kind": "chain", "turns": ["z", "z"], "links": [[0.12, 0.0, 0.0], [0.14, 0.0, 0.0]],
+       "low": [-0.6, 1.4], "high": [0.6, 1.8]}  # fmt: skip
+BENDS = greatest_bending(linkage_of(ARM))
+
+
+@pytest.fixture(scope="module")
+def stated(loop: HapticLoop) -> Data:
+    """The same with kinematics in place of kappa alone."""
+    held = HeldTorque(1.05 * BENDS, 12.0, 1.0, ARM)
+    devices = (dataclasses.replace(loop.devices[0], held=held), loop.devices[1])
+    certificate = design(dataclasses.replace(loop, devices=devices), STIFFEST).certificate
+    return content(certificate) | {"id": certificate.id}
+
+
+def test_kinematics_prove_their_kappa(stated: Data) -> None:
+    [bends] = [finding for finding in prove(stated) if "bends" in finding.condition]
+    assert bends.condition == f"the tip of arm bends by at most {held_of(stated)['kappa']:g}/m"
+    assert bends.holds
+    assert 0.99 * BENDS < bends.value <= 1.001 * BENDS
+    assert from_content(stated).loop.devices[0].held == HeldTorque(1.05 * BENDS, 12.0, 1.0, ARM)
+
+
+def test_a_kappa_that_is_too_small_or_of_another_arm_is_not_proved(stated: Data) -> None:
+    smaller = resealed(stated, lambda data: held_of(data).update(kappa=0.99 * BENDS))
+    assert failed(smaller) == [f"the tip of arm bends by at most {0.99 * BENDS:g}/m"]
+    shorter = resealed(stated, lambda data: held_of(data)["linkage"]["links"].__setitem__(1, [0.1, 0.0, 0.0]))
+    assert [condition.split(" bends")[0] for condition in failed(shorter)] == ["the tip of arm"]
+
+
+def test_kinematics_have_the_axes_of_their_device(stated: Data) -> None:
+    def moved(data: Data) -> None:
+        data["devices"]["dz"]["held"] = data["devices"]["arm"].pop("held")
+
+    with pytest.raises(ProofInputError, match="linkage"):
+        prove(resealed(stated, moved))
+
+
+def test_all_kinematics_of_a_file_share_one_bound_of_work(stated: Data, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+
+    def bends(linkage: object, kappa: object, most_parts: int) -> Verdict:
+        asked.append(most_parts)
+        return Verdict(True, 0.0, "")
+
+    monkeypatch.setattr("manyhands.design.proof.contract.bends_at_most", bends)
+    claim = read(stated)
+    [held, *_] = claim.held
+    assert held is not None
+    other = dataclasses.replace(held, stated="another arm")
+    contract.held_findings(dataclasses.replace(claim, devices=claim.devices * 2, held=(held, held, other, None)))
+    assert asked == [MOST_PARTS // 2] * 2
 
 
 def test_nothing_is_left_of_a_light_device(loop: HapticLoop) -> None:
