@@ -27,7 +27,6 @@ from manyhands.design.levels.encoder import EncoderClaim
 from manyhands.design.models.statespace import Matrix, StateSpace
 from manyhands.design.peak_gain import peak_gain
 from manyhands.design.problem import HapticLoop
-from manyhands.design.proof.quantisation import MOST_STATES
 
 _ABOVE: Final = 1e-6
 """Of the force: what a proof in balls, which bounds the same sum from above, may find more than floats do."""
@@ -52,6 +51,8 @@ def force_of_steps(loop: HapticLoop, blocks: Sequence[StateSpace]) -> Matrix | N
         loop: the loop; its devices state the steps of their encoders.
         blocks: the realisation of each block of V, as it is run.
     """
+    from manyhands.design.proof.quantisation import MOST_STATES  # needs the prover's libraries, which no guest has
+
     if not_covered(loop):
         return None
     Y = closed(loop.partition.join(tuple(blocks)), loop.cut.environment.environment(loop.period))
