@@ -130,6 +130,22 @@ def _held(rng: Generator, data: Data) -> None:
         linkage["links"] = touched(rng, linkage["links"], False)
 
 
+def _mechanism(rng: Generator, data: Data) -> None:
+    """Encoder steps, dry friction, what is claimed of both, or the speed below which it is."""
+    device = data["devices"][_block(rng, data["devices"])]
+    what = str(rng.choice(["step", "friction", "force", "covered", "speed", "none"]))
+    if what in ("step", "friction") and what in device:
+        device[what] = [abs(value) * factor(rng) for value in device[what]]
+    elif what == "force" and data.get("encoder", {}).get("force"):
+        data["encoder"]["force"] = [value * factor(rng) for value in data["encoder"]["force"]]
+    elif what == "covered" and "encoder" in data:
+        data["encoder"]["covered"] = not data["encoder"]["covered"]
+    elif what == "speed":
+        data["speed"] = data.get("speed", 0.1) * factor(rng)
+    elif what == "none" and "encoder" in data:
+        data["encoder"]["force"] = None
+
+
 def _storage(rng: Generator, data: Data) -> None:
     stored = data["storage"]
     names = list(stored["V_hat"])
@@ -288,6 +304,7 @@ CHANGES: dict[str, Callable[[Generator, Data], None]] = {
     "joined Phi_E": _joined_level,
     "osp": _osp,
     "held": _held,
+    "mechanism": _mechanism,
     "storage": _storage,
     "tau": _tau,
     "period_tolerance": _period_tolerance,
@@ -308,6 +325,7 @@ def applies(change: str, data: Data) -> bool:
     """Whether a change of this class changes anything in this certificate."""
     E = data["environment"]["type"]
     needs = {
+        "mechanism": any({"step", "friction"} & device.keys() for device in data["devices"].values()),
         "held": any("held" in device for device in data["devices"].values()),
         "gamma": data["transparency"] is not None,
         "delay": E != "declared",

@@ -399,6 +399,46 @@ def of_held_torque(rng: Generator) -> Data | None:
         return None
 
 
+def of_encoder_steps(rng: Generator) -> Data | None:
+    """Devices that round; dry friction covers that, or not, or nearly."""
+    T, osp, m = _scales(rng)
+    world: Environment = network(rng, m, osp, T, osp / T) if rng.random() < 0.7 else system(rng, m, 0.1 * osp / T, T)
+    loop = loop_of(rng, world, T, osp, late(rng, T))
+    step = spread(rng, -7.0, -4.0)
+    loop = _with(loop, [step * float(rng.choice([1.0, 1.0, 0.1])) for _ in loop.ports], None)
+    wanted = spring_damper(rng, loop)
+    data = designed(loop, wanted)
+    if data is None or data["encoder"]["force"] is None:
+        return data
+    by = float(rng.choice([1.0, 1.0, 1.0001, 0.9999, 2.0]))
+    return designed(_with(loop, None, [by * w or step for w in data["encoder"]["force"]]), wanted)
+
+
+def of_dry_friction(rng: Generator) -> Data | None:
+    """A claim below a speed: friction is as much damping as there is, or more or less, beside steps as often as not."""
+    T, osp, m = _scales(rng)
+    loop = loop_of(rng, network(rng, m, osp, T, osp / T), T, osp, late(rng, T))
+    speed = spread(rng, -2.0, 0.0)
+    friction = [osp * speed * spread(rng, -1.0, 0.5) for _ in loop.ports]
+    steps = [0.2 * T * c / osp * float(rng.random()) for c in friction] if rng.random() < 0.5 else None
+    loop = replace(_with(loop, steps, friction), speed=speed)
+    found = designed(loop, SpringDamperWanted(Wish("stiffest" if rng.random() < 0.7 else "feasible")))
+    return found
+
+
+def _with(loop: HapticLoop, steps: list[float] | None, friction: list[float] | None) -> HapticLoop:
+    """The loop whose devices have these steps and this friction, by port; as they were where there is None."""
+
+    def of(device: DeviceLevel, values: list[float] | None, own: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        return own if values is None else tuple(values[port] for port in device.ports)
+
+    devices = tuple(
+        replace(device, step=of(device, steps, device.step), friction=of(device, friction, device.friction))
+        for device in loop.devices
+    )
+    return replace(loop, devices=devices)
+
+
 def of_transparency(rng: Generator) -> Data | None:
     T, osp, m = _scales(rng)
     environment: Environment = network(rng, m, osp, T) if rng.random() < 0.6 else system(rng, m, 0.1 * osp / T, T)
@@ -427,6 +467,8 @@ KINDS: dict[str, Callable[[Generator], Data | None]] = {
     "transparency": of_transparency,
     "series": of_series,
     "held torque": of_held_torque,
+    "encoder steps": of_encoder_steps,
+    "dry friction": of_dry_friction,
 }
 
 

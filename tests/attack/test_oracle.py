@@ -7,6 +7,7 @@ import copy
 import json
 import math
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +18,14 @@ from flint import ctx, fmpq
 from tests.attack.arithmetic import BITS, Floats, decimal, semidefinite
 from tests.attack.hands import at_level, random_loop
 from tests.attack.loop import Hand, Repeating, Tick, growth, period_map
+from tests.attack.mechanisms import at_its_level, steps
 from tests.attack.oracle import alone, judge
 from tests.attack.parties import Reader, precise
-from tests.attack.passivity import statics
+from tests.attack.passivity import levels, statics
+from tests.attack.sessions import KINDS
 
 FOLDER = Path(__file__).parent
-ORACLE = ("arithmetic", "parties", "passivity", "loop", "hands", "oracle")
+ORACLE = ("arithmetic", "parties", "passivity", "loop", "hands", "linkages", "mechanisms", "oracle")
 T, OSP = 1e-3, 1.37
 
 
@@ -349,3 +352,48 @@ def test_nobody_at_the_device_is_a_hand_too() -> None:
     data["environment"]["links"][0]["stiffness"] = -100.0
     assert alone(data) > 1e-4
     assert alone(wall(1000.0)) == 0.0
+
+
+def of_kind(kind: str, fits: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+    """The first designed certificate of a kind that fits."""
+    for seed in range(100):
+        data = KINDS[kind](np.random.default_rng(seed))
+        if data is not None and fits(data):
+            return data
+    raise AssertionError(f"no {kind} fits")
+
+
+def test_what_steps_add_is_summed_anew() -> None:
+    data = of_kind("encoder steps", lambda data: bool(data["encoder"]["force"]) and data["encoder"]["covered"])
+    assert steps(data) == []
+    less = copy.deepcopy(data)
+    less["encoder"]["force"] = [0.7 * force for force in data["encoder"]["force"]]
+    assert steps(less) == ["w is what the steps add"]
+    for device in less["devices"].values():
+        device["friction"] = [0.5 * c for c in device["friction"]]
+    assert "dry friction covers the steps" in steps(less)
+    assert "w is what the steps add" in judge(less, np.random.default_rng(1)).findings
+    del less["encoder"]
+    assert steps(less) == ["a step has its claim"]
+
+
+def test_friction_counts_below_the_speed_alone_and_less_what_steps_take() -> None:
+    data = of_kind("dry friction", lambda data: data.get("encoder", {}).get("covered", False))
+    assert levels(at_its_level(data)) == []
+    for change in (
+        lambda other: other.update(speed=1.01 * other["speed"]),
+        lambda other: other["encoder"].update(force=[1.05 * w for w in other["encoder"]["force"]]),
+        lambda other: [d.update(friction=[0.99 * c for c in d["friction"]]) for d in other["devices"].values()],
+    ):
+        other = copy.deepcopy(data)
+        change(other)
+        assert "Delta_D <= osp" in levels(at_its_level(other))
+
+
+def test_held_torques_take_from_a_level_what_their_numbers_say() -> None:
+    data = of_kind("held torque", lambda data: True)
+    assert levels(at_its_level(data)) == []
+    for key in ("kappa", "force"):
+        other = copy.deepcopy(data)
+        other["devices"]["arm"]["held"][key] *= 1.01
+        assert "Delta_D <= osp" in levels(at_its_level(other))

@@ -103,8 +103,11 @@ class LimitedDriver:
         self._driver, self._name, self._limits, self._violate = driver, name, limits, violate
         self.axes = driver.axes
         self.sample, self.release, self.idle = driver.sample, driver.release, driver.idle
-        self.intended_work, self.work = driver.intended_work, driver.work
-        self.figures, self.close = driver.figures, driver.close
+        self.intended_work, self.figures, self.close = driver.intended_work, driver.figures, driver.close
+
+    def work(self) -> float | None:
+        """That of the motors, where the driver knows it."""
+        return self._driver.work()
 
     def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Sequence[float]:
         """Exert ``f``."""
