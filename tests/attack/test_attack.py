@@ -29,6 +29,8 @@ FALSE = sorted(path.stem for path in CERTIFICATES.glob("*.json") if not path.ste
 CLASSES = (*KINDS, "ladder", *(f"forged: {change}" for change in CHANGES), "forged: ladder")
 MOST_SESSIONS = 200
 FORGERIES = len(CHANGES)
+SLOW = ("encoder steps", "dry friction")
+"""Kinds whose design or proof takes seconds; the other classes of forgeries have claims of other kinds."""
 
 
 def read(name: str) -> Any:
@@ -40,7 +42,8 @@ def test_nothing_that_is_proved_is_contradicted() -> None:
     kinds, tally, missing = [*KINDS, "ladder"], Tally(), set(CLASSES)
     for seed in range(MOST_SESSIONS):
         kind = kinds[seed % len(kinds)]
-        if kind in missing or seed < len(kinds) or any(name.startswith("forged") for name in missing):
+        classes = {"forged: mechanism"} if kind in SLOW else {name for name in CLASSES if name.startswith("forged")}
+        if kind in missing or seed < len(kinds) or classes & missing:
             tally.join(session(seed, kinds, FORGERIES))
         missing = {name for name in CLASSES if not tally.rows[name].claims}
         if not missing:
