@@ -23,7 +23,7 @@ _ROUNDING = 1e-9  # of such a sum in floats
 
 def at_its_level(data: Data) -> dict[str, Any]:
     """The same certificate of devices that are exactly what is left of their mechanisms, as fractions."""
-    if data["version"] < 6:
+    if data.get("version", 3) < 6:
         return dict(data)
     devices = {}
     for name, device in data["devices"].items():

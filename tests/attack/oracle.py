@@ -12,7 +12,8 @@ from tests.attack.arithmetic import BITS, Floats, Precise
 from tests.attack.hands import at_level, worst
 from tests.attack.linkages import pays
 from tests.attack.loop import Hand, Repeating, Tick, growth
-from tests.attack.mechanisms import at_its_level, steps
+from tests.attack.mechanisms import at_its_level
+from tests.attack.mechanisms import steps as of_steps
 from tests.attack.parties import Data, NoSystem, Reader, precise
 from tests.attack.passivity import confirmed, levels, mixture_levels, poles, statics, suspects
 
@@ -47,18 +48,18 @@ class Judgement:
         return self
 
 
-def judge(data: Data, rng: np.random.Generator, draws: int = 3, tries: int = 0) -> Judgement:
+def judge(data: Data, rng: np.random.Generator, draws: int = 3, steps: int = 0) -> Judgement:
     """Hold a certificate against everything that it claims.
 
     Args:
         data: the certificate's plain data.
         rng: for hands, delays, clutches and members of intervals.
         draws: random loops of each kind.
-        tries: steps of the search from the worst of them.
+        steps: of the search from the worst of them.
     """
     out, stated = Judgement(), data
     data = at_its_level(stated)
-    for what in [*statics(data), *levels(data), *steps(stated)]:
+    for what in [*statics(data), *levels(data), *of_steps(stated)]:
         out.suspects.append(what)
         out.findings.append(what)
     if out.findings and data["environment"]["type"] != "declared" and rng.random() < 0.1:
@@ -78,9 +79,9 @@ def judge(data: Data, rng: np.random.Generator, draws: int = 3, tries: int = 0) 
                 if confirmed(data, suspect, high):
                     out.findings.append(f"{suspect.what}, at {suspect.angle:.4g} rad")
         if data["environment"]["type"] != "declared":
-            out += shaken([data], rng, draws, tries)
-        out += paid(stated, rng, tries)
-        out += shaken([at_level(rng, data)], rng, max(draws // 2, 1), tries, "with an environment at its level: ")
+            out += shaken([data], rng, draws, steps)
+        out += paid(stated, rng, steps)
+        out += shaken([at_level(rng, data)], rng, max(draws // 2, 1), steps, "with an environment at its level: ")
     return out
 
 
