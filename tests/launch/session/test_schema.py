@@ -116,8 +116,10 @@ def test_it_accepts_every_session_of_the_repository(path: Path) -> None:
 
 @pytest.mark.parametrize("place", BLOCKS)
 def test_it_accepts_every_session_of_the_documents(place: str) -> None:
-    """Blocks are sessions, some keys of a session, or some of its ``design``."""
+    """Blocks are sessions, some keys of a session, or some of its ``design`` or of a device."""
     data = parse_tree(BLOCKS[place], place).data
+    if data.keys() <= SCHEMA["$defs"]["Device"]["properties"].keys():
+        data = {"devices": {"d": {"dof": 2, "osp": 1, "driver": "simulated", "mass": 1, **data}}}
     if data.keys() <= SCHEMA["$defs"]["Design"]["properties"].keys():
         data = {"design": {"coupling": "spring-damper", **data}}
     assert problem(data if "session" in data else {**PLAINS[0], **data}) is None
