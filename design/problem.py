@@ -16,6 +16,7 @@ from manyhands.design.errors import Infeasible
 from manyhands.design.levels.contract import NO_DELAY_GAIN
 from manyhands.design.levels.dry_friction import DryFriction
 from manyhands.design.levels.held_torque import HeldTorque
+from manyhands.design.levels.mechanism import NothingLeft, promised_level
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import Partition, SpringDamper, loop_gain
 from manyhands.design.models.integrators import Split
@@ -296,33 +297,32 @@ class HapticLoop:
 
     def _left(self, device: DeviceLevel) -> Matrix:
         """The level of a device with what its friction adds, less what its held torques may give out, N*s/m."""
-        level = device.level
-        if self.speed is not None and self.kept is not None and device.friction is not None:
-            kept = tuple(self.kept[port] for port in device.ports)
-            level = DryFriction(device.friction, kept, self.speed).raised(level)
-        if device.held is None:
-            return level
-        times = self.period, self.tau, self.period_tolerance
-        left = device.held.left(level, *times)
-        if left is not None:
-            return left
-        least, d = float(np.linalg.eigvalsh(level)[0]), device.held.damping(*times)
+        friction, times = None, (self.period, self.tau, self.period_tolerance)
+        if self.kept is not None and device.friction is not None:
+            friction = DryFriction(device.friction, tuple(self.kept[port] for port in device.ports), self.speed)
+        try:
+            return promised_level(device.level, device.held, friction, *times)
+        except NothingLeft as error:
+            raise self._uncertifiable(device, error) from error
+
+    def _uncertifiable(self, device: DeviceLevel, nothing: NothingLeft) -> Infeasible:
+        """The error of a device of which held torques leave nothing, with what would leave something."""
+        held, d = device.held, nothing.taken
+        if held is None:
+            raise AssertionError("only held torques take of a level")
         if not np.isfinite(d):
-            slower = 2.0 / (device.held.kappa * ((1.0 + self.period_tolerance) * self.period + self.tau))
-            raise Infeasible(
-                f"at {device.held.speed:.4g} m/s the tip of {device.name} may turn too far while its torques are held "
+            slower = 2.0 / (held.kappa * ((1.0 + self.period_tolerance) * self.period + self.tau))
+            return Infeasible(
+                f"at {held.speed:.4g} m/s the tip of {device.name} may turn too far while its torques are held "
                 "(docs/decisions/0050-held-torques.md)",
                 (f"a limit of speed well below {slower:.4g} m/s, all axes together",),
             )
-        condition = (
+        return Infeasible(
             f"the held torques of {device.name} may give out what {d:.4g} N*s/m of damping take up, and it has "
-            f"{least:.4g} (docs/decisions/0050-held-torques.md)"
-        )
-        raise Infeasible(
-            condition,
+            f"{nothing.least:.4g} (docs/decisions/0050-held-torques.md)",
             (
                 f"an osp above {d:.4g} N*s/m",
-                f"a greatest force below {device.held.force * least / d:.4g} N, all axes together",
+                f"a greatest force below {held.force * nothing.least / d:.4g} N, all axes together",
             ),
         )
 

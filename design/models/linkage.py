@@ -393,11 +393,13 @@ class Delta(ParallelArms):
         return {"kind": "delta", **lengths, **_box(self.poses)}
 
 
-_KEYS: Final = {
-    "chain": ("turns", "links"),
+LENGTHS: Final[Mapping[str, tuple[str, ...]]] = {
     "five-bar": ("apart", "upper", "rod"),
     "delta": ("base", "platform", "upper", "rod"),
 }
+"""The lengths that plain data state of each kind of arms, m, by key."""
+
+_KEYS: Final = {"chain": ("turns", "links"), **LENGTHS}
 
 
 def linkage_of(data: Mapping[str, Any]) -> Linkage:
@@ -434,7 +436,7 @@ def linkage_of(data: Mapping[str, Any]) -> Linkage:
         links = [_numbers(row, f"links[{i}]", 3) for i, row in enumerate(rows)]
         return SerialChain(poses, turns, matrix(links))
     apart_from_zero = ("upper", "rod")
-    lengths = {key: _length(data[key], key, key not in apart_from_zero) for key in _KEYS[kind]}
+    lengths = {key: _length(data[key], key, key not in apart_from_zero) for key in LENGTHS[kind]}
     return FiveBar(poses, **lengths) if kind == "five-bar" else Delta(poses, **lengths)
 
 

@@ -45,7 +45,7 @@ def device_levels(claim: Claim) -> Sparse:
 
 
 def held_damping(held: HeldTorqueData, claim: Claim) -> fmpq:
-    """D = K_geo (lambda T + 3 tau)/2, the damping that pays for what held torques give out, N*s/m.
+    """The damping d = K_geo (lambda T + 3 tau)/2 that pays for what held torques give out, N*s/m.
 
     Only where :func:`held_findings` hold; :mod:`manyhands.design.levels.held_torque` has the formula's reasons.
     """
@@ -55,7 +55,7 @@ def held_damping(held: HeldTorqueData, claim: Claim) -> fmpq:
 
 
 def _turned(held: HeldTorqueData, claim: Claim) -> fmpq:
-    """Kappa l, l = v (lambda T + tau): how far the tip may turn in one hold, dimensionless."""
+    """How far the tip may turn in one hold: kappa l, l = v (lambda T + tau), dimensionless."""
     return held.kappa * held.speed * ((1 + claim.period_tolerance) * claim.period + claim.tau)
 
 
@@ -70,9 +70,9 @@ def friction_damping(claim: Claim) -> list[fmpq]:
         return out
     force = None if claim.encoder is None else claim.encoder.force
     for device, stated in zip(claim.devices, claim.friction, strict=True):
-        for axis, port in enumerate(device.ports if stated is not None else ()):
-            left = stated[axis] - (force[port] if force is not None else 0) if stated is not None else fmpq(0)
-            out[port] = max(left, fmpq(0)) / claim.speed
+        for c, port in zip(stated or (), device.ports, strict=False):
+            w = fmpq(0) if force is None else force[port]
+            out[port] = max(c - w, fmpq(0)) / claim.speed
     return out
 
 

@@ -36,7 +36,7 @@ from pydantic import (
 from pydantic.json_schema import SkipJsonSchema
 
 from manyhands.design.levels.held_torque import HeldTorque
-from manyhands.design.models.linkage import LinkageError, greatest_bending, linkage_of
+from manyhands.design.models.linkage import LENGTHS, LinkageError, greatest_bending, linkage_of
 from manyhands.design.passivity.operators import PassivityFinding, RationalMatrix
 from manyhands.launch.session.errors import listed, show
 from manyhands.launch.session.fields import (
@@ -362,8 +362,7 @@ _LINKAGE_FORM: Final = either(
         mapping_of({"kind": {"enum": [kind]}, **parts, **_POSES}, {"kappa": _KAPPA.json_schema})
         for kind, parts in (
             ("chain", {"turns": list_of({"enum": ["x", "y", "z"]}, 3), "links": list_of(_NUMBERS, 3)}),
-            ("five-bar", {length: {"type": "number"} for length in ("apart", "upper", "rod")}),
-            ("delta", {length: {"type": "number"} for length in ("base", "platform", "upper", "rod")}),
+            *((kind, {length: {"type": "number"} for length in lengths}) for kind, lengths in LENGTHS.items()),
         )
     ),
 )

@@ -97,6 +97,7 @@ from numpy.typing import NDArray
 from manyhands.design.levels.contract import DeviceShare
 from manyhands.design.levels.dry_friction import DryFriction
 from manyhands.design.levels.held_torque import HeldTorque
+from manyhands.design.levels.mechanism import NothingLeft, promised_level
 from manyhands.nodes.device.given import ForceGiven
 from manyhands.nodes.device.speed_bound import SpeedBound
 from manyhands.nodes.kernel.allowance import LatenessAllowance
@@ -490,8 +491,7 @@ class DeviceInterface:
         Raises:
             ValueError: of held torques nothing is left of Delta_D, or a tip may turn too far while a force is held.
         """
-        self._T, self._held, self._friction = T, held, friction
-        self._raised = osp if friction is None else friction.raised(osp)
+        self._T, self._osp, self._held, self._friction = T, osp, held, friction
         strays = 0.0 if held is None else straying(held, speed, longest * _NS)
         dry = None if friction is None else friction.least
         self.account = InterfaceAccount(osp, promise, T, speed, inertia, self._left_by(tau, tolerance), strays, dry)
@@ -537,12 +537,14 @@ class DeviceInterface:
 
     def _left_by(self, tau: float, tolerance: float) -> Matrix | None:
         """What is promised where the certificate covers these, N*s/m; None for Delta_D itself."""
-        if self._held is None:
-            return None if self._friction is None else self._raised
-        left = self._held.left(self._raised, self._T, tau, tolerance)
-        if left is None:
-            raise ValueError(f"held: found nothing left of Delta_D at a delay of {tau:g} s; expected a positive rest")
-        return left
+        if self._held is None and self._friction is None:
+            return None
+        try:
+            return promised_level(self._osp, self._held, self._friction, self._T, tau, tolerance)
+        except NothingLeft as error:
+            raise ValueError(
+                f"held: found nothing left of Delta_D at a delay of {tau:g} s; expected a positive rest"
+            ) from error
 
     def send(self, x: Floats, goal: Floats, now: Instant, work: float | None = None) -> Floats:
         """The displacement to send: the nearest to ``goal`` that is paid for.

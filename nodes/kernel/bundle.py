@@ -28,6 +28,7 @@ from manyhands.design.files import open_new, read_regular
 from manyhands.design.levels.contract import DeviceShare
 from manyhands.design.levels.dry_friction import DryFriction
 from manyhands.design.levels.held_torque import HeldTorque
+from manyhands.design.levels.mechanism import promised_level
 from manyhands.design.models.coupling import loop_gain
 from manyhands.design.models.scene import ContactScene, scene_of
 from manyhands.design.models.statespace import Matrix, StateSpace
@@ -441,22 +442,11 @@ class DeviceBundle:
 
         It is Delta_D, with what dry friction adds below a speed, less what held torques may give out.
         """
-        return tuple(self._left(rung) for rung in self.rungs)
-
-    def _left(self, rung: DeviceRung) -> Matrix:
-        held = self.held
-        level = self.osp if self.friction is None else self.friction.raised(self.osp)
-        if held is None:
-            return level
-        left = held.left(level, self.common.period, rung.tau, rung.period_tolerance)
-        if left is None:
-            lost = held.damping(self.common.period, rung.tau, rung.period_tolerance)
-            least = float(np.linalg.eigvalsh(self.osp)[0])
-            raise ValueError(
-                f"held: found an osp of {least:.6g} N*s/m; expected more than the {lost:.6g} N*s/m that held torques "
-                f"may give out at a delay of {rung.tau:g} s"
-            )
-        return left
+        T = self.common.period
+        return tuple(
+            promised_level(self.osp, self.held, self.friction, T, rung.tau, rung.period_tolerance)
+            for rung in self.rungs
+        )
 
     @cached_property
     def promises(self) -> tuple[DevicePromise, ...]:
