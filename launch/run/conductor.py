@@ -202,6 +202,9 @@ class Conductor:
             return self._out_of_turn(sender) if instructions is None else instructions
         if isinstance(received, Malformed):
             return self._out_of_turn(sender)
+        heard = sender in self.reports if state is NodeState.ENDED else state in (NodeState.REPORTED, NodeState.FAULTED)
+        if heard and isinstance(received, Report | Fault):  # it repeats its last message until an answer comes
+            return [Send(sender, Stop("received"))]
         target = TRANSITIONS.get((state, type(received)))
         if target is None or (isinstance(received, Fetch) and received.at >= len(self.parts.get(sender, b""))):
             return self._out_of_turn(sender)

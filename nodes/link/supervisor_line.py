@@ -44,9 +44,9 @@ from manyhands.protocol.transport import Link, Transport, TransportError, Troubl
 
 NOT_AT_ALL = Duration(0)
 PATIENCE = from_seconds(0.2)  # one wait for an answer, after which the node checks its life and the connection
-_LAST_WORD_WAITS = 10  # waits for the confirmation of the last message
+_LAST_WORD_WAITS = 50  # waits for the confirmation of the last message: a busy supervisor reads much before it
 _JOINING_WAITS = 300  # waits for a supervisor that is not there yet: a minute
-REPEAT_WAITS = 5  # waits before a guest sends its hello again
+REPEAT_WAITS = 5  # waits before a guest sends its hello again, and any node its last message
 MOST_START = 2**62  # ns, and ticks: more than a hundred years, to which periods can still be added
 LONGEST_AHEAD = Duration(_JOINING_WAITS * PATIENCE)
 """ns from a start's message to its tick 0, at most: as long as a guest waits for a supervisor that is not there yet."""
@@ -338,15 +338,19 @@ class ControlLine:
     def _last_word(self, message: Message, life: Life) -> None:
         """Send ``message`` and wait, for a bounded time, for the supervisor's Stop.
 
-        Without the wait the supervisor might see the exit before the message, which looks like a crash.
+        Without the wait the supervisor might see the exit before the message, which looks like a crash. The message is
+        repeated, for a connection that breaks and comes again loses what was on its way.
         """
-        frame, queued = encode(message), False
-        for _ in range(_LAST_WORD_WAITS):
-            queued = queued or self._link.send(frame)  # several tries, for telemetry may still fill the queue
+        frame, broken = encode(message), 0
+        unsent = True
+        for waits in range(_LAST_WORD_WAITS):
+            if unsent or waits % REPEAT_WAITS == 0:
+                unsent = not self._link.send(frame)  # telemetry may still fill the queue
             answer = self._link.recv(PATIENCE)
             life.check()
             if answer is None:
-                if life.orphaned or self._link.trouble() is not None:  # no supervisor is left to confirm it
+                broken = 0 if self._link.trouble() is None else broken + 1
+                if life.orphaned or broken == REPEAT_WAITS:  # no supervisor is left to confirm it
                     return
             elif isinstance(decode(answer, MAX_CONTROL_BYTES), Stop):
                 return

@@ -211,8 +211,9 @@ class ZmqHub:
     """A ROUTER socket.
 
     Without keys a node has the name that it claims, and ZeroMQ leaves a name to its first connection while that lasts.
-    With keys its name is that of the key that its connection has proved, and the first connection keeps the name until
-    :meth:`forget`.
+    With keys its name is that of the key that its connection has proved. The first connection keeps the name until
+    :meth:`forget`, or until it is silent for :data:`SILENCE_MS` while a second one with the same key speaks. That is a
+    node whose connection broke: it has a new one, and the old one never speaks again.
 
     Attributes:
         dropped: messages not passed on, by reason; the keys are :data:`HUB_DROPS`.
@@ -222,6 +223,7 @@ class ZmqHub:
     def __init__(self, socket: "zmq.Socket[bytes]", door: Doorkeeper | None) -> None:
         self._socket, self._door = socket, door
         self._routes: dict[str, bytes] = {}
+        self._rivals: dict[str, tuple[int, int]] = {}  # since when (monotonic ns), and after how many frames
         self.dropped = dict.fromkeys(HUB_DROPS, 0)
         self.handled = 0
 
@@ -244,11 +246,29 @@ class ZmqHub:
                 continue
             if len(parts) != 2:
                 self.dropped["not_a_frame"] += 1
-            elif self._door is not None and self._routes.setdefault(name, route) != route:
+            elif self._door is not None and not self._has(name, route):
                 self.dropped["second_route"] += 1
             else:
                 return name, parts[1].bytes
         return None
+
+    def _has(self, name: str, route: bytes) -> bool:
+        """Whether this connection has the name, whose key it has proved.
+
+        A hub that is slow reads old frames: so the silence of the first connection begins with the second one's frame.
+        ZeroMQ takes turns between connections, so that after some frames one of the first would have come.
+        """
+        first = self._routes.setdefault(name, route)
+        if first == route:
+            self._rivals.pop(name, None)
+            return True
+        now = time.monotonic_ns()
+        since, handled = self._rivals.setdefault(name, (now, self.handled))
+        if now - since < SILENCE_MS * 1_000_000 or self.handled - handled < len(self._routes):
+            return False
+        del self._rivals[name]
+        self._routes[name] = route
+        return True
 
     def send(self, identity: str, frame: bytes) -> bool:
         """Queue a frame for a node; see :class:`~manyhands.protocol.transport.Hub`."""
@@ -269,6 +289,7 @@ class ZmqHub:
     def forget(self, identity: str) -> None:
         """Free the name for a new connection; see :class:`~manyhands.protocol.transport.Hub`."""
         self._routes.pop(identity, None)
+        self._rivals.pop(identity, None)
 
     def wait(self, timeout: Duration | None, fds: Sequence[int] = (), frames: bool = True) -> set[int]:
         """Wait for a frame or a descriptor; see :class:`~manyhands.protocol.transport.Hub`."""

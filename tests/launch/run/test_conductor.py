@@ -193,6 +193,15 @@ def test_a_fault_and_the_exit_after_it_count_once() -> None:
     assert c.faults == ["cx: no more"]
 
 
+@pytest.mark.parametrize("of", ["dz", "dx"], ids=["of ours", "elsewhere"])
+def test_a_last_word_that_is_repeated_is_answered_again_and_counts_once(of: str) -> None:
+    c = running("dx")
+    for name in GRAPH.nodes:
+        c.receive(name, REPORT, 0)
+    assert c.receive(of, REPORT, 0) == [Send(of, Stop("received"))]
+    assert (c.ignored, c.faults, c.reports[of]) == (0, [], REPORT)
+
+
 def test_the_clock_is_answered_from_the_welcome_to_the_report() -> None:
     c = conductor("dx")
     assert c.receive("dx", Probe(7), 100) == []  # a stranger as yet

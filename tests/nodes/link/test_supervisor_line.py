@@ -397,21 +397,39 @@ class Test_the_last_word:
 
         def make_room() -> None:
             line.room = 1
+            if line.said:
+                line.say(Stop("reported"))
 
         life.check = make_room  # type: ignore[method-assign]
         control(line).report(REPORT, life)  # type: ignore[arg-type]
         assert line.said == [REPORT]
+        assert line.waits == 2
 
-    def test_it_gives_up_in_the_end(self, line: AnsweringLine) -> None:
+    def test_it_is_repeated_every_second_and_gives_up_in_the_end(self, line: AnsweringLine) -> None:
         control(line).report(REPORT, Life())  # type: ignore[arg-type]
-        assert line.waits * control_module.PATIENCE == 2 * SECOND
+        assert line.waits * control_module.PATIENCE == 10 * SECOND
+        assert line.said == [REPORT] * 10
 
     def test_nobody_there_is_not_waited_for(self, line: AnsweringLine) -> None:
         control(line).report(REPORT, Life(looks=1, orphaned=True))  # type: ignore[arg-type]
         assert line.waits == 1
+
+    def test_a_broken_connection_has_a_second_to_come_again(self, line: AnsweringLine) -> None:
         line.state = Trouble.LOST
         control(line).fault("dx: broken", Life())  # type: ignore[arg-type]
-        assert line.waits == 2
+        assert line.waits * control_module.PATIENCE == SECOND
+        life = Life()
+
+        def come_again() -> None:
+            if line.waits == 2 * control_module.REPEAT_WAITS - 1:
+                line.state = None
+            if line.waits == 3 * control_module.REPEAT_WAITS:
+                line.say(Stop("received"))
+
+        life.check = come_again  # type: ignore[method-assign]
+        control(line).fault("dx: broken", life)  # type: ignore[arg-type]
+        assert line.waits == 3 * control_module.REPEAT_WAITS
+        assert line.said == [Fault("dx: broken")] * 4
 
     def test_a_fault_presents_any_text_safely(self, line: AnsweringLine) -> None:
         control(line).fault("\x1b[2J" + "x" * 10_000, Life(looks=1, orphaned=True))  # type: ignore[arg-type]

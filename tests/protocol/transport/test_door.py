@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import resource
 import socket
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -19,7 +20,7 @@ from zmq.utils import z85
 from manyhands.protocol.clock import Duration
 from manyhands.protocol.keys import KeyPair, KeyRing, new_pair
 from manyhands.protocol.limits import DOOR_BURST, DOOR_FAILURES, DOOR_SHUT_MS, MAX_CONTROL_BYTES
-from manyhands.protocol.transport import Trouble
+from manyhands.protocol.transport import Trouble, zeromq
 from manyhands.protocol.transport import door as doorkeeper_module
 from manyhands.protocol.transport import door as monitor
 from manyhands.protocol.transport.door import Doorkeeper, NotAdmitted, judge
@@ -572,6 +573,47 @@ def test_a_hubs_name_stays_with_its_first_connection_until_forgotten(outside: Ex
     assert receive() == ("dx", b"again")
     assert hub.send("dx", b"to the second")
     assert other.recv(LONG) == b"to the second"
+
+
+@pytest.mark.parametrize("speaks", [False, True], ids=["silent", "speaking"])
+def test_a_hubs_name_passes_to_a_second_connection_only_once_the_first_is_silent(
+    outside: ExitStack, monkeypatch: pytest.MonkeyPatch, speaks: bool
+) -> None:
+    monkeypatch.setattr(zeromq, "SILENCE_MS", 20)
+    supervisor = ZmqTransport.tcp(ring("supervisor", "dx"))
+    outside.callback(supervisor.close)
+    hub, endpoint = supervisor.bind_hub("control", ["dx"])
+    first, second = (ZmqTransport.tcp(ring("dx", "supervisor")) for _ in range(2))
+    outside.callback(first.close)
+    outside.callback(second.close)
+    one, other = first.join(endpoint, "dx"), second.join(endpoint, "dx")
+
+    def handled(frames: int) -> list[bytes]:
+        heard, until = [], hub.handled + frames
+        while hub.handled < until:
+            hub.wait(LONG)
+            received = hub.recv()
+            heard += [] if received is None else [received[1]]
+        return heard
+
+    assert one.send(b"first")
+    assert handled(1) == [b"first"]
+    began, rounds, heard = time.monotonic_ns(), 0, list[bytes]()
+    while not heard and (rounds < 100 or not speaks):
+        rounds += 1
+        assert other.send(b"second")
+        heard = handled(1)
+        if speaks:
+            assert one.send(b"still here")
+            assert handled(1) == [b"still here"]
+    assert heard == ([] if speaks else [b"second"])
+    assert hub.dropped["second_route"] == rounds - len(heard) > 0
+    assert hub.send("dx", b"to whom the name belongs")
+    assert (one if speaks else other).recv(LONG) == b"to whom the name belongs"
+    if not speaks:
+        assert time.monotonic_ns() - began >= 20 * MS
+        assert one.send(b"too late")
+        assert handled(1) == []
 
 
 def test_endless_connection_attempts_do_not_delay_a_waiting_hub(
