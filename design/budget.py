@@ -33,17 +33,20 @@ through it, to any number of other users.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import eigh
+from scipy.optimize import brentq
 
 from manyhands.design.errors import Infeasible
 from manyhands.design.levels.device import gain_for_share, greatest_share
 from manyhands.design.levels.environment import lack_of_passivity
+from manyhands.design.models.coupling import SpringDamper, realisations
 from manyhands.design.models.kind import Environment
 from manyhands.design.models.statespace import Matrix, matrix
 from manyhands.design.problem import DeviceLevel, HapticLoop
+from manyhands.design.quantisation import force_of_steps, friction, steps
 
 
 @dataclass(frozen=True)
@@ -124,6 +127,61 @@ def certified_limit(
         share = environment_share(loop.environment, whole, T)
     level = None if whole is None else whole[np.ix_(device.ports, device.ports)]
     return stiffest(level, T, tau, min(share, 1.0), rho)  # a share of 1 or more leaves nothing
+
+
+_OF_KEPT = 1e-4  # part of what is kept for the steps, to which it is found
+
+
+def stiffest_below(loop: HapticLoop, speed: float) -> tuple[Stiffness, ...]:
+    """The greatest stiffness of a coupling to each device, where dry friction counts as damping below a speed.
+
+    What is kept of the friction for the steps of encoders is what springs of these very limits ask for, w of
+    :mod:`manyhands.design.quantisation`. Stiffer springs ask for more, and more that is kept leaves softer ones.
+
+    Args:
+        loop: the loop; its coupling does not matter, nor do its own ``speed`` and ``kept``.
+        speed: v*, m/s: every axis is slower.
+
+    Returns:
+        By device, in the loop's order, at its own period and delay; 0 N/m where the friction does not pay for the
+        steps, or nothing bounds what they take of it.
+
+    Raises:
+        SolverFailure: the search for the share that the environment needs did not end.
+    """
+    free, _ = found = _counting(loop, speed, np.zeros(len(loop.ports)))
+    if not np.any(steps(loop)):
+        return free
+    asked = _asked(loop, *found)
+    nothing = tuple(replace(limit, certified=0.0, kappa=None) for limit in free)
+    if asked is None:
+        return nothing
+    most = np.minimum(asked, friction(loop))
+
+    def lacks(part: float) -> float:
+        force = _asked(loop, *_counting(loop, speed, part * most))
+        return np.inf if force is None else float(np.max(force - part * most))
+
+    if lacks(1.0) > 0.0:
+        return nothing
+    part = brentq(lacks, 0.0, 1.0, xtol=_OF_KEPT) if np.any(most) else 0.0
+    return _counting(loop, speed, part * most)[0]
+
+
+def _counting(loop: HapticLoop, speed: float, kept: Matrix) -> tuple[tuple[Stiffness, ...], HapticLoop]:
+    """The limits with so much of the friction kept for the steps (N, by port), and the loop whose levels count it."""
+    own = replace(loop, speed=speed, kept=tuple(kept.tolist()))
+    share = environment_share(own.environment, own.Delta_D_at(own.period, own.tau), own.period)
+    return tuple(certified_limit(own, device, own.period, own.tau, share) for device in own.devices), own
+
+
+def _asked(loop: HapticLoop, limits: tuple[Stiffness, ...], own: HapticLoop) -> Matrix | None:
+    """What the steps add to the forces of springs at these limits, N by port; None where it is not known."""
+    kappa = limits[0].kappa  # of every device: their delay, period and share are the same
+    if kappa is None:
+        return np.zeros(len(loop.ports))
+    springs = tuple(SpringDamper(Delta / (kappa * loop.period), 0.0 * Delta) for Delta in own.Delta_D_blocks)
+    return force_of_steps(loop, realisations(springs, loop.period))
 
 
 def colgate_limit(damping: float, T: float, tau: float) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from manyhands.design.budget import Felt, Stiffness, certified_limit, environment_share, felt_over
+from manyhands.design.budget import Felt, Stiffness, certified_limit, environment_share, felt_over, stiffest_below
 from manyhands.design.models.brief import brief_names, brief_repr
 from manyhands.design.models.statespace import Matrix
 from manyhands.design.problem import HapticLoop
@@ -31,6 +31,8 @@ from manyhands.nodes.kernel.json_number import json_number
 if TYPE_CHECKING:
     import pandas
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure, SubFigure
     from matplotlib.lines import Line2D
 
 TICK_PARTS = (0.0, 0.125, 0.25, 0.5, 0.75, 1.0)  # the delays shown, in periods, besides the session's own delay
@@ -43,6 +45,8 @@ SITE_PERIODS = (1e-3, 0.5e-3, 0.25e-3)
 
 _PLOTTED_PERIODS = (0.25, 0.5, 1.0, 2.0)  # multiples of the session's period
 _PLOTTED_DELAYS = 101  # points of a curve
+_PLOTTED_SPEEDS = 41  # likewise
+_LEAST_SPEED, _MOST_SPEED = 0.01, 1.0  # m/s, of a curve, unless the session's own is near an end or beyond
 _MOST_ROWS = 12  # different levels shown in a table, weakest first; --json has all
 _MOST_PANELS = 4  # different levels shown in a plot
 
@@ -367,6 +371,53 @@ def print_steps(console: Console, found: DelayBudget) -> None:
         console.print(f"{len(rows) - _MOST_ROWS} more axes with encoders; --json has all", markup=False)
 
 
+@dataclass(frozen=True, eq=False)
+class SpeedBudget:
+    """The stiffness that can be certified for devices with dry friction, below speeds at which it counts as damping.
+
+    Attributes:
+        names: of the devices, which have equal limits.
+        speeds: v*, m/s, ascending.
+        certified: below each of them, N/m; NaN where the friction does not pay for the steps of the encoders, or
+            nothing bounds what they take of it.
+        every: at every speed, where friction counts for nothing, N/m; 0 if no coupling can be certified.
+        own: below the session's own speed, N/m; None if it states none.
+    """
+
+    names: tuple[str, ...]
+    speeds: NDArray[Any]
+    certified: NDArray[Any]
+    every: float
+    own: float | None
+
+    __repr__ = brief_repr
+
+
+def speed_budget(found: DelayBudget) -> tuple[SpeedBudget, ...]:
+    """The limits below speeds at the session's period and delay, of each device that states friction; none without."""
+    loop = found.loop
+    if not any(device.friction for device in loop.devices):
+        return ()
+    middle = (_LEAST_SPEED, _MOST_SPEED) if loop.speed is None else (loop.speed / 2.0, 2.0 * loop.speed)
+    speeds = np.geomspace(min(_LEAST_SPEED, *middle), max(_MOST_SPEED, *middle), _PLOTTED_SPEEDS)
+    limits = np.array([[row.certified for row in stiffest_below(loop, float(speed))] for speed in speeds]).T
+    own = None if loop.speed is None else [row.certified for row in stiffest_below(loop, loop.speed)]
+    every, same = found.at(loop.tau), dict[tuple[float, ...], list[int]]()
+    for i, device in enumerate(loop.devices):
+        if device.friction:
+            same.setdefault((every[device.name].certified, *limits[i].tolist()), []).append(i)
+    return tuple(
+        SpeedBudget(
+            tuple(loop.devices[i].name for i in of),
+            speeds,
+            np.where(limits[of[0]] > 0.0, limits[of[0]], np.nan),
+            every[loop.devices[of[0]].name].certified,
+            None if own is None else own[of[0]],
+        )
+        for of in same.values()
+    )
+
+
 def wave_links_object(found: Sequence[WaveLinkBudget]) -> dict[str, Any]:
     """The part of the object about wave links; T, tau and round_trip in s, stiffness in N/m, mass in kg."""
     return {
@@ -454,6 +505,8 @@ def _environment_text(found: DelayBudget) -> str:
 def plot_budget(found: DelayBudget, path: Path) -> None:
     """Plot the stiffness over the delay for several periods, certified and Colgate's, with a panel for each level.
 
+    Where devices state dry friction, a panel below these has the stiffness against the speed below which it holds.
+
     With wave links the picture is about them instead: what is felt over the round trip, with a panel for each link.
 
     The path is one that :func:`manyhands.launch.look.figures.require_picture` accepts.
@@ -461,8 +514,14 @@ def plot_budget(found: DelayBudget, path: Path) -> None:
     from manyhands.launch.look.figures import new_figure, save  # the plotter takes most of a second to import
 
     links, groups = found.wave_links[:_MOST_PANELS], _groups(found.devices)[:_MOST_PANELS]
+    speeds = () if links else speed_budget(found)
     count = len(links or groups)
-    figure = new_figure(8.0, 0.6 + 3.6 * count)
+    whole = new_figure(8.0, 0.6 + 3.6 * (count + bool(speeds)))
+    figure: Figure | SubFigure = whole
+    if speeds:
+        grid = whole.add_gridspec(2, 1, height_ratios=(0.6 + 3.6 * count, 3.6))
+        figure = whole.add_subfigure(grid[0])
+        draw_speeds(whole.add_subfigure(grid[1]).subplots(), speeds, found.loop.speed)
     rows = figure.subplots(count, 1, squeeze=False, sharex=True)[:, 0]
     for axes, link in zip(rows, links, strict=False):
         draw_wave_link(axes, link)
@@ -475,13 +534,11 @@ def plot_budget(found: DelayBudget, path: Path) -> None:
         figure.legend(handles=budget_keys(found), loc="outside lower center", ncols=4, fontsize="small", frameon=False)
     what = "what is felt over wave links" if links else "stiffest coupling"
     figure.suptitle(f"{found.loop.session}: {what}", x=0.01, ha="left", fontsize="medium")
-    save(figure, path)
+    save(whole, path)
 
 
 def draw_budget(axes: Axes, found: DelayBudget, device: DeviceBudget) -> None:
     """Draw the stiffness of one device over the delay, a colour for each period; solid certified, dashed Colgate's."""
-    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
-
     loop, periods = found.loop, _plotted_periods(found)
     [shown] = [own for own in loop.devices if own.name == device.name]
     for T, colour in zip(periods, _colours(len(periods)), strict=True):
@@ -494,14 +551,50 @@ def draw_budget(axes: Axes, found: DelayBudget, device: DeviceBudget) -> None:
     if own.certified > 0.0:
         axes.plot(1e3 * own.tau, own.certified, "o", color="black", markersize=6, clip_on=False, zorder=5)
     axes.set_yscale("log")
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axes.yaxis.set_minor_formatter(NullFormatter())
+    _label_decades(axes.yaxis)
     axes.set_title(device.name, loc="left", fontsize="medium")
     axes.set_xlabel("delay τ inside the tick [ms]")
     axes.set_ylabel("stiffness [N/m]")
     axes.grid(alpha=0.3, which="both")
     axes.set_xlim(0.0, 1e3 * periods[-1])
+
+
+def _label_decades(axis: Axis) -> None:
+    """Label 1, 2 and 5 of each decade of a logarithmic axis as plain numbers."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def draw_speeds(axes: Axes, found: Sequence[SpeedBudget], speed: float | None) -> None:
+    """Draw the stiffness below each speed, a colour for devices with equal limits; dashed what holds at every speed.
+
+    Args:
+        axes: to draw into.
+        found: the limits; only the first few are drawn.
+        speed: the session's own, m/s, which is marked; None if it states none.
+    """
+    shown = found[:_MOST_PANELS]
+    for own, colour in zip(shown, _colours(len(shown)), strict=True):
+        name, certified = _names(own.names), np.isfinite(own.certified)
+        label = name if certified.any() else f"{name}: nothing below any speed, because of the encoders' steps"
+        axes.loglog(own.speeds, own.certified, color=colour, linewidth=1.8, label=label)
+        if own.every > 0.0:
+            text = f"{name}: at every speed, without its friction"
+            axes.axhline(own.every, color=colour, linewidth=1.2, linestyle="--", label=text)
+        if speed is not None and own.own:
+            text = f"this session: {_figure(own.own)} N/m below {speed:g} m/s"
+            axes.plot(speed, own.own, "o", color=colour, markersize=6, label=text, zorder=5)
+    for axis in (axes.xaxis, axes.yaxis):
+        _label_decades(axis)
+    axes.set_title("with dry friction as damping: holds below the speed v*", loc="left", fontsize="medium")
+    axes.set_xlabel("speed v* [m/s]")
+    axes.set_ylabel("stiffness [N/m]")
+    axes.set_xlim(found[0].speeds[0], found[0].speeds[-1])
+    axes.grid(alpha=0.3, which="both")
+    axes.legend(fontsize="small", frameon=False)
 
 
 def budget_keys(found: DelayBudget) -> list[Line2D]:

@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from manyhands.design.budget import colgate_limit, environment_share, felt_over, needed_share, stiffest
+from manyhands.design.budget import (
+    colgate_limit,
+    environment_share,
+    felt_over,
+    needed_share,
+    stiffest,
+    stiffest_below,
+)
+from manyhands.design.errors import DesignError
 from manyhands.design.levels.contract import loop_inequality
 from manyhands.design.levels.device import device_share, greatest_share, least_gain
-from manyhands.design.models.environment import DelayedNetwork, StateSpaceEnvironment
+from manyhands.design.levels.held_torque import HeldTorque
+from manyhands.design.models.coupling import Partition, SpringDamper
+from manyhands.design.models.environment import DelayedNetwork, NetworkBox, StateSpaceEnvironment
+from manyhands.design.models.kind import Environment
 from manyhands.design.models.network import GROUND, Network, NetworkLink
 from manyhands.design.models.statespace import Matrix, StateSpace
+from manyhands.design.problem import DeviceLevel, HapticLoop, SpringDamperGiven
+from manyhands.design.synthesis import design
 
 T = 1e-3
 DELAYS = st.floats(0.0, 1.0)
@@ -199,3 +214,75 @@ def test_what_is_felt_over_a_wave_link(m: int, round_trip: float, scale: float, 
 def test_a_round_trip_is_positive() -> None:
     with pytest.raises(ValueError, match=r"round trip: found 0\.0 s; expected a finite"):
         felt_over(np.eye(1), T, 0.0, np.eye(1), 0.0)
+
+
+# --- dry friction as damping below a speed
+
+WALL = Network(("a",), (), (NetworkLink(("a", GROUND), 50_000.0, 0.0),))
+PAIR = Network(
+    ("a", "b"),
+    (("body", 0.3),),
+    (
+        NetworkLink(("a", "body"), 2000.0, 1.0),
+        NetworkLink(("b", "body"), 500.0, 2.0),
+        NetworkLink(("body", GROUND), 300.0, 4.0),
+    ),
+)
+TORQUES = HeldTorque(8.2, 10.0, 1.0)
+
+
+def with_friction(
+    world: Environment, step: float, friction: tuple[float, ...], tau: float = 0.0, held: HeldTorque | None = None
+) -> HapticLoop:
+    """A device of 0.1 N*s/m at each port, a coupling each."""
+    m = len(world.ports)
+    devices = tuple(
+        DeviceLevel(port, (i,), np.array([[0.1]]), held, (step,) if step else None, (c,) if c else None)
+        for i, (port, c) in enumerate(zip(world.ports, friction, strict=True))
+    )
+    return HapticLoop("s", T, world.ports, devices, Partition(world.ports, tuple((i,) for i in range(m))), world, tau)
+
+
+@pytest.mark.parametrize("tau", [0.0, 0.4e-3])
+@pytest.mark.parametrize("speed", [0.02, 0.1])
+def test_without_steps_friction_is_a_damping_of_c_by_the_speed(speed: float, tau: float) -> None:
+    (limit,) = stiffest_below(with_friction(WALL, 0.0, (0.05,), tau), speed)
+    assert limit.certified == pytest.approx((0.1 + 0.05 / speed) / (T / 2.0 + 1.5 * tau))
+    a, b = stiffest_below(with_friction(PAIR, 0.0, (0.05, 0.0), tau), speed)
+    assert a.certified == pytest.approx(limit.certified)
+    assert b.certified == pytest.approx(0.1 / (T / 2.0 + 1.5 * tau))
+
+
+@pytest.mark.parametrize(
+    ("world", "step", "friction", "tau", "held"),
+    [
+        (WALL, 0.0, (0.05,), 0.2e-3, None),
+        (WALL, 1e-5, (0.05,), 0.2e-3, TORQUES),
+        (WALL, 6e-5, (0.1,), 0.1e-3, None),
+        (PAIR, 1e-5, (0.05, 0.08), 0.2e-3, None),
+        (DelayedNetwork(Network(("a",), (), (NetworkLink(("a", GROUND), 60.0, 0.0),)), 1), 0.0, (0.05,), 0.2e-3, None),
+    ],
+    ids=["exact", "torques", "coarse", "two devices", "a late world"],
+)
+@pytest.mark.parametrize("speed", [0.05, 0.5])
+def test_below_a_speed_the_limit_is_the_greatest_that_is_proved(
+    world: Environment, step: float, friction: tuple[float, ...], tau: float, held: HeldTorque | None, speed: float
+) -> None:
+    """Springs a little softer are certified with the friction kept that their steps ask for; stiffer ones are not."""
+    loop = with_friction(world, step, friction, tau, held)
+    limit = np.diag([row.certified for row in stiffest_below(loop, speed)])
+    below = replace(loop, speed=speed)
+    found = design(below, SpringDamperGiven(SpringDamper(0.96 * limit, 0.0 * limit))).certificate
+    assert found.loop.speed == speed
+    with pytest.raises(DesignError):
+        design(below, SpringDamperGiven(SpringDamper(1.02 * limit, 0.0 * limit)))
+
+
+def test_nothing_holds_below_a_speed_where_friction_does_not_pay_for_the_steps() -> None:
+    for world, friction in (
+        (WALL, (1e-4,)),  # less than K q/2 of the softest spring that there is reason for
+        (PAIR, (0.05, 0.0)),  # the steps of each reach the other
+        (NetworkBox(PAIR, PAIR), (0.05, 0.05)),  # no bound is proved over worlds
+    ):
+        limits = stiffest_below(with_friction(world, 6e-5, friction, 0.2e-3), 0.1)
+        assert [row.certified for row in limits] == [0.0] * len(friction)

@@ -35,7 +35,7 @@ def test_its_commands_print_what_it_quotes(tmp_path: Path, monkeypatch: pytest.M
     (tmp_path / "arm.yaml").write_text(mechanisms.arm_yaml())
     consoles = [block for block in blocks(PAGE) if block.language == "console"]
     typed = [one for block in consoles for one in commands(block.text)]
-    assert len(typed) == PAGE.count("\n$ manyhands ") == 6
+    assert len(typed) == PAGE.count("\n$ manyhands ") == 7
     for arguments, code, quoted in typed:
         done = manyhands_command(*arguments)
         assert done.exit_code == code, (arguments, done.output)

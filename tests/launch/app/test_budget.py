@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from rich.console import Console
 
 from manyhands.design.models.coupling import Partition
@@ -21,12 +22,14 @@ from manyhands.launch.app.budget import (
     PERIODS,
     budget,
     budget_object,
+    draw_speeds,
     plot_budget,
     print_budget,
     print_steps,
     print_wave_links,
     series_budget,
     session_budget,
+    speed_budget,
     step_budget,
     wave_link_budgets,
     wave_links_object,
@@ -140,6 +143,54 @@ def test_a_line_for_each_encoder_says_what_its_step_can_add() -> None:
         "no dry friction is stated",
     ]
     assert lines[0].startswith("dx: the encoder's step can add 13.7 mN to a spring of 2740 N/m")
+
+
+RUBBING = ["devices.dx.friction={least: 0.2}", "devices.dy.friction={least: 0.2}", "design.tau=0.0002"]
+
+
+def test_devices_with_friction_have_a_curve_over_the_speed() -> None:
+    """Below v* friction is a damping of c/v*; devices with equal limits share a curve, and others have none."""
+    (both,) = speed_budget(session_budget(load_named("example1", [*RUBBING, "design.speed=0.05"])))
+    assert both.names == ("dx", "dy")
+    assert both.certified == pytest.approx((1.37 + 0.2 / both.speeds) / 0.8e-3)
+    assert both.every == pytest.approx(1.37 / 0.8e-3)
+    assert both.own == pytest.approx((1.37 + 0.2 / 0.05) / 0.8e-3)
+    (unasked,) = speed_budget(session_budget(load_named("example1", RUBBING)))
+    assert unasked.own is None
+    assert unasked.speeds[[0, -1]] == pytest.approx([0.01, 1.0])
+    (fast,) = speed_budget(session_budget(load_named("example1", [*RUBBING, "design.speed=2"])))
+    assert fast.speeds[-1] == pytest.approx(4.0)
+    assert speed_budget(session_budget(load_named("example1"))) == ()
+
+
+def test_the_panel_over_the_speed() -> None:
+    found = speed_budget(session_budget(load_named("example1", [*RUBBING, "design.speed=0.05"])))
+    axes = Figure().subplots()
+    draw_speeds(axes, found, 0.05)
+    curve, line, mark = axes.lines
+    assert curve.get_ydata() == pytest.approx(found[0].certified)
+    assert list(line.get_ydata()) == [found[0].every] * 2
+    assert (list(mark.get_xdata()), list(mark.get_ydata())) == ([0.05], [found[0].own])
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("speed v* [m/s]", "stiffness [N/m]")
+    assert [curve.get_label(), line.get_label(), mark.get_label()] == [
+        "dx, dy",
+        "dx, dy: at every speed, without its friction",
+        "this session: 6712 N/m below 0.05 m/s",
+    ]
+    axes = Figure().subplots()
+    coarse = [f"devices.{name}.step=0.0005" for name in ("dx", "dy")]
+    draw_speeds(axes, speed_budget(session_budget(load_named("example1", RUBBING + coarse))), None)
+    assert "dx, dy: nothing below any speed, because of the encoders' steps" in [one.get_label() for one in axes.lines]
+    assert not any(one.get_marker() == "o" for one in axes.lines)
+
+
+def test_the_picture_has_the_panel_only_where_friction_is_stated(tmp_path: Path) -> None:
+    for overrides in (RUBBING, []):
+        path = tmp_path / "budget.svg"
+        plot_budget(session_budget(load_named("example1", overrides)), path)
+        text = path.read_text()
+        assert "delay τ inside the tick [ms]" in text
+        assert ("speed v* [m/s]" in text) == bool(overrides)
 
 
 def test_longer_periods_cost_stiffness() -> None:
