@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 
@@ -25,6 +25,9 @@ from manyhands.design.models.statespace import Matrix, StateSpace, matrix, symme
 from manyhands.design.models.weights import Transparency
 
 _BELOW = 1e-12  # relative, thousands of times the rounding of an eigenvalue
+
+MECHANISM: Final = ("held", "step", "friction")
+"""What may be stated of a device besides its level: attributes of :class:`DeviceLevel`, and keys of certificates."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +69,7 @@ class DeviceLevel:
     @property
     def of_mechanism(self) -> bool:
         """Whether more than a level is stated: how it holds a force, the steps of its encoder, or its dry friction."""
-        return any(stated is not None for stated in (self.held, self.step, self.friction))
+        return any(getattr(self, stated) is not None for stated in MECHANISM)
 
 
 Objective = Literal["feasible", "stiffest", "loop-shaping", "closed-loop"]

@@ -20,9 +20,10 @@ from rich.table import Table
 from manyhands.design.certificate import Certificate, asked_text, load
 from manyhands.design.errors import CertificateError
 from manyhands.design.levels.held_torque import HeldTorque
+from manyhands.design.models.brief import brief_names
 from manyhands.design.models.coupling import SpringDamper
 from manyhands.design.models.statespace import Matrix
-from manyhands.design.problem import DeviceLevel, HapticLoop
+from manyhands.design.problem import MECHANISM, DeviceLevel, HapticLoop
 from manyhands.design.quantisation import not_covered, steps
 from manyhands.design.wave_link import FELT_STIFFNESS
 from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK
@@ -65,6 +66,7 @@ def certificate_object(certificate: Certificate, proved: bool = True) -> dict[st
         "coupling": coupling,
         "series": series_rows(certificate) or None,
         "encoder": None if certificate.encoder is None else certificate.encoder.describe(),
+        "mechanism": mechanism(loop),
         "levels": {
             "Delta_D": loop.partition.embed(levels.Delta_D).tolist(),
             "Delta_V": loop.partition.embed(levels.Delta_V).tolist(),
@@ -95,6 +97,7 @@ def infeasible_object(loop: HapticLoop, reason: str, relax: tuple[str, ...]) -> 
         "coupling": None,
         "series": None,
         "encoder": None,
+        "mechanism": mechanism(loop),
         "levels": {"Delta_D": None if left is None else left.tolist(), "Delta_V": None, "Phi_E": None},
         "margins": {},
         "period": loop.period,
@@ -330,6 +333,32 @@ def encoder_lines(certificate: Certificate) -> list[str]:
     return [*rows[:_LARGEST_SHOWN], *more, covered]
 
 
+def mechanism(loop: HapticLoop) -> dict[str, list[str]]:
+    """By what may be stated of a mechanism, the devices of which it is; empty where a claim is about none such."""
+    return {key: [own.name for own in loop.devices if getattr(own, key) is not None] for key in MECHANISM}
+
+
+def about_text(certificate: Certificate) -> str:
+    """What mechanisms a certificate is about, in words: how forces are held, how samples are taken, what friction is.
+
+    Of what is not stated of any device it says that the claim is about devices without it.
+    """
+    loop, claim = certificate.loop, certificate.encoder
+    held, step, friction = (brief_names(names) for names in mechanism(loop).values())
+    others = "" if all(device.held for device in loop.devices) else ", and as forces by the others"
+    covered = claim is not None and claim.covered
+    counts = "not counted" if not covered else "for encoder steps alone"
+    if loop.speed is not None:
+        counts = f"as damping below {loop.speed:g} m/s"
+    of_steps = f"samples in encoder steps of {step} ({'covered by dry friction' if covered else 'not covered'})"
+    return (
+        f"format {certificate.version}, about "
+        + (f"forces held as torques by {held}{others}; " if held else "forces held as forces, ")
+        + (of_steps if step else "exact samples (no encoder steps)")
+        + (f" and dry friction of {friction} ({counts})" if friction else " and no dry friction")
+    )
+
+
 def _matrix_text(M: Matrix, form: str) -> str:
     if M.shape[0] > _LARGEST_SHOWN:
         diagonal = np.diag(M)
@@ -387,7 +416,7 @@ def run_verify(file: Path, session: Session | None, out: Console, err: Console, 
         if certificate.loop.speed is not None:
             say(out, f"{certificate.loop.session}: claimed{below_speed(certificate.loop)}")
         print_findings(out, proof.findings)
-        print_request(out, file, certificate)
+        print_about(out, file, certificate)
     say_failing(err, [(str(file), finding) for finding in failing])
     if failing:
         return EXIT_NOT_CERTIFIED
@@ -408,8 +437,9 @@ def say_failing(err: Console, failing: Sequence[tuple[str, Finding]]) -> None:
         say(err, f"{name}: not proved: {finding.condition}: found {finding.value:.6g}{because}")
 
 
-def print_request(out: Console, file: Path, certificate: Certificate) -> None:
-    """Print what the certificate records of the request; this is not proved."""
+def print_about(out: Console, file: Path, certificate: Certificate) -> None:
+    """Print what mechanisms the certificate is about, and what it records of the request, which is not proved."""
+    say(out, f"{file}: {about_text(certificate)}")
     say(out, f"{file}: requested (not part of the proof): {asked_text(certificate.asked)}")
 
 

@@ -25,9 +25,9 @@ from manyhands.launch.app.design_report import (
     certificate_object,
     infeasible_object,
     interruptible,
+    print_about,
     print_certificate,
     print_findings,
-    print_request,
     progress_on,
     say_failing,
 )
@@ -256,7 +256,7 @@ def run_verify_world(
     else:
         print_findings(out, proof.findings)
         for name, other in others.items():
-            print_request(out, Path(name), certificate_of(other, Path(name)))
+            print_about(out, Path(name), certificate_of(other, Path(name)))
     say_failing(err, failing)
     if failing:
         return EXIT_NOT_CERTIFIED

@@ -1,7 +1,8 @@
-"""What `design` and `verify` say of encoder steps."""
+"""What `design` and `verify` say of encoder steps, and of mechanisms as a whole."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -78,3 +79,63 @@ def test_a_claim_below_a_speed_says_so_in_its_first_lines_and_its_verdict(tmp_pa
 
 def verified(folder: Path, console: Console) -> None:
     run_verify(folder / "c.json", None, console, console, as_json=False)
+
+
+TORQUES = ["devices.dx.held=torque", "devices.dx.linkage={kappa: 8.2}", "devices.dx.limits={force: 10, speed: 1}"]
+RUBBING = [f"devices.{name}.friction={{least: 0.1}}" for name in ("dx", "dy", "dz")]
+PLAIN = "about forces held as forces, exact samples (no encoder steps) and no dry friction"
+NOTHING: dict[str, list[str]] = {"held": [], "step": [], "friction": []}
+
+
+@pytest.mark.parametrize(
+    ("overrides", "line", "mechanism"),
+    [
+        ([], f"format 3, {PLAIN}", NOTHING),
+        (["design.period_tolerance=0.1"], f"format 4, {PLAIN}", NOTHING),
+        (["design.series=true"], f"format 5, {PLAIN}", NOTHING),
+        (
+            TORQUES,
+            "format 6, about forces held as torques by dx, and as forces by the others; exact samples (no encoder "
+            "steps) and no dry friction",
+            NOTHING | {"held": ["dx"]},
+        ),
+        (
+            [STEP],
+            "format 6, about forces held as forces, samples in encoder steps of dx (not covered) and no dry friction",
+            NOTHING | {"step": ["dx"]},
+        ),
+        (
+            [STEP, *RUBBING],
+            "format 6, about forces held as forces, samples in encoder steps of dx (covered by dry friction) and dry "
+            "friction of dx, dy, dz (for encoder steps alone)",
+            NOTHING | {"step": ["dx"], "friction": ["dx", "dy", "dz"]},
+        ),
+        (
+            RUBBING[:1],
+            "format 6, about forces held as forces, exact samples (no encoder steps) and dry friction of dx (not "
+            "counted)",
+            NOTHING | {"friction": ["dx"]},
+        ),
+        (
+            [*RUBBING[:1], "design.speed=0.05"],
+            "format 6, about forces held as forces, exact samples (no encoder steps) and dry friction of dx (as "
+            "damping below 0.05 m/s)",
+            NOTHING | {"friction": ["dx"]},
+        ),
+    ],
+)
+def test_verify_says_what_mechanisms_a_certificate_is_about(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], overrides: list[str], line: str, mechanism: dict[str, list[str]]
+) -> None:
+    """In one line of its own, which is no alarm: those of formats 3 to 5 say nothing of mechanisms."""
+    certificate = prepare(load_named("example1", overrides)).certificate
+    assert certificate is not None
+    file = tmp_path / "c.json"
+    certificate.save(file)
+    out, err = Console(width=200), Console(width=200, stderr=True)
+    with out.capture() as printed, err.capture() as warned:
+        assert run_verify(file, None, out, err, as_json=False) == 0
+    assert printed.get().splitlines().count(f"{file}: {line}") == 1
+    assert warned.get() == ""
+    run_verify(file, None, out, err, as_json=True)
+    assert json.loads(capsys.readouterr().out)["mechanism"] == mechanism
