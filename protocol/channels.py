@@ -195,6 +195,7 @@ class Topic:
         wall: whether only devices in wall time have it, which the realtime clock alone has.
         linked: whether only the ends of wave links have it.
         torques: whether only devices have it whose motors hold torques.
+        certified: whether only sessions with a certificate have it, for it is about what is promised.
     """
 
     name: str
@@ -205,6 +206,7 @@ class Topic:
     wall: bool = False
     linked: bool = False
     torques: bool = False
+    certified: bool = False
 
     def columns_of(
         self, ports: tuple[str, ...], masses: tuple[str, ...], links: Mapping[str, tuple[str, ...]] = _NO_LINKS
@@ -227,7 +229,7 @@ class Topic:
         }[self.columns]
 
 
-_LEDGER: Final = Topic("ledger", LEDGER, "E", "J", Columns.ONE)
+_LEDGER: Final = Topic("ledger", LEDGER, "E", "J", Columns.ONE, certified=True)
 _TANK: Final = Topic("tank", TANK, "L, G, H", "J", Columns.TANKS, linked=True)
 
 TOPICS: Final[Mapping[Role, tuple[Topic, ...]]] = MappingProxyType(
@@ -240,7 +242,7 @@ TOPICS: Final[Mapping[Role, tuple[Topic, ...]]] = MappingProxyType(
             Topic("interface", INTERFACE, "e", "J", Columns.ONE, wall=True),
             Topic("applied", APPLIED, "x(a)", "m", Columns.PORTS, wall=True),
             Topic("instants", INSTANTS, "s, a", "ns", Columns.INSTANTS, wall=True),
-            Topic("work", WORK, "W", "J", Columns.WORKS, wall=True, torques=True),
+            Topic("work", WORK, "W", "J", Columns.WORKS, wall=True, torques=True, certified=True),
         ),
         Role.COUPLING: (
             Topic("tool", FREE_POSITION, "p", "m", Columns.PORTS),
@@ -264,7 +266,12 @@ TOPICS: Final[Mapping[Role, tuple[Topic, ...]]] = MappingProxyType(
 
 
 def topics_of(
-    role: Role, masses: tuple[str, ...] = (), wall: bool = False, linked: bool = False, torques: bool = False
+    role: Role,
+    masses: tuple[str, ...] = (),
+    wall: bool = False,
+    linked: bool = False,
+    torques: bool = False,
+    certified: bool = True,
 ) -> tuple[Topic, ...]:
     """The topics of a node of this role.
 
@@ -274,6 +281,7 @@ def topics_of(
         wall: whether it is, or may be, a device in wall time; the topics of these are left out otherwise.
         linked: whether a wave link ends at it; the topics of such ends are left out otherwise.
         torques: whether its motors hold torques, or may; the topics of such devices are left out otherwise.
+        certified: whether its session has a certificate, or may; what only such sessions have is left out otherwise.
     """
     return tuple(
         topic
@@ -282,6 +290,7 @@ def topics_of(
         and (wall or not topic.wall)
         and (linked or not topic.linked)
         and (torques or not topic.torques)
+        and (certified or not topic.certified)
     )
 
 

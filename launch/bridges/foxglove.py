@@ -25,7 +25,6 @@ from typing import Any, Final
 from urllib.parse import urlencode
 
 from manyhands.extras import require
-from manyhands.launch.bridges.layouts import live_topics
 from manyhands.launch.bridges.relay import MAX_HEAD_BYTES, Relay
 from manyhands.launch.look.page.feed import EVERY, BroadcastFollower, SessionTime
 from manyhands.launch.look.page.security import Doorstep, Token, ViewError
@@ -130,8 +129,7 @@ class LiveMessages:
             raise ValueError(f"found one of every {every} ticks; expected at least 1")
         self.session, self._recorded, self._every = LiveSession(about), recorded_of(about), every
         self.time, self.unfit = SessionTime(self._recorded), 0
-        there = live_topics(about)
-        self._topics = {node: [one for one in about.topics(node) if (node, one.name) in there] for node in about.nodes}
+        self._topics = {node: list(about.topics(node)) for node in about.nodes}
         channels = [self._recorded.channel(node, topic) for node in about.nodes for topic in self._topics[node]]
         channels += [self._recorded.channel(node, TELEMETRY) for node in about.nodes]
         self._scene = self._recorded.scene_messages()

@@ -24,7 +24,7 @@ from manyhands.nodes.monitor.session_state import About
 from manyhands.nodes.recorder.format import FIGURES, SUPERVISOR, Recorded
 from manyhands.nodes.recorder.scene_messages import SCENE
 from manyhands.nodes.rows.figures import FIGURES as DECLARED
-from manyhands.protocol.channels import CONDITION, LEDGER, TELEMETRY, Columns, Topic, topic_name
+from manyhands.protocol.channels import CONDITION, TELEMETRY, Columns, Topic, topic_name
 from manyhands.protocol.messages import Role
 
 Field: TypeAlias = str | int
@@ -81,9 +81,8 @@ _LEAST_DISTANCE: Final = 0.1  # m, of the camera of the 3-D panel
 
 
 def live_topics(about: About) -> Topics:
-    """The topics that the nodes of a running session report: ledgers only under a certificate."""
-    topics = ((node, topic) for node in about.nodes for topic in about.topics(node))
-    return [(node, topic.name) for node, topic in topics if about.certificate is not None or topic.trace != LEDGER]
+    """The topics that the nodes of a running session report."""
+    return [(node, topic.name) for node in about.nodes for topic in about.topics(node)]
 
 
 def pages_of(recorded: Recorded, there: Topics) -> list[Page]:

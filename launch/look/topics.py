@@ -24,7 +24,7 @@ from manyhands.launch.session import SUPERVISOR
 from manyhands.nodes.kernel.json_number import json_figures, json_number
 from manyhands.nodes.monitor.session_state import About
 from manyhands.nodes.rows import figures as names
-from manyhands.protocol.channels import CONDITION, LEDGER, TAU, TELEMETRY, Columns, Topic, topic_name
+from manyhands.protocol.channels import CONDITION, TAU, TELEMETRY, Columns, Topic, topic_name
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Condition, Observation
 
@@ -60,13 +60,11 @@ class Named:
 
 
 def named_topics(about: About) -> dict[str, Named]:
-    """Every topic of a session by ``NODE/TOPIC``, in the session's order; an uncertified session has no ledgers."""
+    """Every topic of a session by ``NODE/TOPIC``, in the session's order."""
     found = []
     for name in about.nodes:
         found += [
-            Named(about.session, name, topic.name, topic, columns)
-            for topic, columns in about.topics(name).items()
-            if about.certificate is not None or topic.trace != LEDGER
+            Named(about.session, name, topic.name, topic, columns) for topic, columns in about.topics(name).items()
         ]
         found.append(Named(about.session, name, TELEMETRY, None))
     found.append(Named(about.session, SUPERVISOR, CONDITION, None))

@@ -465,8 +465,8 @@ def _columns(session: Session, graph: Topology, name: str, clock: str) -> int:
         return 0
     ports, masses = graph.ports[name], session.environment.reported(session.ports)
     links = links_at(name, graph.nodes[name], graph.ports, session.wave_links)
-    torques = name in session.devices and session.devices[name].linkage is not None
-    topics = topics_of(graph.nodes[name], masses, session.in_wall_time(name, clock), bool(links), torques)
+    wall, torques = session.in_wall_time(name, clock), session.holds_torques(name)
+    topics = topics_of(graph.nodes[name], masses, wall, bool(links), torques)
     return sum(len(topic.columns_of(ports, masses, links)) for topic in topics)
 
 

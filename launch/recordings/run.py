@@ -32,7 +32,7 @@ from manyhands.nodes.recorder.format import Recorded
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.own_ticks import own_span, own_tick, own_ticks_before, session_tick
 from manyhands.nodes.rows.tick_events import Kind, events_in
-from manyhands.protocol.channels import DISPLACEMENT, FORCE, INSTANTS, LEDGER, Topic, topic_name
+from manyhands.protocol.channels import DISPLACEMENT, FORCE, INSTANTS, Topic, topic_name
 from manyhands.protocol.messages import Condition, Figures, Role
 
 if TYPE_CHECKING:
@@ -240,7 +240,7 @@ def read_run(path: Path, progress: Callable[[float], None] | None = None) -> Rec
     traces = {
         key: RecordedTrace(gatherer.topic, gatherer.columns, gatherer.rows(spans[key[0]])[0])
         for key, gatherer in reading.gatherers.items()
-        if gatherer.count or not (gatherer.topic.trace == LEDGER or gatherer.topic.wall)
+        if gatherer.count or not (gatherer.topic.certified or gatherer.topic.wall)
     }
     cut = None if reading.why is None else cut_at(reading.why, span.stop)
     return RecordedRun(

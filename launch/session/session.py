@@ -619,6 +619,10 @@ class Session(SessionModel):
         """Whether a node is a device in wall time under ``clock``: under the simulated one every device has its own."""
         return clock == REALTIME and node in self.devices and self.devices[node].time == WALL
 
+    def holds_torques(self, node: str) -> bool:
+        """Whether a node is a device whose motors hold torques from tick to tick, in place of the force."""
+        return node in self.devices and self.devices[node].linkage is not None
+
     def osp_level(self, device: str) -> Array:
         """Delta_D of a device, m_i x m_i, in N·s/m: the lower end, where the session gives an interval."""
         return np.array(self.devices[device].osp_low, dtype=np.float64)

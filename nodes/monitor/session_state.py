@@ -81,6 +81,7 @@ class NodeAbout:
         period: its T, s, where it has one of its own; None for the session's.
         impedance: the least and the greatest eigenvalue of b, N*s/m, of a coupling with a wave link; None for others.
         driver: of a device that a driver of another package moves; None for others.
+        torques: whether it is a device whose motors hold torques; in wall time it reports their work.
     """
 
     role: Role
@@ -90,6 +91,7 @@ class NodeAbout:
     period: Annotated[float, PERIOD] | None = None
     impedance: tuple[float, float] | None = None
     driver: Added[DriverWord | None] = None
+    torques: Added[bool] = False
 
 
 @dataclass(frozen=True)
@@ -238,10 +240,10 @@ class About:
         return tuple(name for name, node in self.nodes.items() if node.impedance is not None)
 
     def topics(self, node: str) -> dict[Topic, tuple[str, ...]]:
-        """The topics of a node with the names of their columns, in the table's order."""
+        """The topics that a node reports, with the names of their columns, in the table's order."""
         known, masses = self.nodes[node], tuple(self.masses)
         links = links_at(node, known.role, {name: one.ports for name, one in self.nodes.items()}, self.linked)
-        topics = topics_of(known.role, masses, known.wall, bool(links))
+        topics = topics_of(known.role, masses, known.wall, bool(links), known.torques, self.certificate is not None)
         return {topic: topic.columns_of(known.ports, masses, links) for topic in topics}
 
     def as_plain(self) -> dict[str, Any]:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.nodes.monitor.session_state import About
-from manyhands.protocol.channels import DISPLACEMENT, INSTANT_NAMES, INSTANTS, LEDGER, Columns, Topic
+from manyhands.protocol.channels import DISPLACEMENT, INSTANT_NAMES, INSTANTS, Columns, Topic
 from manyhands.protocol.messages import Observation, Role
 
 Floats = NDArray[np.float64]
@@ -240,7 +240,7 @@ class Tracks:
 def _keys(about: About) -> Iterator[TrackKey]:
     for name, node in about.nodes.items():
         for topic in about.topics(name):
-            if (topic.trace == LEDGER and about.certificate is None) or topic.columns is Columns.INSTANTS:
+            if topic.columns is Columns.INSTANTS:
                 continue
             yield TrackKey(name, topic)
             if node.role is Role.DEVICE and topic.trace == DISPLACEMENT:

@@ -13,6 +13,9 @@ import pytest
 from mcap.reader import make_reader
 
 from manyhands.launch.look.topics import EchoLines, NoTopic, Pacing, find_topic, named_topics, sentence, session_of
+from manyhands.launch.plan.prepare import prepare
+from manyhands.launch.run.broadcast import describe
+from manyhands.launch.session.shipped import load_named
 from manyhands.nodes.monitor.session_state import LiveSession
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import Recorded
@@ -53,6 +56,26 @@ class TestNames:
             "environment/wave": ports,
             "environment/tank": tank,
         }
+
+    def test_motors_that_hold_torques_add_their_work_in_wall_time(self) -> None:
+        """What a device records can be asked for; without a certificate there is no account that would need it."""
+        device = next(name for name, node in ABOUT.nodes.items() if node.role is Role.DEVICE)
+        holding = replace(ABOUT, nodes=ABOUT.nodes | {device: replace(ABOUT.nodes[device], torques=True)})
+        found = named_topics(holding)
+        assert found.keys() - named_topics(ABOUT).keys() == {f"{device}/work"}
+        assert find_topic(holding, f"{device}/work").columns == ("sampled", "applied")
+        assert f"{device}/work" not in named_topics(replace(holding, certificate=None))
+
+    @pytest.mark.parametrize(("clock", "there"), [("realtime", True), ("simulated", False)])
+    def test_a_sessions_description_has_it(self, clock: str, there: bool) -> None:
+        torques = [
+            "devices.dx.held=torque",
+            "devices.dx.linkage={kappa: 8.2}",
+            "devices.dx.limits={force: 5, speed: 1}",
+        ]
+        about = describe(prepare(load_named("example1", torques)), clock, "ipc", 0)
+        works = [name for name in named_topics(about) if name.endswith("/work")]
+        assert works == (["dx/work"] if there else [])
 
     def test_uncertified_sessions_list_no_ledgers_and_massless_ones_no_masses(self) -> None:
         names = named_topics(replace(ABOUT, certificate=None, masses={}))

@@ -54,6 +54,7 @@ IN_SPACE = replace(
         WHOLE,
         replace(WHOLE, certificate=None, observers={}, masses={}, springs=()),
         replace(WHOLE, seats={"cx": "dx"}),
+        replace(WHOLE, nodes=WHOLE.nodes | {"dx": replace(WHOLE.nodes["dx"], wall=True, torques=True)}),
         IN_SPACE,
     ],
 )
