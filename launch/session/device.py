@@ -524,6 +524,11 @@ class Device(SessionModel):
         return HeldTorque(kappa, force, speed, kinematics)
 
     @property
+    def holds_torques(self) -> bool:
+        """Whether its motors hold joint torques from tick to tick, in place of the force."""
+        return self.linkage is not None
+
+    @property
     def kinematics(self) -> dict[str, Any] | None:
         """Those of its linkage as plain data; None where none are stated."""
         return None if self.linkage is None else _kinematics(self.linkage)
@@ -534,8 +539,10 @@ class Device(SessionModel):
 
         Only in the latter case is the work of the hand known, and a part of the device's ledger.
         """
-        timing = self.timing
-        return None if self.factory is None else DriverWord(self.factory, timing.sample_age, timing.actuation_delay)
+        if self.factory is None:
+            return None
+        timing, torques = self.timing, self.holds_torques
+        return DriverWord(self.factory, timing.sample_age, timing.actuation_delay, self.step, self.friction, torques)
 
     @property
     def osp_low(self) -> Rows:

@@ -621,7 +621,7 @@ class Session(SessionModel):
 
     def holds_torques(self, node: str) -> bool:
         """Whether a node is a device whose motors hold torques from tick to tick, in place of the force."""
-        return node in self.devices and self.devices[node].linkage is not None
+        return node in self.devices and self.devices[node].holds_torques
 
     def osp_level(self, device: str) -> Array:
         """Delta_D of a device, m_i x m_i, in N·s/m: the lower end, where the session gives an interval."""

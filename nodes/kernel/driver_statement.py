@@ -10,6 +10,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from manyhands.protocol.plain import Added
+
 
 @dataclass(frozen=True)
 class DeviceTiming:
@@ -56,20 +58,41 @@ class DriverWord:
         factory: of the driver.
         sample_age: the greatest age of its samples, as the session has it, s.
         actuation_delay: the greatest delay of its forces, likewise, s.
+        step: of its encoder by axis, likewise, m; None where none is stated.
+        friction: what it burns at least, by axis, likewise, N; None where none is stated.
+        torques: whether its motors hold joint torques from tick to tick, in place of the force.
     """
 
     factory: str
     sample_age: float = 0.0
     actuation_delay: float = 0.0
+    step: Added[tuple[float, ...] | None] = None
+    friction: Added[tuple[float, ...] | None] = None
+    torques: Added[bool] = False
+
+    def believed(self, measured: bool) -> tuple[str, ...]:
+        """Everything that rests on the driver's word; ``measured`` is whether it measures the force that it exerts."""
+        found = [
+            "its displacements",
+            f"the age of its samples (at most {1e3 * self.sample_age:g} ms)",
+            f"the delay of its forces (at most {1e3 * self.actuation_delay:g} ms) and their end",
+            "its damping (osp)",
+        ]
+        if self.step and any(self.step):
+            found.append(f"the step of its encoder (at most {1e6 * max(self.step):g} µm)")
+        if self.friction:
+            found.append(f"its dry friction (at least {1e3 * min(self.friction):g} mN)")
+        if self.torques:
+            found += ["that its motors hold joint torques of the stated linkage", "the work of these motors"]
+        else:
+            found.append("that it holds the force at the tip from tick to tick")
+        found.append("its own measurement of the force" if measured else "that it exerts the force that it was given")
+        return tuple(found)
 
     def sentence(self, device: str, measured: bool) -> str:
         """What rests on the driver's word; ``measured`` is whether it measures the force that it exerts."""
-        force = "its own measurement of the force" if measured else "that it exerts the force that it was given"
-        return (
-            f"{device} rests on the word of its driver {self.factory}: its displacements, the age of its samples (at "
-            f"most {1e3 * self.sample_age:g} ms), the delay of its forces (at most {1e3 * self.actuation_delay:g} ms) "
-            f"and their end, its damping (osp), and {force}"
-        )
+        *most, last = self.believed(measured)
+        return f"{device} rests on the word of its driver {self.factory}: {', '.join(most)}, and {last}"
 
 
 NO_DELAY = DeviceTiming()

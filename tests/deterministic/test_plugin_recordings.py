@@ -129,5 +129,6 @@ def test_a_driver_that_measures_nothing_is_taken_at_its_word_and_that_is_said(tm
     _, done = run_of(prepared_with({"push": 1.0}, kind="Threefold"), tmp_path / "r.mcap")
     (row,) = rows_of_promise(done, Promise.DRIVER)
     assert (row.state, row.who) == (PromiseState.UNJUDGED, ("d",))
-    assert row.remark.endswith("its damping (osp), and that it exerts the force that it was given")
+    held = "that it holds the force at the tip from tick to tick"
+    assert row.remark.endswith(f"its damping (osp), {held}, and that it exerts the force that it was given")
     assert verdict(done.promises).endswith("not judged: passivity (d), driver's word (d)")
