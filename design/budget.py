@@ -135,9 +135,6 @@ _OF_KEPT = 1e-4  # part of what is kept for the steps, to which it is found
 def stiffest_below(loop: HapticLoop, speed: float) -> tuple[Stiffness, ...]:
     """The greatest stiffness of a coupling to each device, where dry friction counts as damping below a speed.
 
-    What is kept of the friction for the steps of encoders is what springs of these very limits ask for, w of
-    :mod:`manyhands.design.quantisation`. Stiffer springs ask for more, and more that is kept leaves softer ones.
-
     Args:
         loop: the loop; its coupling does not matter, nor do its own ``speed`` and ``kept``.
         speed: v*, m/s: every axis is slower.
@@ -149,13 +146,28 @@ def stiffest_below(loop: HapticLoop, speed: float) -> tuple[Stiffness, ...]:
     Raises:
         SolverFailure: the search for the share that the environment needs did not end.
     """
-    free, _ = found = _counting(loop, speed, np.zeros(len(loop.ports)))
+    kept = kept_at_the_limit(loop, speed)
+    if kept is not None:
+        return _counting(loop, speed, kept)[0]
+    free, _ = _counting(loop, speed, np.zeros(len(loop.ports)))
+    return tuple(replace(limit, certified=0.0, kappa=None) for limit in free)
+
+
+def kept_at_the_limit(loop: HapticLoop, speed: float) -> Matrix | None:
+    """What is kept of the friction for the steps of encoders at the limits of :func:`stiffest_below`, N by port.
+
+    It is what springs of these very limits ask for, w of :mod:`manyhands.design.quantisation`. Stiffer springs ask for
+    more, and more that is kept leaves softer ones. None where the friction does not pay for any.
+
+    Raises:
+        SolverFailure: as :func:`stiffest_below`.
+    """
+    nothing = np.zeros(len(loop.ports))
     if not np.any(steps(loop)):
-        return free
-    asked = _asked(loop, *found)
-    nothing = tuple(replace(limit, certified=0.0, kappa=None) for limit in free)
-    if asked is None:
         return nothing
+    asked = _asked(loop, *_counting(loop, speed, nothing))
+    if asked is None:
+        return None
     most = np.minimum(asked, friction(loop))
 
     def lacks(part: float) -> float:
@@ -163,9 +175,9 @@ def stiffest_below(loop: HapticLoop, speed: float) -> tuple[Stiffness, ...]:
         return np.inf if force is None else float(np.max(force - part * most))
 
     if lacks(1.0) > 0.0:
-        return nothing
+        return None
     part = brentq(lacks, 0.0, 1.0, xtol=_OF_KEPT) if np.any(most) else 0.0
-    return _counting(loop, speed, part * most)[0]
+    return np.asarray(part * most)
 
 
 def _counting(loop: HapticLoop, speed: float, kept: Matrix) -> tuple[tuple[Stiffness, ...], HapticLoop]:

@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import eigh
 
+from manyhands.design.budget import kept_at_the_limit
 from manyhands.design.certificate import Certificate, TransparencyClaim, content, describe_request, identity
 from manyhands.design.errors import DesignError, Infeasible, SolverFailure
 from manyhands.design.levels.contract import ENERGY, DeviceShare, Levels, least_coupling_level, margin
@@ -54,7 +55,7 @@ from manyhands.design.problem import (
 )
 from manyhands.design.proof import Finding, ProofInputError, prove
 from manyhands.design.proof.quantisation import BOUNDED
-from manyhands.design.quantisation import KeptTooLittle, encoder_claim, friction
+from manyhands.design.quantisation import KeptTooLittle, encoder_claim, force_of_steps, friction
 from manyhands.design.solver import SOLVER
 from manyhands.design.statics import check_block, check_environment
 from manyhands.design.theorem3 import MOST_SEARCHED, BlockLevel, certify_beside, certify_given, devices
@@ -372,47 +373,72 @@ def _designed(loop: HapticLoop, wanted: CouplingRequest, progress: Progress | No
 
 _MOST_ROUNDS = 12
 _KEPT_ABOVE = 1.02  # of what the steps add: a little more is kept, so that the next round ends
+_ABOVE_LIMIT = 1.002  # of what springs at their limit ask for, likewise
 _HALVINGS = 3  # of what is kept too much
 
 
 def _below_speed(loop: HapticLoop, wanted: CouplingRequest, progress: Progress | None) -> Designed:
     """The design whose levels count the dry friction that the steps of encoders leave.
 
-    What the steps add depends on the coupling, and the coupling on what is left. So it begins with nothing kept for the
-    steps, and keeps what the coupling that was found asks for, and never less again. As more is kept, levels sink, and
-    with them what softer couplings ask for. So the last round keeps too much, and what is between it and the round
-    before is halved a few times, where a design is quick.
+    What the steps add depends on the coupling, and the coupling on what is left. For springs it begins with what is
+    kept at the limit of their stiffness, and a little more. Where that is not enough, and for any other coupling, it
+    begins with nothing, keeps what the coupling that was found asks for, and never less again. As more is kept, levels
+    sink, and with them what softer couplings ask for. So too much may be kept, and what is between it and too little
+    is halved a few times, where a design is quick.
 
     Raises:
         Infeasible: the friction does not cover the steps of any coupling that was tried, or no round was the last.
         DesignError: as :func:`design`.
     """
-    most, kept = friction(loop), np.zeros(len(loop.ports))
-    too_little = kept
-    for number in range(_MOST_ROUNDS):
-        if progress is not None and number:
-            progress(f"keeping dry friction for the steps of encoders, round {number + 1}")
-        try:
-            found = _designed(_keeping(loop, kept), wanted, progress)
-        except KeptTooLittle as error:
-            more = np.maximum(kept, np.minimum(error.force * _KEPT_ABOVE, most))
-            if np.all(more == kept):
-                raise _uncovered(loop, error.force) from error
-            too_little, kept = kept, more
-            continue
-        break
-    else:
-        raise Infeasible(
-            f"after {_MOST_ROUNDS} rounds the steps of the encoders still ask for more dry friction than was kept",
-            ("leave the speed out", "more dry friction, or finer encoders"),
-        )
-    for _ in range(_HALVINGS if number and isinstance(wanted, SpringDamperWanted) else 0):
+    springs = isinstance(wanted, SpringDamperWanted)
+    too_little = np.zeros(len(loop.ports))
+    found, kept = _at_the_limit(loop, wanted, progress) if springs else (None, too_little)
+    if found is None:
+        found, too_little, kept = _rising(loop, wanted, progress)
+    for _ in range(_HALVINGS if springs and np.any(kept > too_little) else 0):
+        asked = force_of_steps(loop, found.certificate.blocks)
+        if asked is not None:  # less kept leaves a stiffer coupling, which asks for more
+            too_little = np.clip(asked, too_little, kept)
         middle = (too_little + kept) / 2.0
         try:
             found, kept = _designed(_keeping(loop, middle), wanted, progress), middle
         except DesignError:
             too_little = middle
     return found
+
+
+def _at_the_limit(
+    loop: HapticLoop, wanted: CouplingRequest, progress: Progress | None
+) -> tuple[Designed | None, Matrix]:
+    """The design that keeps what springs at their limit ask for, N by port, which is the second; None without one."""
+    most = friction(loop)
+    at_limit = None if loop.speed is None else kept_at_the_limit(loop, loop.speed)
+    if at_limit is None:
+        return None, most
+    kept = np.minimum(_ABOVE_LIMIT * at_limit, most)
+    with suppress(DesignError):  # what was asked for may need less kept, or more
+        return _designed(_keeping(loop, kept), wanted, progress), kept
+    return None, kept
+
+
+def _rising(loop: HapticLoop, wanted: CouplingRequest, progress: Progress | None) -> tuple[Designed, Matrix, Matrix]:
+    """The first design of rounds that keep more and more; what was kept a round before, and in it, N by port."""
+    most, kept = friction(loop), np.zeros(len(loop.ports))
+    too_little = kept
+    for number in range(_MOST_ROUNDS):
+        if progress is not None and number:
+            progress(f"keeping dry friction for the steps of encoders, round {number + 1}")
+        try:
+            return _designed(_keeping(loop, kept), wanted, progress), too_little, kept
+        except KeptTooLittle as error:
+            more = np.maximum(kept, np.minimum(error.force * _KEPT_ABOVE, most))
+            if np.all(more == kept):
+                raise _uncovered(loop, error.force) from error
+            too_little, kept = kept, more
+    raise Infeasible(
+        f"after {_MOST_ROUNDS} rounds the steps of the encoders still ask for more dry friction than was kept",
+        ("leave the speed out", "more dry friction, or finer encoders"),
+    )
 
 
 def _keeping(loop: HapticLoop, kept: Matrix) -> HapticLoop:
