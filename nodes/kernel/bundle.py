@@ -385,11 +385,13 @@ class DeviceBundle:
         inertia: what is stated of the device's mass and its hand; None where nothing is.
         held: how the motors of its linkage hold torques in place of the force; None where the force itself is held.
         friction: the dry friction that its account counts; None where it counts none.
+        measured: the step to which the displacements are known that the friction counts on, m, by axis; None where they
+            are the true ones.
 
     Raises:
         ValueError: Delta_D is not symmetric positive definite with a row for each port, the axes of the source are not
-            the ports, those of the friction neither, the rungs' delays do not grow, the time is unknown, it is wall
-            time under the simulated clock, or the held torques leave nothing of Delta_D at a rung.
+            the ports, those of the friction or of what is measured neither, the rungs' delays do not grow, the time is
+            unknown, it is wall time under the simulated clock, or the held torques leave nothing of Delta_D at a rung.
     """
 
     common: Common
@@ -402,6 +404,7 @@ class DeviceBundle:
     inertia: Added[Inertia | None] = None
     held: Added[HeldTorque | None] = None
     friction: Added[DryFriction | None] = None
+    measured: Added[tuple[float, ...] | None] = None
 
     def __post_init__(self) -> None:
         m = len(self.common.ports)
@@ -418,6 +421,10 @@ class DeviceBundle:
             raise ValueError(f"found an inertia of {len(self.inertia.mass)} axes; expected {m}, one a port")
         if self.friction is not None and len(self.friction.least) != m:
             raise ValueError(f"found a friction of {len(self.friction.least)} axes; expected {m}, one a port")
+        if self.measured is not None and not (
+            self.friction is not None and len(self.measured) == m and all(0.0 <= q < math.inf for q in self.measured)
+        ):
+            raise ValueError(f"found {self.measured} m of measured ways; expected {m} finite steps beside a friction")
         _require_few_rungs(self.rungs)
         if not self.rungs:
             raise ValueError("found no rung; expected that of the certificate")
