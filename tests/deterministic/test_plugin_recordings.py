@@ -179,3 +179,49 @@ def test_an_account_that_counts_every_step_as_a_way_is_another_than_was_recorded
         check for check in audited(tmp_path / "f.mcap", finer, session.told).checks if check.name == "interface"
     )
     assert account.verdict == "broken"
+
+
+JOINTED = "tests.support.jointed_drivers:"
+
+
+def jointed(kind: str, *more: str) -> Prepared:
+    more = more or ("devices.d.step=0.00001",)
+    return prepare(load_session(HERE / "jointed.yaml", [f"devices.d.driver={JOINTED}{kind}", *more]))
+
+
+def test_the_work_that_a_driver_told_is_that_of_its_linkage_along_its_motion(tmp_path: Path) -> None:
+    _, done = run_of(jointed("Jointed"), tmp_path / "r.mcap")
+    assert done.holds
+    (check,) = [check for check in done.checks if check.name == "torques"]
+    assert (check.party, check.verdict) == ("d", "holds")
+    assert check.numbers > 2 * TICKS - 20
+    assert 0.0 < check.tolerance < 2e-3
+    (word,) = rows_of_promise(done, Promise.DRIVER)
+    assert word.state == PromiseState.UNJUDGED
+
+
+@pytest.mark.parametrize("kind", ["Against", "Halved"])
+def test_a_driver_that_tells_another_work_is_named_by_the_audit(tmp_path: Path, kind: str) -> None:
+    """Its account follows from what it told, and so nothing else in the recording contradicts it."""
+    _, done = run_of(jointed(kind), tmp_path / "r.mcap")
+    assert [check.name for check in done.broken if check.party == "d"] == ["torques"]
+    (row,) = rows_of_promise(done, Promise.DRIVER)
+    assert (row.state, row.who) == (PromiseState.BROKEN, ("d",))
+    assert f"the driver {JOINTED}{kind} told another work of its motors than its linkage does" in row.remark
+    assert "The driver is wrong, and not its user" in verdict(done.promises)
+
+
+@pytest.mark.parametrize(
+    ("more", "lacks"),
+    [("devices.d.linkage={kappa: 20}", "kappa is stated, and no kinematics"), ("devices.d.mass=0.2", "no step")],
+)
+def test_a_work_that_nothing_follows_for_is_believed_and_the_audit_says_so(
+    tmp_path: Path, more: str, lacks: str
+) -> None:
+    _, done = run_of(jointed("Halved", more), tmp_path / "r.mcap")
+    assert done.holds
+    (check,) = [check for check in done.checks if check.name == "torques"]
+    assert check.verdict == "unchecked"
+    assert lacks in check.gaps[0].why
+    (word,) = rows_of_promise(done, Promise.DRIVER)
+    assert word.state == PromiseState.UNJUDGED
