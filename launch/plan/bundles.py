@@ -241,11 +241,9 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         time = WALL if session.in_wall_time(name, run.clock) else OWN
         inertia = session.devices[name].inertia
         held = session.devices[name].held_torque if prepared.certified else None  # without a certificate, no promise
-        friction = _friction_of(prepared, name)
-        real = friction is not None and session.devices[name].factory is not None
         bundles[name] = DeviceBundle(
-            commons[name], osp, of_device, _source(session, name), limits, time, allowance, inertia, held, friction,
-            session.devices[name].step if real else None,
+            commons[name], osp, of_device, _source(session, name), limits, time, allowance, inertia, held,
+            _friction_of(prepared, name),
         )  # fmt: skip
     longest = max(map(len, rungs.values()))
     at_rungs = ([of_one[min(rung, len(of_one) - 1)].block for of_one in rungs.values()] for rung in range(longest))
@@ -511,7 +509,8 @@ def _source(session: Session, name: str) -> Source:
     device = session.devices[name]
     if device.factory is not None:
         driver = session.foreign_code[f"devices.{name}.driver"]
-        return PluginDevice(driver, device.dof, device.axis_map or (), device.scale or 1.0, device.timing)
+        axis_map, scale = device.axis_map or (), device.scale or 1.0
+        return PluginDevice(driver, device.dof, axis_map, scale, device.timing, device.step)
     if device.trace is not None:
         return RecordedMotion(session.osp_level(name), device.trace.times, device.trace.values)
     hand, mass, damping = device.hand, device.mass, device.damping

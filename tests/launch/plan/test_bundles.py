@@ -24,6 +24,7 @@ from manyhands.nodes.kernel.bundle import (
     DeviceBundle,
     EnvironmentBundle,
     Limits,
+    PluginDevice,
     SimulatedHand,
     encoded,
     load,
@@ -120,13 +121,16 @@ def test_the_account_of_a_driver_counts_friction_below_a_speed_by_the_step_of_it
             "dx"
         ]
         assert isinstance(bundle, DeviceBundle)
+        assert isinstance(bundle.source, PluginDevice)
         assert (bundle.friction is not None, bundle.measured) == (counts, (1e-5,) if counts else None)
         save(bundle, tmp_path / f"{counts}")
         assert encoded(load(tmp_path / f"{counts}", DeviceBundle)) == encoded(bundle)
         if bundle.friction is not None:
             assert 0.0 < bundle.friction.kept[0] < 0.2
-            with pytest.raises(ValueError, match="of measured ways; expected 1 finite steps beside a friction"):
-                dataclasses.replace(bundle, measured=(1e-5, 1e-5))
+            with pytest.raises(ValueError, match="friction and a driver of another package without a step"):
+                dataclasses.replace(bundle, source=dataclasses.replace(bundle.source, step=None))
+            with pytest.raises(ValueError, match=r"the steps \(1e-05, 1e-05\) m; expected 1 finite"):
+                dataclasses.replace(bundle.source, step=(1e-5, 1e-5))
 
 
 def test_each_bundle_holds_its_own_ports_limits_and_the_environments_none(tmp_path: Path) -> None:

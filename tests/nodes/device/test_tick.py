@@ -205,10 +205,12 @@ def test_the_speed_that_is_judged_is_the_greatest_that_the_displacements_allow(
     bundles: dict[str, DeviceBundle], measured: tuple[float] | None, jitter: float, fastest: float, beyond: int
 ) -> None:
     """1 mm in 1 ms, which is v* itself: a step more, in a time that is shorter by the jitter of the samples' age."""
-    source = PluginDevice(FactoryName("some:driver", {}), 1, timing=DeviceTiming(jitter))
+    source = PluginDevice(FactoryName("some:driver", {}), 1, timing=DeviceTiming(jitter), step=measured)
     bundle = replace(
-        bundles[REALTIME], source=source, friction=DryFriction((0.1,), (0.0,), 1.0), measured=measured,
-    )  # fmt: skip
+        bundles[REALTIME],
+        source=bundles[REALTIME].source if measured is None else source,
+        friction=DryFriction((0.1,), (0.0,), 1.0),
+    )
     tick = WallTimeTick(bundle, Scripted())
     for turn in (0, 1):
         tick.sample(turn, instant(turn))
