@@ -42,6 +42,7 @@ MODULES = [
     "nodes/device/interface",
     "nodes/device/mechanism",
     "nodes/device/node",
+    "nodes/device/play",
     "nodes/device/pointer",
     "nodes/device/simulated",
     "nodes/device/telemetry",

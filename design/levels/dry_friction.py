@@ -64,6 +64,11 @@ class DryFriction:
         if self.speed is not None and not 0.0 < self.speed < math.inf:
             raise ValueError(f"friction: found a speed of {self.speed} m/s; expected a finite one greater than 0")
 
+    @property
+    def left(self) -> tuple[float, ...]:
+        """What the steps of encoders leave of it, c - w, N, rounded down; 0 where nothing is left."""
+        return damping_below(1.0, self.least, self.kept)
+
     def raised(self, level: Matrix) -> Matrix:
         """The level Delta_D (N*s/m) with what the friction adds below v*: Delta_D + diag((c - w)/v*)."""
         if self.speed is None:

@@ -64,6 +64,7 @@ from manyhands.launch.audit.press import Press, presses
 from manyhands.launch.audit.promises import promises_of
 from manyhands.launch.audit.recompute import Array, FollowedParty, Recomputed, recompute
 from manyhands.launch.audit.replay import hand_of
+from manyhands.launch.audit.torques import torques_agree
 from manyhands.launch.audit.wave_link import (
     EndRows,
     FollowedUserEnd,
@@ -453,12 +454,20 @@ class _AuditRun:
         return [
             *self._compared(name, again, WALL_TIME_FOLLOWS, device.motion_gaps),
             *self._compared(name, again, () if rows.work is None else (WORK_FOLLOWS,), device.motion_gaps),
+            *self._torques(name, bundle, rows, course),
             *self._given(name, figures, again[GIVEN], again.gaps),
             *self._compared(name, again, (ENDED_FOLLOWS,), recorded={ENDED: rows.instants[:, 2:]}),
             ordered(run, name, rows.instants, course, self._presence.owed[name], from_seconds(bundle.timing.latency)),
             account_bounded(name, rows_of(run, name, names.INTERFACE), rows.instants[:, 1], bundle.allowance),
             *self._compared(name, again, (LEDGER_FOLLOWS,), device.motion_gaps),
         ]
+
+    def _torques(self, name: str, bundle: DeviceBundle, rows: DeviceRows, course: Course) -> list[Check]:
+        """Check the work that a driver of another package told of its motors, which hold torques."""
+        device = self._session.devices[name]
+        if rows.work is None or device.factory is None:
+            return []
+        return [torques_agree(name, bundle, device.factory, device.step, rows, course)]
 
     def _unknown(self, name: str, known: NDArray[np.bool_], course: Course, wall: bool) -> NDArray[np.bool_]:
         """By tick, whether what its couplings received of a device may differ from its own rows.

@@ -31,6 +31,7 @@ _OF_CHECKS: Final[Mapping[str, Promise]] = {
     "tau": Promise.DELAY,
     "period": Promise.PERIOD,
     "account": Promise.LATENESS,
+    "torques": Promise.DRIVER,
     "limits": Promise.FORCE,
     "tank": Promise.LINK,
     "rules": Promise.LINK,
@@ -77,8 +78,8 @@ def promises_of(prepared: Prepared, run: RecordedRun, checks: Sequence[Check]) -
         if party not in there | lacking:
             continue  # nobody has sat there
         unmade = promise not in made and promise not in (Promise.CERTIFICATE, Promise.RECORD)
-        if state is PromiseState.UNCHECKED and unmade:
-            continue
+        if state is PromiseState.UNCHECKED and (unmade or promise is Promise.DRIVER):
+            continue  # a driver's word that nothing could check is believed, as in the run
         about = [check for check in checks if _about(check) == (promise, party) and _STATES[check.verdict] is state]
         missing = [check for check in about if check.verdict is CheckVerdict.MISSING]
         row = _row(run, promise, party, state, missing or about)

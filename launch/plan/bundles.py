@@ -128,7 +128,11 @@ def tool_bounds(session: Session, blocks: Sequence[StateSpace]) -> tuple[PortBou
 
 
 def _require_runnable(prepared: Prepared) -> None:
-    """Refuse a certified run that counts on dry friction which is not there, or of which no account can be kept."""
+    """Refuse a certified run that counts on dry friction which is not there, or of which no account can be kept.
+
+    Raises:
+        NotCertified: it does.
+    """
     if not prepared.certified:
         return
     for name, device in prepared.session.devices.items():
@@ -141,20 +145,38 @@ def _require_runnable(prepared: Prepared) -> None:
                 "moves; expected no friction, or kappa alone as its linkage, for a run; or an uncertified run"
             )
         if device.factory is not None and prepared.session.design.speed is not None:
-            raise NotCertified(
-                f"{at}.driver: found a driver's factory with friction and design.speed; expected no speed for a run: "
-                "its account knows measured positions, and friction counts in true ones alone"
-            )
+            _require_measured(prepared.session, name)
+
+
+def _require_measured(session: Session, name: str) -> None:
+    """Refuse a driver of another package whose displacements tell too little of its ways and its speed."""
+    device, below, T = session.devices[name], session.design.speed, session.period_of(name)
+    least = T - device.timing.jitter  # between two samples, s
+    at = f"{session.name}: devices.{name}.step"
+    if below is None:
+        return
+    if device.step is None:
+        raise NotCertified(
+            f"{at}: found none beside a driver's factory, friction and design.speed; expected the step to which its "
+            "displacements are measured, in m: friction counts on ways alone that are no noise"
+        )
+    if not max(device.step) < below * least:
+        raise NotCertified(
+            f"{at}: found {max(device.step):g} m; expected less than the {max(0.0, below * least):.3g} m that "
+            f"{below:g} m/s are in {max(0.0, least):g} s, the least time between two samples: a finer step, or a "
+            "greater design.speed. One step would look like a faster motion"
+        )
 
 
 def _friction_of(prepared: Prepared, name: str) -> DryFriction | None:
     """The dry friction that the account of a device counts; None where it counts none.
 
-    It is that of a simulated device, whose true displacement is known. Steps and noise of a measured one would count as
-    ways, and as more friction than there is.
+    That of a driver of another package counts below a speed alone.
     """
     device, certificate = prepared.session.devices[name], prepared.certificate_of(name)
-    if certificate is None or device.friction is None or device.factory is not None:
+    if certificate is None or device.friction is None:
+        return None
+    if device.factory is not None and prepared.session.design.speed is None:
         return None
     loop = certificate.loop  # every rung keeps as much: friction that is kept for steps has no ladder
     kept = dict.fromkeys(loop.ports, 0.0) if loop.kept is None else dict(zip(loop.ports, loop.kept, strict=True))
@@ -487,7 +509,8 @@ def _source(session: Session, name: str) -> Source:
     device = session.devices[name]
     if device.factory is not None:
         driver = session.foreign_code[f"devices.{name}.driver"]
-        return PluginDevice(driver, device.dof, device.axis_map or (), device.scale or 1.0, device.timing)
+        axis_map, scale = device.axis_map or (), device.scale or 1.0
+        return PluginDevice(driver, device.dof, axis_map, scale, device.timing, device.step)
     if device.trace is not None:
         return RecordedMotion(session.osp_level(name), device.trace.times, device.trace.values)
     hand, mass, damping = device.hand, device.mass, device.damping

@@ -81,8 +81,18 @@ only brakes: how far a device comes by its inertia is bounded as without it, and
 
 The whole c counts, without w: the account has the device's true displacements, and what the steps put in shows as the
 work of the motion that was sent. That is paid by w_i |d_i| in a linear loop as a whole, and not in each account, so
-that with steps e may fall below v* too. Then the bound holds, and nothing else is claimed. Of a device whose
-displacements are measured, c_i |d_i| would count steps and noise as ways. Its friction is not counted.
+that with steps e may fall below v* too. Then the bound holds, and nothing else is claimed.
+
+**Measured displacements** are known to a step q, and c_i |d_i| would count steps and noise as ways. In place of it the
+account books (c_i - w_i) z_i, with z_i what a play adds to the least way of all motions that the samples allow
+(:mod:`manyhands.nodes.device.play`). The sum of z_i is at no sample more than the way that was gone, and so the account
+never books more than c - w has burnt. Here w is taken off: the motion that is sent is the one that is booked, so that
+what the steps put in does not show in e, and w_i |d_i| is what pays for it.
+
+Only the sums are bounded, and not each piece. So the reserve counts nothing of this friction in advance, p(r) is as
+without any, and what is booked is a gain on top: the induction is that of a device without friction. Below v* the
+account may still fall, by what a play leaves out: (c_i - w_i) d_i^2 / (v* T) is promised of each step d_i = q of noise,
+and nothing burnt. The tank pays for that.
 """
 
 from __future__ import annotations
@@ -99,6 +109,7 @@ from manyhands.design.levels.dry_friction import DryFriction
 from manyhands.design.levels.held_torque import HeldTorque
 from manyhands.design.levels.mechanism import NothingLeft, promised_level
 from manyhands.nodes.device.given import ForceGiven
+from manyhands.nodes.device.play import Play
 from manyhands.nodes.device.speed_bound import SpeedBound
 from manyhands.nodes.kernel.allowance import LatenessAllowance
 from manyhands.nodes.kernel.arithmetic import Floats, dot, linear_map, minus
@@ -138,6 +149,7 @@ class InterfaceAccount:
         level: Matrix | None = None,
         strays: float = 0.0,
         friction: Sequence[float] | None = None,
+        play: Play | None = None,
     ) -> None:
         """Begin at rest in x = 0, without a force; time begins with the first sample.
 
@@ -150,11 +162,13 @@ class InterfaceAccount:
             level: what is promised at that rung, with what friction adds and less what held torques may give out; None
                 for Delta_D.
             strays: E of :func:`straying`; 0 where the force itself is held.
-            friction: c on each axis, N; None for none.
+            friction: c on each axis, N; with a play c - w; None for none.
+            play: finds the ways that friction burns on, of measured displacements; None where the true ones are given.
         """
         self._T, self._speed, self._strays = T, tuple(speed), strays
         self._reach = None if inertia is None else SpeedBound(inertia)
         self._friction = None if friction is None else list(friction)
+        self._play = play
         joins = bool(np.any(osp - np.diag(np.diag(osp))))
         self._least: Floats = [float(np.linalg.eigvalsh(osp)[0])] * len(speed) if joins else np.diag(osp).tolist()
         self._burned = linear_map(osp)
@@ -196,10 +210,13 @@ class InterfaceAccount:
                                                             + sum h_j (r_j - r)^T Delta_D^-1 (r_j - r) / 4,
 
         and it is at most the sum of h_j times :meth:`cost`, with no limit on an axis that was seen to be faster. Of dry
-        friction c |d_i| is booked, for the parts' ways are at least as long as their sum.
+        friction c |d_i| is booked, for the parts' ways are at least as long as their sum. Of measured displacements it
+        is what the play finds, on top of that.
         """
         known, self._at = self._at, at
         last, self._x = self._x, x
+        if self._play is not None and self._friction is not None:
+            self.balance += dot(self._friction, self._play.moved(x))
         if known is None or at <= known:
             self._since = at
             return
@@ -227,7 +244,7 @@ class InterfaceAccount:
                 beside = minus(r, mean)
                 spread += 0.25 * time * dot(beside, self._yields(beside))
         cost = (dot(mean, d) if work is None else work) - dot(d, self._burned(d)) / h + spread
-        if self._friction is not None:
+        if self._friction is not None and self._play is None:
             cost -= sum([c * abs(way) for c, way in zip(self._friction, d, strict=True)])
         if several:
             limits = zip(d, self._speed, strict=True)
@@ -320,7 +337,8 @@ class InterfaceAccount:
     def cost(self, r: Floats, speed: Sequence[float] | None = None) -> float:
         """p(r), W: the most that r (N) can cost in a second, the greatest r^T v - v^T Delta_D v, and more by torques.
 
-        Dry friction takes c off the force on each axis, whose v is in the force's direction.
+        Dry friction takes c off the force on each axis, whose v is in the force's direction, where true displacements
+        are given.
         The device moves at no more than its limit of speed in the mean: nothing enforces that between two samples.
         Where Delta_D joins axes, its least eigenvalue stands for it.
 
@@ -328,7 +346,12 @@ class InterfaceAccount:
             r: N.
             speed: the greatest |v| on each axis, m/s; None for the limits.
         """
-        most_power, limits, felt, dry = 0.0, speed or self._speed, self._felt(r), self._friction
+        most_power, limits, felt, dry = (
+            0.0,
+            speed or self._speed,
+            self._felt(r),
+            None if self._play is not None else self._friction,
+        )
         for axis in range(len(r)):
             size, d = abs(felt[axis]), self._least[axis]
             if dry is not None:
@@ -470,6 +493,7 @@ class DeviceInterface:
         inertia: Inertia | None = None,
         held: HeldTorque | None = None,
         friction: DryFriction | None = None,
+        steps: Sequence[float] | None = None,
     ) -> None:
         """Begin at rest in x = 0, with a full tank.
 
@@ -487,14 +511,16 @@ class DeviceInterface:
             inertia: what is stated of the device's mass and its hand; None where nothing is.
             held: how its motors hold torques; None where the force itself is held.
             friction: what it burns of dry friction; None where nothing is stated.
+            steps: q on each axis, m, to which the displacements are known that friction counts on; None for true ones.
 
         Raises:
             ValueError: of held torques nothing is left of Delta_D, or a tip may turn too far while a force is held.
         """
         self._T, self._osp, self._held, self._friction = T, osp, held, friction
         strays = 0.0 if held is None else straying(held, speed, longest * _NS)
-        dry = None if friction is None else friction.least
-        self.account = InterfaceAccount(osp, promise, T, speed, inertia, self._left_by(tau, tolerance), strays, dry)
+        dry = None if friction is None else friction.least if steps is None else friction.left
+        play, level = None if steps is None else Play(steps), self._left_by(tau, tolerance)
+        self.account = InterfaceAccount(osp, promise, T, speed, inertia, level, strays, dry, play)
         self._bounded = allowance is not None
         self._allowance = allowance or LatenessAllowance(0.0)
         self.tank = self.allowed = self.margin = self._allowance.energy
@@ -822,4 +848,5 @@ def interface_of(bundle: DeviceBundle) -> DeviceInterface:
         bundle.inertia,
         bundle.held,
         bundle.friction,
+        bundle.measured,
     )

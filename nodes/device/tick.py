@@ -62,7 +62,9 @@ class DeviceTick(ABC):
         sent: the displacement that the couplings receive, m.
         held: the force of the tick, within what limits and account allow, N.
         below: v*, the speed below which its certificate holds, m/s; None where it holds at every speed.
-        fastest: the greatest speed of an axis from one sample to the next, m/s; where there is such a speed.
+        fastest: the greatest speed of an axis from one sample to the next, m/s; where there is such a speed. Of
+            measured displacements it is what the speed may have been at most.
+        known_to: the step to which displacements are known in that, by axis, m; 0 for true ones.
         beyond: the times that it was greater than that.
         x_a: the displacement when the force was applied, m; None where it is not known.
         instants: of the last tick, of a device in wall time.
@@ -88,6 +90,8 @@ class DeviceTick(ABC):
         self.guard = Guard(bundle.limits, common.period, common.ports)
         self.core = DeviceCore(*bundle.promises[0], common.period, bundle.allowed.energy)
         self.below = None if bundle.friction is None else bundle.friction.speed
+        self.known_to = self._zero if bundle.measured is None else list(bundle.measured)
+        self._jitter = bundle.timing.jitter  # s
         self.fastest, self.beyond = 0.0, 0
         self._last: Floats | None = None  # the true displacement of the last sample, where there is such a speed
         self.moved = self.x = self.sent = self.held = self._zero
@@ -129,11 +133,19 @@ class DeviceTick(ABC):
         return self.sent
 
     def _compare(self, x: Floats, h: float, below: float) -> None:
-        """Compare the speed of each axis, from the last sample to that at x (m), h (s) later, with ``below``, m/s."""
+        """Compare the speed of each axis, from the last sample to that at x (m), h (s) later, with ``below``, m/s.
+
+        Of measured displacements it is the greatest that they allow: the way is up to a step longer than it looks, and
+        the time between two samples up to the jitter of their age shorter. Where none is left, nothing bounds it.
+        """
         before, self._last = self._last, x
         if before is None or not h > 0.0:
             return
-        fastest = max([abs(to - at) for to, at in zip(x, before, strict=True)]) / h
+        h -= self._jitter
+        if not h > 0.0:
+            self.beyond += 1
+            return
+        fastest = max([abs(to - at) + q for to, at, q in zip(x, before, self.known_to, strict=True)]) / h
         self.fastest = max(self.fastest, fastest)
         if fastest > below * _EQUAL:
             self.beyond += 1

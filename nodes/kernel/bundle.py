@@ -341,6 +341,10 @@ class PluginDevice:
             driver's axes in their order.
         scale: by which displacements grow from the driver to the ports, and forces shrink; dimensionless.
         timing: the age of its samples and the delay of its forces, as the session promises them.
+        step: likewise the step to which its displacements are measured at the ports, m; None where none is stated.
+
+    Raises:
+        ValueError: there is not one step for each axis, or one is negative or not finite.
     """
 
     driver: FactoryName
@@ -348,6 +352,13 @@ class PluginDevice:
     axis_map: tuple[str, ...] = ()
     scale: float = 1.0
     timing: DeviceTiming = NO_DELAY
+    step: Added[tuple[float, ...] | None] = None
+
+    def __post_init__(self) -> None:
+        if self.step is not None and (len(self.step) != self.axes or not all(0.0 <= q < math.inf for q in self.step)):
+            raise ValueError(
+                f"found the steps {self.step} m; expected {self.axes} finite ones of at least 0, one an axis"
+            )
 
 
 Source: TypeAlias = Annotated[
@@ -388,8 +399,9 @@ class DeviceBundle:
 
     Raises:
         ValueError: Delta_D is not symmetric positive definite with a row for each port, the axes of the source are not
-            the ports, those of the friction neither, the rungs' delays do not grow, the time is unknown, it is wall
-            time under the simulated clock, or the held torques leave nothing of Delta_D at a rung.
+            the ports, those of the friction neither, friction counts on displacements that are measured to no known
+            step, the rungs' delays do not grow, the time is unknown, it is wall time under the simulated clock, or the
+            held torques leave nothing of Delta_D at a rung.
     """
 
     common: Common
@@ -418,6 +430,8 @@ class DeviceBundle:
             raise ValueError(f"found an inertia of {len(self.inertia.mass)} axes; expected {m}, one a port")
         if self.friction is not None and len(self.friction.least) != m:
             raise ValueError(f"found a friction of {len(self.friction.least)} axes; expected {m}, one a port")
+        if self.friction is not None and isinstance(self.source, PluginDevice) and self.source.step is None:
+            raise ValueError("found friction and a driver of another package without a step; expected one an axis")
         _require_few_rungs(self.rungs)
         if not self.rungs:
             raise ValueError("found no rung; expected that of the certificate")
@@ -430,6 +444,11 @@ class DeviceBundle:
     def timing(self) -> DeviceTiming:
         """How late the device measures and acts, beside its loop; not at all unless a driver's hardware does."""
         return self.source.timing if isinstance(self.source, PluginDevice) else NO_DELAY
+
+    @property
+    def measured(self) -> tuple[float, ...] | None:
+        """The step to which the displacements are known that friction counts on, m, by axis; None for true ones."""
+        return self.source.step if self.friction is not None and isinstance(self.source, PluginDevice) else None
 
     @property
     def allowed(self) -> LatenessAllowance:

@@ -269,7 +269,8 @@ class HealthModel:
             self._count(counter.promise, node, counter.grows, self._grown(node, counter.grows, figures), at, cost)
         if (entry := self._entries.get((Promise.SPEED, node))) is not None:
             fastest = figures.get(names.FASTEST, math.nan)
-            entry.remark = f"{node} moved at up to {fastest:.3g} m/s on an axis" if math.isfinite(fastest) else ""
+            moved = "may have moved" if node in self._terms.drivers else "moved"  # measured, to a step
+            entry.remark = f"{node} {moved} at up to {fastest:.3g} m/s on an axis" if math.isfinite(fastest) else ""
         if figures.get(names.WAVE_HOLDING, 0.0) > 0.0:
             self._go_on(Promise.LINK, node, at)
         self._energy(node, at, figures)

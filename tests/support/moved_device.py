@@ -69,9 +69,12 @@ class Course:
 class Device:
     """A device that an adversary moves; it books every piece of its motion exactly.
 
-    Its time is that of its forces: with a latency, in ns, a sample has the place of so much earlier.
+    Its time is that of its forces: with a latency, in ns, a sample has the place of so much earlier. With ``steps`` its
+    displacements are measured: each is off by ``noise``, which the adversary chooses within half a step.
 
     Attributes:
+        noise: of what is measured, m.
+        gone: the way on each axis, m.
         velocity: of a device that is pushed, m/s.
         beyond: by tick, the energy that a motion beyond the limit of speed has cost more than any within it, J.
     """
@@ -87,13 +90,15 @@ class Device:
         speed: float = SPEED,
         power: float = 0.0,
         friction: DryFriction | None = None,
+        steps: Floats | None = None,
     ) -> None:
         m = len(osp)
         self.osp, self.promised, self.latency, self.friction = osp, promised, latency, friction
         allowed = None if tank is None else LatenessAllowance(tank, power)
         self.interface = DeviceInterface(
-            osp, promised, tau, 0.0, T, (speed,) * m, STALE, allowed, Duration(latency), inertia, None, friction
+            osp, promised, tau, 0.0, T, (speed,) * m, STALE, allowed, Duration(latency), inertia, None, friction, steps
         )
+        self.noise, self.gone = np.zeros(m), np.zeros(m)
         self.x, self.now, self.f = np.zeros(m), 0, np.zeros(m)
         self.sent, self.velocity = np.zeros(m), np.zeros(m)
         self.course = Course()
@@ -114,7 +119,7 @@ class Device:
                 if self.friction is not None:
                     cost -= float(np.array(self.friction.least) @ np.abs(d))
                 self.beyond[-1] += max(0.0, cost - h * self.interface.account.cost(r.tolist()))
-            self.x, self.now = self.x + d, at
+            self.x, self.now, self.gone = self.x + d, at, self.gone + np.abs(d)
             self.places.append((at, self.x))
 
     def push(self, ways: Array, brakes: Array, until: int, true: Inertia) -> None:
@@ -148,7 +153,7 @@ class Device:
         return last if end <= at else first + (last - first) * ((at - begin) / (end - begin))
 
     def send(self) -> None:
-        x = self._taken().tolist()
+        x = (self._taken() + self.noise).tolist()
         sent = np.array(self.interface.send(x, x, Instant(self.now)))
         if self.interface.shortened:
             assert self.until is None or self.now <= self.interface.until <= self.until
@@ -162,7 +167,7 @@ class Device:
         self.f = np.array(f)
         self.exerted, self.until = np.array(held), until
         known = known and not self.latency
-        self.interface.applied(self.x.tolist() if known else None, Instant(self.now), held, until)
+        self.interface.applied((self.x + self.noise).tolist() if known else None, Instant(self.now), held, until)
 
     @property
     def energy(self) -> float:

@@ -39,6 +39,7 @@ class Counterpart(DeviceDriver):
         self.n = n = len(ports)
         self.mass, self.damping = parameters.get("mass", 0.2), parameters.get("damping", 1.5)
         self.step = parameters.get("step", 0.0)  # of its encoders, m
+        self.dry = parameters.get("friction", 0.0)  # N
         self.clip = parameters.get("clip", 8.0)
         self.age, self.delay = (round(1e9 * parameters.get(key, 0.0)) for key in ("age", "delay"))
         self.stated = DeviceTiming(**parameters["timing"]) if "timing" in parameters else NO_DELAY
@@ -101,6 +102,8 @@ class Counterpart(DeviceDriver):
             pushed = self.push * math.sin(2.0 * math.pi * self.hertz * now * 1e-9) if self.push else 0.0
             for i in range(self.n):
                 self.v[i] += dt * (self.f[i] + pushed - self.damping * self.v[i]) / self.mass
+                brake = dt * self.dry / self.mass
+                self.v[i] = math.copysign(max(0.0, abs(self.v[i]) - brake), self.v[i])
                 self.x[i] += dt * self.v[i]
                 self.done += self.f[i] * dt * self.v[i]
             now = end

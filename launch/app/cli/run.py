@@ -104,9 +104,10 @@ def simulate(
             say(out, line)
         for name, device in simulation.devices.items():
             if device.beyond:
+                was = "may have been" if any(device.known_to) else "was"
                 say(
                     err,
-                    f"warning: {name} was faster than the {device.below:g} m/s below which its certificate holds "
+                    f"warning: {name} {was} faster than the {device.below:g} m/s below which its certificate holds "
                     f"(times: {device.beyond}, up to {device.fastest:.3g} m/s); beyond, only its account counts",
                 )
             if (guard := device.guard).let_go:

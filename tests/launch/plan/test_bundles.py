@@ -24,6 +24,7 @@ from manyhands.nodes.kernel.bundle import (
     DeviceBundle,
     EnvironmentBundle,
     Limits,
+    PluginDevice,
     SimulatedHand,
     encoded,
     load,
@@ -81,6 +82,7 @@ def test_a_simulated_device_burns_its_friction_and_its_account_counts_it(tmp_pat
 
 
 PLUGIN = "{dof: 1, osp: 1.37, driver: 'devices_of.a_lab:device', friction: {least: 0.2}}"
+OTHERS = ("devices.dy.friction={least: 0.2}", "devices.dz.friction={least: 0.2}")
 IN_SPACE = (
     "{kind: chain, turns: [z, y, y], links: [[0, 0, 0.1], [0.13, 0, 0], [0.13, 0, 0]], "
     "low: [-0.5, -0.8, 0.7], high: [0.5, -0.2, 1.6]}"
@@ -94,8 +96,41 @@ def test_a_certified_run_with_friction_of_which_no_account_can_be_kept_is_refuse
     with pytest.raises(NotCertified, match=r"devices\.d\.friction: found friction behind the kinematics"):
         cut(prepare(joints), run)
     driver = session("example1.yaml", (f"devices.dx={PLUGIN}", "design.speed=0.1"))
-    with pytest.raises(NotCertified, match=r"devices\.dx\.driver: found a driver's factory with friction"):
+    with pytest.raises(NotCertified, match=r"devices\.dx\.step: found none .*; expected the step to which its disp"):
         cut(prepare(driver), run)
+
+
+@pytest.mark.parametrize(
+    ("more", "found"),
+    [
+        ("step: 0.0001", "found 0.0001 m; expected less than the 0.0001 m that 0.1 m/s are in 0.001 s"),
+        ("step: 0.00008, sample_age: 0.0003", "found 8e-05 m; expected less than the 7e-05 m"),
+    ],
+)
+def test_a_step_that_looks_like_a_faster_motion_is_refused(tmp_path: Path, more: str, found: str) -> None:
+    each = [f"devices.{name}.friction={{least: 2}}" for name in ("dx", "dy", "dz")]
+    driver = session("example1.yaml", (f"devices.dx={PLUGIN[:-1]}, {more}}}", *each, "design.speed=0.1"))
+    with pytest.raises(NotCertified, match=rf"devices\.dx\.step: {found}"):
+        cut(prepare(driver), RunPlan("simulated", tmp_path, ""))
+
+
+def test_the_account_of_a_driver_counts_friction_below_a_speed_by_the_step_of_its_encoder(tmp_path: Path) -> None:
+    driver = f"devices.dx={PLUGIN[:-1]}, step: 0.00001}}"
+    for speed, counts in ((("design.speed=0.1",), True), ((), False)):
+        bundle = cut(prepare(session("example1.yaml", (driver, *OTHERS, *speed))), RunPlan("realtime", tmp_path, ""))[
+            "dx"
+        ]
+        assert isinstance(bundle, DeviceBundle)
+        assert isinstance(bundle.source, PluginDevice)
+        assert (bundle.friction is not None, bundle.measured) == (counts, (1e-5,) if counts else None)
+        save(bundle, tmp_path / f"{counts}")
+        assert encoded(load(tmp_path / f"{counts}", DeviceBundle)) == encoded(bundle)
+        if bundle.friction is not None:
+            assert 0.0 < bundle.friction.kept[0] < 0.2
+            with pytest.raises(ValueError, match="friction and a driver of another package without a step"):
+                dataclasses.replace(bundle, source=dataclasses.replace(bundle.source, step=None))
+            with pytest.raises(ValueError, match=r"the steps \(1e-05, 1e-05\) m; expected 1 finite"):
+                dataclasses.replace(bundle.source, step=(1e-5, 1e-5))
 
 
 def test_each_bundle_holds_its_own_ports_limits_and_the_environments_none(tmp_path: Path) -> None:

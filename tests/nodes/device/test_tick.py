@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from manyhands.design.levels.dry_friction import DryFriction
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import load_session
 from manyhands.nodes.device.tick import NO_INSTANTS, OwnTimeTick, WallTimeTick, in_steps, tick_of
-from manyhands.nodes.kernel.bundle import REALTIME, SIMULATED, DeviceBundle
+from manyhands.nodes.kernel.bundle import REALTIME, SIMULATED, DeviceBundle, PluginDevice
+from manyhands.nodes.kernel.driver_statement import DeviceTiming
+from manyhands.nodes.kernel.factory import FactoryName
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Figures
 from tests.support.instants import instant
@@ -190,3 +194,24 @@ def test_an_unarmed_guard_does_not_let_go(bundles: dict[str, DeviceBundle]) -> N
         far = [tick.sample(turn, Instant(0), recorded=[1e3])[0] for turn in (1, 2)]
         assert (far == [1e3, 1e3]) is not armed
         assert tick.guard.let_go == armed
+
+
+@pytest.mark.parametrize(
+    ("measured", "jitter", "fastest", "beyond"),
+    [(None, 0.0, 1.0, 0), ((1e-4,), 0.0, 1.1, 1), ((1e-4,), 2e-4, 1.375, 1), ((1e-4,), 1e-3, 0.0, 1)],
+    ids=["true ones", "measured", "with a jitter", "with too much of it"],
+)
+def test_the_speed_that_is_judged_is_the_greatest_that_the_displacements_allow(
+    bundles: dict[str, DeviceBundle], measured: tuple[float] | None, jitter: float, fastest: float, beyond: int
+) -> None:
+    """1 mm in 1 ms, which is v* itself: a step more, in a time that is shorter by the jitter of the samples' age."""
+    source = PluginDevice(FactoryName("some:driver", {}), 1, timing=DeviceTiming(jitter), step=measured)
+    bundle = replace(
+        bundles[REALTIME],
+        source=bundles[REALTIME].source if measured is None else source,
+        friction=DryFriction((0.1,), (0.0,), 1.0),
+    )
+    tick = WallTimeTick(bundle, Scripted())
+    for turn in (0, 1):
+        tick.sample(turn, instant(turn))
+    assert (tick.fastest, tick.beyond) == (pytest.approx(fastest), beyond)
