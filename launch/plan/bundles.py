@@ -159,7 +159,7 @@ def _friction_of(prepared: Prepared, name: str) -> DryFriction | None:
     loop = certificate.loop  # every rung keeps as much: friction that is kept for steps has no ladder
     kept = dict.fromkeys(loop.ports, 0.0) if loop.kept is None else dict(zip(loop.ports, loop.kept, strict=True))
     own = tuple(kept[port] for port in prepared.session.ports_of(name))
-    return DryFriction(device.friction, own, prepared.session.design.speed)
+    return DryFriction(device.friction.least, own, prepared.session.design.speed)
 
 
 def _in_order(session: Session, bounds: Mapping[str, float]) -> PortBounds:
@@ -502,7 +502,7 @@ def _source(session: Session, name: str) -> Source:
         force=tuple(plain_intent(intent) for intent in hand.force),
         motion=tuple(plain_intent(intent) for intent in hand.motion),
         linkage=device.kinematics,
-        friction=None if device.kinematics is not None else device.friction,
+        friction=None if device.kinematics is not None or device.friction is None else device.friction.simulated,
     )
     return BrowserHand(physics) if device.driver == "browser" else physics
 

@@ -75,6 +75,7 @@ from manyhands.launch.session.fields import (
 )
 from manyhands.launch.session.foreign import PARAMETERS, Factory
 from manyhands.launch.session.forms import JsonSchema, either, list_of, mapping_of, where, without
+from manyhands.launch.session.friction import SIMULATED_ALONE, Friction
 from manyhands.launch.session.limits import (
     LONGEST_PERIOD,
     MAX_DOF,
@@ -321,34 +322,6 @@ _NOT_MEASURED: Final = ("step", "friction")
 """Keys of an encoder and its mechanism; a recorded motion and a pointer at a browser have neither."""
 
 
-@dataclass(frozen=True, slots=True)
-class LeastFriction(FieldCheck):
-    """The check of a device's dry friction, ``{least: c}``: c for all axes, or a list with one for each."""
-
-    least: PerAxis
-
-    @property
-    def json_schema(self) -> JsonSchema:
-        """The mapping, with a number or a list."""
-        return mapping_of({"least": {**self.least.json_schema, "description": "c in N, greater than 0"}})
-
-    def in_part(self, value: object, info: ValidationInfo) -> Any:
-        """The friction c by axis, N."""
-        if isinstance(value, tuple):  # as a device has it
-            return self.least.in_part(value, info)
-        if not isinstance(value, Mapping) or set(value) != {"least"}:
-            raise refuse(show(value), "{least: c}, with the least dry friction in N: a number, or one for each axis")
-        return self.least.in_part(value["least"], info)
-
-
-_FRICTION: Final = LeastFriction(PerAxis(Quantity("a friction", "N", above=0.0, smallest=MIN_POSITIVE)))
-
-
-def _plain_friction(friction: tuple[float, ...] | None) -> object:
-    """The friction in the notation of a session file."""
-    return None if friction is None else {"least": list(friction)}
-
-
 def _trace(value: object, info: ValidationInfo) -> object:
     return motion_of(value, info.data.get("dof", 1), info.context)
 
@@ -468,7 +441,7 @@ class Device(SessionModel):
     step: Annotated[tuple[float, ...] | None, _STEP] = Field(
         default=None, description="the step of its encoder in m: a number, or one for each axis"
     )
-    friction: Annotated[tuple[float, ...] | None, _FRICTION, PlainSerializer(_plain_friction)] = Field(
+    friction: Friction | None = Field(
         default=None, description="{least: c}, the dry friction in N that it has at least, in every pose and direction"
     )
     time: Literal["wall", "own"] = Field(
@@ -578,10 +551,10 @@ class Device(SessionModel):
             )
         return damping
 
-    @field_validator("limits", "hand", mode="wrap")
+    @field_validator("limits", "hand", "friction", mode="wrap")
     @classmethod
     def _on_every_axis(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> object:
-        """Pass the number of axes to limits and hand; without a valid ``dof`` they cannot be checked."""
+        """Pass the number of axes to a part with values by axis; without a valid ``dof`` it cannot be checked."""
         if "dof" not in info.data:
             return value
         if info.field_name == "hand":
@@ -590,6 +563,8 @@ class Device(SessionModel):
                 return None
             if driver == _BROWSER and (value is None or isinstance(value, Mapping)):
                 value = {**BROWSER_HAND, **(value or {})}
+        if info.field_name == "friction" and not isinstance(value, Mapping | Friction):
+            raise refuse(show(value), "{least: c}, with the least dry friction in N: a number, or one for each axis")
         written = DEFAULT_HAND if value is None else value
         return handler({**written, DEVICE_AXES: info.data["dof"]} if isinstance(written, Mapping) else written)
 
@@ -609,6 +584,7 @@ class Device(SessionModel):
             yield Problem(("held",), f"held: torque {here}", "held: force, for a recorded motion has no motors")
         if self.kinematics is not None:
             yield from self._linkage_problems(self.kinematics)
+        yield from self._friction_problems(here)
         if self.factory is not None:
             yield from self._plugin_problems(here)
             return
@@ -639,6 +615,16 @@ class Device(SessionModel):
             if 0.0 in self.hand.stiffness:
                 expected = "a stiffness in N/m greater than 0: it ties the device to the pointer"
                 yield Problem(("hand", "stiffness"), f"0 {here}", expected)
+
+    def _friction_problems(self, here: str) -> Iterator[Problem]:
+        """A problem for each key of the friction that says what is burned where nothing burns it so."""
+        for key in SIMULATED_ALONE if self.friction is not None else ():
+            if getattr(self.friction, key) is None:
+                continue
+            if self.factory is not None:
+                yield Problem(("friction", key), f"{key} {here}", "least alone: the driver's device has its own")
+            elif self.kinematics is not None:
+                yield Problem(("friction", key), f"{key} behind the kinematics of a linkage", "least alone")
 
     def _linkage_problems(self, kinematics: Mapping[str, Any]) -> Iterator[Problem]:
         """The problems of kinematics beside the rest of the device."""
