@@ -327,12 +327,16 @@ def _trace(value: object, info: ValidationInfo) -> object:
 
 
 _KAPPA: Final = Quantity("kappa", "1/m", above=0.0, smallest=MIN_POSITIVE)
+_JOINT_FRICTION: Final = PerAxis(Quantity("a friction", "N·m", above=0.0, smallest=MIN_POSITIVE))
 _NUMBERS: Final = list_of({"type": "number"}, 3)
 _POSES: Final = {"low": _NUMBERS, "high": _NUMBERS}
 _LINKAGE_FORM: Final = either(
     mapping_of({"kappa": _KAPPA.json_schema}),
     *(
-        mapping_of({"kind": {"enum": [kind]}, **parts, **_POSES}, {"kappa": _KAPPA.json_schema})
+        mapping_of(
+            {"kind": {"enum": [kind]}, **parts, **_POSES},
+            {"kappa": _KAPPA.json_schema, "friction": _JOINT_FRICTION.json_schema},
+        )
         for kind, parts in (
             ("chain", {"turns": list_of({"enum": ["x", "y", "z"]}, 3), "links": list_of(_NUMBERS, 3)}),
             *((kind, {length: {"type": "number"} for length in lengths}) for kind, lengths in LENGTHS.items()),
@@ -343,7 +347,7 @@ _SEARCHED: Final = 1.05
 """What a kappa is stated above the one that a search finds, so that a proof decides it."""
 
 
-def _linkage(value: object) -> dict[str, Any]:
+def _linkage(value: object, info: ValidationInfo) -> dict[str, Any]:
     """The linkage of a device that holds torques: its kinematics, or kappa alone, 1/m."""
     if not isinstance(value, Mapping):
         raise refuse(show(value), "{kappa: 18.8}, in 1/m, or kinematics such as {kind: chain, …}")
@@ -358,12 +362,19 @@ def _linkage(value: object) -> dict[str, Any]:
             linkage_of(kinematics)
         except LinkageError as error:
             raise refuse(str(error), "kinematics of a chain, five-bar or delta") from None
+    if "friction" in out:
+        out["friction"] = list(_JOINT_FRICTION.in_part(out["friction"], info))
     return out
 
 
+_BESIDE_KINEMATICS: Final = ("kappa", "friction")
+"""Keys of a linkage that no proof of its bending needs."""
+
+
 def _kinematics(linkage: Mapping[str, Any]) -> dict[str, Any] | None:
-    """The kinematics of a linkage, without its kappa; None where it has none."""
-    return {key: value for key, value in linkage.items() if key != "kappa"} if "kind" in linkage else None
+    """The kinematics of a linkage, without its kappa and the friction of its joints; None where it has none."""
+    own = {key: value for key, value in linkage.items() if key not in _BESIDE_KINEMATICS}
+    return own if "kind" in own else None
 
 
 @functools.lru_cache(maxsize=64)
@@ -461,7 +472,7 @@ class Device(SessionModel):
     held: Literal["force", "torque"] = Field(
         default="force", description="what its motors hold from tick to tick: the force at the tip, or joint torques"
     )
-    linkage: Annotated[dict[str, Any] | None, Described(_linkage, _LINKAGE_FORM)] = Field(
+    linkage: Annotated[dict[str, Any] | None, Completed(_linkage, _LINKAGE_FORM)] = Field(
         default=None, description="with held: torque, the linkage from its motors to its tip"
     )
     hand: Hand | None = defaulted(None, "the simulated hand that holds it")
@@ -500,6 +511,12 @@ class Device(SessionModel):
     def kinematics(self) -> dict[str, Any] | None:
         """Those of its linkage as plain data; None where none are stated."""
         return None if self.linkage is None else _kinematics(self.linkage)
+
+    @property
+    def joint_friction(self) -> tuple[float, ...] | None:
+        """What the joints of its linkage have in a simulation, N·m; None where nothing is stated."""
+        stated = (self.linkage or {}).get("friction")
+        return None if stated is None else tuple(stated)
 
     @property
     def word(self) -> DriverWord | None:
@@ -634,6 +651,9 @@ class Device(SessionModel):
         if (self.scale or 1.0) != 1.0:
             expected = "kappa alone, in the session's metres, or no scale"
             yield Problem(("linkage",), f"kinematics with a scale of {self.scale:g}", expected)
+        if self.joint_friction is not None and self.driver != _SIMULATED:
+            expected = "driver: simulated, or no friction: of any other device no claim rests on that of its joints"
+            yield Problem(("linkage", "friction"), f"friction of joints with 'driver: {self.driver}'", expected)
         if self.driver == _BROWSER:
             yield Problem(("linkage",), "kinematics with 'driver: browser'", "kappa alone, or driver: simulated")
         try:

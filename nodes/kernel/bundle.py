@@ -244,7 +244,8 @@ class SimulatedHand:
         force: intended force (N): a number, a formula in t, or {"times", "values"}.
         motion: intended motion (m), in the same forms.
         linkage: the kinematics of the joints whose motors hold torques, as plain data
-            (:func:`manyhands.nodes.device.mechanism.joints_of`); None where the force itself is held.
+            (:func:`manyhands.nodes.device.mechanism.joints_of`), with the ``friction`` of its joints, N*m, where they
+            have any; None where the force itself is held.
         friction: its dry friction, N, or how that changes with place and speed; None for none.
 
     Raises:
