@@ -36,6 +36,7 @@ MODULES = [
     "nodes/rows/two_port",
     "nodes/device/core",
     "nodes/device/drivers",
+    "nodes/device/dry_joints",
     "nodes/device/friction",
     "nodes/device/given",
     "nodes/device/speed_bound",

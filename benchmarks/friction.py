@@ -2,8 +2,9 @@
 
 Each session has a device of 0.02 to 0.5 N*s/m and 0.02 to 0.5 N of dry friction at 0.5 to 4 kHz, and a spring to a
 wall that is proved below a speed v*, by 5 % softer than the greatest that v* allows. The same spring is refused without
-the friction. Hands dither at Nyquist's rate, turn round within the stiction, creep, push along their own motion, or do
-what they like; delays are within the certificate, or far beyond.
+the friction. Half of the devices burn more than that at rest, and in places (:class:`FrictionCurve`), which no claim
+counts. Hands dither at Nyquist's rate, turn round within the stiction, creep, push along their own motion, or do what
+they like; delays are within the certificate, or far beyond.
 
 What has to hold: no account is below its bound; where delays were covered and every piece of motion was slower than v*,
 no account falls below 0 and nothing was enforced; no device runs away. Where delays are covered, the tank has 1 J: with
@@ -38,6 +39,7 @@ from manyhands.nodes.device.tick import WallTimeTick
 from manyhands.nodes.kernel.allowance import LatenessAllowance
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import WALL, DeviceBundle, DeviceRung, Limits, SimulatedHand
+from manyhands.nodes.kernel.friction_curve import FrictionCurve
 from manyhands.nodes.kernel.inertia import Inertia
 from manyhands.protocol.clock import Instant, from_seconds
 from manyhands.protocol.messages import Figures
@@ -95,13 +97,32 @@ def certified(of: Drawn, friction: bool) -> Certificate | None:
         return None
 
 
+def burned(of: Drawn, rng: np.random.Generator) -> tuple[float] | FrictionCurve:
+    """The friction of a device with the least c: constant, or up to five times as much at rest and in places."""
+    if rng.random() < 0.5:
+        return (of.c,)
+    most, static = ((of.c * float(rng.uniform(1.0, 5.0)),) for _ in range(2))
+    pitch, stribeck = (
+        (float(np.exp(rng.uniform(np.log(low), np.log(high)))),) for low, high in ((1e-5, 1e-2), (1e-3, 0.1))
+    )
+    return FrictionCurve((of.c,), most, pitch, static, stribeck)
+
+
 class Hostile(Hand):
     """A hand of one kind on a device with one axis."""
 
-    def __init__(self, of: Drawn, kind: str, mass: float, firm: bool, rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        of: Drawn,
+        friction: tuple[float] | FrictionCurve,
+        kind: str,
+        mass: float,
+        firm: bool,
+        rng: np.random.Generator,
+    ) -> None:
         nothing = StateSpace.static(np.zeros((1, 1)))
         hold = ([200.0], [1e6]) if firm else ([float(rng.uniform(0.0, 5.0))], [float(rng.uniform(0.0, 300.0))])
-        self.plant = DryPlant(held_device([mass], [of.b], nothing, *hold), of.T, [of.c])
+        self.plant = DryPlant(held_device([mass], [of.b], nothing, *hold), of.T, friction)
         self._of, self._kind, self._rng, self._firm = of, kind, rng, firm
         self._size, self._way = float(rng.choice([0.2, 0.9, 0.98, 3.0])) * of.speed, 1.0
 
@@ -143,6 +164,7 @@ class Ran:
     margin: float
     changed: int
     furthest: float
+    curved: bool
 
 
 _base = functools.cache(mechanism_bundle)
@@ -152,10 +174,10 @@ def run(of: Drawn, found: Certificate, covered: bool, rng: np.random.Generator) 
     """Run the device in wall time."""
     base, kind, firm = _base(), str(rng.choice(KINDS)), bool(rng.random() < 0.5)
     mass = 1e-5 if firm else float(rng.uniform(0.02, 0.5))
-    hand = Hostile(of, kind, mass, firm, rng)
-    physics = SimulatedHand(
-        (mass,), (of.b,), StateSpace.static(np.zeros((1, 1))), (0.0,), (0.0,), (0.0,), (0.0,), friction=(of.c,)
-    )
+    friction = burned(of, np.random.default_rng(rng.integers(2**32)))
+    hand = Hostile(of, friction, kind, mass, firm, rng)
+    nothing = StateSpace.static(np.zeros((1, 1)))
+    physics = SimulatedHand((mass,), (of.b,), nothing, (0.0,), (0.0,), (0.0,), (0.0,), friction=friction)
     tick = WallTimeTick(
         DeviceBundle(
             dataclasses.replace(base.common, ports=("d",), period=of.T),
@@ -185,7 +207,8 @@ def run(of: Drawn, found: Certificate, covered: bool, rng: np.random.Generator) 
             place, before = to, when
         furthest = max(furthest, abs(place))
     account = tick.wall_interface
-    return Ran(fastest, account.account.least, account.margin, account.ticks, furthest)
+    curved = isinstance(friction, FrictionCurve)
+    return Ran(fastest, account.account.least, account.margin, account.ticks, furthest, curved)
 
 
 def table() -> None:
@@ -236,9 +259,10 @@ def main() -> int:
             least, margin = (
                 1e3 * min(numbers) for numbers in zip(*((one.least, one.margin) for one in each), strict=True)
             )
+            curved = sum(one.curved for one in each)
             print(
-                f"{kind}: {len(each)} sessions; least account {least:.3g} mJ, least margin {margin:.3g} mJ, "
-                f"enforced in {enforced}, furthest {furthest:.3g} mm"
+                f"{kind}: {len(each)} sessions, {curved} with more friction; least account {least:.3g} mJ, "
+                f"least margin {margin:.3g} mJ, enforced in {enforced}, furthest {furthest:.3g} mm"
             )
     return int(failed > 0)
 

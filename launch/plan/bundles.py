@@ -32,7 +32,7 @@ from manyhands.launch.plan.loop import NotCertified
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.reach import IPC, Listen, Reach, ReachError, reach
 from manyhands.launch.plan.topology import Topology
-from manyhands.launch.session import Session
+from manyhands.launch.session import Device, Session
 from manyhands.launch.session.errors import one_of
 from manyhands.launch.session.limits import HAND_STORE
 from manyhands.launch.session.motion import plain_intent
@@ -141,8 +141,9 @@ def _require_runnable(prepared: Prepared) -> None:
             continue
         if device.factory is None and device.kinematics is not None:
             raise NotCertified(
-                f"{at}.friction: found friction behind the kinematics of a simulated linkage, which burns none as it "
-                "moves; expected no friction, or kappa alone as its linkage, for a run; or an uncertified run"
+                f"{at}.friction: found friction behind the kinematics of a simulated linkage, which burns that of its "
+                "joints alone, and no claim of the tip is proved of it; expected no friction, or kappa alone as its "
+                "linkage, for a run; or an uncertified run"
             )
         if device.factory is not None and prepared.session.design.speed is not None:
             _require_measured(prepared.session, name)
@@ -181,7 +182,7 @@ def _friction_of(prepared: Prepared, name: str) -> DryFriction | None:
     loop = certificate.loop  # every rung keeps as much: friction that is kept for steps has no ladder
     kept = dict.fromkeys(loop.ports, 0.0) if loop.kept is None else dict(zip(loop.ports, loop.kept, strict=True))
     own = tuple(kept[port] for port in prepared.session.ports_of(name))
-    return DryFriction(device.friction, own, prepared.session.design.speed)
+    return DryFriction(device.friction.least, own, prepared.session.design.speed)
 
 
 def _in_order(session: Session, bounds: Mapping[str, float]) -> PortBounds:
@@ -524,10 +525,16 @@ def _source(session: Session, name: str) -> Source:
         hand_stiffness=hand.stiffness,
         force=tuple(plain_intent(intent) for intent in hand.force),
         motion=tuple(plain_intent(intent) for intent in hand.motion),
-        linkage=device.kinematics,
-        friction=None if device.kinematics is not None else device.friction,
+        linkage=_simulated_linkage(device),
+        friction=None if device.kinematics is not None or device.friction is None else device.friction.simulated,
     )
     return BrowserHand(physics) if device.driver == "browser" else physics
+
+
+def _simulated_linkage(device: Device) -> dict[str, Any] | None:
+    """What a simulated device has of its linkage: kinematics, and the friction of its joints where it is stated."""
+    kinematics, friction = device.kinematics, device.joint_friction
+    return kinematics if kinematics is None or friction is None else {**kinematics, "friction": list(friction)}
 
 
 def require_member(session: Session, name: str) -> None:

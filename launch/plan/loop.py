@@ -73,7 +73,8 @@ def device_level(session: Session, name: str, ports: tuple[int, ...]) -> DeviceL
     """What a device promises and states of its mechanism, at these places in a loop's ports."""
     device = session.devices[name]
     step = device.step if device.step is not None and any(device.step) else None
-    return DeviceLevel(name, ports, session.osp_level(name), device.held_torque, step, device.friction)
+    friction = None if device.friction is None else device.friction.least
+    return DeviceLevel(name, ports, session.osp_level(name), device.held_torque, step, friction)
 
 
 def stated_delay(session: Session) -> float:

@@ -75,6 +75,7 @@ from manyhands.launch.session.fields import (
 )
 from manyhands.launch.session.foreign import PARAMETERS, Factory
 from manyhands.launch.session.forms import JsonSchema, either, list_of, mapping_of, where, without
+from manyhands.launch.session.friction import SIMULATED_ALONE, Friction
 from manyhands.launch.session.limits import (
     LONGEST_PERIOD,
     MAX_DOF,
@@ -321,45 +322,21 @@ _NOT_MEASURED: Final = ("step", "friction")
 """Keys of an encoder and its mechanism; a recorded motion and a pointer at a browser have neither."""
 
 
-@dataclass(frozen=True, slots=True)
-class LeastFriction(FieldCheck):
-    """The check of a device's dry friction, ``{least: c}``: c for all axes, or a list with one for each."""
-
-    least: PerAxis
-
-    @property
-    def json_schema(self) -> JsonSchema:
-        """The mapping, with a number or a list."""
-        return mapping_of({"least": {**self.least.json_schema, "description": "c in N, greater than 0"}})
-
-    def in_part(self, value: object, info: ValidationInfo) -> Any:
-        """The friction c by axis, N."""
-        if isinstance(value, tuple):  # as a device has it
-            return self.least.in_part(value, info)
-        if not isinstance(value, Mapping) or set(value) != {"least"}:
-            raise refuse(show(value), "{least: c}, with the least dry friction in N: a number, or one for each axis")
-        return self.least.in_part(value["least"], info)
-
-
-_FRICTION: Final = LeastFriction(PerAxis(Quantity("a friction", "N", above=0.0, smallest=MIN_POSITIVE)))
-
-
-def _plain_friction(friction: tuple[float, ...] | None) -> object:
-    """The friction in the notation of a session file."""
-    return None if friction is None else {"least": list(friction)}
-
-
 def _trace(value: object, info: ValidationInfo) -> object:
     return motion_of(value, info.data.get("dof", 1), info.context)
 
 
 _KAPPA: Final = Quantity("kappa", "1/m", above=0.0, smallest=MIN_POSITIVE)
+_JOINT_FRICTION: Final = PerAxis(Quantity("a friction", "N·m", above=0.0, smallest=MIN_POSITIVE))
 _NUMBERS: Final = list_of({"type": "number"}, 3)
 _POSES: Final = {"low": _NUMBERS, "high": _NUMBERS}
 _LINKAGE_FORM: Final = either(
     mapping_of({"kappa": _KAPPA.json_schema}),
     *(
-        mapping_of({"kind": {"enum": [kind]}, **parts, **_POSES}, {"kappa": _KAPPA.json_schema})
+        mapping_of(
+            {"kind": {"enum": [kind]}, **parts, **_POSES},
+            {"kappa": _KAPPA.json_schema, "friction": _JOINT_FRICTION.json_schema},
+        )
         for kind, parts in (
             ("chain", {"turns": list_of({"enum": ["x", "y", "z"]}, 3), "links": list_of(_NUMBERS, 3)}),
             *((kind, {length: {"type": "number"} for length in lengths}) for kind, lengths in LENGTHS.items()),
@@ -370,7 +347,7 @@ _SEARCHED: Final = 1.05
 """What a kappa is stated above the one that a search finds, so that a proof decides it."""
 
 
-def _linkage(value: object) -> dict[str, Any]:
+def _linkage(value: object, info: ValidationInfo) -> dict[str, Any]:
     """The linkage of a device that holds torques: its kinematics, or kappa alone, 1/m."""
     if not isinstance(value, Mapping):
         raise refuse(show(value), "{kappa: 18.8}, in 1/m, or kinematics such as {kind: chain, …}")
@@ -385,12 +362,19 @@ def _linkage(value: object) -> dict[str, Any]:
             linkage_of(kinematics)
         except LinkageError as error:
             raise refuse(str(error), "kinematics of a chain, five-bar or delta") from None
+    if "friction" in out:
+        out["friction"] = list(_JOINT_FRICTION.in_part(out["friction"], info))
     return out
 
 
+_BESIDE_KINEMATICS: Final = ("kappa", "friction")
+"""Keys of a linkage that no proof of its bending needs."""
+
+
 def _kinematics(linkage: Mapping[str, Any]) -> dict[str, Any] | None:
-    """The kinematics of a linkage, without its kappa; None where it has none."""
-    return {key: value for key, value in linkage.items() if key != "kappa"} if "kind" in linkage else None
+    """The kinematics of a linkage, without its kappa and the friction of its joints; None where it has none."""
+    own = {key: value for key, value in linkage.items() if key not in _BESIDE_KINEMATICS}
+    return own if "kind" in own else None
 
 
 @functools.lru_cache(maxsize=64)
@@ -468,7 +452,7 @@ class Device(SessionModel):
     step: Annotated[tuple[float, ...] | None, _STEP] = Field(
         default=None, description="the step of its encoder in m: a number, or one for each axis"
     )
-    friction: Annotated[tuple[float, ...] | None, _FRICTION, PlainSerializer(_plain_friction)] = Field(
+    friction: Friction | None = Field(
         default=None, description="{least: c}, the dry friction in N that it has at least, in every pose and direction"
     )
     time: Literal["wall", "own"] = Field(
@@ -488,7 +472,7 @@ class Device(SessionModel):
     held: Literal["force", "torque"] = Field(
         default="force", description="what its motors hold from tick to tick: the force at the tip, or joint torques"
     )
-    linkage: Annotated[dict[str, Any] | None, Described(_linkage, _LINKAGE_FORM)] = Field(
+    linkage: Annotated[dict[str, Any] | None, Completed(_linkage, _LINKAGE_FORM)] = Field(
         default=None, description="with held: torque, the linkage from its motors to its tip"
     )
     hand: Hand | None = defaulted(None, "the simulated hand that holds it")
@@ -532,6 +516,12 @@ class Device(SessionModel):
     def kinematics(self) -> dict[str, Any] | None:
         """Those of its linkage as plain data; None where none are stated."""
         return None if self.linkage is None else _kinematics(self.linkage)
+
+    @property
+    def joint_friction(self) -> tuple[float, ...] | None:
+        """What the joints of its linkage have in a simulation, N·m; None where nothing is stated."""
+        stated = (self.linkage or {}).get("friction")
+        return None if stated is None else tuple(stated)
 
     @property
     def word(self) -> DriverWord | None:
@@ -585,10 +575,10 @@ class Device(SessionModel):
             )
         return damping
 
-    @field_validator("limits", "hand", mode="wrap")
+    @field_validator("limits", "hand", "friction", mode="wrap")
     @classmethod
     def _on_every_axis(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> object:
-        """Pass the number of axes to limits and hand; without a valid ``dof`` they cannot be checked."""
+        """Pass the number of axes to a part with values by axis; without a valid ``dof`` it cannot be checked."""
         if "dof" not in info.data:
             return value
         if info.field_name == "hand":
@@ -597,6 +587,8 @@ class Device(SessionModel):
                 return None
             if driver == _BROWSER and (value is None or isinstance(value, Mapping)):
                 value = {**BROWSER_HAND, **(value or {})}
+        if info.field_name == "friction" and not isinstance(value, Mapping | Friction):
+            raise refuse(show(value), "{least: c}, with the least dry friction in N: a number, or one for each axis")
         written = DEFAULT_HAND if value is None else value
         return handler({**written, DEVICE_AXES: info.data["dof"]} if isinstance(written, Mapping) else written)
 
@@ -616,6 +608,7 @@ class Device(SessionModel):
             yield Problem(("held",), f"held: torque {here}", "held: force, for a recorded motion has no motors")
         if self.kinematics is not None:
             yield from self._linkage_problems(self.kinematics)
+        yield from self._friction_problems(here)
         if self.factory is not None:
             yield from self._plugin_problems(here)
             return
@@ -647,6 +640,16 @@ class Device(SessionModel):
                 expected = "a stiffness in N/m greater than 0: it ties the device to the pointer"
                 yield Problem(("hand", "stiffness"), f"0 {here}", expected)
 
+    def _friction_problems(self, here: str) -> Iterator[Problem]:
+        """A problem for each key of the friction that says what is burned where nothing burns it so."""
+        for key in SIMULATED_ALONE if self.friction is not None else ():
+            if getattr(self.friction, key) is None:
+                continue
+            if self.factory is not None:
+                yield Problem(("friction", key), f"{key} {here}", "least alone: the driver's device has its own")
+            elif self.kinematics is not None:
+                yield Problem(("friction", key), f"{key} behind the kinematics of a linkage", "least alone")
+
     def _linkage_problems(self, kinematics: Mapping[str, Any]) -> Iterator[Problem]:
         """The problems of kinematics beside the rest of the device."""
         axes = linkage_of(kinematics).axes
@@ -655,6 +658,9 @@ class Device(SessionModel):
         if (self.scale or 1.0) != 1.0:
             expected = "kappa alone, in the session's metres, or no scale"
             yield Problem(("linkage",), f"kinematics with a scale of {self.scale:g}", expected)
+        if self.joint_friction is not None and self.driver != _SIMULATED:
+            expected = "driver: simulated, or no friction: of any other device no claim rests on that of its joints"
+            yield Problem(("linkage", "friction"), f"friction of joints with 'driver: {self.driver}'", expected)
         if self.driver == _BROWSER:
             yield Problem(("linkage",), "kinematics with 'driver: browser'", "kappa alone, or driver: simulated")
         try:

@@ -21,6 +21,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
+from manyhands.nodes.device.dry_joints import DryMechanism
 from manyhands.nodes.device.friction import DryPlant
 from manyhands.nodes.device.mechanism import Mechanism
 from manyhands.nodes.device.plugin import plugin_driver
@@ -235,6 +236,9 @@ def driver_of(bundle: DeviceBundle) -> Driver:
 def _plant(hand: SimulatedHand, T: float) -> Plant | None:
     """The plant of a device that has a linkage or dry friction; None for any other."""
     if hand.linkage is not None:
+        friction = hand.linkage.get("friction")
+        if friction is not None:
+            return DryMechanism(device_of(hand), T, hand.linkage, tuple(map(float, friction)))
         return Mechanism(device_of(hand), T, hand.linkage)
     return None if hand.friction is None else DryPlant(device_of(hand), T, hand.friction)
 

@@ -6,7 +6,11 @@ held. phi is that of Coulomb's law between the ends of the step,
 
     phi_i = -c_i sign(dx_i),    or    |phi_i| <= c_i    where dx_i = 0.
 
-Its work is phi^T dx = -sum c_i |dx_i|, exactly: friction never gives energy, and none comes from the integration. For a
+Its work is phi^T dx = -sum c_i |dx_i|, exactly: friction never gives energy, and none comes from the integration. A
+level c_i that changes with place and speed (:class:`FrictionCurve`) is that of the state in which the step begins. So
+it is one number over a step, and no less than the least one. What is burned is at least the least c_i |dx_i| by that
+alone, in every step and so over every way, however coarse the step is beside the curve. At rest the level is greatest.
+An axis that has come to a stand so stands, until a force beyond its static friction moves it: nothing chatters. For a
 symmetric positive G this phi is the one solution of a linear complementarity problem, which projected sweeps over the
 axes find. Forces of one axis reach another through the hand alone, so that a few sweeps are enough.
 
@@ -27,6 +31,7 @@ from typing import Final
 from manyhands.design.models.device import HeldDevice
 from manyhands.nodes.device.simulated import Intention, Plant
 from manyhands.nodes.kernel.arithmetic import Floats, Rows, minus, plus
+from manyhands.nodes.kernel.friction_curve import FrictionCurve
 from manyhands.protocol.clock import Duration, from_seconds, seconds
 
 STEP: Final = from_seconds(500e-6)
@@ -40,22 +45,23 @@ _KNOWN: Final = 16  # lengths of steps whose responses are kept
 class DryPlant(Plant):
     """A :class:`Plant` with dry friction; the impulse of friction so far, N*s by axis, follows its state."""
 
-    def __init__(self, device: HeldDevice, T: float, friction: Sequence[float]) -> None:
+    def __init__(self, device: HeldDevice, T: float, friction: Sequence[float] | FrictionCurve) -> None:
         """Sample ``device`` with the period ``T``, s.
 
         Args:
             device: the device with its hand.
             T: period, s.
-            friction: c by axis, N.
+            friction: c by axis, N, or how it changes.
 
         Raises:
             ValueError: there is not one c for each axis.
         """
         super().__init__(device, T, parts=True)
         self.divides = True
-        if len(friction) != self.axes:
-            raise ValueError(f"friction: found {len(friction)} numbers; expected {self.axes}, one an axis")
-        self._friction: Floats = list(friction)
+        self._curve = friction if isinstance(friction, FrictionCurve) else None
+        self._friction: Floats = list(friction.least if isinstance(friction, FrictionCurve) else friction)
+        if len(self._friction) != self.axes:
+            raise ValueError(f"friction: found {len(self._friction)} numbers; expected {self.axes}, one an axis")
         self._responses: dict[int, Rows] = {}  # by length of step: what a force of 1 N on each axis does to the state
 
     def holding(self, x: Floats, v: Floats) -> Floats:
@@ -87,7 +93,7 @@ class DryPlant(Plant):
     def _stepped(self, before: Floats, inputs: Floats, h: int) -> Floats:
         """The state after a step of h ns."""
         assert self._parts is not None  # noqa: S101
-        n, m, c = self.order, self.axes, self._friction
+        n, m, c = self.order, self.axes, self._levels(before)
         x = before[:m]
         after = self._parts.step(before[:n], inputs, h)
         responses = self._response(h)
@@ -102,6 +108,11 @@ class DryPlant(Plant):
                 impulse[axis] -= self._mass[axis] * after[m + axis]
                 after[axis], after[m + axis] = x[axis], 0.0
         return after + impulse
+
+    def _levels(self, state: Floats) -> Floats:
+        """The level c of each axis over a step that begins in ``state``, N."""
+        curve, m = self._curve, self.axes
+        return self._friction if curve is None else [curve.level(i, state[i], state[m + i]) for i in range(m)]
 
     def _response(self, h: int) -> Rows:
         """By axis, the change of the state in h ns by a force of 1 N."""

@@ -28,7 +28,7 @@ from typing import Any, Final
 
 from manyhands.design.models.device import HeldDevice
 from manyhands.nodes.device.simulated import Intention, Plant
-from manyhands.nodes.kernel.arithmetic import Floats, dot, minus, plus, solve
+from manyhands.nodes.kernel.arithmetic import Floats, Rows, dot, minus, plus, solve
 from manyhands.protocol.clock import Duration, from_seconds, seconds
 
 STEP: Final = from_seconds(500e-6)
@@ -36,9 +36,14 @@ STEP: Final = from_seconds(500e-6)
 
 _SINGULAR: Final = 1e-9  # of a pivot of J, m/rad
 _NEAR: Final = 1e-8  # rad; a step of Newton's that is shorter leaves an error of its square
-_MOST_STEPS: Final = 20
-_ROUNDING: Final = 2e-15  # rad; of angles and their differences
-_UNMOVED: Final = 1e-7  # m; on a shorter way F' does the work of the motors to rounding
+MOST_STEPS: Final = 20
+"""The most rounds of an iteration."""
+
+ROUNDING: Final = 2e-15
+"""Of angles and their differences, rad."""
+
+UNMOVED: Final = 1e-7
+"""On a shorter way F' does the work of the motors to rounding, m."""
 
 
 class TipAstray(ValueError):
@@ -70,6 +75,10 @@ class Joints(ABC):
     def push(self, t: Floats, x: Floats, q: Floats) -> Floats:
         """J^-T t, N."""
 
+    @abstractmethod
+    def by_tip(self, x: Floats, q: Floats) -> Rows:
+        """The rows of dq/dx, one a joint, 1/m."""
+
 
 class ChainJoints(Joints):
     """Those of a chain of links in space: from one place to the next by Newton's method."""
@@ -89,7 +98,7 @@ class ChainJoints(Joints):
     def at(self, x: Floats, near: Floats) -> Floats:
         """The angles at x."""
         q = near
-        for _ in range(_MOST_STEPS):
+        for _ in range(MOST_STEPS):
             tip, columns = self._placed(q)
             step = solve([[column[i] for column in columns] for i in range(self._m)], minus(x, tip), _SINGULAR)
             if step is None or not all(map(math.isfinite, step)):
@@ -97,7 +106,7 @@ class ChainJoints(Joints):
             q = plus(q, step)
             if max(map(abs, step)) < _NEAR:
                 return q
-        raise _astray(x)
+        raise astray(x)
 
     def torque(self, f: Floats, x: Floats, q: Floats) -> Floats:
         """J^T f."""
@@ -107,8 +116,18 @@ class ChainJoints(Joints):
         """J^-T t."""
         f = solve(self._placed(q)[1], t, _SINGULAR)
         if f is None:
-            raise _astray(x)
+            raise astray(x)
         return f
+
+    def by_tip(self, x: Floats, q: Floats) -> Rows:
+        """The rows of dq/dx, of the columns of J."""
+        columns, rows = self._placed(q)[1], []
+        for joint in range(self._m):
+            row = solve(columns, [1.0 if joint == other else 0.0 for other in range(self._m)], _SINGULAR)
+            if row is None:
+                raise astray(x)
+            rows.append(row)
+        return rows
 
     def _placed(self, q: Floats) -> tuple[Floats, list[Floats]]:
         """The tip's displacement, and the columns of J."""
@@ -149,7 +168,7 @@ class PlanarJoints(Joints):
         X, Y = x[0] + self._origin[0], x[1] + self._origin[1]
         cos = (X * X + Y * Y - a * a - b * b) / (2.0 * a * b)
         if not -1.0 < cos < 1.0:
-            raise _astray(x)
+            raise astray(x)
         bend = self._offsets[1] - self._offsets[0]
         sin = math.copysign(math.sqrt(1.0 - cos * cos), math.sin(near[1] + bend))
         first = math.atan2(Y, X) - math.atan2(b * sin, a + b * cos) - self._offsets[0]
@@ -168,9 +187,17 @@ class PlanarJoints(Joints):
         first, second = self._ways(q)
         area = first[0] * second[1] - first[1] * second[0]
         if abs(area) < _SINGULAR:
-            raise _astray(x)
+            raise astray(x)
         inner, outer = (t[0] - t[1]) / area, t[1] / area
         return [inner * second[0] - outer * first[0], inner * second[1] - outer * first[1]]
+
+    def by_tip(self, x: Floats, q: Floats) -> Rows:
+        """The rows of dq/dx, in closed form."""
+        first, second = self._ways(q)
+        area = first[0] * second[1] - first[1] * second[0]
+        if abs(area) < _SINGULAR:
+            raise astray(x)
+        return [[way / area for way in second], [-(a + b) / area for a, b in zip(first, second, strict=True)]]
 
     def _ways(self, q: Floats) -> tuple[Floats, Floats]:
         """Both links as they lie, m."""
@@ -204,33 +231,33 @@ class ArmJoints(Joints):
             k = (dot(r, r) + self._upper**2 - self._rod**2) / (2.0 * self._upper)
             left = a * a + b * b - k * k
             if not left > 0.0:
-                raise _astray(x)
+                raise astray(x)
             root = math.copysign(math.sqrt(left), b if b != 0.0 else 1.0)
             q.append(math.atan2(b * k - a * root, a * k + b * root))
         return q
 
     def torque(self, f: Floats, x: Floats, q: Floats) -> Floats:
         """J^T f: of the transpose of dq/dx, backwards."""
-        rows = self._by_tip(x, q)
+        rows = self.by_tip(x, q)
         t = solve([[row[i] for row in rows] for i in range(len(f))], f, _SINGULAR)
         if t is None:
-            raise _astray(x)
+            raise astray(x)
         return t
 
     def push(self, t: Floats, x: Floats, q: Floats) -> Floats:
         """J^-T t."""
-        rows = self._by_tip(x, q)
+        rows = self.by_tip(x, q)
         return [sum(row[i] * torque for row, torque in zip(rows, t, strict=True)) for i in range(len(t))]
 
-    def _by_tip(self, x: Floats, q: Floats) -> list[Floats]:
-        """The rows of dq/dx, 1/m."""
+    def by_tip(self, x: Floats, q: Floats) -> Rows:
+        """The rows of dq/dx, by each arm's equation."""
         tip, rows = plus(x, self._tip), []
         for (shoulder, out, across), angle in zip(self._arms, q, strict=True):
             r = minus(tip, shoulder)
             cos, sin = math.cos(angle), math.sin(angle)
             by_angle = dot(r, across) * cos - dot(r, out) * sin
             if abs(by_angle) < _SINGULAR:
-                raise _astray(x)
+                raise astray(x)
             to = [r[i] / self._upper - cos * out[i] - sin * across[i] for i in range(len(r))]
             rows.append([entry / by_angle for entry in to])
         return rows
@@ -356,14 +383,14 @@ class Mechanism(Plant):
         n, m, joints = self.order, self.axes, self._joints
         linear, x, first = before[:n], before[:m], before[n : n + m]
         begin = joints.push(t, x, first)
-        R, q, exact = begin, first, _ROUNDING * max(map(abs, t))
-        for _ in range(_MOST_STEPS):
+        R, q, exact = begin, first, ROUNDING * max(map(abs, t))
+        for _ in range(MOST_STEPS):
             to = self._linear(linear, R, intention, h, m)
             q = joints.at(to, q)
             dx = minus(to, x)
             mean = [0.5 * (a + b) for a, b in zip(begin, joints.push(t, to, q), strict=True)]
             square, last = dot(dx, dx), R
-            if square > _UNMOVED**2:
+            if square > UNMOVED**2:
                 lacks = (dot(t, minus(q, first)) - dot(mean, dx)) / square
                 mean = [force + lacks * way for force, way in zip(mean, dx, strict=True)]
             R = mean
@@ -380,5 +407,6 @@ def _cross(a: Floats, b: Floats) -> Floats:
     return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 
 
-def _astray(x: Floats) -> TipAstray:
+def astray(x: Floats) -> TipAstray:
+    """The error of a tip at x, m."""
     return TipAstray(f"found the tip of a simulated linkage at {x} m; expected it where its joints can bring it")

@@ -36,6 +36,7 @@ from manyhands.nodes.kernel.allowance import LatenessAllowance
 from manyhands.nodes.kernel.driver_statement import NO_DELAY, DeviceTiming
 from manyhands.nodes.kernel.energy_budget import EnergyBudget
 from manyhands.nodes.kernel.factory import FactoryName
+from manyhands.nodes.kernel.friction_curve import FRICTION_FORM, FrictionCurve
 from manyhands.nodes.kernel.inertia import Inertia
 from manyhands.nodes.kernel.site_bounds import SiteBounds
 from manyhands.protocol.clock import from_seconds
@@ -243,8 +244,9 @@ class SimulatedHand:
         force: intended force (N): a number, a formula in t, or {"times", "values"}.
         motion: intended motion (m), in the same forms.
         linkage: the kinematics of the joints whose motors hold torques, as plain data
-            (:func:`manyhands.nodes.device.mechanism.joints_of`); None where the force itself is held.
-        friction: its dry friction, N; None for none.
+            (:func:`manyhands.nodes.device.mechanism.joints_of`), with the ``friction`` of its joints, N*m, where they
+            have any; None where the force itself is held.
+        friction: its dry friction, N, or how that changes with place and speed; None for none.
 
     Raises:
         ValueError: the entries are not of one number of axes, a friction is not positive and finite, or it has a
@@ -259,14 +261,15 @@ class SimulatedHand:
     force: tuple[Any, ...]
     motion: tuple[Any, ...]
     linkage: Added[Mapping[str, Any] | None] = None
-    friction: Added[tuple[float, ...] | None] = None
+    friction: Annotated[Added[tuple[float, ...] | FrictionCurve | None], FRICTION_FORM] = None
 
     def __post_init__(self) -> None:
         vectors = [self.mass, self.damping, self.hand_damping, self.hand_stiffness, self.force, self.motion]
         if self.friction is not None:
-            vectors.append(self.friction)
-            if not all(0.0 < c < math.inf for c in self.friction):
-                raise ValueError(f"found the friction {self.friction} N; expected finite numbers greater than 0")
+            least = self.friction.least if isinstance(self.friction, FrictionCurve) else self.friction
+            vectors.append(least)
+            if not all(0.0 < c < math.inf for c in least):
+                raise ValueError(f"found the friction {least} N; expected finite numbers greater than 0")
             if self.linkage is not None:
                 raise ValueError("found dry friction behind a linkage; expected one of both")
         _require_one_number({len(vector) for vector in vectors} | {self.operator.inputs})

@@ -26,6 +26,23 @@ CHAIN = {
     "kind": "chain", "turns": ["z", "z"], "links": [[0.12, 0, 0], [0.14, 0, 0]],
     "low": [HOME[0] - 0.3, HOME[1] - 0.3], "high": [HOME[0] + 0.3, HOME[1] + 0.3],
 }  # fmt: skip
+IN_SPACE = {
+    "kind": "chain", "turns": ["z", "y", "y"], "links": [[0, 0, 0.1], [0.13, 0, 0], [0.13, 0, 0]],
+    "low": [-0.5, -0.8, 0.7], "high": [0.5, -0.2, 1.6],
+}  # fmt: skip
+FIVE_BAR = {
+    "kind": "five-bar", "apart": 0.05, "upper": 0.1, "rod": 0.13, "low": [-0.03, 0.12], "high": [0.03, 0.17]
+}  # fmt: skip
+DELTA = {
+    "kind": "delta", "base": 0.07, "platform": 0.03, "upper": 0.07, "rod": 0.14,
+    "low": [-0.03, -0.03, 0.12], "high": [0.03, 0.03, 0.16],
+}  # fmt: skip
+ALL_LINKAGES: dict[str, Mapping[str, Any]] = {
+    "chain": CHAIN,
+    "in space": IN_SPACE,
+    "five-bar": FIVE_BAR,
+    "delta": DELTA,
+}
 
 
 def worst() -> tuple[list[float], list[float]]:

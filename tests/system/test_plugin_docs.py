@@ -8,7 +8,9 @@ import re
 import shlex
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -64,6 +66,39 @@ def test_it_runs_in_real_time_and_its_device_is_let_go(page: str, tmp_path: Path
     assert {node["ticks"] for node in nodes.values()} == {500}
     if page == "drivers":  # the driver's 0.3 ms are in every delay of its device
         assert nodes["stick"]["tau_us"]["p50"] > max(300.0, nodes["other"]["tau_us"]["p50"])
+
+
+def test_the_arm_of_the_page_tells_the_exact_work_of_its_torques(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Held for 60 ms they do what the mass has and the damping burns, and 6 % more than the force along the way."""
+    written("drivers", tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    board: Any = import_module("my_arm").ArmBoard("simulated")
+    f, burned = (2.5, 1.5), 0.0
+    board.positions(0)
+    board.exert(list(f), 0, None)
+    for step in range(1, 1201):
+        board.positions(step * 50_000)
+        burned += 1.5 * sum(v * v for v in board.v) * 50e-6
+    kinetic, ports = 0.1 * sum(v * v for v in board.v), sum(a * b for a, b in zip(f, board.x, strict=True))
+    assert board.done == pytest.approx(kinetic + burned, rel=1e-3)
+    assert board.done / ports == pytest.approx(1.06, abs=0.01)
+    for name in ("my_arm", "my_joystick", "board"):
+        sys.modules.pop(name, None)
+
+
+def test_the_arm_of_the_page_runs_in_real_time_under_a_certificate_of_its_torques(tmp_path: Path) -> None:
+    text = written("drivers", tmp_path)
+    (line,) = re.findall(r"^\$ manyhands simulate (joystick.yaml .*my_arm:Arm.*)$", text, flags=re.MULTILINE)
+    report = tmp_path / "report.json"
+    arm = [*shlex.split(line), "--duration", "0.5", "--set", "design.tau=0.0005", "--report", str(report)]
+    done = manyhands("launch", *arm, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    said = manyhands("design", *(part for part in arm[:-2] if part not in ("--duration", "1", "0.5")), cwd=tmp_path)
+    assert re.search(r"held torques .*stick: .* proved of its kinematics", said.stdout)
+    nodes = json.loads(report.read_text())["nodes"]
+    assert nodes["stick"]["ticks"] == 500
 
 
 UNPLUGGED = """

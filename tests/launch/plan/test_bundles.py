@@ -15,9 +15,10 @@ from manyhands.design.models.statespace import StateSpace
 from manyhands.launch.plan import bundles
 from manyhands.launch.plan.bundles import RunPlan, cut, limits_at, tool_bounds
 from manyhands.launch.plan.loop import NotCertified
-from manyhands.launch.plan.prepare import prepare
+from manyhands.launch.plan.prepare import certificate_files, prepare
 from manyhands.launch.session import Session, load_session
 from manyhands.nodes.coupling.core import CouplingCore
+from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.kernel.arithmetic import feedthrough_digest
 from manyhands.nodes.kernel.bundle import (
     CouplingBundle,
@@ -31,6 +32,7 @@ from manyhands.nodes.kernel.bundle import (
     save,
 )
 from manyhands.nodes.link.peer_link import bounds_by_peer
+from manyhands.protocol.clock import Instant
 from manyhands.protocol.codec import encode
 from manyhands.protocol.gate import Gate
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_COUNT, MAX_NAME
@@ -131,6 +133,30 @@ def test_the_account_of_a_driver_counts_friction_below_a_speed_by_the_step_of_it
                 dataclasses.replace(bundle, source=dataclasses.replace(bundle.source, step=None))
             with pytest.raises(ValueError, match=r"the steps \(1e-05, 1e-05\) m; expected 1 finite"):
                 dataclasses.replace(bundle.source, step=(1e-5, 1e-5))
+
+
+def test_the_joints_of_a_simulated_linkage_burn_their_friction_and_the_certificate_is_the_one_without(
+    tmp_path: Path,
+) -> None:
+    slow = ("devices.d.limits={force: 1, speed: 0.1, displacement: 0.01}", "devices.d.held=torque")
+    linkages = (IN_SPACE, IN_SPACE.replace("low:", "friction: [0.01, 0.02, 0.03], low:"))
+    smooth, rough = (prepare(session("example1-operator.yaml", (*slow, f"devices.d.linkage={of}"))) for of in linkages)
+    assert certificate_files(rough) == certificate_files(smooth)
+    bundle = cut(rough, RunPlan("realtime", tmp_path, ""))["d"]
+    assert isinstance(bundle, DeviceBundle)
+    assert isinstance(bundle.source, SimulatedHand)
+    assert bundle.source.linkage is not None
+    assert bundle.source.linkage["friction"] == [0.01, 0.02, 0.03]
+    save(bundle, tmp_path / "d")
+    moved = []
+    for one in (load(tmp_path / "d", DeviceBundle), cut(smooth, RunPlan("realtime", tmp_path, ""))["d"]):
+        assert isinstance(one, DeviceBundle)
+        driver = driver_of(one)
+        driver.sample(0, Instant(0))
+        driver.apply([0.02] * 3, Instant(1000))
+        moved.append(driver.sample(1, Instant(10**7)))
+    assert moved[0] == [0.0] * 3  # 20 mN in each direction move no joint against its friction
+    assert min(moved[1]) > 1e-7
 
 
 def test_each_bundle_holds_its_own_ports_limits_and_the_environments_none(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """What a session may request from the design: orders, poles, objectives, weights, tau."""
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -8,8 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from manyhands.launch.plan.loop import haptic_loop
 from manyhands.launch.session import Rational, Session, SessionError, load_session
 from manyhands.launch.session.matrices import is_hurwitz
+from manyhands.nodes.kernel.friction_curve import FrictionCurve
 
 from ...support.cases import cases
 
@@ -217,9 +220,40 @@ def test_a_speed_needs_friction_and_no_wave_link(overrides: list[str], words: st
 def test_friction_is_stated_by_axis_and_is_written_as_it_is_read() -> None:
     session = example("example1", "devices.dx.friction={least: 0.5}", "devices.dx.step=1e-5", "design.speed=0.1")
     device = session.devices["dx"]
-    assert (device.friction, device.step, session.design.speed) == ((0.5,), (1e-5,), 0.1)
+    assert device.friction is not None
+    assert (device.friction.least, device.step, session.design.speed) == ((0.5,), (1e-5,), 0.1)
     assert session.as_plain()["devices"]["dx"]["friction"] == {"least": [0.5]}
-    assert Session.model_validate(session.as_plain()).devices["dx"].friction == (0.5,)
+    assert Session.model_validate(session.as_plain()).devices["dx"].friction == device.friction
+
+
+def test_what_a_simulated_device_burns_beyond_its_least_is_no_claim() -> None:
+    """The certificate is the one of the least alone, and the bundle has the curve."""
+    curve = "{least: 0.5, most: 0.7, pitch: 0.004, static: 0.9, stribeck: 0.01}"
+    plain, curved = (
+        example("example1", f"devices.dx.friction={stated}", "design.speed=0.1") for stated in ("{least: 0.5}", curve)
+    )
+    for one in (plain, curved):
+        assert haptic_loop(one).devices[0].friction == (0.5,)
+    friction = curved.devices["dx"].friction
+    assert friction is not None
+    assert friction.simulated == FrictionCurve((0.5,), (0.7,), (0.004,), (0.9,), (0.01,))
+    assert Session.model_validate(curved.as_plain()).devices["dx"].friction == friction
+
+
+@pytest.mark.parametrize(
+    ("friction", "words"),
+    [
+        ("{least: 0.5, static: 0.9}", "static: found static alone; expected stribeck as well, or no static"),
+        ("{least: 0.5, pitch: 0.004}", "pitch: found pitch alone; expected most as well, or no pitch"),
+        ("{least: 0.5, most: 0.4, pitch: 0.004}", "most: found 0.4 N; expected at least the least friction, 0.5 N"),
+        ("{least: 0.5, static: 0.4, stribeck: 1}", "static: found 0.4 N; expected at least the least friction"),
+        ("{least: 0.5, static: 0.9, stribeck: 0}", "stribeck: found 0; expected a speed in m/s"),
+        ("{least: 0.5, slip: 0.9}", "friction.slip: found the unknown key 'slip'; expected one of least, most"),
+    ],
+)
+def test_a_friction_that_does_not_fit_together_is_refused(friction: str, words: str) -> None:
+    with pytest.raises(SessionError, match=re.escape(words)):
+        example("example1", f"devices.dx.friction={friction}")
 
 
 @pytest.mark.parametrize("key", ["step=1e-5", "friction={least: 1}"])

@@ -40,6 +40,9 @@ def loaded(folder: Path, content: Mapping[str, Any]) -> Session:
     return load_session(path)
 
 
+CURVED = {"least": 0.1, "most": 0.2, "pitch": 0.01}
+
+
 @pytest.mark.parametrize(
     ("device", "key", "found", "expected"),
     [
@@ -48,9 +51,10 @@ def loaded(folder: Path, content: Mapping[str, Any]) -> Session:
         ({"driver": 3}, "devices.d.driver", "3", "package.module:factory"),
         ({"step": -1e-5}, "devices.d.step", "-1e-05", "a step in m of at least 0"),
         ({"friction": 0.1}, "devices.d.friction", "0.1", "{least: c}, with the least dry friction in N"),
-        ({"friction": {"most": 0.1}}, "devices.d.friction", "", "{least: c}, with the least dry friction in N"),
-        ({"friction": {"least": 0}}, "devices.d.friction", "0", "a friction in N greater than 0"),
-        ({"friction": {"least": [1, 2]}}, "devices.d.friction", "a list of 2", "one value, or a list of 1"),
+        ({"friction": {"most": 0.1}}, "devices.d.friction", "no key 'least'", "least, the least dry friction in N"),
+        ({"friction": {"least": 0}}, "devices.d.friction.least", "0", "a friction in N greater than 0"),
+        ({"friction": {"least": [1, 2]}}, "devices.d.friction.least", "a list of 2", "one value, or a list of 1"),
+        ({"friction": CURVED}, "devices.d.friction.most", "most with", "least alone: the driver's device has its own"),
         ({"damping": 2.0}, "devices.d.damping", "damping with 'driver: some.package:factory'", "no damping"),
         ({"damping": 2.0}, "devices.d.damping", "damping with", "no damping"),
         ({"hand": {}}, "devices.d.hand", "hand with", "no hand"),

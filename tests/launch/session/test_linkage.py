@@ -56,9 +56,40 @@ def test_kinematics_give_a_kappa_that_a_proof_decides() -> None:
     assert stated.held.kappa == 20.0
 
 
+def test_friction_of_joints_is_no_part_of_a_claim() -> None:
+    rough = session(held="torque", linkage=CHAIN | {"friction": 0.02})
+    [device] = haptic_loop(rough).devices
+    assert device.held is not None
+    assert device.held.linkage == CHAIN
+    assert device.friction is None
+    assert rough.devices["arm"].joint_friction == (0.02, 0.02)
+    assert Session.from_dict(rough.as_plain()) == rough
+    assert session(held="torque", linkage=CHAIN | {"friction": [0.02, 0.03]}).devices["arm"].joint_friction == (
+        0.02,
+        0.03,
+    )
+
+
 @pytest.mark.parametrize(
     ("device", "words"),
     [
+        (
+            {"held": "torque", "linkage": CHAIN | {"friction": 0}},
+            "linkage: found 0; expected a friction in N·m greater",
+        ),
+        (
+            {"held": "torque", "linkage": CHAIN | {"friction": [1]}},
+            "found a list of 1; expected one value, or a list of 2",
+        ),
+        ({"held": "torque", "linkage": {"kappa": 18.8, "friction": 1}}, "or a kind of kinematics as well"),
+        (
+            {"held": "torque", "linkage": CHAIN | {"friction": 1}, "driver": "a.lab:device", "mass": None},
+            "linkage.friction: found friction of joints with 'driver: a.lab:device'; expected driver: simulated",
+        ),
+        (
+            {"held": "torque", "linkage": CHAIN, "friction": {"least": 1, "static": 2, "stribeck": 1}},
+            "friction.static: found static behind the kinematics of a linkage; expected least alone",
+        ),
         ({"held": "torque"}, "found held: torque alone; expected its linkage as well"),
         ({"linkage": {"kappa": 18.8}}, "found a linkage alone; expected held: torque as well"),
         ({"held": "both", "linkage": {"kappa": 18.8}}, "'both'"),

@@ -36,6 +36,7 @@ from manyhands.launch.session import (
     load_session,
 )
 from manyhands.launch.session.fields import SessionModel, keys_of
+from manyhands.launch.session.friction import Friction
 from manyhands.launch.session.kind import EnvironmentKind
 from manyhands.launch.session.scene import (
     SceneBody,
@@ -57,6 +58,7 @@ MODELS: dict[str, tuple[type[SessionModel], ...]] = {
     "Device": (Device,),
     "Trace": (Motion,),
     "Limits": (PortLimits,),
+    "Friction": (Friction,),
     "Hand": (Hand, Rational, TraceData),
     "Coupling": (CouplingBlock,),
     "Wave link": (WaveLink,),
@@ -122,6 +124,7 @@ OVERRIDES = {
     "Device": "devices.{key}={value}",
     "Trace": "devices.dx={{dof: 1, osp: 1.37, driver: trace, {key}: {value}}}",
     "Limits": "devices.dx.{key}={value}",
+    "Friction": "devices.dx.{key}={value}",
     "Hand": "devices.dx.hand.{key}={value}",
     "Coupling": "couplings.{key}={value}",
     "Wave link": "couplings.cx.wave_link={{{key}: {value}}}",

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import json
+import math
 
 import numpy as np
 import pytest
@@ -20,8 +22,10 @@ from manyhands.nodes.device.tick import DeviceTick, OwnTimeTick, WallTimeTick
 from manyhands.nodes.kernel.allowance import LatenessAllowance
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import OWN, WALL, BrowserHand, DeviceBundle, DeviceRung, Limits, SimulatedHand
+from manyhands.nodes.kernel.friction_curve import FrictionCurve
 from manyhands.nodes.kernel.intent import Intent
 from manyhands.protocol.clock import Instant
+from manyhands.protocol.plain import Unfit, read, written
 from tests.support.mechanisms import mechanism_bundle
 
 T = 1e-3
@@ -40,6 +44,32 @@ def held(m: int) -> HeldDevice:
     return held_device([0.2] * m, [0.1] * m, StateSpace(-20.0 * np.eye(m), D, D.T, D), [1.0] * m, [300.0] * m)
 
 
+@st.composite
+def frictions(draw: st.DrawFn, m: int) -> list[float] | FrictionCurve:
+    """Constants by axis, or levels that rise up to tenfold at rest and in places, 10 um to 0.3 m apart."""
+    least = draw(st.lists(st.floats(0.02, 0.5), min_size=m, max_size=m))
+    if draw(st.booleans()):
+        return least
+    most, static = (tuple(c * draw(st.floats(1.0, 10.0)) for c in least) for _ in range(2))
+    pitch, stribeck = (tuple(10.0 ** draw(st.floats(-5.0, -0.5)) for _ in least) for _ in range(2))
+    return FrictionCurve(tuple(least), most, pitch, static, stribeck)
+
+
+def least_of(friction: list[float] | FrictionCurve) -> Floats:
+    return list(friction.least) if isinstance(friction, FrictionCurve) else friction
+
+
+def levels(friction: list[float] | FrictionCurve, x: Floats, v: Floats) -> Floats:
+    """The levels in this state, from the formula of docs/session-file.md."""
+    if not isinstance(friction, FrictionCurve):
+        return friction
+    each = zip(friction.least, friction.most, friction.pitch, friction.static, friction.stribeck, x, v, strict=True)
+    return [
+        c + 0.5 * (most - c) * (1.0 - math.cos(2.0 * math.pi * at / pitch)) + (static - c) * math.exp(-((v / v_s) ** 2))
+        for c, most, pitch, static, v_s, at, v in each
+    ]
+
+
 def at_rest(m: int) -> Intention:
     return Intention([0.0] * m, [0.0] * m)
 
@@ -49,8 +79,8 @@ def at_rest(m: int) -> Intention:
 @settings(max_examples=40, deadline=None)
 def test_a_step_obeys_coulombs_law_and_burns_no_less(m: int, data: st.DataObject, part: int) -> None:
     """By the plant without friction, which is given the same forces and those of friction: it comes to the same."""
-    c = data.draw(st.lists(st.floats(0.02, 0.5), min_size=m, max_size=m))
-    plant, free = DryPlant(held(m), T, c), Plant(held(m), T, parts=True)
+    friction = data.draw(frictions(m))
+    plant, free = DryPlant(held(m), T, friction), Plant(held(m), T, parts=True)
     vector = st.lists(forces, min_size=m, max_size=m)
     state, h = plant.holding([0.0] * m, data.draw(vector)), min(part, STEP)
     for _ in range(8):
@@ -61,18 +91,23 @@ def test_a_step_obeys_coulombs_law_and_burns_no_less(m: int, data: st.DataObject
         dx = np.array(state[:m]) - before[:m]
         stands = dx == 0.0
         phi = np.where(stands, 0.0, given / (h * 1e-9))
-        assert phi[~stands] == pytest.approx(-(np.array(c) * np.sign(dx))[~stands], abs=1e-9)
+        c = np.array(levels(friction, before[:m], before[m : 2 * m]))
+        assert phi[~stands] == pytest.approx(-(c * np.sign(dx))[~stands], abs=1e-9)
+        assert -float(phi @ dx) >= float(np.array(least_of(friction)) @ np.abs(dx)) - 1e-12
         assert not np.any(np.array(state[m : 2 * m])[stands])
         if not stands.any():
             same = free.after(before[:n], [a + b for a, b in zip(f, phi, strict=True)], intention, h)
             assert state[:n] == pytest.approx(same, rel=1e-9, abs=1e-12)
 
 
-@given(data=st.data(), wait=st.lists(st.integers(1, 2 * TICK), min_size=1, max_size=20), c=st.floats(0.02, 0.5))
-@settings(max_examples=60, deadline=None)
-def test_in_wall_time_it_burns_what_its_displacements_say(data: st.DataObject, wait: list[int], c: float) -> None:
-    """A mass alone: what it has of its motors' work is at most what c |d| leaves, whenever it is sampled."""
-    driver = HeldDeviceDriver(IntentHand(DryPlant(bare(), T, [c]), [zero], [zero], T), T)
+@given(data=st.data(), wait=st.lists(st.integers(1, 2 * TICK), min_size=1, max_size=20), friction=frictions(1))
+@settings(max_examples=100, deadline=None)
+def test_in_wall_time_it_burns_what_its_displacements_say(
+    data: st.DataObject, wait: list[int], friction: list[float] | FrictionCurve
+) -> None:
+    """A mass alone: what it has of its motors' work is at most what least |d| leaves, whenever it is sampled."""
+    (c,) = least_of(friction)
+    driver = HeldDeviceDriver(IntentHand(DryPlant(bare(), T, friction), [zero], [zero], T), T)
     at, x, r, left = 0, driver.sample(0, Instant(0))[0], 0.0, 0.0
     for number, time in enumerate(wait):
         at += time
@@ -101,6 +136,68 @@ def test_it_stands_up_to_its_friction_and_moves_with_the_rest_beyond() -> None:
     for _ in range(10):
         state = plant.after(state, [0.299, 0.32], at_rest(2))
     assert state[:4] == pytest.approx([0.0, 0.5 * 0.02 / 0.2 * 1e-4, 0.0, 0.02 / 0.2 * 1e-2], rel=1e-9)
+
+
+CURVE = FrictionCurve((0.1,), (0.1,), (1.0,), (0.3,), (0.01,))
+
+
+def test_it_breaks_away_at_its_static_friction_and_slides_with_less() -> None:
+    plant = DryPlant(bare(), T, CURVE)
+    state = plant.holding([0.0], [0.0])
+    for _ in range(50):
+        state = plant.after(state, [0.299], at_rest(1))
+    assert state[:2] == [0.0, 0.0]
+    for _ in range(300):
+        state = plant.after(state, [0.301], at_rest(1))
+    faster = plant.after(state, [0.301], at_rest(1))[1] - state[1]
+    assert faster == pytest.approx((0.301 - 0.1) / 0.2 * T, rel=1e-6)
+    for number in range(1000):
+        state = plant.after(state, [0.2 if number > 900 else 0.0], at_rest(1))
+    place = state[0]
+    assert state[1] == 0.0
+    for _ in range(100):  # more than the friction of a slide, less than that of rest: it stands, and does not chatter
+        state = plant.after(state, [0.29], at_rest(1))
+        assert state[:2] == [place, 0.0]
+
+
+def test_a_spring_that_is_drawn_slowly_makes_it_stick_and_slip() -> None:
+    """By 300 N/m at 5 mm/s: it rests until the spring pulls with 0.3 N, and slips; each time it stands to the bit."""
+    device = held_device([0.2], [0.1], StateSpace.static(np.zeros((1, 1))), [0.0], [300.0])
+    plant = DryPlant(device, T, CURVE)
+    state, stood, slips, force = plant.holding([0.0], [0.0]), 0, [], 0.0
+    for tick in range(2000):
+        before, state = state, plant.after(state, [0.0], Intention([0.0], [0.005]))
+        force = 300.0 * (0.005 * (tick + 1) * T - state[0])
+        stands = state[0] == before[0]
+        if not stands and stood:
+            slips.append(force)
+        stood = stood + 1 if stands else 0
+        assert not stands or state[1] == 0.0
+    assert slips == pytest.approx([0.3] * 5, abs=0.002)  # with steps of a tenth likewise, within 1 ms
+
+
+def test_over_whole_pitches_it_burns_the_mean_of_least_and_most() -> None:
+    plant = DryPlant(bare(), T, FrictionCurve((0.1,), (0.5,), (0.02,), (0.1,), (1.0,)))
+    state, burned = plant.holding([0.0], [1.0]), 0.0
+    for _ in range(400):
+        after = plant.after(state, [0.3], at_rest(1))
+        burned += 0.3 * (after[0] - state[0]) - 0.1 * (after[1] ** 2 - state[1] ** 2)
+        state = after
+    assert state[0] > 0.38
+    assert burned == pytest.approx(0.3 * state[0], rel=0.01)
+
+
+def test_a_curve_is_written_as_it_is_read_and_constants_as_they_always_were() -> None:
+    nothing = StateSpace.static(np.zeros((1, 1)))
+    hand = SimulatedHand((0.2,), (0.1,), nothing, (1.0,), (1.0,), (0.0,), (0.0,), friction=CURVE)
+    data = written(hand)
+    assert read(SimulatedHand, json.loads(json.dumps(data))).friction == CURVE
+    constants = written(dataclasses.replace(hand, friction=(0.1,)))
+    assert constants["friction"] == [0.1]
+    assert read(SimulatedHand, constants).friction == (0.1,)
+    for wrong in ({"least": [0.1]}, {**data["friction"], "static": [0.05]}, {**data["friction"], "pitch": [0.0]}, 0.1):
+        with pytest.raises(Unfit, match=r"friction"):
+            read(SimulatedHand, {**data, "friction": wrong})
 
 
 def test_the_work_of_an_intended_motion_is_exact() -> None:

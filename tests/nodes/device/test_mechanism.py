@@ -24,26 +24,14 @@ from manyhands.nodes.kernel.allowance import LatenessAllowance
 from manyhands.nodes.kernel.bundle import WALL, BrowserHand, DeviceBundle, SimulatedHand
 from tests.support.held_arm import Arm
 from tests.support.instants import instant
-from tests.support.mechanisms import CHAIN, HOME, mechanism_bundle, swinging, worst
+from tests.support.mechanisms import ALL_LINKAGES, CHAIN, DELTA, FIVE_BAR, HOME, mechanism_bundle, swinging, worst
 
 T = 1e-3
 TICK = 1_000_000
 bundle = pytest.fixture(scope="module")(mechanism_bundle)
-IN_SPACE = {
-    "kind": "chain", "turns": ["z", "y", "y"], "links": [[0, 0, 0.1], [0.13, 0, 0], [0.13, 0, 0]],
-    "low": [-0.5, -0.8, 0.7], "high": [0.5, -0.2, 1.6],
-}  # fmt: skip
-FIVE_BAR = {
-    "kind": "five-bar", "apart": 0.05, "upper": 0.1, "rod": 0.13, "low": [-0.03, 0.12], "high": [0.03, 0.17]
-}  # fmt: skip
-DELTA = {
-    "kind": "delta", "base": 0.07, "platform": 0.03, "upper": 0.07, "rod": 0.14,
-    "low": [-0.03, -0.03, 0.12], "high": [0.03, 0.03, 0.16],
-}  # fmt: skip
-ALL: dict[str, Mapping[str, Any]] = {"chain": CHAIN, "in space": IN_SPACE, "five-bar": FIVE_BAR, "delta": DELTA}
 
 
-@pytest.mark.parametrize("data", ALL.values(), ids=list(ALL))
+@pytest.mark.parametrize("data", ALL_LINKAGES.values(), ids=list(ALL_LINKAGES))
 @given(place=st.lists(st.floats(-0.015, 0.015), min_size=3, max_size=3), f=st.lists(st.floats(-5, 5), min_size=3))
 def test_torques_push_by_the_derivative_of_the_joints(
     data: Mapping[str, Any], place: list[float], f: list[float]
@@ -60,7 +48,7 @@ def test_torques_push_by_the_derivative_of_the_joints(
         assert float(np.array(t) @ (after - before)) / 2e-6 == pytest.approx(f[axis], abs=1e-7)
 
 
-@pytest.mark.parametrize("data", ALL.values(), ids=list(ALL))
+@pytest.mark.parametrize("data", ALL_LINKAGES.values(), ids=list(ALL_LINKAGES))
 @given(place=st.lists(st.floats(-0.015, 0.015), min_size=3, max_size=3))
 def test_the_joints_are_those_that_a_certificate_bounds(data: Mapping[str, Any], place: list[float]) -> None:
     linkage, joints = linkage_of(data), joints_of(data)
@@ -112,7 +100,7 @@ def mechanism(data: Mapping[str, Any], damping: float = 0.0, mass: float = 0.1) 
     return Mechanism(held_device([mass] * m, [damping] * m, nothing, [0.0] * m, [0.0] * m), T, data)
 
 
-@pytest.mark.parametrize("data", ALL.values(), ids=list(ALL))
+@pytest.mark.parametrize("data", ALL_LINKAGES.values(), ids=list(ALL_LINKAGES))
 @given(
     v=st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3),
     f=st.lists(st.floats(-12.0, 12.0), min_size=3, max_size=3),
