@@ -531,8 +531,8 @@ class Device(SessionModel):
         """
         if self.factory is None:
             return None
-        timing, torques = self.timing, self.holds_torques
-        return DriverWord(self.factory, timing.sample_age, timing.actuation_delay, self.step, self.friction, torques)
+        timing, least = self.timing, None if self.friction is None else self.friction.least
+        return DriverWord(self.factory, timing.sample_age, timing.actuation_delay, self.step, least, self.holds_torques)
 
     @property
     def osp_low(self) -> Rows:
