@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test test-long test-rest guests lint types imports pytest campaign attack heavy limits worlds fuzz datagrams wan far-user scenes world-peers encoder friction mechanisms flood loop watched soak users linked-users chaos faults lateness inertia honest hostile blamed remote pictures page benchmark curve figures docs docs-pictures clean
+.PHONY: demo test test-long test-rest guests lint types imports pytest campaign attack heavy limits worlds fuzz fuzz-board firmware datagrams wan far-user scenes world-peers encoder friction mechanisms flood loop watched soak users linked-users chaos faults lateness inertia honest hostile blamed remote pictures page benchmark curve figures docs docs-pictures clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -90,6 +90,16 @@ FUZZ_SECONDS ?= 600
 fuzz: $(VENV)/.installed
 	$(BIN)/pip install --quiet 'atheris>=2.3'
 	$(BIN)/python tests/fuzz/run.py $(FUZZ_SECONDS)
+
+# the firmware's core of a serial board under the sanitizers, ten minutes at the default; `make fuzz` has the host's end
+fuzz-board:
+	mkdir -p out && $(CC) -std=c99 -Wall -Wextra -Werror -O2 -g -fsanitize=address,undefined -fno-sanitize-recover=all \
+		-Idevices/serial_board/firmware tests/fakes/fuzz_mhb.c devices/serial_board/firmware/mhb.c -lm -o out/fuzz-mhb
+	out/fuzz-mhb $(FUZZ_SECONDS) $(SEED)
+
+# the serial board's firmware on an emulated Cortex-M3: needs gcc-arm-none-eabi, libnewlib-arm-none-eabi, qemu-system-arm
+firmware: $(VENV)/.installed
+	MANYHANDS_REQUIRE_ARM=1 $(BIN)/pytest tests/devices/serial_board/test_arm.py
 
 # what a datagram costs to seal, open and refuse, and a stranger's flood before the port: a minute
 datagrams: $(VENV)/.installed

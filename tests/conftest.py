@@ -67,6 +67,14 @@ def designed_once() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def folder_of_compiled(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """C code of the tests is compiled once in a process of theirs (tests/fakes/compiled.py)."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MANYHANDS_COMPILED", str(tmp_path_factory.mktemp("compiled")))
+        yield
+
+
 def _descriptors() -> dict[int, str]:
     """This process's open file descriptors and what they lead to."""
     found = {}

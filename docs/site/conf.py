@@ -25,7 +25,15 @@ autodoc_member_order = "bysource"
 add_module_names = False
 python_use_unqualified_type_names = True
 napoleon_use_ivar = True
-include_patterns = ["docs/**.md", "protocol/SPEC.md", "README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md"]
+include_patterns = [
+    "docs/**.md",
+    "protocol/SPEC.md",
+    "devices/*/PROTOCOL.md",
+    "README.md",
+    "ARCHITECTURE.md",
+    "CONTRIBUTING.md",
+    "CHANGELOG.md",
+]
 master_doc = root_doc = "docs/site/index"
 myst_enable_extensions = ["deflist", "smartquotes"]
 myst_heading_anchors = 4

@@ -395,17 +395,17 @@ class Conductor:
         return out
 
     def _faulted(self, sender: str, state: NodeState, text: str, now: int) -> list[Instruction]:
-        """A node ends by its own decision. That ends the session, except for a guest or a node that was on its way
-        back.
+        """A node ends by its own decision. That ends the session, except for a guest, a device whose driver may find
+        its hardware again, and a node that was on its way back.
         """
         out: list[Instruction] = [Send(sender, Stop("received"))]
         if self.phase is SessionPhase.RUNNING and state in RETURNING:
             lost = self._recovery.lose(sender, f"could not return: {text}", now, alive=sender not in self.remote)
             return out + self._withstood(lost)
-        if self.phase is SessionPhase.RUNNING and self._does_without(
-            sender
-        ):  # a guest's Fault must not end the session
-            return out + self._withstood(self._recovery.lose(sender, f"failed: {text}", now))
+        device = self.graph.nodes[sender] is Role.DEVICE and self.restarts.allowed > 0 and not self.together
+        if self.phase is SessionPhase.RUNNING and (device or self._does_without(sender)):
+            lost = self._recovery.lose(sender, f"failed: {text}", now, alive=sender not in self.remote)
+            return out + self._withstood(lost)
         if (
             self.phase is SessionPhase.STARTING
             and state is NodeState.WELCOMED

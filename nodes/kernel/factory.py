@@ -40,7 +40,8 @@ ENGINES: Final = "manyhands.engines"
 """The group of the entry points that name physics engines."""
 
 SHIPPED: Final[Mapping[str, Mapping[str, str]]] = {
-    ENGINES: {"mujoco": "manyhands.nodes.environment.mujoco:MujocoEngine"}
+    DRIVERS: {"serial-board": "manyhands.devices.serial_board:SerialBoard"},
+    ENGINES: {"mujoco": "manyhands.nodes.environment.mujoco:MujocoEngine"},
 }
 """The factories of this package under short names, by group: its own code, of which no run warns."""
 

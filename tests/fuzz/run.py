@@ -26,7 +26,7 @@ import seeds
 
 FOLDER: Final = Path(__file__).resolve().parent
 CORPUS: Final = FOLDER / "corpus"
-LONGEST: Final = {"codec": 8192, "handshake": 1024, "gate": 1024, "path": 1024, "conductor": 1024}
+LONGEST: Final = {"codec": 8192, "handshake": 1024, "gate": 1024, "path": 1024, "conductor": 1024, "board": 1024}
 """The longest input of each harness, bytes."""
 
 MOST_FILES, MOST_BYTES = 20, 40 * 1024

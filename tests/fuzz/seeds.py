@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
+import fuzz_board
 import fuzz_codec
 import fuzz_conductor
 import fuzz_gate
@@ -32,6 +33,7 @@ CHECKS: Final[Mapping[str, Callable[[bytes], None]]] = {
     "handshake": fuzz_handshake.check,
     "gate": fuzz_gate.check,
     "path": fuzz_path.check,
+    "board": fuzz_board.check,
     "conductor": fuzz_conductor.check,
 }
 """Every harness by its name."""
@@ -39,7 +41,14 @@ CHECKS: Final[Mapping[str, Callable[[bytes], None]]] = {
 
 def seeds(harness: str) -> dict[str, bytes]:
     """The hand-made seeds of a harness, by name."""
-    made = {"codec": _codec, "handshake": _handshake, "gate": _gate, "path": _path, "conductor": _conductor}[harness]
+    made = {
+        "codec": _codec,
+        "handshake": _handshake,
+        "gate": _gate,
+        "path": _path,
+        "board": _board,
+        "conductor": _conductor,
+    }[harness]
     return {f"{number:02}-{name}": data for number, (name, data) in enumerate(made())}
 
 
@@ -144,6 +153,20 @@ def _path() -> Iterator[tuple[str, bytes]]:
         yield f"frame-{name}", path(*up, (0, environment, "frame", "as it is", name))
     for how in HOW:
         yield f"how-{how}".replace(" ", "-"), path(*up, (0, environment, "frame", how))
+
+
+def _board() -> Iterator[tuple[str, bytes]]:
+    def conversation(*told: object, axes: int = 2, clock: int = 0) -> bytes:
+        return _bytes(fuzz_board.play, axes, clock, *told)
+
+    def state(cut: int, *x: int, after: int = 500) -> tuple[object, ...]:
+        return (after, "state", *x, cut)
+
+    yield "states", conversation(*state(5, 1, 2), *state(0, 3, 4, after=3_000_000), *state(9, 5, 6))
+    yield "wraps", conversation(*state(1, 1, 2), *state(1, 3, 4), clock=2**32 - 700)
+    yield "changed", conversation(*state(5, 1, 2), 1, "changed", 3, 255, *state(7, 3, 4))
+    yield "other-hello", conversation(1, "about", 6, *state(5, 1, 2))
+    yield "code", conversation(1, "code", bytes(range(1, 255)))
 
 
 def _conductor() -> Iterator[tuple[str, bytes]]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import atheris
 
-WATCHED = ["manyhands.protocol", "manyhands.launch.run.conductor"]
+WATCHED = ["manyhands.protocol", "manyhands.launch.run.conductor", "manyhands.devices"]
 """Whose branches guide the search."""
 
 

@@ -121,11 +121,11 @@ class Joystick(Good):
 """
 
 
-def test_a_driver_that_fails_is_released_and_named_and_ends_the_session(tmp_path: Path) -> None:
+def test_a_driver_that_fails_is_released_and_named_and_ends_a_session_that_is_to_stay_together(tmp_path: Path) -> None:
     written("drivers", tmp_path)
     (tmp_path / "unplugged.py").write_text(UNPLUGGED)
     broken = ["joystick.yaml", "--duration", "1", "--set", "devices.stick.driver=unplugged:Joystick"]
-    for command in (["launch", *broken, "--clock", "simulated"], ["simulate", *broken]):
+    for command in (["launch", *broken, "--clock", "simulated", "--together"], ["simulate", *broken]):
         done = manyhands(*command, cwd=tmp_path)
         assert done.returncode == 1, done.stderr
         assert "the driver unplugged:Joystick failed in sample: found OSError: unplugged" in done.stderr

@@ -202,6 +202,15 @@ def test_a_last_word_that_is_repeated_is_answered_again_and_counts_once(of: str)
     assert (c.ignored, c.faults, c.reports[of]) == (0, [], REPORT)
 
 
+@pytest.mark.parametrize(("restarts", "together"), [(3, True), (0, False)])
+def test_a_device_that_fails_ends_a_session_that_stays_together_or_restarts_nobody(
+    restarts: int, together: bool
+) -> None:
+    c = running(restarts=restarts, together=together)
+    assert c.receive("dx", Fault("dx: unplugged"), 0) == [Send("dx", Stop("received")), Terminate()]
+    assert c.faults == ["dx: unplugged"]
+
+
 def test_the_clock_is_answered_from_the_welcome_to_the_report() -> None:
     c = conductor("dx")
     assert c.receive("dx", Probe(7), 100) == []  # a stranger as yet

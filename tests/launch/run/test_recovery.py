@@ -335,10 +335,27 @@ class Test_returns_that_fail:
         assert any("cx could not return: cx: no answer of dx" in one for one in s.conductor.incidents.sentences)
 
     def test_a_fault_of_one_that_runs_ends_the_session(self) -> None:
-        """A device beyond its limits is not started anew: it has decided to stop."""
         c = session().conductor
-        assert c.receive("dx", Fault("dx: too fast"), 0) == [Send("dx", Stop("received")), Terminate()]
-        assert c.faults == ["dx: too fast"]
+        assert c.receive("cx", Fault("cx: flooded"), 0) == [Send("cx", Stop("received")), Terminate()]
+        assert c.faults == ["cx: flooded"]
+
+    def test_a_fault_of_a_device_ends_a_session_without_restarts(self) -> None:
+        c = session(restarts=0).conductor
+        assert c.receive("dx", Fault("dx: unplugged"), 0) == [Send("dx", Stop("received")), Terminate()]
+        assert c.faults == ["dx: unplugged"]
+
+    def test_a_device_that_failed_comes_back_a_limited_number_of_times(self) -> None:
+        """Its hardware may be plugged in again; a driver that fails all the time is given up."""
+        s = session(restarts=2)
+        for state in (NodeState.RUNNING, NodeState.RUNNING, NodeState.GONE):
+            s.said.append(("dx", Fault("dx: unplugged")))
+            s.deliver()
+            assert s.conductor.states["dx"] is NodeState.LEAVING
+            s.kill("dx")
+            s.settle()
+            assert s.conductor.states["dx"] is state
+        assert all("dx failed: dx: unplugged" in one for one in s.conductor.incidents.sentences[:1])
+        assert s.conductor.phase is SessionPhase.RUNNING
 
     def test_a_hello_that_is_refused(self) -> None:
         s = session(restarts=1)
