@@ -16,6 +16,7 @@ from packaging.version import Version
 from manyhands.extras import EXTRAS, MissingExtra, explained, require
 
 from .support.commands import manyhands_command
+from .support.rooms import ROOMS
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -67,7 +68,7 @@ def test_every_import_of_the_product_is_declared() -> None:
     base = names_in(PROJECT["dependencies"]) | {"pydantic-core"}
     extras = {module for modules in EXTRAS.values() for module in modules}
     imported = set()
-    for room in ("design", "protocol", "nodes", "launch"):
+    for room in ROOMS:
         for path in (ROOT / room).rglob("*.py"):
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
                 if isinstance(node, ast.Import):

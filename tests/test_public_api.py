@@ -16,8 +16,9 @@ import pytest
 
 import manyhands as mh
 
+from .support.rooms import ROOMS
+
 ROOT = Path(__file__).parents[1]
-ROOMS = ("design", "protocol", "nodes", "launch")
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 LIGHT = ("numpy", "scipy", "cvxpy", "zmq", "pydantic", "matplotlib", "typer", "yaml", "ast")
 """What nobody pays for who only imports the package."""

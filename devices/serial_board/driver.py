@@ -20,7 +20,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from manyhands.devices.serial_board.conversation import Arrived, Conversation
-from manyhands.devices.serial_board.frames import VERSION, About, Status, force, hello
+from manyhands.devices.serial_board.frames import VERSION, About, Feature, Status, force, hello
 from manyhands.devices.serial_board.port import PortError, SerialPort
 from manyhands.nodes.device.plugin import DeviceDriver
 from manyhands.nodes.device.specification import DeviceSpecification, DeviceTiming
@@ -160,6 +160,7 @@ class SerialBoard(DeviceDriver):
             timing=self._timing,
             axes=_names(about.rotations),
             mass=about.mass if all(about.mass) else None,
+            holds_torque=Feature.HOLDS_TORQUE in about.features,
         )
 
     def sample(self, tick: int, at: Instant) -> Sequence[float]:

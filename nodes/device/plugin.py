@@ -417,6 +417,11 @@ def plugin_driver(device: PluginDevice, bundle: DeviceBundle) -> PluginDriver:
             )
         limits = bundle.limits.force, bundle.limits.displacement, bundle.limits.speed
         made = PluginDriver(name, driver, axis_map, stated, bundle.common.period, device.timing)
+        if stated.holds_torque and bundle.held is None:
+            raise FactoryError(
+                f"devices.{bundle.common.name}.held: found force; expected torque, for the driver {name} states that "
+                "the motors of its device hold torques"
+            )
         if bundle.held is not None and bundle.time == WALL and not made.tells_work:
             raise FactoryError(
                 f"devices.{bundle.common.name}: found the driver {name} without a method work; expected the work of "

@@ -38,6 +38,8 @@ class DeviceSpecification:
             may state no greater one.
         moved_by_force: whether its forces move it. A source of motion, such as a tracker or a driven stage, states
             False: ``check-driver`` then skips what a push would show.
+        holds_torque: whether its motors hold the torques of joints between two forces, in place of the force at the
+            tip. A session has to state so (``held: torque``), for its certificate is false otherwise.
         hardware: whether forces act on a real mechanism, in real time. A simulated counterpart states False: it moves
             by the instants of the calls, and also takes part under the simulated clock.
 
@@ -51,6 +53,7 @@ class DeviceSpecification:
     timing: DeviceTiming = NO_DELAY
     axes: tuple[str, ...] = ()
     mass: tuple[float, ...] | None = None
+    holds_torque: bool = False
     hardware: bool = True
     moved_by_force: bool = True
 

@@ -20,6 +20,8 @@ from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.run.outcome import save_json
 from manyhands.nodes.recorder.mcap import RecordingFile
 
+from ..support.rooms import ROOMS
+
 ROOT = Path(__file__).parents[2]
 RUN = Recording("s", "id", 0.001, ("a",), np.zeros((3, 1)), np.zeros((3, 1)))
 
@@ -121,7 +123,7 @@ BY_OTHER_MEANS = {
 def test_files_are_written_in_one_place() -> None:
     found = {
         path.relative_to(ROOT).as_posix()
-        for room in ("design", "protocol", "nodes", "launch")
+        for room in ROOMS
         for path in (ROOT / room).rglob("*.py")
         if WRITING.search(path.read_text())
     }

@@ -134,6 +134,13 @@ class Working(Counterpart):
         return since
 
 
+class HoldsTorque(Working):
+    """Its motors hold the torques of joints."""
+
+    def specification(self) -> DeviceSpecification:
+        return replace(super().specification(), holds_torque=True)
+
+
 class WorkAgainst(Working):
     """Wrong work: that of the device on its motors."""
 

@@ -26,6 +26,7 @@ from manyhands.launch.session.shipped import load_named
 from manyhands.nodes.kernel.realtime import FIFO_PRIORITY, NETWORK_NICE
 
 from ..support.installed import PURE, run
+from ..support.rooms import ROOMS
 
 ROOT = Path(__file__).parents[2]
 DEPLOY = ROOT / "deploy"
@@ -130,7 +131,7 @@ def test_the_image_is_built_from_what_a_wheel_needs(tmp_path: Path) -> None:
         held = {name for name in archive.namelist() if name.startswith("manyhands/") and "__pycache__" not in name}
     expected = [path for path in (ROOT / "src" / "manyhands").iterdir() if not path.is_symlink()]
     files = {f"manyhands/{path.name}" for path in expected if path.is_file()}
-    for room in ("design", "protocol", "nodes", "launch"):
+    for room in ROOMS:
         expected = [path for path in (ROOT / room).rglob("*") if "__pycache__" not in path.parts]
         files |= {f"manyhands/{path.relative_to(ROOT)}" for path in expected if path.is_file()}
     assert held == files

@@ -13,10 +13,11 @@ from pathlib import Path
 import pytest
 
 from ..support.commands import MANYHANDS, forked, manyhands_command, read_until, run, started
+from ..support.rooms import ROOMS
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), ROOT / "protocol" / "SPEC.md"]
-CODE = [path for room in ("design", "protocol", "nodes", "launch") for path in (ROOT / room).rglob("*.py")]
+CODE = [path for room in ROOMS for path in (ROOT / room).rglob("*.py")]
 
 
 def commands(text: str) -> list[tuple[list[str], int]]:

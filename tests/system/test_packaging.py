@@ -25,9 +25,8 @@ from manyhands.launch.app.cli import app
 
 from ..support.capture import free_ports
 from ..support.installed import NEEDED, ROOT, Distributions, build, install_base, run
+from ..support.rooms import ROOMS
 from .test_seats import Said, command, hosted, invitation_to, report_of
-
-ROOMS = ("design", "protocol", "nodes", "launch")
 
 RUN_EXAMPLES = """
 import json, sys

@@ -70,6 +70,12 @@ def test_given_times_are_stated_as_they_are() -> None:
     assert (timing.sample_age, timing.jitter, timing.actuation_delay) == (0.002, 0.002, 0.001)
 
 
+def test_a_board_that_holds_torques_says_so() -> None:
+    for features, held in ((Feature.TELLS_WORK, False), (Feature.TELLS_WORK | Feature.HOLDS_TORQUE, True)):
+        with fake_board(features=features) as one, opened(one) as driver:
+            assert driver.specification().holds_torque is held
+
+
 def test_a_force_moves_the_board_and_is_exerted() -> None:
     with fake_board(Axis(m=0.1, b=0.2)) as one, opened(one) as driver:
         first = driver.sample(0, Instant(0))[0]

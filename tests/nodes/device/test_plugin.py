@@ -115,6 +115,15 @@ def test_torques_in_wall_time_need_a_driver_that_tells_their_work() -> None:
     driver_of(replace(bundle_for(told), held=held)).close()
 
 
+def test_a_session_must_know_that_the_motors_of_a_driver_hold_torques() -> None:
+    device = PluginDevice(FactoryName("tests.support.plugin_drivers:HoldsTorque", {}), 1)
+    with pytest.raises(
+        FactoryError, match=r"devices\.dx\.held: found force; expected torque, for the driver .*HoldsTorque"
+    ):
+        driver_of(bundle_for(device))
+    driver_of(replace(bundle_for(device), held=HeldTorque(18.0, 8.0, 2.0))).close()
+
+
 @pytest.mark.parametrize("name", ["Working", "WorkUnknown"])
 def test_the_account_takes_what_its_motors_did(name: str) -> None:
     """Cartesian motors that tell f dx have the account of a held force; of an unknown work it counts the most."""
