@@ -20,7 +20,7 @@ from manyhands.launch.look import figures
 from ....support.commands import manyhands_command
 
 KEYS = {"status", "id", "version", "asked", "margin", "gamma", "coupling", "levels", "margins", "period", "tau"}
-KEYS |= {"period_tolerance", "structure", "enforced", "series", "encoder", "speed"}
+KEYS |= {"period_tolerance", "structure", "enforced", "series", "encoder", "speed", "mechanism"}
 GIVEN = ["--set", "design.coupling=given", "--set", "design.stiffness=704.9", "--set", "design.damping=0.0372"]
 SHAPED = [*GIVEN, "--set", "design.objective=loop-shaping"]
 COMPLEMENTARITY = ["--set", "design.algorithm=complementarity"]
