@@ -391,10 +391,8 @@ def _below_speed(loop: HapticLoop, wanted: CouplingRequest, progress: Progress |
         DesignError: as :func:`design`.
     """
     springs = isinstance(wanted, SpringDamperWanted)
-    too_little = np.zeros(len(loop.ports))
-    found, kept = _at_the_limit(loop, wanted, progress) if springs else (None, too_little)
-    if found is None:
-        found, too_little, kept = _rising(loop, wanted, progress)
+    begun = _at_the_limit(loop, wanted, progress) if springs else None
+    found, too_little, kept = begun or _rising(loop, wanted, progress)
     for _ in range(_HALVINGS if springs and np.any(kept > too_little) else 0):
         asked = force_of_steps(loop, found.certificate.blocks)
         if asked is not None:  # less kept leaves a stiffer coupling, which asks for more
@@ -407,22 +405,23 @@ def _below_speed(loop: HapticLoop, wanted: CouplingRequest, progress: Progress |
     return found
 
 
-def _at_the_limit(
-    loop: HapticLoop, wanted: CouplingRequest, progress: Progress | None
-) -> tuple[Designed | None, Matrix]:
-    """The design that keeps what springs at their limit ask for, N by port, which is the second; None without one."""
-    most = friction(loop)
+_Kept = tuple[Designed, Matrix, Matrix]
+"""A design, what is known to be too little kept for it, and what it keeps, N by port."""
+
+
+def _at_the_limit(loop: HapticLoop, wanted: CouplingRequest, progress: Progress | None) -> _Kept | None:
+    """The design that keeps what springs at their limit ask for; None where there is none."""
     at_limit = None if loop.speed is None else kept_at_the_limit(loop, loop.speed)
     if at_limit is None:
-        return None, most
-    kept = np.minimum(_ABOVE_LIMIT * at_limit, most)
+        return None
+    kept = np.minimum(_ABOVE_LIMIT * at_limit, friction(loop))
     with suppress(DesignError):  # what was asked for may need less kept, or more
-        return _designed(_keeping(loop, kept), wanted, progress), kept
-    return None, kept
+        return _designed(_keeping(loop, kept), wanted, progress), np.zeros(len(kept)), kept
+    return None
 
 
-def _rising(loop: HapticLoop, wanted: CouplingRequest, progress: Progress | None) -> tuple[Designed, Matrix, Matrix]:
-    """The first design of rounds that keep more and more; what was kept a round before, and in it, N by port."""
+def _rising(loop: HapticLoop, wanted: CouplingRequest, progress: Progress | None) -> _Kept:
+    """The first design of rounds that keep more and more; what the round before kept was too little."""
     most, kept = friction(loop), np.zeros(len(loop.ports))
     too_little = kept
     for number in range(_MOST_ROUNDS):

@@ -44,7 +44,9 @@ class Conversation:
         missing: states that never came, by their numbers.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, nonce: int) -> None:
+        """Nothing was heard yet; the answer to this host's hello has its ``nonce``."""
+        self._nonce = nonce
         self.about: About | None = None
         self.newest: Arrived | None = None
         self.missing = 0
@@ -56,12 +58,12 @@ class Conversation:
         """The number of frames that were none, or of no message."""
         return self._reader.broken
 
-    def take(self, data: bytes, at: Instant, nonce: int) -> list[State]:
-        """Take what was read at ``at``, ns; returns the new states. The answer to the hello has its ``nonce``."""
+    def take(self, data: bytes, at: Instant) -> list[State]:
+        """Take what was read at ``at``, ns; returns the new states."""
         states = []
         for message in self._reader.take(data):
             if isinstance(message, About):
-                if message.nonce == nonce:
+                if message.nonce == self._nonce:
                     self.about, self._reader.axes = message, message.axes
             elif self.about is not None:
                 self._note(message, at)

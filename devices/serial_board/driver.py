@@ -81,7 +81,7 @@ class SerialBoard(DeviceDriver):
         self._clock = clock or RealtimeClock()
         self._silence = from_seconds(given["silence"])
         self._nonce = int.from_bytes(os.urandom(4), "little")
-        self._board = Conversation()
+        self._board = Conversation(self._nonce)
         self._given = 0  # the number of the last force
         self._unsent = self._old = 0
         self._oldest = 0.0  # s
@@ -214,7 +214,7 @@ class SerialBoard(DeviceDriver):
     # --- both
 
     def _read(self) -> None:
-        self._board.take(self._port.read(), self._clock.now(), self._nonce)
+        self._board.take(self._port.read(), self._clock.now())
 
     def _send(self, f: Sequence[float], lives: Duration) -> int:
         self._given = (self._given + 1) % 65536

@@ -147,13 +147,22 @@ def decoded(code: bytes) -> bytes | None:
     return bytes(out)
 
 
-def _frame(payload: bytes) -> bytes:
+def sealed(payload: bytes) -> bytes:
+    """The frame of a payload: with its checksum, coded, and ended."""
     return coded(payload + crc(payload).to_bytes(2, "little")) + b"\0"
+
+
+def opened(code: bytes) -> bytes | None:
+    """The payload of a frame, without its end; None where it is no code, or its checksum is wrong."""
+    data = decoded(code)
+    if data is None or len(data) < 3 or crc(data[:-2]) != int.from_bytes(data[-2:], "little"):
+        return None
+    return data[:-2]
 
 
 def hello(nonce: int) -> bytes:
     """The frame that begins a conversation; ``nonce`` (32 bits) comes back in the answer."""
-    return _frame(_HELLO_LAYOUT.pack(_HELLO, VERSION, VERSION, nonce))
+    return sealed(_HELLO_LAYOUT.pack(_HELLO, VERSION, VERSION, nonce))
 
 
 def force(number: int, until: int, f: Sequence[float]) -> bytes:
@@ -164,7 +173,7 @@ def force(number: int, until: int, f: Sequence[float]) -> bytes:
         until: when it ends, by the board's clock, us, modulo 2^32. A force that comes later is none.
         f: the force, N, one entry an axis.
     """
-    return _frame(_FORCE_LAYOUT.pack(_FORCE, number & 0xFFFF, until & 0xFFFFFFFF) + struct.pack(f"<{len(f)}f", *f))
+    return sealed(_FORCE_LAYOUT.pack(_FORCE, number & 0xFFFF, until & 0xFFFFFFFF) + struct.pack(f"<{len(f)}f", *f))
 
 
 def read(payload: bytes, axes: int) -> About | State | None:
@@ -232,7 +241,8 @@ class Reader:
             self._lost = False
             if not lost and not code:
                 continue  # two ends in a row: a board may send one first, to end what was noise
-            message = None if lost else self._message(code)
+            payload = None if lost else opened(code)
+            message = None if payload is None else read(payload, self.axes)
             if message is None:
                 self.broken += 1
             else:
@@ -245,9 +255,3 @@ class Reader:
             self._coming.clear()
         elif not self._lost:
             self._coming += piece
-
-    def _message(self, code: bytes) -> About | State | None:
-        data = decoded(code)
-        if data is None or len(data) < 3 or crc(data[:-2]) != int.from_bytes(data[-2:], "little"):
-            return None
-        return read(data[:-2], self.axes)

@@ -145,17 +145,16 @@ def _require_runnable(prepared: Prepared) -> None:
                 "joints alone, and no claim of the tip is proved of it; expected no friction, or kappa alone as its "
                 "linkage, for a run; or an uncertified run"
             )
-        if device.factory is not None and prepared.session.design.speed is not None:
-            _require_measured(prepared.session, name)
+        speed = prepared.session.design.speed
+        if device.factory is not None and speed is not None:
+            _require_measured(prepared.session, name, speed)
 
 
-def _require_measured(session: Session, name: str) -> None:
-    """Refuse a driver of another package whose displacements tell too little of its ways and its speed."""
-    device, below, T = session.devices[name], session.design.speed, session.period_of(name)
-    least = T - device.timing.jitter  # between two samples, s
+def _require_measured(session: Session, name: str, below: float) -> None:
+    """Refuse a driver of another package whose displacements tell too little of its ways, or of speeds ``below``."""
+    device = session.devices[name]
+    least = session.period_of(name) - device.timing.jitter  # between two samples, s
     at = f"{session.name}: devices.{name}.step"
-    if below is None:
-        return
     if device.step is None:
         raise NotCertified(
             f"{at}: found none beside a driver's factory, friction and design.speed; expected the step to which its "

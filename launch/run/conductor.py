@@ -402,7 +402,7 @@ class Conductor:
         if self.phase is SessionPhase.RUNNING and state in RETURNING:
             lost = self._recovery.lose(sender, f"could not return: {text}", now, alive=sender not in self.remote)
             return out + self._withstood(lost)
-        device = self.graph.nodes[sender] is Role.DEVICE and self.restarts.allowed > 0 and not self.together
+        device = self.graph.nodes[sender] is Role.DEVICE and self._starts_anew
         if self.phase is SessionPhase.RUNNING and (device or self._does_without(sender)):
             lost = self._recovery.lose(sender, f"failed: {text}", now, alive=sender not in self.remote)
             return out + self._withstood(lost)
@@ -421,7 +421,12 @@ class Conductor:
         """Whether the session goes on without the guest ``node`` and lets it join again; without restarts, only seats
         may.
         """
-        return node in self.seats or (node in self.remote and self.restarts.allowed > 0 and not self.together)
+        return node in self.seats or (node in self.remote and self._starts_anew)
+
+    @property
+    def _starts_anew(self) -> bool:
+        """Whether the session goes on without a node that is lost, and takes it in again."""
+        return self.restarts.allowed > 0 and not self.together
 
     def _awaited_again(self, guest: str, why: str) -> list[Instruction]:
         """Take back the welcome of a guest that ended before all had joined. No peer knows of it yet, so it may start

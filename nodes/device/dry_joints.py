@@ -24,6 +24,7 @@ none. Where all joints stand, the tip is where it was, to the last bit.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from itertools import product
 from typing import Any, Final
 
@@ -58,7 +59,7 @@ class DryMechanism(Mechanism):
         if len(friction) != self.axes or not all(c > 0.0 for c in friction):
             raise ValueError(f"friction: found {list(friction)} N*m; expected {self.axes} numbers above 0, one a joint")
         self._friction: Floats = list(friction)
-        self._responses: dict[int, Rows] = {}  # by length of step: what a force of 1 N on each axis does to the state
+        self._response = lru_cache(_KNOWN)(self._of_ones)
 
     def after(self, before: Floats, f: Floats, intention: Intention, part: int | None = None) -> Floats:
         """The state after one period, or a part of it, under the torques ``f``, N*m."""
@@ -150,18 +151,12 @@ class DryMechanism(Mechanism):
             raise astray(v)
         return _transposed([rows[joint] for joint in standing], of_joints)
 
-    def _response(self, h: int) -> Rows:
+    def _of_ones(self, h: int) -> Rows:
         """By axis, the change of the state in h ns by a force of 1 N."""
-        known = self._responses.get(h)
-        if known is None:
-            n, m = self.order, self.axes
-            still = Intention([0.0] * m, [0.0] * m)
-            ones = [[1.0 if axis == other else 0.0 for other in range(m)] for axis in range(m)]
-            known = [self._linear([0.0] * n, one, still, h, n) for one in ones]
-            if len(self._responses) == _KNOWN:
-                self._responses.clear()
-            self._responses[h] = known
-        return known
+        n, m = self.order, self.axes
+        still = Intention([0.0] * m, [0.0] * m)
+        ones = [[1.0 if axis == other else 0.0 for other in range(m)] for axis in range(m)]
+        return [self._linear([0.0] * n, one, still, h, n) for one in ones]
 
 
 def _balanced(free: Floats, G: Rows, c: Floats, turns: tuple[int, ...]) -> Floats | None:

@@ -26,6 +26,7 @@ and the books of the motion that it saw are those of the motion that was.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Final
 
 from manyhands.design.models.device import HeldDevice
@@ -62,7 +63,7 @@ class DryPlant(Plant):
         self._friction: Floats = list(friction.least if isinstance(friction, FrictionCurve) else friction)
         if len(self._friction) != self.axes:
             raise ValueError(f"friction: found {len(self._friction)} numbers; expected {self.axes}, one an axis")
-        self._responses: dict[int, Rows] = {}  # by length of step: what a force of 1 N on each axis does to the state
+        self._response = lru_cache(_KNOWN)(self._of_ones)
 
     def holding(self, x: Floats, v: Floats) -> Floats:
         """As of :class:`Plant`."""
@@ -114,18 +115,12 @@ class DryPlant(Plant):
         curve, m = self._curve, self.axes
         return self._friction if curve is None else [curve.level(i, state[i], state[m + i]) for i in range(m)]
 
-    def _response(self, h: int) -> Rows:
+    def _of_ones(self, h: int) -> Rows:
         """By axis, the change of the state in h ns by a force of 1 N."""
-        known = self._responses.get(h)
-        if known is None:
-            assert self._parts is not None  # noqa: S101
-            n, m = self.order, self.axes
-            ones = [[1.0 if axis == other else 0.0 for other in range(2 * m)] for axis in range(m)]
-            known = [self._parts.step([0.0] * n, one, h) for one in ones]
-            if len(self._responses) == _KNOWN:
-                self._responses.clear()
-            self._responses[h] = known
-        return known
+        assert self._parts is not None  # noqa: S101
+        n, m = self.order, self.axes
+        ones = [[1.0 if axis == other else 0.0 for other in range(2 * m)] for axis in range(m)]
+        return [self._parts.step([0.0] * n, one, h) for one in ones]
 
 
 def _law(a: Floats, responses: Rows, c: Floats) -> Floats:

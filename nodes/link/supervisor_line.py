@@ -44,7 +44,7 @@ from manyhands.protocol.transport import Link, Transport, TransportError, Troubl
 
 NOT_AT_ALL = Duration(0)
 PATIENCE = from_seconds(0.2)  # one wait for an answer, after which the node checks its life and the connection
-_LAST_WORD_WAITS = 50  # waits for the confirmation of the last message: a busy supervisor reads much before it
+_LAST_WORD_WAITS = 50  # waits for the confirmation of the last message, for a busy supervisor has much to read first
 _JOINING_WAITS = 300  # waits for a supervisor that is not there yet: a minute
 REPEAT_WAITS = 5  # waits before a guest sends its hello again, and any node its last message
 MOST_START = 2**62  # ns, and ticks: more than a hundred years, to which periods can still be added

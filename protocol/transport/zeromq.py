@@ -255,8 +255,8 @@ class ZmqHub:
     def _has(self, name: str, route: bytes) -> bool:
         """Whether this connection has the name, whose key it has proved.
 
-        A hub that is slow reads old frames: so the silence of the first connection begins with the second one's frame.
-        ZeroMQ takes turns between connections, so that after some frames one of the first would have come.
+        The silence of the first connection is counted from the second one's first frame, for a slow hub reads old
+        frames. ZeroMQ takes turns between connections, so that a frame of the first would be among the next few.
         """
         first = self._routes.setdefault(name, route)
         if first == route:

@@ -11,7 +11,7 @@ from typing import Final
 from draws import Draws
 
 from manyhands.devices.serial_board.conversation import Conversation
-from manyhands.devices.serial_board.frames import MOST_AXES, MOST_FRAME, coded, crc, decoded
+from manyhands.devices.serial_board.frames import MOST_AXES, MOST_FRAME, coded, decoded, opened, sealed
 from manyhands.protocol.clock import Instant
 
 MOST_STEPS: Final = 40
@@ -27,8 +27,8 @@ def check(data: bytes) -> None:
 def play(draws: Draws) -> None:
     """The same for decisions from anywhere."""
     axes = draws.integer(1, MOST_AXES)
-    host, now, ours, number = Conversation(), Instant(0), draws.integer(0, 2**32 - 1), 0
-    host.take(_sealed(_about(axes)), now, NONCE)
+    host, now, ours, number = Conversation(NONCE), Instant(0), draws.integer(0, 2**32 - 1), 0
+    host.take(sealed(_about(axes)), now)
     assert host.about is not None
     for _ in range(MOST_STEPS):
         if not draws.more:
@@ -38,9 +38,9 @@ def play(draws: Draws) -> None:
         match draws.choice(STEPS):
             case "state":
                 x = tuple(float(draws.integer(0, 255)) for _ in range(axes))
-                frame = _sealed(_state(number, ours, x))
+                frame = sealed(_state(number, ours, x))
                 cut = draws.integer(0, len(frame))
-                states = host.take(b"\0" + frame[:cut], now, NONCE) + host.take(frame[cut:], now, NONCE)
+                states = host.take(b"\0" + frame[:cut], now) + host.take(frame[cut:], now)
                 assert [(state.number, state.x) for state in states][-1] == (number, x)
                 assert host.newest is not None
                 assert host.age(now) >= 0.0
@@ -49,13 +49,13 @@ def play(draws: Draws) -> None:
             case "noise":
                 _take(host, draws.blob(3 * MOST_FRAME), now)
             case "changed":
-                frame = bytearray(_sealed(_state(number, ours, (0.0,) * axes)))
+                frame = bytearray(sealed(_state(number, ours, (0.0,) * axes)))
                 frame[draws.integer(0, len(frame) - 2)] ^= draws.integer(1, 255)
                 before = host.newest
-                host.take(b"\0" + bytes(frame) + b"\0", now, NONCE)
+                host.take(b"\0" + bytes(frame) + b"\0", now)
                 assert host.newest is before, "a frame with a changed byte counts"
             case "about":
-                host.take(b"\0" + _sealed(_about(draws.integer(1, MOST_AXES), NONCE + 1)), now, NONCE)
+                host.take(b"\0" + sealed(_about(draws.integer(1, MOST_AXES), NONCE + 1)), now)
                 assert host.about.axes == axes, "an answer to another hello counts"
             case _:
                 raw = draws.blob(600)
@@ -66,19 +66,10 @@ def play(draws: Draws) -> None:
 
 def _take(host: Conversation, data: bytes, now: Instant) -> None:
     """Bytes that are no frame change nothing; those that are one by a right checksum are not sent on."""
-    if not any(_is_sealed(piece) for piece in data.split(b"\0")):
+    if not any(opened(piece) for piece in data.split(b"\0")):
         before = host.newest, host.about
-        assert host.take(b"\0" + data + b"\0", now, NONCE) == []
+        assert host.take(b"\0" + data + b"\0", now) == []
         assert (host.newest, host.about) == before
-
-
-def _is_sealed(code: bytes) -> bool:
-    data = decoded(code)
-    return data is not None and len(data) > 2 and crc(data[:-2]) == int.from_bytes(data[-2:], "little")
-
-
-def _sealed(payload: bytes) -> bytes:
-    return coded(payload + crc(payload).to_bytes(2, "little")) + b"\0"
 
 
 def _state(number: int, at: int, x: tuple[float, ...]) -> bytes:

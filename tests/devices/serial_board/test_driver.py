@@ -18,12 +18,11 @@ import pytest
 
 from manyhands.devices.serial_board import BoardError, SerialBoard
 from manyhands.devices.serial_board.driver import ROUND
-from manyhands.devices.serial_board.frames import Feature
+from manyhands.devices.serial_board.frames import Feature, sealed
 from manyhands.devices.serial_board.port import PortError
 from manyhands.protocol.clock import Instant
 
 from ...fakes.board import Axis, FakeBoard, fake_board
-from .test_frames import sealed
 
 MS = 1_000_000
 PATIENCE = 20.0

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.devices.serial_board.frames import About, Reader, State, Status, coded, crc, force, hello
+from manyhands.devices.serial_board.frames import About, Reader, State, Status, force, hello, sealed
 
 from ...fakes.compiled import core
 
@@ -93,7 +93,7 @@ def test_a_hello_is_answered_with_what_the_board_is() -> None:
 def test_a_hello_of_another_version_is_answered_and_begins_nothing() -> None:
     one = Core()
     payload = struct.pack("<BBBI", 1, 7, 9, 5)
-    one.take(coded(payload + crc(payload).to_bytes(2, "little")) + b"\0")
+    one.take(sealed(payload))
     about = one.sent()
     assert isinstance(about, About)
     assert about.version == 1

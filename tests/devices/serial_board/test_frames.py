@@ -25,6 +25,7 @@ from manyhands.devices.serial_board.frames import (
     force,
     hello,
     read,
+    sealed,
 )
 
 from ...fakes.compiled import core
@@ -95,10 +96,6 @@ def test_both_ends_refuse_alike(code: bytes) -> None:
 
 
 floats = st.floats(width=32, allow_nan=False, allow_infinity=False)
-
-
-def sealed(payload: bytes) -> bytes:
-    return coded(payload + crc(payload).to_bytes(2, "little")) + b"\0"
 
 
 def state_payload(x: tuple[float, ...], f: tuple[float, ...], work: int | None, any_force: bool = True) -> bytes:
