@@ -21,7 +21,7 @@ from typing import Any, Final
 
 from manyhands.devices.serial_board.conversation import Arrived, Conversation
 from manyhands.devices.serial_board.frames import VERSION, About, Feature, Status, force, hello
-from manyhands.devices.serial_board.port import PortError, SerialPort
+from manyhands.devices.serial_port import PortError, SerialPort
 from manyhands.nodes.device.plugin import DeviceDriver
 from manyhands.nodes.device.specification import DeviceSpecification, DeviceTiming
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds, seconds
@@ -160,6 +160,7 @@ class SerialBoard(DeviceDriver):
             timing=self._timing,
             axes=_names(about.rotations),
             mass=about.mass if all(about.mass) else None,
+            step=about.step if all(about.step) else None,
             holds_torque=Feature.HOLDS_TORQUE in about.features,
         )
 

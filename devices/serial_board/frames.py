@@ -193,8 +193,9 @@ def _about(payload: bytes) -> About | None:
     _, version, nonce, name, axes, rotations, features, period, longest = _ABOUT_LAYOUT.unpack_from(payload)
     if not 0 < axes <= MOST_AXES or len(payload) != _ABOUT_LAYOUT.size + 4 * _OF_AXES * axes:
         return None
-    numbers = struct.unpack_from(f"<{_OF_AXES * axes}f", payload, _ABOUT_LAYOUT.size)
-    of_axes = [numbers[i * axes : (i + 1) * axes] for i in range(_OF_AXES)]
+    # a decimal of seven digits comes back as itself: 0.7 N would otherwise be less than a session's 0.7
+    numbers = [float(f"{one:.7g}") for one in struct.unpack_from(f"<{_OF_AXES * axes}f", payload, _ABOUT_LAYOUT.size)]
+    of_axes = [tuple(numbers[i * axes : (i + 1) * axes]) for i in range(_OF_AXES)]
     positive, known = of_axes[:3], of_axes[3:]
     if not all(0.0 < one < math.inf for row in positive for one in row):
         return None

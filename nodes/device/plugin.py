@@ -427,7 +427,7 @@ def plugin_driver(device: PluginDevice, bundle: DeviceBundle) -> PluginDriver:
                 f"devices.{bundle.common.name}: found the driver {name} without a method work; expected the work of "
                 "its motors in J, for they hold torques, and the account of lateness rests on it"
             )
-        if found := list(promises_too_much(stated, axis_map, limits, device.timing, bundle.inertia)):
+        if found := list(promises_too_much(stated, axis_map, limits, device.timing, bundle.inertia, device.step)):
             raise FactoryError(
                 f"devices.{bundle.common.name}: the session promises more than its driver {name} states: "
                 + "; ".join(found)

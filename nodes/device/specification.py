@@ -40,6 +40,10 @@ class DeviceSpecification:
             False: ``check-driver`` then skips what a push would show.
         holds_torque: whether its motors hold the torques of joints between two forces, in place of the force at the
             tip. A session has to state so (``held: torque``), for its certificate is false otherwise.
+        step: the encoder's step on each axis, m; None where it is not known. A session that counts on friction may
+            state no smaller one.
+        by_itself: what the device does inside the loop by itself, and cannot be switched off or was left on: a
+            sentence each, as "compensates gravity by a force of its own". It is stated beside the certificate.
         hardware: whether forces act on a real mechanism, in real time. A simulated counterpart states False: it moves
             by the instants of the calls, and also takes part under the simulated clock.
 
@@ -54,6 +58,8 @@ class DeviceSpecification:
     axes: tuple[str, ...] = ()
     mass: tuple[float, ...] | None = None
     holds_torque: bool = False
+    step: tuple[float, ...] | None = None
+    by_itself: tuple[str, ...] = ()
     hardware: bool = True
     moved_by_force: bool = True
 
@@ -61,9 +67,9 @@ class DeviceSpecification:
         m = len(self.force)
         if not self.axes:
             object.__setattr__(self, "axes", tuple(str(axis) for axis in range(m)))
-        for what in ("force", "displacement", "speed", "mass"):
+        for what in ("force", "displacement", "speed", "mass", "step"):
             values = getattr(self, what)
-            if what == "mass" and values is None:
+            if what in ("mass", "step") and values is None:
                 continue
             if len(values) != m or not m or not all(0.0 < value < math.inf for value in values):
                 expected = f"{m or 'one or more'} finite numbers greater than 0, one an axis"
@@ -108,6 +114,7 @@ def promises_too_much(
     limits: tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]],
     timing: DeviceTiming,
     inertia: Inertia | None = None,
+    step: tuple[float, ...] | None = None,
 ) -> Iterator[str]:
     """A sentence for each number of a session that promises more than its driver states.
 
@@ -117,6 +124,7 @@ def promises_too_much(
         limits: of the session, by port: force (N), displacement (m) and speed (m/s).
         timing: of the session.
         inertia: of the session; None where it states none.
+        step: of the session's encoders, by port, m; None where it states none.
     """
     c = axis_map.scale
     own = ((stated.force, 1.0 / c, "N"), (stated.displacement, c, "m"), (stated.speed, c, "m/s"))
@@ -131,6 +139,12 @@ def promises_too_much(
             least = stated.mass[axis] / (c * c)  # x = c X and f = F/c
             if inertia.mass[port] > least * (1.0 + ROUNDING):
                 yield f"mass: found {inertia.mass[port]:g} kg; expected at most {least:g} kg"
+                break
+    if step is not None and stated.step is not None:
+        for port, axis in enumerate(axis_map.axes):
+            least = c * stated.step[axis]
+            if step[port] < least * (1.0 - ROUNDING):
+                yield f"step: found {step[port]:g} m; expected at least {least:g} m"
                 break
     for what, promise, own_time in (
         ("sample_age", timing.sample_age, stated.timing.sample_age),

@@ -59,8 +59,9 @@ class Counterpart(DeviceDriver):
     def specification(self) -> DeviceSpecification:
         n = self.n
         return DeviceSpecification(
-            (8.0,) * n, (0.2,) * n, (2.0,) * n, self.stated, mass=(self.mass,) * n, hardware=self.hardware
-        )
+            *((8.0,) * n, (0.2,) * n, (2.0,) * n, self.stated),
+            mass=(self.mass,) * n, step=(self.step,) * n if self.step else None, hardware=self.hardware,
+        )  # fmt: skip
 
     def sample(self, tick: int, at: Instant) -> Sequence[float]:
         self._move(at)

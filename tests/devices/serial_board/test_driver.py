@@ -19,7 +19,7 @@ import pytest
 from manyhands.devices.serial_board import BoardError, SerialBoard
 from manyhands.devices.serial_board.driver import ROUND
 from manyhands.devices.serial_board.frames import Feature, sealed
-from manyhands.devices.serial_board.port import PortError
+from manyhands.devices.serial_port import PortError
 from manyhands.protocol.clock import Instant
 
 from ...fakes.board import Axis, FakeBoard, fake_board
@@ -262,7 +262,7 @@ def test_parameters_that_are_none_are_refused(parameters: dict[str, Any], said: 
 
 
 @pytest.mark.parametrize(
-    ("path", "said"), [("/dev/no-such-port", "plug the board in"), ("/dev/null", "cannot use /dev/null")]
+    ("path", "said"), [("/dev/no-such-port", "plug the device in"), ("/dev/null", "cannot use /dev/null")]
 )
 def test_a_port_that_is_none_is_refused(path: str, said: str) -> None:
     with pytest.raises(PortError, match=said):

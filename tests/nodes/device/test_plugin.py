@@ -168,6 +168,7 @@ def test_maps_that_are_none(axes: tuple[int, ...], signs: tuple[float, ...], sca
         ({"displacement": (0.0,)}, "displacement: found"),
         ({"speed": (float("inf"),)}, "speed: found"),
         ({"mass": (-1.0,)}, "mass: found"),
+        ({"step": (0.0,)}, "step: found"),
         ({"axes": ("x", "y")}, "axes: found"),
         ({"force": ()}, "force: found"),
     ],
@@ -239,6 +240,15 @@ def test_a_mass_is_compared_at_the_ports() -> None:
     driver_of(bundle_for(device, inertia=Inertia((0.05,), (50.0,), (0.0,)), **own)).close()
     with pytest.raises(FactoryError, match=r"mass: found 0.06 kg; expected at most 0.05 kg"):
         driver_of(bundle_for(device, inertia=Inertia((0.06,), (50.0,), (0.0,)), **own))
+
+
+def test_a_step_is_compared_at_the_ports() -> None:
+    """With the scale 2 a step of 0.5 mm is 1 mm there."""
+    own = {"force": (4.0,), "displacement": (0.4,), "speed": (4.0,)}
+    driver_of(bundle_for(PluginDevice(named(step=5e-4), 1, scale=2.0, step=(1e-3,)), **own)).close()
+    driver_of(bundle_for(PluginDevice(named(step=5e-4), 1, scale=2.0), **own)).close()  # nothing counts on it
+    with pytest.raises(FactoryError, match=r"step: found 0.0009 m; expected at least 0.001 m"):
+        driver_of(bundle_for(PluginDevice(named(step=5e-4), 1, scale=2.0, step=(9e-4,)), **own))
 
 
 def test_hardware_is_refused_under_the_simulated_clock() -> None:

@@ -116,12 +116,12 @@ class SerialPort:
 
     def _gone(self, error: OSError | None) -> PortError:
         why = "its end" if error is None else error.strerror
-        return PortError(f"{self.path}: found {why}; expected a board: see that it is plugged in and has power")
+        return PortError(f"{self.path}: found {why}; expected a device: see that it is plugged in and has power")
 
 
 def _why(error: OSError) -> str:
     if isinstance(error, FileNotFoundError):
-        return "there is no such port; plug the board in"
+        return "there is no such port; plug the device in"
     if isinstance(error, PermissionError):
         return "it may not be opened; on most systems the group dialout may (log in again after you have joined it)"
     return f"{error.strerror}; see whether another program has it"
