@@ -21,6 +21,7 @@ from manyhands.design.models.brief import brief_names, brief_repr
 from manyhands.design.models.statespace import Matrix
 from manyhands.design.problem import HapticLoop
 from manyhands.design.series import counted_parts
+from manyhands.launch.app.own_device import OwnDevice
 from manyhands.launch.look.display import titled_table
 from manyhands.launch.plan.loop import haptic_loop
 from manyhands.launch.plan.sites import site
@@ -42,6 +43,9 @@ ROUND_TRIPS = (1e-3, 2e-3, 4e-3, 6e-3, 10e-3, 20e-3, 40e-3, 60e-3, 100e-3, 200e-
 """s: the round trips shown of a wave link, besides the session's own."""
 SITE_PERIODS = (1e-3, 0.5e-3, 0.25e-3)
 """s: the periods shown of a user's site, besides its own."""
+
+SPEEDS = (0.03, 0.1, 0.3, 1.0)
+"""m/s: those below which a device's friction is told to damp, besides one that is asked for."""
 
 _PLOTTED_PERIODS = (0.25, 0.5, 1.0, 2.0)  # multiples of the session's period
 _PLOTTED_DELAYS = 101  # points of a curve
@@ -430,8 +434,14 @@ def _plain(row: Stiffness) -> dict[str, float | None]:
     return {"T": row.T, "tau": row.tau, "certified": row.certified, "colgate": row.colgate, "kappa": row.kappa}
 
 
-def print_budget(console: Console, found: DelayBudget) -> None:
-    """Print two tables, stiffness over delay and over period; devices with equal levels share their rows."""
+def print_budget(console: Console, found: DelayBudget, own_mark: str = " (session)") -> None:
+    """Print two tables, stiffness over delay and over period; devices with equal levels share their rows.
+
+    Args:
+        console: where to.
+        found: the budget.
+        own_mark: what stands beside the loop's own delay.
+    """
     loop = found.loop
     groups = _groups(found.devices)
     shown = groups[:_MOST_ROWS]
@@ -440,7 +450,7 @@ def print_budget(console: Console, found: DelayBudget) -> None:
     table = titled_table(title, ["devices"], columns)
     for names, device in shown:
         for i, row in enumerate(device.against_delay):
-            mark = " (session)" if row.tau == loop.tau else ""
+            mark = own_mark if row.tau == loop.tau else ""
             table.add_row(
                 names if i == 0 else "", _ms(row.tau) + mark, f"{row.tau / row.T:.3g}", _figure(row.certified),
                 _figure(row.colgate), "" if row.kappa is None else f"{row.kappa:.3f}",
@@ -491,6 +501,43 @@ def print_wave_links(console: Console, found: Sequence[WaveLinkBudget]) -> None:
             markup=False,
             soft_wrap=True,
         )
+
+
+def below_speeds(own: OwnDevice, found: DelayBudget) -> list[tuple[float, float]]:
+    """Of a device with dry friction: a speed, m/s, and the stiffness that can be certified below it, N/m, by speed."""
+    if not own.friction:
+        return []
+    speeds = sorted({*SPEEDS, *(() if own.speed is None else (own.speed,))})
+    return [(speed, stiffest_below(found.loop, speed)[0].certified) for speed in speeds]
+
+
+def own_device_object(own: OwnDevice, found: DelayBudget) -> dict[str, Any]:
+    """What ``--json`` adds of a device with dry friction; speeds in m/s, stiffness in N/m."""
+    below = below_speeds(own, found)
+    return {"below_speeds": [{"speed": speed, "certified": certified} for speed, certified in below]} if below else {}
+
+
+def print_own_device(console: Console, own: OwnDevice, found: DelayBudget) -> None:
+    """Print the answer in a sentence, and one for each speed below which friction counts."""
+    T = found.loop.period
+    first, last = (found.at(tau)["device"].certified for tau in (0.0, T))
+    console.print(
+        f"A device that damps {own.osp:g} N·s/m, at {own.rate:g} Hz: {_coupling(first)} if nothing is late, and "
+        f"{_coupling(last)} if forces may be a period late. A stiffer wall feels no stiffer.",
+        markup=False,
+        soft_wrap=True,
+    )
+    for speed, certified in below_speeds(own, found):
+        late = f"{1e3 * found.loop.tau:g} ms late" if found.loop.tau else "nothing late"
+        console.print(
+            f"Below {speed:g} m/s, with {own.friction:g} N of dry friction and {late}: {_figure(certified)} N/m",
+            markup=False,
+            soft_wrap=True,
+        )
+
+
+def _coupling(below: float) -> str:
+    return f"a coupling below {_figure(below)} N/m" if below else "none"
 
 
 def _environment_text(found: DelayBudget) -> str:

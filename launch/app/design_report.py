@@ -26,6 +26,7 @@ from manyhands.design.models.statespace import Matrix
 from manyhands.design.problem import MECHANISM, DeviceLevel, HapticLoop
 from manyhands.design.quantisation import not_covered, steps
 from manyhands.design.wave_link import FELT_STIFFNESS
+from manyhands.launch.app.own_device import OwnDevice, session_of
 from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK
 from manyhands.launch.look.display import figure_table, printable, promise_lines, say, status, world_lines
 from manyhands.launch.output import print_json
@@ -475,6 +476,38 @@ def run_budget(session: Session, out: Console, err: Console, picture: Path | Non
         print_steps(out, found)
         print_wave_links(out, links)
         print_rates(out, session.name, rates)
+    if picture is not None:
+        plot_budget(found, picture)
+        say(err, f"picture: {picture}")
+    return EXIT_OK
+
+
+def run_own_budget(own: OwnDevice, out: Console, err: Console, picture: Path | None, as_json: bool) -> int:
+    """Show the stiffness that can be certified for a device of which no session is written yet.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        SessionError: a number is out of its range.
+    """
+    from manyhands.launch.app.budget import (
+        budget_object,
+        own_device_object,
+        plot_budget,
+        print_budget,
+        print_own_device,
+        print_steps,
+        session_budget,
+    )
+
+    found = session_budget(session_of(own))
+    if as_json:
+        print_json(budget_object(found) | own_device_object(own, found))
+    else:
+        print_own_device(out, own, found)
+        print_budget(out, found, "" if own.delay is None else " (stated)")
+        print_steps(out, found)
     if picture is not None:
         plot_budget(found, picture)
         say(err, f"picture: {picture}")

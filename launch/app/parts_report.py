@@ -34,6 +34,7 @@ from manyhands.launch.app.design_report import (
 from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK, TargetError, require_target
 from manyhands.launch.look.display import say
 from manyhands.launch.output import print_json
+from manyhands.launch.plan.feel import feel_lines
 from manyhands.launch.plan.loop import haptic_loop
 from manyhands.launch.plan.sites import IN_TICK, part, part_files, part_names, world
 from manyhands.launch.session import ENVIRONMENT, Session
@@ -105,6 +106,8 @@ def run_design(
             code = EXIT_NOT_CERTIFIED
             break
         objects[name] = _keep(designed, files.get(name), out, err, as_json)
+        for line in () if isinstance(designed, World) else feel_lines(session, [designed.certificate]):
+            say(err, line)
         if pictures is not None and not isinstance(designed, World) and not several:
             _draw(designed, pictures, err)
         if asked or (not isinstance(designed, World) and designed.interrupted):

@@ -105,6 +105,12 @@ class ModelEnvironment(EnvironmentKind):
     )
     enforce: Enforce = Field(default=True, description=ENFORCE_MEANING)
 
+    def hardest(self, ports: tuple[str, ...]) -> dict[str, float]:
+        """The springs to the proxies, for what these rest on does not give way; none of a model of forces."""
+        if self.stiffness is None:
+            return {}
+        return dict(zip(ports, np.diag(full_matrix(self.stiffness, len(ports))).tolist(), strict=True))
+
     def problems(self, ports: tuple[str, ...]) -> Iterator[Problem]:
         """The problems of level and stiffness in a session with these ports."""
         level_problems = [*_size_problems("level", self.level, ports)]

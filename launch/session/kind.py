@@ -74,6 +74,22 @@ class EnvironmentKind(SessionModel):
         """Tools, bodies and obstacles for drawing; None for an environment without places."""
         return None
 
+    def hardest(self, ports: tuple[str, ...]) -> dict[str, float]:
+        """By port the stiffness of the hardest thing that it meets, N/m; without those that meet nothing known here."""
+        met = [(port, link.stiffness) for link in self.masses_and_springs(ports)[1] for port in {*link.ends} & {*ports}]
+        if (scene := self.geometry(ports)) is not None:
+            moved = {tool.name: tool.ports for tool in scene.tools}
+            met += [
+                (ports[index], pair.surface.stiffness)
+                for pair in scene.contacts.pairs
+                for name in pair.names
+                for index in moved.get(name, ())
+            ]
+        found: dict[str, float] = {}
+        for port, stiffness in met:
+            found[port] = max(found.get(port, 0.0), stiffness)
+        return found
+
     @property
     def without_series(self) -> str:
         """Why none of its compliance may be counted in series, as in *found ... with ...*; empty where it may be."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -24,7 +25,8 @@ from manyhands.launch.app.cli.common import (
     session_files,
     session_keys,
 )
-from manyhands.launch.app.design_report import run_budget, run_verify
+from manyhands.launch.app.design_report import run_budget, run_own_budget, run_verify
+from manyhands.launch.app.own_device import OwnDevice
 from manyhands.launch.app.parts_report import require_parts, run_design, run_verify_world
 from manyhands.launch.files import EXIT_FAILED, require_target
 from manyhands.launch.look.display import progress_bar, say
@@ -110,9 +112,29 @@ def verify_command(
             end(run_verify(certificate, loaded, out, err, as_json))
 
 
-@commands.command(epilog="Example: manyhands budget example1.yaml --plot budget.png")
+@commands.command(epilog="Example: manyhands budget --osp 0.05 --rate 1000")
 def budget(
-    session: SessionPath,
+    session: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[SESSION]", help="A session file; none where --osp states a device.", autocompletion=session_files
+        ),
+    ] = None,
+    osp: Annotated[float | None, typer.Option(metavar="N·s/m", help="What the device surely damps.")] = None,
+    rate: Annotated[float, typer.Option(metavar="HZ", help="Of the loop.")] = OwnDevice.rate,
+    delay: Annotated[
+        float | None, typer.Option(metavar="S", help="From a sample to the force that answers it; else several.")
+    ] = OwnDevice.delay,
+    friction: Annotated[float, typer.Option(metavar="N", help="Its least dry friction.")] = OwnDevice.friction,
+    step: Annotated[float, typer.Option(metavar="M", help="Of its encoder.")] = OwnDevice.step,
+    speed: Annotated[
+        float | None, typer.Option(metavar="M/S", help="Below which friction is to damp; else several.")
+    ] = OwnDevice.speed,
+    kappa: Annotated[
+        float, typer.Option(metavar="1/M", help="Of a linkage whose motors hold torques; with --force and --fastest.")
+    ] = OwnDevice.curvature,
+    force: Annotated[float, typer.Option(metavar="N", help="The greatest force of that linkage.")] = OwnDevice.force,
+    fastest: Annotated[float, typer.Option(metavar="M/S", help="Its greatest speed.")] = OwnDevice.fastest,
     picture: Annotated[
         Path | None, typer.Option("--plot", metavar="FILE", help="Draw the curves (.png, .svg or .pdf).")
     ] = None,
@@ -121,7 +143,10 @@ def budget(
 ) -> None:
     """Show the stiffness that can be certified for each device, over the delay inside the tick and the period.
 
-    At another rate: --set period=0.0005 (s; 2 kHz). With another delay inside the tick: --set design.tau=0.0002.
+    Without a session, for the device that --osp and the other options state.
+
+    With one, at another rate: --set period=0.0005 (s; 2 kHz). With another delay inside the tick: --set
+    design.tau=0.0002.
 
     For a user who is 80 ms away, one way, R is 160 ms there and back, beyond any tick: --set
     'couplings.cx.wave_link={mass: 0.5, round_trip: 0.16}' shows what is felt over a wave link.
@@ -129,13 +154,43 @@ def budget(
     with errors("design"):
         from manyhands.launch.app.start import SettledForm, settle_delay
 
-        loaded = load_named(session, overrides)
         if picture is not None:
             from manyhands.launch.look.figures import require_picture
 
             require_picture(picture)
-        loaded = settle_delay(SettledForm(loaded), StartOptions(SIMULATED), err).session
+        own = None if osp is None else OwnDevice(osp, rate, delay, friction, step, speed, kappa, force, fastest)
+        if session is None and own is not None and not overrides:
+            _require_device(own)
+            end(run_own_budget(own, out, err, picture, as_json))
+            return
+        if session is None or own is not None:
+            refuse(
+                "found " + ("neither SESSION nor --osp" if own is None else "--osp beside a session or --set") + "; "
+                "expected a session file, or a device by --osp and the options after it"
+            )
+        loaded = settle_delay(SettledForm(load_named(session, overrides)), StartOptions(SIMULATED), err).session
         end(run_budget(loaded, out, err, picture, as_json))
+
+
+def _require_device(own: OwnDevice) -> None:
+    """Refuse what is out of range before it becomes a session, whose keys the user has never seen."""
+    for option, value, least in (
+        ("--osp", own.osp, True),
+        ("--rate", own.rate, True),
+        ("--delay", own.delay, False),
+        ("--friction", own.friction, False),
+        ("--step", own.step, False),
+        ("--speed", own.speed, True),
+        ("--kappa", own.curvature, False),
+        ("--force", own.force, own.curvature > 0.0),
+        ("--fastest", own.fastest, own.curvature > 0.0),
+    ):
+        if value is not None and not (0.0 < value < math.inf or (value == 0.0 and not least)):
+            refuse(f"{option}: found {value:g}; expected a number " + ("greater than 0" if least else "of 0 or more"))
+    if own.delay is not None and own.delay > 1.0 / own.rate:
+        refuse(f"--delay: found {own.delay:g} s; expected at most a period, {1.0 / own.rate:g} s")
+    if own.speed is not None and not own.friction:
+        refuse("--speed: found a device without dry friction; expected --friction, which damps below a speed")
 
 
 @commands.command(epilog="Example: manyhands sweep example1.yaml --vary 'design.tau=[0, 0.0002, 0.0005]' -o sweep.csv")

@@ -102,9 +102,13 @@ def command(*arguments: str | Path) -> Result:
     return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
+SOFT = "the coupling is the limit (and 2 more ports)"
+
+
 def lines(result: Result) -> list[str]:
+    """What was said of delays: a coupling for a long one is soft, and a line more says so."""
     assert result.exit_code == 0, result.output
-    return result.stderr.splitlines()
+    return [line for line in result.stderr.splitlines() if not line.endswith(SOFT)]
 
 
 def test_a_launch_in_real_time_is_designed_for_what_was_measured(machine: Machine) -> None:
@@ -124,6 +128,14 @@ def test_the_next_launch_uses_the_profile_that_is_kept(machine: Machine) -> None
     (line,) = lines(command(*LAUNCH))
     assert "measured here, just now" in line
     assert (machine.tau, len(machine.measured)) == (0.75e-3, 1)
+
+
+@pytest.mark.parametrize(("tau", "said"), [("0.0009", 1), ("0", 0)])
+def test_a_launch_says_where_the_coupling_is_the_limit(tau: str, said: int, machine: Machine) -> None:
+    found = command(*LAUNCH, "--set", f"design.tau={tau}").stderr.splitlines()
+    about = [line for line in found if line.endswith(SOFT)]
+    assert len(about) == said
+    assert all("a contact of 3800 N/m will feel like" in line and "(and 1 more" not in line for line in about)
 
 
 def test_an_old_profile_says_how_old_it_is(machine: Machine) -> None:

@@ -179,6 +179,43 @@ def test_budget_prints_and_draws(tmp_path: Path) -> None:
     assert said != doubled
 
 
+def own(*options: str) -> dict[str, Any]:
+    return one_object(manyhands_command("budget", "--json", "--osp", "0.05", *options))
+
+
+def certified(of: dict[str, Any], tau: float) -> float:
+    (row,) = [row for row in of["devices"]["device"]["against_tau"] if row["tau"] == pytest.approx(tau, abs=1e-12)]
+    return float(row["certified"])
+
+
+def test_a_device_without_a_session_gets_what_the_laws_say() -> None:
+    """b/(T/2 + 3 tau/2) of [Bianchini2010]_'s condition; what a linkage takes of b, as docs/mechanisms.md has it."""
+    plain, fast = own(), own("--rate", "4000", "--delay", "0.0001")
+    assert certified(plain, 0.0) == pytest.approx(100.0)
+    assert certified(plain, 1e-3) == pytest.approx(25.0)
+    assert certified(fast, 1e-4) == pytest.approx(0.05 / (0.125e-3 + 1.5e-4))
+    geared = own("--kappa", "10", "--force", "3", "--fastest", "0.5")
+    assert 30.0 < 100.0 - certified(geared, 0.0) < 40.0  # K_geo = kappa F_max is 30 N/m, and a little for the way
+
+
+def test_friction_of_a_device_without_a_session_counts_below_speeds() -> None:
+    below = {row["speed"]: row["certified"] for row in own("--friction", "0.1", "--speed", "0.2")["below_speeds"]}
+    assert list(below) == [0.03, 0.1, 0.2, 0.3, 1.0]
+    assert below[0.1] == pytest.approx(2.0 * (0.05 + 0.1 / 0.1) / 1e-3)  # 2 (b + c/v)/T
+    assert sorted(below.values(), reverse=True) == list(below.values())
+    assert "below_speeds" not in own()
+
+
+def test_the_answer_for_a_device_without_a_session_is_a_sentence(tmp_path: Path) -> None:
+    picture = tmp_path / "own.png"
+    result = manyhands_command("budget", "--osp", "0.05", "--plot", picture)
+    assert "a coupling below 100 N/m if nothing is late, and a coupling below 25 N/m" in result.stdout
+    assert "(session)" not in result.stdout
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    none = manyhands_command("budget", "--osp", "0.05", "--kappa", "100", "--force", "10", "--fastest", "1")
+    assert "none if nothing is late, and none if forces may be a period late" in none.stdout
+
+
 # --- Ctrl-C
 
 

@@ -1,0 +1,72 @@
+"""What a user feels of a thing behind a coupling: two springs in series (:func:`softened`).
+
+A coupling of K and a contact of k give way together, and are felt as K k/(K + k). Where K is far below k, the contact's
+own stiffness makes no difference any more: the coupling is the limit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from manyhands.design.certificate import Certificate
+from manyhands.launch.session import Session
+
+FAR_SOFTER: Final = 0.1
+"""A coupling of less than this part of its contact's stiffness is far softer: less than an eleventh of it is felt."""
+
+
+@dataclass(frozen=True)
+class Softened:
+    """A thing that is felt far softer than it is.
+
+    Attributes:
+        port: where it is felt.
+        contact: its stiffness, k in N/m.
+        coupling: of the coupling there, K in N/m.
+    """
+
+    port: str
+    contact: float
+    coupling: float
+
+    @property
+    def felt(self) -> float:
+        """K k/(K + k), N/m."""
+        return self.coupling * self.contact / (self.coupling + self.contact)
+
+    @property
+    def sentence(self) -> str:
+        """What is felt, and why."""
+        return (
+            f"{self.port}: a contact of {self.contact:g} N/m will feel like {self.felt:.3g} N/m: "
+            "the coupling is the limit"
+        )
+
+
+def softened(session: Session, certificates: Iterable[Certificate]) -> list[Softened]:
+    """The ports at which the hardest thing is felt far softer than it is, the worst first.
+
+    Args:
+        session: the session.
+        certificates: of its parts.
+    """
+    hardest = session.environment.hardest(session.ports)
+    found = []
+    for certificate in certificates:
+        for port, K in zip(certificate.loop.ports, np.diag(certificate.stiffness).tolist(), strict=True):
+            if FAR_SOFTER * hardest.get(port, 0.0) > K:
+                found.append(Softened(port, hardest[port], K))
+    return sorted(found, key=lambda one: one.felt / one.contact)
+
+
+def feel_lines(session: Session, certificates: Iterable[Certificate]) -> list[str]:
+    """One line about the port at which most is lost, with the number of the others; none where nothing is."""
+    found = softened(session, certificates)
+    if not found:
+        return []
+    others = f" (and {len(found) - 1} more ports)" if len(found) > 1 else ""
+    return [f"{session.name}: {found[0].sentence}{others}"]
