@@ -24,7 +24,7 @@ from manyhands.launch.doctor.profile import Profile, drop_profile, outlived
 from manyhands.launch.doctor.rates import certified_lines
 from manyhands.launch.look.display import say
 from manyhands.launch.plan.engine import require_engine
-from manyhands.launch.plan.feel import feel_lines
+from manyhands.launch.plan.feel import feel_lines, network_lines
 from manyhands.launch.plan.hosts import by_hand, hosts_of, require_hosts_alone
 from manyhands.launch.plan.keys import Keys, load_folder, make_keys
 from manyhands.launch.plan.loop import NotCertified
@@ -252,7 +252,7 @@ def announce(
     if options.clock == REALTIME and measurable:
         for line in certified_lines(prepared, settled.session, settled.profile, time.time()):
             say(console, line)
-    for line in feel_lines(session, prepared.certificates):
+    for line in (*feel_lines(session, prepared.certificates), *network_lines(session, options.clock)):
         say(console, line)
     if form.reason:
         say(console, f"{session.name}: {form.reason}")

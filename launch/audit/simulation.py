@@ -32,10 +32,12 @@ from manyhands.nodes.environment.model import ModelFailure
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle
 from manyhands.nodes.kernel.passivity import Ledger
+from manyhands.nodes.kernel.simulated_way import WavesUnderWay
 from manyhands.nodes.link.join import WaveRow
 from manyhands.nodes.rows.two_port import TwoPort
 from manyhands.nodes.wave_link.ends import turns, user_face, world_face
-from manyhands.nodes.wave_link.faces import wave_feedthrough
+from manyhands.nodes.wave_link.faces import UserFace, WorldFace, wave_feedthrough
+from manyhands.nodes.wave_link.felt import FeltLink, stiffness_and_mass
 from manyhands.nodes.wave_link.rows import user_row, world_row
 from manyhands.protocol.clock import Instant, from_seconds
 
@@ -68,7 +70,7 @@ class Silence:
 class LinkInside:
     """A wave link within one process, as a :class:`manyhands.nodes.rows.two_port.TwoPort` between both its ends.
 
-    A wave leaves and arrives in its tick; the play-out alone delays it.
+    A wave leaves and arrives in its tick, and the play-out alone delays it, unless the session states a network.
 
     Attributes:
         user: the face at the coupling.
@@ -79,9 +81,10 @@ class LinkInside:
 
     def __init__(self, coupling: CouplingBundle, environment: EnvironmentBundle) -> None:
         """Begin the first life of the wave link of ``coupling``."""
-        self._coupling, end = coupling, environment.waves[coupling.common.name]
-        self._world_sends, self._user_sends = turns(end)
-        self.world = world_face(environment.common, end)
+        self._coupling, self._end = coupling, environment.waves[coupling.common.name]
+        self._world_sends, self._user_sends = turns(self._end)
+        self.world = world_face(environment.common, self._end)
+        self._period, self._silences = environment.common.period, 0
         self._start()
         self.at_world = WaveRow(self.world.wave, self.world.tank.row(), *self.world.signals)
 
@@ -90,8 +93,12 @@ class LinkInside:
         if wave is None:
             raise AssertionError("the world has an end of each wave link, and so has its coupling")
         self.user = user_face(self._coupling.common, wave, self._coupling.block.D)
+        self._down, self._up = (
+            None if of.way is None else WavesUnderWay(of.way, of.peer_period) for of in (wave, self._end)
+        )
         self.at_user = WaveRow(self.user.wave, self.user.tank.row())
         self._f: Floats = []
+        self._holding = (True, True)  # a face hears nothing before its first wave
 
     def up(self, p: Floats) -> Floats:
         """The user's face answers, and sends a wave; returns the tool's position at the world's face, m."""
@@ -99,8 +106,8 @@ class LinkInside:
         self._f = user.step(p)
         self.at_user = WaveRow(user.wave, user.tank.row())
         if self._user_sends.sends(user.n):
-            wave = user.message()
-            world.hear(wave.n, wave.U, wave.G)
+            _carry(user, world, self._up)
+        _arrive(self._up, world, (world.n + 1) * self._period)
         return world.tool()
 
     def down(self, f: Floats) -> Floats:
@@ -109,9 +116,21 @@ class LinkInside:
         world.step(f)
         self.at_world = WaveRow(world.wave, world.tank.row(), *world.signals)
         if self._world_sends.sends(world.n):
-            wave = world.message()
-            user.hear(wave.n, wave.U, wave.G)
+            _carry(world, user, self._down)
+        _arrive(self._down, user, user.n * self._period)
+        holding = (user.holding, world.holding)
+        self._silences += sum(now and not before for now, before in zip(holding, self._holding, strict=True))
+        self._holding = holding
         return self._f
+
+    def felt(self, impedance: tuple[float, float]) -> FeltLink:
+        """What is felt of it now, with the least and the greatest eigenvalue of b, N·s/m."""
+        ends = self.user, self.world
+        R = sum(end.lag for end in ends)
+        return FeltLink(
+            R, *stiffness_and_mass(impedance, R), (self.user.tank.level, self.world.tank.level),
+            limited=sum(end.tank.clipped for end in ends), silences=self._silences, holding=any(self._holding),
+        )  # fmt: skip
 
     def book(self) -> None:
         """Nothing is left to do."""
@@ -126,6 +145,21 @@ class LinkInside:
         self._start()
         self.user.tank.level = 0.0
         self.world.renew(0)
+
+
+def _carry(sender: UserFace | WorldFace, hearer: UserFace | WorldFace, way: WavesUnderWay | None) -> None:
+    """Send a wave: it arrives at once, or goes under way."""
+    wave = sender.message()
+    if way is None:
+        hearer.hear(wave.n, wave.U, wave.G)
+    else:
+        way.send((wave.n, [*wave.U], wave.G))
+
+
+def _arrive(way: WavesUnderWay | None, hearer: UserFace | WorldFace, by: float) -> None:
+    """Hear what has come by a time, s."""
+    for wave in () if way is None else way.arrived(by):
+        hearer.hear(*wave)
 
 
 class Simulation:

@@ -350,10 +350,11 @@ def _wave_end(session: Session, name: str, link: WaveLink, bounds: SiteBounds, a
     if not at_user:
         own, peer = peer, own
     every, peer_every = link.every(own), link.every(peer)
-    turn = list(session.wave_links).index(name) % max(every, peer_every)
+    number = list(session.wave_links).index(name)
+    turn = number % max(every, peer_every)
     return WaveEnd(
         matrix(link.impedance(ports)), theta, link.tank, peer, link.depth,
-        every=every, peer_every=peer_every, turn=turn, bounds=bounds,
+        every=every, peer_every=peer_every, turn=turn, bounds=bounds, way=link.way(2 * number + at_user),
     )  # fmt: skip
 
 

@@ -1,4 +1,6 @@
-"""What a user feels of a thing behind a coupling: two springs in series (:func:`softened`).
+"""What a user feels of a thing behind a coupling, and over which network.
+
+A thing behind a coupling is two springs in series (:func:`softened`).
 
 A coupling of K and a contact of k give way together, and are felt as K k/(K + k). Where K is far below k, the contact's
 own stiffness makes no difference any more: the coupling is the limit.
@@ -14,6 +16,7 @@ import numpy as np
 
 from manyhands.design.certificate import Certificate
 from manyhands.launch.session import Session
+from manyhands.nodes.kernel.bundle import SIMULATED
 
 FAR_SOFTER: Final = 0.1
 """A coupling of less than this part of its contact's stiffness is far softer: less than an eleventh of it is felt."""
@@ -70,3 +73,19 @@ def feel_lines(session: Session, certificates: Iterable[Certificate]) -> list[st
         return []
     others = f" (and {len(found) - 1} more ports)" if len(found) > 1 else ""
     return [f"{session.name}: {found[0].sentence}{others}"]
+
+
+def network_lines(session: Session, clock: str) -> list[str]:
+    """One line for each wave link whose stated network is not that of a run by this clock."""
+    lines = []
+    for name, link in session.wave_links.items():
+        if clock == SIMULATED and link.network is None and link.round_trip is not None:
+            lines.append(
+                f"{name}: a round trip of {1e3 * link.round_trip:.4g} ms is stated, and no network is simulated: a "
+                f"wave arrives in its tick; --delay {500.0 * link.round_trip:.4g}ms simulates one"
+            )
+        elif clock != SIMULATED and link.network is not None:
+            lines.append(
+                f"{name}: its network is simulated under the {SIMULATED} clock alone; this run has the real one"
+            )
+    return lines

@@ -30,6 +30,7 @@ from manyhands.launch.session.limits import (
     MIN_POSITIVE,
 )
 from manyhands.launch.session.matrices import Array
+from manyhands.nodes.kernel.simulated_way import SimulatedWay
 
 _MASS: Final = Quantity("a felt mass", "kg", above=0.0, smallest=MIN_POSITIVE)
 _IMPEDANCE: Final = Quantity("an entry of the wave impedance", "N·s/m")
@@ -37,7 +38,20 @@ _ROUND_TRIP: Final = Quantity("a round trip", "s", above=0.0, most=LONGEST_ROUND
 _INTERVAL: Final = Quantity("a time between waves", "s", above=0.0, most=LONGEST_INTERVAL, smallest=MIN_POSITIVE)
 _TANK: Final = Quantity("a tank", "J", least=0.0, most=LARGEST_TANK)
 _DELAY: Final = Quantity("a delay inside the tick", "s", least=0.0, most=LONGEST_PERIOD)
+_WAY: Final = Quantity("a time under way", "s", least=0.0, most=LONGEST_ROUND_TRIP)
+_LOSS: Final = Quantity("a part of the waves", "", least=0.0, most=0.9)
 _HARVEST: Final = Quantity("a harvest", "N·s/m", least=0.0)
+
+
+class SimulatedNetwork(SessionModel):
+    """A network for runs under the simulated clock, the same both ways."""
+
+    delay: Annotated[float, _WAY] = Field(default=0.0, description="the least time of a wave under way in s, one way")
+    jitter: Annotated[float, _WAY] = Field(
+        default=0.0, description="by how much the time under way exceeds it at most in s, each wave by itself"
+    )
+    loss: Annotated[float, _LOSS] = Field(default=0.0, description="the part of the waves that are lost, at random")
+    seed: Annotated[int, Whole("a seed", 0, 2**31 - 1)] = Field(default=1, description="of the chances")
 
 
 class WaveLink(SessionModel):
@@ -75,6 +89,11 @@ class WaveLink(SessionModel):
     harvest: Annotated[OneOrMany, one_or_many(_HARVEST)] = Field(
         default=0.0,
         description="the damping of the user's site that refills its tank, in N·s/m: a number, or one for each port",
+    )
+
+    network: SimulatedNetwork | None = Field(
+        default=None,
+        description="the network of a run under the simulated clock; a wave arrives in its tick if not given",
     )
 
     @model_validator(mode="after")
@@ -117,6 +136,11 @@ class WaveLink(SessionModel):
     def every(self, period: float) -> int:
         """An end with this period (s) sends a wave in one of so many of its ticks."""
         return 1 if self.interval is None else max(1, round(self.interval / period))
+
+    def way(self, number: int) -> SimulatedWay | None:
+        """One direction of :attr:`network`, of so many, each with chances of its own; None where there is none."""
+        one = self.network
+        return None if one is None else SimulatedWay(one.delay, one.jitter, one.loss, (one.seed << 12) + number)
 
     def mass_matrix(self, ports: int) -> Array | None:
         """The felt mass allowed, ``ports`` x ``ports`` and diagonal, kg; None if b is given instead."""

@@ -38,6 +38,7 @@ from manyhands.nodes.kernel.energy_budget import EnergyBudget
 from manyhands.nodes.kernel.factory import FactoryName
 from manyhands.nodes.kernel.friction_curve import FRICTION_FORM, FrictionCurve
 from manyhands.nodes.kernel.inertia import Inertia
+from manyhands.nodes.kernel.simulated_way import SimulatedWay
 from manyhands.nodes.kernel.site_bounds import SiteBounds
 from manyhands.protocol.clock import from_seconds
 from manyhands.protocol.messages import Role, Start
@@ -494,6 +495,8 @@ class WaveEnd:
         peer_every: the other end sends a wave in one of so many of its ticks.
         turn: the link's number: links with different numbers send in different ticks where that is possible.
         bounds: what its site can do at most; None for no bounds.
+        way: under the simulated clock, the network from the other end to this one; None where a wave arrives in its
+            tick.
 
     Raises:
         ValueError: a number is out of its range, b is not symmetric positive definite, or the bounds do not fit it.
@@ -508,6 +511,7 @@ class WaveEnd:
     peer_every: int = 1
     turn: int = 0
     bounds: SiteBounds | None = None
+    way: Added[SimulatedWay | None] = None
 
     def __post_init__(self) -> None:
         if min(self.every, self.peer_every) < 1 or self.turn < 0:

@@ -19,7 +19,9 @@ encrypted tcp link the world's end offers a path of datagrams in each life
 (:mod:`manyhands.protocol.transport.datagrams`), and the waves take it as long as they come through.
 
 **Under the simulated clock** no time passes, so the ends wait for the waves of the ticks that are due: a wave leaves
-and arrives in its tick, and the play-out alone delays it. So a run is the same every time.
+and arrives in its tick, and the play-out alone delays it. So a run is the same every time. Where the session states a
+network to simulate, the end that hears keeps each wave for its time under way, by a seed
+(:mod:`manyhands.nodes.kernel.simulated_way`).
 """
 
 from __future__ import annotations
@@ -31,6 +33,7 @@ from typing import Final
 
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import SIMULATED, Common, Peer, WaveEnd
+from manyhands.nodes.kernel.simulated_way import WavesUnderWay
 from manyhands.nodes.link.join import Join, JoinKind, Listener, OwnEnd, Received, WaveRow, positions
 from manyhands.nodes.link.peer_link import hello_to
 from manyhands.nodes.link.supervisor_line import NOT_AT_ALL
@@ -117,6 +120,8 @@ class _End(Join):
         self._strays = 0
         self._frames: list[bytes] | None = None  # that were read for this end; None where it reads by itself
         self._silences, self._holding = 0, True  # a face hears nothing before its first wave
+        self._way, self._from, self._own_period = wave.way, wave.peer_period, common.period
+        self._under_way = self._new_way()
         self._path: DatagramPath | None = None
         self._by_datagram = may_go_by_datagram(common)
         self._zeros: Floats = [0.0] * len(peer.ports)
@@ -167,6 +172,7 @@ class _End(Join):
         before, self._gate = self._gate, self._new_gate()
         self._gate.dropped.update(before.dropped)
         self._needed.clear()
+        self._under_way = self._new_way()
         if self._frames:
             self._frames.clear()
         self._ticks, self._born, self.tick, self._following = 0, 0, -1, 1
@@ -224,10 +230,23 @@ class _End(Join):
         wave = self._gate.admitted(frame)
         if wave is not None:
             self._strays = 0
-            self.face.hear(wave.tick, wave.sums, wave.shipped)
+            if self._under_way is None:
+                self.face.hear(wave.tick, wave.sums, wave.shipped)
+            else:
+                self._under_way.send((wave.tick, [*wave.sums], wave.shipped))
         elif type_of(frame) != WAVE_ID:  # a wave that is refused is no stray: no more of them are read in a tick
             self._strays += 1
         return False
+
+    def _new_way(self) -> WavesUnderWay | None:
+        """A simulated network with nothing under way; None where there is none."""
+        return None if self._way is None or not self._waits else WavesUnderWay(self._way, self._from)
+
+    def _hear_arrived(self, ticks: int) -> None:
+        """Hear the waves that a simulated network brings within this end's first ``ticks``."""
+        if self._under_way is not None:
+            for wave in self._under_way.arrived(ticks * self._own_period):
+                self.face.hear(*wave)
 
     def _take_key(self, frame: bytes) -> bool:
         """Take up a path that the other end offers, where this end expects an offer; returns whether it was one."""
@@ -331,6 +350,7 @@ class UserEnd(_End):
             received = self._await_wave(self._hears.latest(n), timeout)
             if received is not Received.SIGNAL:
                 return received
+            self._hear_arrived(self._face.n)
         self.put(values, self._f)
         self.tick = tick
         return Received.SIGNAL
@@ -389,6 +409,7 @@ class WorldEnd(_End):
             received = self._await_wave(self._hears.latest(n), timeout)
             if received is not Received.SIGNAL:
                 return received
+            self._hear_arrived(self._face.n + 1)
         else:
             self._offer_path()
             if self._take_waves():
@@ -559,4 +580,9 @@ def _first_depth(common: Common, wave: WaveEnd) -> float:
     if wave.depth is not None:
         return wave.depth
     least = turns(wave)[1].depth
-    return least if common.clock == SIMULATED else FIRST_DEPTH / wave.peer_period + least
+    if common.clock != SIMULATED:
+        return FIRST_DEPTH / wave.peer_period + least
+    if wave.way is None:
+        return least
+    # what measuring would find: the jitter, and a wave that stands in for a lost one
+    return math.ceil(wave.way.jitter / wave.peer_period) + least * (2 if wave.way.loss else 1)

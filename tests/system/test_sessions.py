@@ -68,6 +68,17 @@ def test_every_shipped_session_runs(file: str) -> None:
             assert node["ledger"]["min"] >= 0.0
 
 
+def test_a_simulated_network_is_the_same_in_one_process_and_in_many() -> None:
+    network = "network: {delay: 0.02, jitter: 0.01, loss: 0.05}"
+    linked = [f"couplings.cx.wave_link={{mass: 0.5, round_trip: 0.1, {network}}}", "design.tau=0"]
+    prepared = prepare(load_session(SESSIONS / "example1.yaml", linked))
+    expected, recording = Simulation(prepared).run(400), recording_of(run(prepared, "ipc", ticks=400))
+    np.testing.assert_array_equal(recording.x, expected.x)
+    np.testing.assert_array_equal(recording.f_v, expected.f_v)
+    near = prepare(load_session(SESSIONS / "example1.yaml", [linked[0].replace("0.02", "0"), "design.tau=0"]))
+    assert np.max(np.abs(Simulation(near).run(400).f_v - expected.f_v)) > 0.1  # N: the delay is felt
+
+
 @pytest.mark.alone
 def test_in_real_time_the_report_has_lateness_tau_and_period() -> None:
     """Slowly enough that even on a busy machine no wait lasts three periods, which would freeze a user."""

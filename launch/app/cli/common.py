@@ -205,6 +205,65 @@ CertificatePath = Annotated[
 Uncertified = Annotated[bool, typer.Option("--uncertified", help="Run even if nothing proves the session stable.")]
 
 
+def time_of(option: str, text: str) -> float:
+    """A time in s from a text such as 40ms, 0.04s or 0.04."""
+    return _amount(option, text, {"ms": 1e-3, "us": 1e-6, "s": 1.0}, "a time, such as 40ms or 0.04 (s)")
+
+
+def part_of(option: str, text: str) -> float:
+    """A part from a text such as 2% or 0.02."""
+    return _amount(option, text, {"%": 0.01}, "a part, such as 2% or 0.02")
+
+
+def _amount(option: str, text: str, units: Mapping[str, float], expected: str) -> float:
+    number, factor = text.strip(), 1.0
+    for unit, value in units.items():
+        if number.endswith(unit):
+            number, factor = number.removesuffix(unit), value
+            break
+    try:
+        return round(float(number) * factor, 12)
+    except ValueError:
+        refuse(f"{option}: found {text!r:.40}; expected {expected}")
+
+
+Delay = Annotated[
+    str | None,
+    typer.Option("--delay", metavar="TIME", help="Simulate a network on every wave link: one way, such as 40ms."),
+]
+Jitter = Annotated[
+    str | None, typer.Option("--jitter", metavar="TIME", help="Of that network: by how much a wave is later at most.")
+]
+Loss = Annotated[str | None, typer.Option("--loss", metavar="PART", help="Of that network: lost waves, such as 2%.")]
+
+
+def load_with_network(
+    path: Path, overrides: list[str], delay: str | None, jitter: str | None, loss: str | None
+) -> Session:
+    """The session, with the network of these options on every wave link; as it is without any of them.
+
+    Raises:
+        SessionError: it cannot be read, or a number of the network is out of its range.
+    """
+    session = load_named(path, overrides)
+    network = [
+        f"{name}: {read(f'--{name}', text)!r}"
+        for name, text, read in (("delay", delay, time_of), ("jitter", jitter, time_of), ("loss", loss, part_of))
+        if text is not None
+    ]
+    if not network:
+        return session
+    if not session.wave_links:
+        coupling = next(iter(session.couplings))
+        refuse(
+            f"--{network[0].partition(':')[0]}: found a session without a wave link; expected one, for a delay inside "
+            f"the tick is design.tau: --set 'couplings.{coupling}.wave_link={{mass: 0.5, round_trip: 0.1}}'"
+        )
+    stated = "{" + ", ".join(network) + "}"
+    more = [f"couplings.{name}.wave_link.network={stated}" for name in session.wave_links]
+    return load_named(path, [*overrides, *more])
+
+
 KeyFolder = Annotated[
     Path | None,
     typer.Option("--keys", metavar="DIR", help="The folder of the session's keys (manyhands invite); tcp only."),

@@ -11,9 +11,12 @@ import typer
 from manyhands.launch.app.cli.common import (
     CertificatePath,
     Clock,
+    Delay,
     Duration,
     Insecure,
+    Jitter,
     KeyFolder,
+    Loss,
     MostDuration,
     Overrides,
     ReportFile,
@@ -22,6 +25,7 @@ from manyhands.launch.app.cli.common import (
     end,
     err,
     errors,
+    load_with_network,
     node_names,
     one_word_of,
     out,
@@ -35,6 +39,7 @@ from manyhands.launch.app.design_report import print_report
 from manyhands.launch.app.risks import warn_of_code
 from manyhands.launch.files import claimed
 from manyhands.launch.look.display import progress_bar, say, world_lines
+from manyhands.launch.plan.feel import network_lines
 from manyhands.launch.plan.reach import Listen
 from manyhands.launch.recordings.recording import RUN_SUFFIXES, STREAMED, SUFFIXES, require_suffix
 from manyhands.launch.run.directory import is_bare
@@ -62,6 +67,9 @@ def simulate(
     overrides: Overrides = [],  # noqa: B006
     certificate: CertificatePath = None,
     uncertified: Uncertified = False,
+    delay: Delay = None,
+    jitter: Jitter = None,
+    loss: Loss = None,
 ) -> None:
     """Run the sampled-data loop in one process.
 
@@ -71,7 +79,7 @@ def simulate(
         from manyhands.launch.app.start import SettledForm, prepare_settled, settle_delay
         from manyhands.launch.audit.simulation import Simulation, require_one_period
 
-        loaded = load_named(session, overrides)
+        loaded = load_with_network(session, overrides, delay, jitter, loss)
         try:
             require_one_period(loaded)
         except ValueError as error:
@@ -96,6 +104,11 @@ def simulate(
                 f"{name}: peak speed {device.core.peak_speed:.3g} m/s, speed at the end {device.core.speed:.3g} m/s, "
                 f"ledger {device.ledger.total:.3g} J (least {device.ledger.minimum:.3g} J)",
             )
+        for name, link in simulation.links.items():
+            if (impedance := loaded.impedance_of(name)) is not None and ticks:
+                say(out, link.felt(impedance).sentence(name, over=True))
+        for line in network_lines(loaded, SIMULATED):
+            say(err, line)
         world, parties = simulation.environment, tuple(simulation.couplings)
         tables = energy_tables(world.energy, parties) | contact_tables(world.held, world.chatter, parties)
         for line in world_lines(Figures(world.figures, tables)):
@@ -181,6 +194,9 @@ def launch(
     overrides: Overrides = [],  # noqa: B006
     certificate: CertificatePath = None,
     uncertified: Uncertified = False,
+    delay: Delay = None,
+    jitter: Jitter = None,
+    loss: Loss = None,
 ) -> None:
     """Run every device, coupling and the environment as processes of their own, until --duration or Ctrl-C.
 
@@ -193,7 +209,12 @@ def launch(
         require_one_of("--clock", clock, CLOCKS)
         if transport is not None:
             require_one_of("--transport", transport, SCHEMES)
-        loaded = load_named(session, overrides)
+        loaded = load_with_network(session, overrides, delay, jitter, loss)
+        if clock != SIMULATED and (delay, jitter, loss) != (None, None, None):
+            refuse(
+                "--delay, --jitter, --loss: found the realtime clock, whose network is the real one; expected "
+                "--clock simulated"
+            )
         options = StartOptions(
             clock=clock,
             ticks=0 if duration is None else ticks_of(loaded, duration),

@@ -47,6 +47,7 @@ from manyhands.launch.session.scene import (
     SceneTool,
     ShapedThing,
 )
+from manyhands.launch.session.wave_link import SimulatedNetwork
 from manyhands.nodes.device import pointer
 
 from ...support.meshes import grid
@@ -62,6 +63,7 @@ MODELS: dict[str, tuple[type[SessionModel], ...]] = {
     "Hand": (Hand, Rational, TraceData),
     "Coupling": (CouplingBlock,),
     "Wave link": (WaveLink,),
+    "Simulated network": (SimulatedNetwork,),
     "Network": (NetworkEnvironment,),
     "Link": (SessionLink,),
     "Scene": (SceneEnvironment,),
@@ -128,6 +130,7 @@ OVERRIDES = {
     "Hand": "devices.dx.hand.{key}={value}",
     "Coupling": "couplings.{key}={value}",
     "Wave link": "couplings.cx.wave_link={{{key}: {value}}}",
+    "Simulated network": "couplings.cx.wave_link={{b: 20, network: {{{key}: {value}}}}}",
     "Interval": "environment.links.0.{key}={value}",
     "Network": "environment.{key}={value}",
     "Link": "environment.links.0={{{key}: {value}}}",

@@ -48,6 +48,9 @@ def test_a_broken_session_is_exit_2_and_one_message(name: str, tmp_path: Path) -
         assert result.stderr.count("error:") == 1
 
 
+LINK = "couplings.cx.wave_link={mass: 0.5, round_trip: 0.1}"
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -83,6 +86,10 @@ def test_a_broken_session_is_exit_2_and_one_message(name: str, tmp_path: Path) -
         (["budget", "--osp", "1", "--delay", "0.002"], "--delay: found 0.002 s; expected at most a period, 0.001 s"),
         (["budget", "--osp", "1", "--speed", "1"], "--speed: found a device without dry friction"),
         (["budget", "--osp", "1", "--kappa", "9", "--force", "3"], "--fastest: found 0; expected a number greater"),
+        (["simulate", "example1", "--delay", "40ms"], "found a session without a wave link"),
+        (["simulate", "example1", "--set", LINK, "--delay", "4o"], "--delay: found '4o'; expected a time, such as"),
+        (["simulate", "example1", "--set", LINK, "--loss", "95%"], "found 0.95; expected a part of the waves"),
+        (["launch", "example1", "--set", LINK, "--jitter", "1ms"], "expected --clock simulated"),
         (["design"], "Missing argument"),
         (["dance"], "No such command"),
     ],
@@ -252,3 +259,17 @@ def test_the_command_line_starts_without_what_only_some_commands_need() -> None:
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert out.stdout.strip() == "[]"
+
+
+def test_a_delay_can_be_tried_and_a_stated_one_is_not_ignored() -> None:
+    """Two ways of 40 ms, and both play-outs: 10 ms of jitter are ten ticks, and two for a lost wave, each."""
+    asked = ("simulate", "example1", "--duration", "0.5", "--set", "design.tau=0", "--set", LINK)
+    tried = manyhands_command(*asked, "--delay", "40ms", "--jitter", "10ms", "--loss", "2%")
+    assert tried.exit_code == 0, tried.stderr
+    R = float(tried.stdout.partition("wave link of cx: a round trip of ")[2].partition(" ms")[0])
+    assert 100.0 <= R <= 2 * (40.0 + 10.0 + 2.0 + 8.0)  # at most so; and the smoothing of a deeper play-out
+    assert "no network is simulated" not in tried.stderr
+    none = manyhands_command(*asked)
+    assert "a round trip of 1 ms is felt" in none.stdout
+    assert "cx: a round trip of 100 ms is stated, and no network is simulated" in none.stderr
+    assert "--delay 50ms simulates one" in none.stderr
