@@ -17,6 +17,8 @@ from hypothesis.internal.conjecture import providers
 from .support import designs
 from .support.cases import EXAMPLES, WIDE_EXAMPLES, cases
 
+os.environ.pop("COLUMNS", None)  # xdist states one to its workers; pages and tests quote the width of a pipe
+
 hypothesis.settings.register_profile(
     "repeatable",
     max_examples=cases(EXAMPLES, WIDE_EXAMPLES),

@@ -6,6 +6,7 @@ files, and no session is contacted. Where a file cannot be read, there is no com
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -147,7 +148,7 @@ def _that_begin_with(incomplete: str, names: Iterable[str]) -> list[str]:
     return [name for name in names if name.startswith(incomplete)][:_MOST]
 
 
-_NO_TERMINAL_WIDTH = 140  # columns, for tables in a file or a pipe
+_NO_TERMINAL_WIDTH = 140  # columns, for tables in a file or a pipe, unless COLUMNS states others
 
 
 class _Console(Console):
@@ -158,7 +159,11 @@ class _Console(Console):
 
 def _console(stderr: bool) -> Console:
     console = _Console(stderr=stderr, highlight=False, soft_wrap=True)
-    return console if console.is_terminal else _Console(stderr=stderr, highlight=False, width=_NO_TERMINAL_WIDTH)
+    if console.is_terminal:
+        return console
+    stated = os.environ.get("COLUMNS", "")
+    width = int(stated) if stated.isdecimal() and int(stated) else _NO_TERMINAL_WIDTH
+    return _Console(stderr=stderr, highlight=False, width=width)
 
 
 out, err = _console(stderr=False), _console(stderr=True)

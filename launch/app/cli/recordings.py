@@ -110,13 +110,15 @@ def _print_end(done: AttachedRecording) -> None:
     say(err, f"{done.ending}; {ticks} written to {done.file}")
 
 
-@commands.command(epilog="Example: manyhands info run.mcap --check")
+@commands.command(epilog="Example: manyhands info run.mcap")
 def info(
     file: RecordingPath,
-    check: Annotated[bool, typer.Option("--check", help="Exit with 1 if the file is damaged or cut.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Report what a recording holds, what is missing from it, and whether any of its bytes was changed."""
+    """Report what a recording holds, what is missing from it, and whether any of its bytes was changed.
+
+    Exit code 1: the file is damaged or cut.
+    """
     with errors("record"):
         from manyhands.launch.recordings.info import read_info
         from manyhands.launch.recordings.integrity import findings
@@ -129,7 +131,7 @@ def info(
             say(out, json.dumps({"file": str(file), **found.as_plain(), "damaged": damaged}))
         else:
             _print(found, damages)
-        end(EXIT_FAILED if check and damages else 0)
+        end(EXIT_FAILED if damages else 0)
 
 
 def _print(found: Info, damages: list[Damage]) -> None:

@@ -152,7 +152,7 @@ def test_a_recording_with_a_certificate_of_version_2_is_read_and_names_who_audit
     run = read_run(path)
     assert (run.ticks, run.cut, run.attachments[CERTIFICATE_FILE]) == (50, None, VERSION_2.read_bytes())
     for arguments in (
-        ("info", path, "--check"),
+        ("info", path),
         ("plot", path, "-o", tmp_path / "run.svg"),
         ("export", path, "--format", "csv", "-o", tmp_path / "run.csv"),
     ):

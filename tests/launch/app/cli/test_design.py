@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -214,6 +217,16 @@ def test_the_answer_for_a_device_without_a_session_is_a_sentence(tmp_path: Path)
     assert picture.read_bytes().startswith(b"\x89PNG")
     none = manyhands_command("budget", "--osp", "0.05", "--kappa", "100", "--force", "10", "--fastest", "1")
     assert "none if nothing is late, and none if forces may be a period late" in none.stdout
+
+
+def test_a_pipe_has_the_width_that_its_user_states() -> None:
+    for columns, width in (("60", 60), ("", 140), ("none", 140)):
+        code = "from manyhands.launch.app.cli.common import out; print(out.width)"
+        done = subprocess.run(
+            [sys.executable, "-c", code], env={**os.environ, "COLUMNS": columns}, capture_output=True, text=True,
+            check=True,
+        )  # fmt: skip
+        assert int(done.stdout) == width
 
 
 # --- Ctrl-C
