@@ -204,8 +204,12 @@ def print_report(console: Console, report: Mapping[str, Any], faults: Sequence[s
     Args:
         console: where it goes.
         report: the whole report of a run.
-        faults: what made the run fail, which is worse than any promise.
+        faults: what made the run fail, which is worse than any promise. Of a run that had no tick nothing else is
+            said: no promise was tried.
     """
+    if faults and not report["duration"]:
+        say(console, f"{report['session']}: failed before its first tick: {faults[0].splitlines()[0]}")
+        return
     title = f"{report['session']}: {report['duration']:g} s, {report['clock']} clock"
     rows = []
     for name, node in report["nodes"].items():

@@ -90,16 +90,20 @@ def made_by(name: FactoryName, what: str, ports: tuple[str, ...], T: float) -> A
     module, _, function = name.factory.partition(":")
     if name.folder and name.folder not in sys.path:
         sys.path.append(name.folder)  # the last, so that it hides no installed module
+    called = False
     try:
         factory = getattr(importlib.import_module(module), function)
+        called = True
         return factory(ports, T, dict(name.parameters))
     except (Stopped, FactoryError):
         raise  # the process is to end, which is no failure of the factory; or a shipped one has said what is wrong
     except (Exception, SystemExit) as error:  # foreign code: every exception is reported with the factory's name
         where = f" or in {name.folder}" if name.folder else ""
+        # what a factory says of its own hardware needs no more; a TypeError may be that it takes other arguments
+        expected = f"; expected a factory of (ports, period, parameters) on Python's import path{where}"
         raise FactoryError(
-            f"the {what} {name.factory} cannot be made: found {in_one_line(error)}; "
-            f"expected a factory of (ports, period, parameters) on Python's import path{where}"
+            f"the {what} {name.factory} cannot be made: found {in_one_line(error)}"
+            f"{'' if called and not isinstance(error, TypeError) else expected}"
         ) from error
 
 

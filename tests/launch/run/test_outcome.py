@@ -274,6 +274,14 @@ def test_a_node_without_a_report_has_a_row_and_nothing_is_claimed_of_it() -> Non
     assert "no account fell below 0 of those reported, and no figures came from silent, bound -5 mJ" in shown.getvalue()
 
 
+def test_a_run_that_had_no_tick_claims_no_promise() -> None:
+    rows = [{"promise": "pace", "state": "kept", "who": [], "since": 0.0, "until": None, "cost": {}, "remark": ""}]
+    shown = StringIO()
+    early = whole({}) | {"promises": rows, "duration": 0.0}
+    print_report(Console(file=shown, width=200), early, ("dx ended with exit code 2",))
+    assert shown.getvalue() == f"{early['session']}: failed before its first tick: dx ended with exit code 2\n"
+
+
 def test_the_last_line_says_what_was_worst() -> None:
     def last(report: dict[str, Any], *faults: str) -> str:
         shown = StringIO()

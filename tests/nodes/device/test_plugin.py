@@ -258,6 +258,17 @@ def test_hardware_is_refused_under_the_simulated_clock() -> None:
         driver_of(replace(bundle_for(device, SIMULATED), time="own"))
 
 
+def test_what_a_driver_says_of_its_own_hardware_is_said_alone() -> None:
+    absent = PluginDevice(
+        FactoryName("builtins:open", {}), 1
+    )  # called with a tuple: a TypeError of the wrong arguments
+    with pytest.raises(FactoryError, match="expected a factory of"):
+        driver_of(bundle_for(absent))
+    board = FactoryName("manyhands.devices.serial_board:SerialBoard", {"port": "/dev/no-such-port"})
+    with pytest.raises(FactoryError, match=r"no-such-port: there is no such port; plug the device in$"):
+        driver_of(bundle_for(PluginDevice(board, 1)))
+
+
 @pytest.mark.parametrize(
     ("device", "found"),
     [
