@@ -7,6 +7,7 @@ extra of the package begins with :func:`manyhands.extras.require`, which raises 
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -48,8 +49,8 @@ def load(source: Source, changes: Mapping[str, Any] | None = None) -> Session:
     """A session from a file, from the name of a shipped one, or from Python data.
 
     Args:
-        source: a path; a name such as ``"example1"``, if no such file exists; a dict of the form of a session file; or
-            a session, which is returned as it is.
+        source: a path; a name such as ``"example1"``, if no such file exists; a dict of the form of a session file,
+            whose models and drivers may stand beside the script that runs; or a session, which is returned as it is.
         changes: values by path of keys, as ``--set`` takes them: ``{"design.tau": 0.0005}``.
 
     Raises:
@@ -68,9 +69,17 @@ def load(source: Source, changes: Mapping[str, Any] | None = None) -> Session:
             session = source
         elif isinstance(source, Mapping):
             session = Session.from_dict(source)
+            if session.foreign_code and (script := _script_folder()) is not None:
+                session = session.with_code_in(script)
         else:
             session = load_named(source)
         return session.replace(changes) if changes else session
+
+
+def _script_folder() -> Path | None:
+    """The folder of the script that runs, beside which its user's code stands; None at a prompt."""
+    main = getattr(sys.modules.get("__main__"), "__file__", None)
+    return None if main is None else Path(main).parent
 
 
 @overload

@@ -55,16 +55,24 @@ def designed(session: Session) -> Row:
     """The task of a sweep by default: the session's coupling, designed and proved.
 
     Returns:
-        Whether it is ``certified``; its least ``stiffness_N/m``, the ``margin_N·s/m`` of condition (10), ``gamma`` of a
+        Whether it is ``certified``; its least ``stiffness_N/m``, and that of each coupling where there are several, as
+        ``stiffness_cx_N/m``; the ``margin_N·s/m`` of condition (10), ``gamma`` of a
         transparency aim, and the ``certificate`` by its id; or the ``reason`` why there is none.
     """
     try:
         found = whole(session).design().certificate
     except DesignError as error:
         return {"certified": False, "reason": str(error)}
+    partition = found.loop.partition
+    each = {
+        f"stiffness_{name}_N/m": float(np.linalg.eigvalsh(found.stiffness[np.ix_(ports, ports)])[0])
+        for name, ports in zip(partition.names, partition.blocks, strict=True)
+        if len(partition.names) > 1
+    }
     return {
         "certified": True,
         "stiffness_N/m": float(np.linalg.eigvalsh(found.stiffness)[0]),
+        **each,
         "margin_N·s/m": found.margins["(10)"],
         "gamma": None if found.transparency is None else found.transparency.gamma,
         "certificate": found.id,

@@ -722,7 +722,8 @@ class Session(SessionModel):
             >>> session.devices["dx"].mass
             (0.3,)
         """
-        return _session_of(with_changes(tree_of(self.to_dict(), self.name), changes), Path())
+        changed = _session_of(with_changes(tree_of(self.to_dict(), self.name), changes), Path())
+        return changed.with_code_in(Path(self.folder)) if self.folder else changed
 
     def __repr__(self) -> str:
         return (

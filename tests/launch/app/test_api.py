@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import shutil
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -47,6 +50,45 @@ def test_load_takes_every_form_of_a_session(tmp_path: Path) -> None:
     assert mh.load(file, {"period": 5e-4}).period == 5e-4
     with pytest.raises(mh.SessionError, match="a session file that can be read"):
         mh.load(tmp_path / "none.yaml")
+
+
+MODEL = """
+class Wall:
+    def __init__(self, ports, period, parameters): self.m = len(ports)
+    def react(self, x, k): return [-100.0 * at for at in x]
+    def close(self): pass
+"""
+
+
+def test_a_model_beside_a_script_is_found_and_a_change_does_not_lose_it(tmp_path: Path) -> None:
+    """A dict has no file of its own: the script that states it has."""
+    (tmp_path / "my_wall.py").write_text(MODEL, encoding="utf-8")
+    (tmp_path / "study.py").write_text(
+        """
+import manyhands as mh
+session = mh.load({
+    "session": "beside", "period": 0.001,
+    "devices": {"pen": {"dof": 1, "osp": 1.0, "driver": "simulated", "mass": 0.1,
+                        "hand": {"force": ["0.5"]}}},
+    "couplings": {"c": {"devices": ["pen"]}},
+    "environment": {"type": "python", "model": "my_wall:Wall", "level": 0.1},
+    "design": {"coupling": "spring-damper", "tau": 0.0},
+}, {"devices.pen.osp": 2.0})
+if __name__ == "__main__":
+    with mh.run(session, 0.05, clock="simulated", record="run.mcap") as run:
+        run.wait()
+    print(abs(mh.read("run.mcap").f_v).max() > 0.0)
+""",
+        encoding="utf-8",
+    )
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-P", str(tmp_path / "study.py")],
+        cwd=elsewhere, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.stdout.strip() == "True", done.stderr
+    shutil.rmtree(elsewhere)
 
 
 @pytest.mark.usefixtures("own_interrupt")

@@ -69,6 +69,8 @@ def test_a_sweep_designs_every_combination_as_a_single_design_does(threads: Exec
         alone = mh.certify(mh.load("example1", case))
         assert row["certificate"] == alone.id
         assert row["stiffness_N/m"] == np.linalg.eigvalsh(alone.stiffness)[0]
+        each = [row[f"stiffness_{name}_N/m"] for name in ("cx", "cy", "cz")]
+        assert each == alone.stiffness.diagonal().tolist()  # springs of one port each
     assert found.columns()["certified"].tolist() == [True, True]
 
 

@@ -259,9 +259,7 @@ def test_hardware_is_refused_under_the_simulated_clock() -> None:
 
 
 def test_what_a_driver_says_of_its_own_hardware_is_said_alone() -> None:
-    absent = PluginDevice(
-        FactoryName("builtins:open", {}), 1
-    )  # a TypeError of its arguments
+    absent = PluginDevice(FactoryName("builtins:open", {}), 1)  # a TypeError of its arguments
     with pytest.raises(FactoryError, match="expected a factory of"):
         driver_of(bundle_for(absent))
     board = FactoryName("manyhands.devices.serial_board:SerialBoard", {"port": "/dev/no-such-port"})
