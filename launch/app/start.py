@@ -8,6 +8,7 @@ measured, its certificates are kept from one start to the next, and its guests n
 from __future__ import annotations
 
 import shutil
+import socket
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -246,7 +247,11 @@ def _prepare_again(session: Session, hosting: Hosting, console: Console) -> Prep
 def announce(
     prepared: Prepared, form: SettledForm, settled: SettledDelay, options: StartOptions, console: Console
 ) -> None:
-    """Say what a run is certified for, why it has its form, whose code it runs, and whom it waits for."""
+    """Say what a run is certified for, why it has its form, whose code it runs, and whom it waits for.
+
+    Raises:
+        ReachError: guests are to reach it at ports that are not free.
+    """
     session, ways = form.session, form.ways
     measurable = options.hosting is None or len(session.wave_links) < len(session.couplings)
     if options.clock == REALTIME and measurable:
@@ -266,11 +271,32 @@ def announce(
             say(console, f"{name} is awaited; on its machine: {by_hand(name, f'tcp://{ways.listen}')}")
 
 
+def _require_free(host: str, first: int, last: int) -> None:
+    """Refuse to invite anybody to ports that another program has.
+
+    Raises:
+        ReachError: one of them cannot be bound.
+    """
+    for port in range(first, last + 1) if first else ():
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as ZeroMQ: those of a run before are free
+            try:
+                probe.bind((host, port))
+            except OSError as error:
+                raise ReachError(
+                    f"--listen: found {host}:{port}, which cannot be bound ({error.strerror}); expected an address of "
+                    f"this machine whose ports {first} to {last} are free"
+                ) from error
+
+
 def _invite(prepared: Prepared, form: SettledForm, hosting: Hosting, console: Console) -> None:
     """Write the invitation of every seat, and say how its guest gets it, and which ports guests need."""
     ways, graph = form.ways, prepared.graph
     if ways.keys is None:
         raise AssertionError("a hosted session has keys")
+    first = ways.listen.port
+    last = first + len(graph.links) + len(form.session.observers)
+    _require_free(ways.listen.host, first, last)
     for seat, invitation in invitations(prepared, ways.keys, hosting.address).items():
         path = hosting.folder / f"{seat}.invitation"
         invitation.save(path)
@@ -279,8 +305,6 @@ def _invite(prepared: Prepared, form: SettledForm, hosting: Hosting, console: Co
             console.print(invitation.line, markup=False, emoji=False, soft_wrap=True)  # in one piece, to be copied
         else:
             say(console, f"waiting for {seat}: send {path} over a secure channel; there: manyhands join {path.name}")
-    first = ways.listen.port
-    last = first + len(graph.links) + len(form.session.observers)
     say(console, f"listening at {ways.listen}; guests need its ports {first} to {last}, of TCP and of UDP")
     if form.stale:
         say(console, f"{hosting.folder / KEYS}: holds keys that the session no longer has: {', '.join(form.stale)}")

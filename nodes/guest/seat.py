@@ -44,7 +44,7 @@ from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.keys import KeyFileError, KeyRing
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Fetch, Piece, presentable
-from manyhands.protocol.transport import Link, TransportError
+from manyhands.protocol.transport import Link, TransportError, Trouble
 from manyhands.protocol.transport.zeromq import ZmqTransport
 
 WARMING: Final = 0.5
@@ -67,6 +67,9 @@ TIME_TO_ANSWER: Final = 45.0
 
 _GLANCE: Final = 0.1  # s, between two looks at the life while waiting for the user
 _LONG_WAITS: Final = 50  # waits for a part before the user is told that nothing comes: ten seconds
+_NOBODY_WAITS: Final = 10  # the same where nobody answers at all
+TIMEOUT: Final = 60.0
+"""For so long a host is waited for that nobody hears at, s: it may be busy starting."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -172,13 +175,14 @@ class SeatLife(Life):
         self.leaving, self.signal = True, signum
 
 
-def fetch(link: Link, invitation: Invitation, life: Life) -> bytes:
+def fetch(link: Link, invitation: Invitation, life: Life, timeout: float = TIMEOUT) -> bytes:
     """What the session sends to the guest of an invitation, piece by piece.
 
     Args:
         link: to the session's hub, with the key of the invitation.
         invitation: whose it is.
         life: whether the guest should still wait.
+        timeout: for so long a host that nobody hears at is waited for, s.
 
     Raises:
         Stopped: the user has asked to end.
@@ -186,7 +190,9 @@ def fetch(link: Link, invitation: Invitation, life: Life) -> bytes:
         BundleError: the pieces do not fit each other.
     """
     content, total, waits = bytearray(), 1, 0
-    asking = True
+    asking, told = True, False
+    clock = RealtimeClock()
+    due = clock.now() + from_seconds(timeout)
     while len(content) < total:
         if asking:
             link.send(encode(Fetch(len(content))))
@@ -196,12 +202,11 @@ def fetch(link: Link, invitation: Invitation, life: Life) -> bytes:
             if life.stopping:
                 raise Stopped
             waits += 1
-            require_hub(link, invitation.seat, f"tcp://{invitation.address}", waits)
-            if waits == _LONG_WAITS:
-                _say(
-                    f"{invitation.session}: no answer yet: somebody may have taken the seat {invitation.seat} with "
-                    "this invitation; waiting for it to be free; Ctrl-C ends"
-                )
+            waiting = clock.now() < due
+            require_hub(link, invitation.seat, f"tcp://{invitation.address}", waiting)
+            if not told and (waits >= _LONG_WAITS or (_nobody(link) and waits >= _NOBODY_WAITS)):
+                told = True
+                _say(_why_waiting(link, invitation, timeout))
             # the hub may still hold an earlier connection, and drops what comes over this one meanwhile
             asking = waits % REPEAT_WAITS == 0
             continue
@@ -214,6 +219,23 @@ def fetch(link: Link, invitation: Invitation, life: Life) -> bytes:
     if len(content) > total:
         raise BundleError(f"what {invitation.session!r:.100} has sent: found {len(content)} bytes; expected {total}")
     return bytes(content)
+
+
+def _nobody(link: Link) -> bool:
+    return link.trouble() in (Trouble.NOBODY, Trouble.BROKEN_OFF)
+
+
+def _why_waiting(link: Link, invitation: Invitation, timeout: float) -> str:
+    """Why a guest waits for so long: nobody is there, or somebody else has the seat."""
+    if _nobody(link):
+        return (
+            f"{invitation.session}: nobody answers at {invitation.address}: the session may not run yet; waiting for "
+            f"{timeout:g} s altogether (--timeout); Ctrl-C ends"
+        )
+    return (
+        f"{invitation.session}: no answer yet: somebody may have taken the seat {invitation.seat} with this "
+        "invitation; waiting for it to be free; Ctrl-C ends"
+    )
 
 
 def with_force(device: DeviceBundle, most: float | None) -> DeviceBundle:
@@ -238,7 +260,12 @@ def force_sentence(device: DeviceBundle) -> str:
 
 
 def take_seat(
-    path: Path | None, address: str | None, yes: bool, allowed: str | None = None, most_force: float | None = None
+    path: Path | None,
+    address: str | None,
+    yes: bool,
+    allowed: str | None = None,
+    most_force: float | None = None,
+    timeout: float = TIMEOUT,
 ) -> int:
     """Join the session of an invitation, and stay until Ctrl-C or the session's end; returns the exit code.
 
@@ -248,6 +275,7 @@ def take_seat(
         yes: whether to engage without a question.
         allowed: the factory of another package whose code the session may run here; None for none.
         most_force: the greatest force that the device may exert here, N; None for the session's limits alone.
+        timeout: for so long a host that nobody hears at is waited for, s.
     """
     try:
         invitation = read_invitation(path)
@@ -268,7 +296,7 @@ def take_seat(
     try:  # from its first line on: a life raises at any instant
         life = SeatLife()
         _say(f"{invitation.session}: going to take the seat {invitation.seat} at {invitation.address}")
-        code = _Visit(invitation, host, yes, allowed, most_force).stay(life)
+        code = _Visit(invitation, host, yes, allowed, most_force, timeout).stay(life)
     except Stopped:
         code = EXIT_OK
     except Refused as error:
@@ -285,10 +313,16 @@ class _Visit:
     """The attempts of one user to join one session, one after the other."""
 
     def __init__(
-        self, invitation: Invitation, host: str, yes: bool, allowed: str | None, most_force: float | None
+        self,
+        invitation: Invitation,
+        host: str,
+        yes: bool,
+        allowed: str | None,
+        most_force: float | None,
+        timeout: float,
     ) -> None:
         self._invitation, self._host, self._sure, self._allowed = invitation, host, yes, allowed
-        self._most_force = most_force
+        self._most_force, self._timeout = most_force, timeout
         self._lines: Sequence[ControlLine] = ()
         self._distance: FeltDistance | None = None
         self._since: Instant | None = None  # when the guest was in; None before
@@ -338,7 +372,7 @@ class _Visit:
         transport = ZmqTransport(None, True, invitation.ring)
         try:
             link = transport.join(f"tcp://{invitation.address}", invitation.device)
-            part = decoded_part(fetch(link, invitation, life), invitation)
+            part = decoded_part(fetch(link, invitation, life, self._timeout), invitation)
         finally:
             transport.close()
         require_allowed(foreign_code(part.device), self._allowed)

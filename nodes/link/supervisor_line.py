@@ -367,7 +367,7 @@ class ControlLine:
                 if life.stopping:
                     raise Stopped
                 waits += 1
-                require_hub(self._link, self._common.name, self._common.control, waits)
+                require_hub(self._link, self._common.name, self._common.control, waits < _JOINING_WAITS)
                 if self._introduction is not None and waits % REPEAT_WAITS == 0 and self._link.trouble() is None:
                     self._send(self._introduction)
                 continue
@@ -386,14 +386,14 @@ class ControlLine:
             self.malformed += not (isinstance(message, Echo) and message.sent == self._shown)
 
 
-def require_hub(link: Link, name: str, control: str, waits: int) -> None:
-    """Give up: at once where the supervisor refuses this node, after a minute where no supervisor answers.
+def require_hub(link: Link, name: str, control: str, waiting: bool) -> None:
+    """Give up: at once where the supervisor refuses this node, and where none answers, once waiting is over.
 
     Args:
         link: to the supervisor's hub.
         name: of this node.
         control: the hub's endpoint.
-        waits: how often :data:`PATIENCE` has passed without an answer.
+        waiting: whether a supervisor that is not there is still waited for.
 
     Raises:
         Refused: there is no use in waiting.
@@ -401,7 +401,7 @@ def require_hub(link: Link, name: str, control: str, waits: int) -> None:
     trouble = link.trouble()
     if trouble is None or trouble is Trouble.LOST:
         return
-    if trouble in (Trouble.NOBODY, Trouble.BROKEN_OFF) and waits < _JOINING_WAITS:  # it may be busy starting
+    if trouble in (Trouble.NOBODY, Trouble.BROKEN_OFF) and waiting:  # it may be busy starting
         return
     raise Refused(
         f"{name}: cannot join the supervisor at {control}: {trouble}; see that the session runs there, and that "

@@ -321,6 +321,9 @@ def join(
         typer.Option("--max-force", metavar="N", help="The greatest force of your device, whatever the session says."),
     ] = None,
     allowed: AllowedCode = None,
+    timeout: Annotated[
+        float, typer.Option("--timeout", metavar="S", help="How long to wait for a host at which nobody answers.")
+    ] = 60.0,
 ) -> None:
     """Take a seat in a running session on another machine, until Ctrl-C or the session's end.
 
@@ -332,5 +335,7 @@ def join(
 
     if most_force is not None and not 0.0 < most_force < math.inf:
         refuse(f"--max-force: found {most_force}; expected a force greater than 0, N")
+    if not 0.0 < timeout < math.inf:
+        refuse(f"--timeout: found {timeout}; expected a time greater than 0, s")
     with pipe_may_close():
-        end(take_seat(invitation, address, yes, allowed, most_force))
+        end(take_seat(invitation, address, yes, allowed, most_force, timeout))

@@ -209,6 +209,15 @@ def test_a_seat_that_somebody_has_is_said_once_and_waited_for(capsys: pytest.Cap
     assert capsys.readouterr().err.count("somebody may have taken the seat seat") == 1
 
 
+def test_a_host_at_which_nobody_answers_is_said_once_and_given_up(capsys: pytest.CaptureFixture[str]) -> None:
+    """The time passes with the waits: the first look at the clock is before them all."""
+    with pytest.raises(Stopped):
+        fetch(Host(lambda at: [], Trouble.NOBODY), GUEST, Waits(40), timeout=60.0)
+    assert capsys.readouterr().err.count("s: nobody answers at 192.0.2.7:7400: the session may not run yet") == 1
+    with pytest.raises(Refused, match="nobody listens there"):
+        fetch(Host(lambda at: [], Trouble.NOBODY), GUEST, Waits(40), timeout=1e-9)
+
+
 def test_a_host_that_sends_more_than_it_said_is_refused() -> None:
     with pytest.raises(BundleError, match="found 5 bytes; expected 4"):
         fetch(Host(lambda at: [Piece(0, 4, b"abcde")]), GUEST, Waits(0))

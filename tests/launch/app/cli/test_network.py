@@ -254,6 +254,19 @@ def test_sessions_that_cannot_be_hosted(arguments: tuple[str, ...], found: str, 
     assert list(tmp_path.iterdir()) == []
 
 
+def test_nobody_is_invited_to_a_port_that_is_taken(tmp_path: Path) -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        taken = f"127.0.0.1:{other.getsockname()[1]}"
+        hosted = ("host", "ball", "--listen", taken, "-o", tmp_path / "ball", "--duration", "0.1")
+        done = manyhands_command(*hosted, "--set", "design.tau=0.0005")
+    assert done.exit_code == 2, done.stderr
+    assert f"--listen: found {taken}, which cannot be bound (Address already in use)" in done.stderr
+    assert "waiting for" not in done.stderr
+    assert not list((tmp_path / "ball").glob("*.invitation"))
+
+
 @pytest.mark.parametrize("content", [None, "", "{}", "manyhands://192.0.2.7:7400/ball/right_seat/right"])
 def test_an_invitation_that_is_none_is_one_clear_error(content: str | None, tmp_path: Path) -> None:
     path = tmp_path / "right_seat.invitation"
