@@ -644,11 +644,13 @@ class UserIncidents:
         self._counts: dict[str, float] = {}
         # devices that let go, and the ticks that the environment must have reported: the first and the last
         self._awaiting: dict[str, tuple[int, int]] = {}
+        self._quicker: set[str] = set()  # devices that moved further than their stated mass allows
         self._next: dict[str, float] = {}  # the first tick of a party's next sentence
 
     def forget(self, node: str) -> None:
         """``node`` has a new process, which counts from 0."""
         self._counts.pop(node, None)
+        self._quicker.discard(node)
         if node in self._worlds:
             self._causes.forget()
             self._frozen, self._reported = {}, set()
@@ -673,6 +675,8 @@ class UserIncidents:
             return out
         if node in self._couplings:
             since, self._told[node] = min(tick, self._told.get(node, 0)), tick
+            if figures.get(names.QUICKER, 0.0) > 0.0:
+                self._quicker.add(node)
             if self._grown(node, figures.get(names.LET_GO, 0.0), tick):
                 self._awaiting[node] = since, tick
         return []
@@ -713,6 +717,11 @@ class UserIncidents:
 
     def _let_go(self, device: str, since: int, until: int) -> str:
         text = f"{device} was beyond its limits of displacement or speed, and let go until it is within them again"
+        if device in self._quicker:  # no energy that it received can have moved it so
+            return (
+                f"{text}; it moved further in a tick than its stated mass and its hand's force allow: see its sensor, "
+                "the units of its driver, and the mass that is stated"
+            )
         mover = self._causes.mover(self._couplings[device], since * self._period, until * self._period)
         if mover is None:
             return f"{text}; nobody else has moved it"

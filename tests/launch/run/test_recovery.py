@@ -234,6 +234,17 @@ class Test_offers:
         assert c.states["cx"] is NodeState.LOST
         assert c.ignored == 2
 
+    def test_a_process_that_cannot_start_says_what_its_device_lacks(self) -> None:
+        c = session().conductor
+        c.exited("dx", 1, 0, "an old line of a process that ran is no reason")
+        c.receive("cx", Offer("dx", "ipc:///anew"), 0)
+        c.exited("dx", 2, 0, "cannot open /dev/ttyACM0: there is no such port; plug the device in")
+        assert c.incidents.sentences == (
+            "at 0.0 s: dx ended with exit code 1 while running",
+            "at 0.0 s: dx ended with exit code 2 while starting: cannot open /dev/ttyACM0: there is no such port; "
+            "plug the device in",
+        )
+
     def test_a_hello_of_a_former_process_is_not_the_next_ones(self) -> None:
         c = session().conductor
         c.exited("dx", -9, 0)
