@@ -1,6 +1,6 @@
 """Faults of real devices at random instants in running sessions, and what must hold of each.
 
-    python -m tests.system.device_faults [--faults N] [--seed S] [--device NAME] [--a-run N]
+    python -m tests.system.device_faults [--faults N] [--seed S] [--device NAME] [--a-run N] [--keep FOLDER]
 
 Every run is a session in real processes and real time (:func:`manyhands.run`). The device under test has a driver of
 ours, which talks to a fake; beside it, in the same environment and tied to it by a spring, is an innocent one. A fault
@@ -28,6 +28,7 @@ import math
 import os
 import random
 import re
+import shutil
 import signal
 import sys
 import time
@@ -146,13 +147,13 @@ class Stage:
     def fault(self, name: str) -> bool:
         """Order one fault, and see it through; False where the session cannot go on after it."""
         of, number = self._row.faults[name], len(self.ordered)
-        time.sleep(max(0.0, self._last.get(name, -math.inf) + of.apart - time.monotonic()))
+        self._until(lambda: self._now() >= self._last.get(name, -math.inf) + of.apart)
         self._felt(f"before {name} {number}")
         time.sleep(self._chance.uniform(0.1, 1.1))  # the hand moves on
         self._incidents()
         known = len(self.incidents)
         self.ordered.append(name)
-        self._last[name] = time.monotonic()
+        self._last[name] = self._now()
         if KILL in of.orders:
             os.kill(self._run.progress.pids[TESTED], signal.SIGKILL)
         self._far.mark(number, *(order for order in of.orders if order != KILL))
@@ -177,6 +178,11 @@ class Stage:
         self._run.stop()
         self._run.wait(PATIENCE)
         self._incidents()
+
+    def _now(self) -> float:
+        """The session's time, s: on a busy machine it is behind."""
+        told = self._run.progress.telemetry.get(INNOCENT)
+        return 0.0 if told is None else told.tick * self._row.period
 
     def _told(self, known: int, words: str) -> bool:
         self._incidents()
@@ -410,6 +416,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--device", choices=ROWS, help="one alone; all by default")
     parser.add_argument("--a-run", type=int, default=26, help="faults in a session, at most")
+    parser.add_argument("--keep", type=Path, help="a folder in which the recordings of sessions with findings stay")
     given = parser.parse_args()
     failing = 0
     with TemporaryDirectory() as compiled:
@@ -420,6 +427,8 @@ def main() -> int:
             for begin in range(0, len(names), given.a_run):
                 with TemporaryDirectory() as folder:
                     one = run(row, names[begin : begin + given.a_run], given.seed * 1000 + begin, Path(folder))
+                    if given.keep and one.wrong:
+                        shutil.copy(Path(folder) / "run.mcap", given.keep / f"{device}-{given.seed}-{begin}.mcap")
                 runs.append(one)
                 print(  # noqa: T201 -- a campaign
                     f"{device}: faults {begin} to {begin + sum(map(len, one.zero.values()))}, {one.restarts} restarts, "
