@@ -446,8 +446,9 @@ class Conductor:
                 return self._withstood(self._recovery.left(node, now))
             survived = self.restarts.allowed > 0 or node in self.seats
             if survived and (state is NodeState.RUNNING or state in RETURNING):
-                why = f": {said}" if said and state is NodeState.STARTING else ""
-                return self._withstood(self._recovery.lose(node, f"{how} while {state}{why}", now))
+                vain = bool(said) and state is NodeState.STARTING
+                why = f": {said}" if vain else ""
+                return self._withstood(self._recovery.lose(node, f"{how} while {state}{why}", now, vain=vain))
         self.states[node] = NodeState.ENDED
         out: list[Instruction] = []
         expected = (NodeState.REPORTED, NodeState.FAULTED, NodeState.LEAVING)

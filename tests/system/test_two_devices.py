@@ -88,7 +88,8 @@ def felt(one: FakeBoard) -> None:
 def test_two_devices_hold_one_ball_one_across_a_wan(device: str, tmp_path: Path) -> None:
     """The guest comes by an invitation, is refused without its word for the driver's code, and comes after faults."""
     home, far = tmp_path / "home", tmp_path / "far"
-    home.mkdir(), far.mkdir()
+    for machine in (home, far):
+        machine.mkdir()
     with HOME[device](tmp_path) as keys, fake_board(HELD, period_us=500) as one, wan(WIRE) as net, ExitStack() as stack:
         port = tmp_path / "port"
         one.order(f"plug {port}")

@@ -245,6 +245,20 @@ class Test_offers:
             "plug the device in",
         )
 
+    def test_starts_in_vain_wait_for_twice_as_long_each_time(self) -> None:
+        c = session(restarts=100).conductor
+        c.exited("dx", -9, 0)
+        assert StartProcess("dx") in c.receive("cx", Offer("dx", "ipc:///anew"), 0)
+        now, waited = 0, []
+        for _ in range(6):
+            assert StartProcess("dx") not in c.exited("dx", 2, now, "plug the device in")
+            began = now
+            while StartProcess("dx") not in c.look(now):
+                now += from_seconds(0.25)
+            waited.append((now - began) / 1e9)
+        assert waited == [1.0, 2.0, 4.0, 8.0, 10.0, 10.0]
+        assert StartProcess("dx") in c.exited("dx", -9, now)  # a process that was killed did not start in vain
+
     def test_a_hello_of_a_former_process_is_not_the_next_ones(self) -> None:
         c = session().conductor
         c.exited("dx", -9, 0)
