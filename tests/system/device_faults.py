@@ -14,10 +14,12 @@ its report:
   died with their process cannot tell: what was exerted in such a gap is counted (``unseen``);
 - **named**: an incident says what happened, of this device;
 - **back**: it is felt again after the fault, by itself or once the fault was ended, and its process came back once;
-- **others**: nobody else is named, frozen, softened, or lost, and all accounts hold;
+- **others**: nobody else is named, frozen or lost, and all accounts hold;
 - **audit**: the recording's audit finds nothing broken.
 
-What a busy machine makes late is no finding (:data:`OF_THE_MACHINE`). A row for each device: device_rows.py.
+What a busy machine makes late is no finding (:data:`OF_THE_MACHINE`). It is counted, and so is how often it had the
+innocent's coupling change its rung (``softened``): on an idle machine both are 0, but for the ticks in which a process
+dies. A row for each device: device_rows.py.
 """
 
 from __future__ import annotations
@@ -82,6 +84,7 @@ class Found:
         forces: how many forces the motors exerted.
         unseen: of them, those of which the recording has no row.
         late: rows of promises of the innocent that a busy machine breaks.
+        softened: how often the innocent's coupling changed its rung.
         audit: the audit's verdict.
         seconds: how long the run took.
     """
@@ -93,6 +96,7 @@ class Found:
     forces: int = 0
     unseen: int = 0
     late: int = 0
+    softened: int = 0
     audit: str = ""
     seconds: float = 0.0
 
@@ -366,14 +370,14 @@ def _judge_report(row: Row, stage: Stage, report: Mapping[str, Any], recorded: R
         if status.promise == Promise.DRIVER and status.state == "broken":
             found.wrong.append(f"given: found the driver's word broken: {status.remark}")
     happened = Counter(
-        (event.kind, event.peer)
-        for _, figures in recorded.figures.get("environment", ())
+        (event.kind, event.peer or node)
+        for node in INNOCENTS
+        for _, figures in recorded.figures.get(node, ())
         for event in events_in(figures)
-        if event.kind in (Kind.FROZEN, Kind.RUNG)
     )
-    for (kind, peer), times in happened.items():
-        if peer == INNOCENTS[1]:
-            found.wrong.append(f"others: found {peer} {kind} {times} times; expected never")
+    if times := happened[Kind.FROZEN, INNOCENTS[1]]:
+        found.wrong.append(f"others: found {INNOCENTS[1]} frozen {times} times; expected never")
+    found.softened = happened[Kind.RUNG, INNOCENTS[1]]
 
 
 def _judge_audit(recording: Path, found: Found) -> None:
@@ -433,6 +437,7 @@ def main() -> int:
                 print(  # noqa: T201 -- a campaign
                     f"{device}: faults {begin} to {begin + sum(map(len, one.zero.values()))}, {one.restarts} restarts, "
                     f"{one.forces} forces ({one.unseen} unseen), audit {one.audit}, {one.late} late rows of others, "
+                    f"softened {one.softened} times, "
                     f"{one.seconds:.0f} s: {'; '.join(one.wrong) or 'sound'}",
                     flush=True,
                 )
