@@ -109,7 +109,8 @@ class BoardFarSide:
         self._one.asked()  # it has written down all until now
         motors: list[tuple[int, Force]] = []
         marks, busy, wire = dict[int, int](), list[tuple[int, int]](), BoardWire()
-        for line in self._log.read_text().splitlines():
+        whole, _, _ = self._log.read_text().rpartition("\n")  # the board goes on: its last line may be in the making
+        for line in whole.splitlines():
             kind, at, rest = (*line.split(" ", 2), "")[:3]
             match kind:
                 case "c":

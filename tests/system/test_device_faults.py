@@ -81,6 +81,7 @@ def test_a_board_without_a_watchdog_is_found(tmp_path: Path) -> None:
     assert "wire: found" in found
 
 
+@pytest.mark.long
 def test_a_driver_that_swallows_its_error_is_found(tmp_path: Path) -> None:
     found = planted(tmp_path, "mute", SWALLOWS)
     assert "mute 0: named: found []" in found
