@@ -195,8 +195,8 @@ int main(int argc, char **argv) {
     size_t filled = 0;
     for (;;) {
         uint64_t at = now_us();
-        while (at < due) {
-            struct timespec left = {0, (long)(1000u * (due - at))};
+        do { /* once at least: a board that is behind goes on reading */
+            struct timespec left = {0, at < due ? (long)(1000u * (due - at)) : 0};
             struct pollfd both[2] = {{fd, POLLIN, 0}, {0, POLLIN, 0}};
             ppoll(both, 2, &left, NULL);
             advance(now_us()); /* before what is heard now changes anything */
@@ -221,7 +221,7 @@ int main(int argc, char **argv) {
                 usleep(50); /* nobody has opened the other end, or the bus is stalled */
             }
             at = now_us();
-        }
+        } while (at < due);
         if (noted && at > due + 1000u) {
             char words[24];
             snprintf(words, sizeof words, "%llu", (unsigned long long)(at - due));

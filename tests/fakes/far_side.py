@@ -64,22 +64,21 @@ class Record:
             ended = next((begin for begin, f in self.motors if begin > at and not any(f)), None)
         if ended is None:
             return None
-        return ended - at, sum(max(0, min(end, ended) - max(begin, at)) for begin, end in _joined(self.busy))
+        return ended - at, sum(max(0, min(end, ended) - max(begin, at)) for begin, end in self.stretches())
+
+    def stretches(self) -> list[tuple[int, int]]:
+        """``busy``, without what these times have in common."""
+        out: list[tuple[int, int]] = []
+        for begin, end in sorted(self.busy):
+            if out and begin <= out[-1][1]:
+                out[-1] = out[-1][0], max(end, out[-1][1])
+            else:
+                out.append((begin, end))
+        return out
 
     def exerted(self) -> list[tuple[int, int, Force]]:
         """Each force that was not zero, with its beginning and its end, ns; the last one has none, and is left out."""
         return [(at, end, f) for (at, f), (end, _) in zip(self.motors, self.motors[1:], strict=False) if any(f)]
-
-
-def _joined(busy: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Stretches of time without what they have in common."""
-    out: list[tuple[int, int]] = []
-    for begin, end in sorted(busy):
-        if out and begin <= out[-1][1]:
-            out[-1] = out[-1][0], max(end, out[-1][1])
-        else:
-            out.append((begin, end))
-    return out
 
 
 class FarSide(Protocol):

@@ -224,9 +224,14 @@ class TestSentences:
         assert "cx" not in sentence
         incidents.forget("dy")  # its next process is another one
         late = 100 + round(QUIET / T)
-        incidents.receive("dy", self.told(late, let_go=1.0))
+        begun = Figures({"let_go": 1.0, f"began@{late - 50}": 1.0})
+        incidents.receive("dy", Telemetry(late, begun, {}))
+        (sentence,) = incidents.receive("environment", self.told(late, moved={"cx/cy": 6.0}))
+        assert sentence.endswith("it was there when its process began: see its sensor, and the units of its driver")
+        late += round(QUIET / T)
+        incidents.receive("dy", self.told(late, let_go=2.0))
         (sentence,) = incidents.receive("environment", self.told(late, moved={"cx/cy": 9.0}))
-        assert sentence.endswith("it had received 9 J from others, 9 J of it from cx (dx)")
+        assert sentence.endswith("it had received 6 J from others, 6 J of it from cx (dx)")
 
     def test_a_party_beyond_its_budget_is_reported_not_too_often(self) -> None:
         incidents = self.incidents()
