@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test test-long test-rest guests lint types imports pytest campaign attack heavy limits worlds fuzz fuzz-board firmware datagrams wan far-user scenes world-peers encoder friction mechanisms flood loop watched soak users linked-users chaos faults lateness inertia honest hostile blamed remote pictures page benchmark curve figures docs docs-pictures clean
+.PHONY: demo test test-long test-rest guests lint types imports pytest campaign attack heavy limits worlds fuzz fuzz-board firmware datagrams wan far-user scenes world-peers encoder friction mechanisms flood loop watched soak users linked-users chaos faults lateness inertia honest hostile blamed device-faults remote pictures page benchmark curve figures docs docs-pictures clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -196,6 +196,12 @@ hostile: $(VENV)/.installed
 GUESTS ?= 20
 blamed: $(VENV)/.installed
 	$(BIN)/python -m tests.system.blame --runs $(GUESTS) --seed $(SEED)
+
+# faults of real devices in real sessions, whose drivers talk to fakes: what their motors do, who is named for it, what
+# comes back, and the recordings' audits; five minutes for each device
+DEVICE_FAULTS ?= 104
+device-faults: $(VENV)/.installed
+	$(BIN)/python -m tests.system.device_faults --faults $(DEVICE_FAULTS) --seed $(SEED) $(if $(DEVICE),--device $(DEVICE))
 
 # a remote user over every kind of network, beside what others do, in simulated time: five minutes on two idle cores
 remote: $(VENV)/.installed

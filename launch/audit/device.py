@@ -232,6 +232,11 @@ class FollowedInWallTime(FollowedDevice):
         if happened.leaves:
             tick.guard.leave()
         sent = tick.sample(k, sampled)
+        if happened.may_be_zero and not tick.guard.holds and np.any(rows.asked[k]):
+            # it exerts none of either: which of the two forces it was asked for does not show
+            raise Lost(
+                from_there_on("it had let go when it went on at another tick, with one of two forces asked of it")
+            )
         if happened.released:
             self._release(happened.released, ended, applied)
         if happened.jumped:

@@ -644,11 +644,13 @@ class UserIncidents:
         self._counts: dict[str, float] = {}
         # devices that let go, and the ticks that the environment must have reported: the first and the last
         self._awaiting: dict[str, tuple[int, int]] = {}
+        self._of_itself: dict[str, str] = {}  # devices that nobody can have moved so, and why
         self._next: dict[str, float] = {}  # the first tick of a party's next sentence
 
     def forget(self, node: str) -> None:
         """``node`` has a new process, which counts from 0."""
         self._counts.pop(node, None)
+        self._of_itself.pop(node, None)
         if node in self._worlds:
             self._causes.forget()
             self._frozen, self._reported = {}, set()
@@ -675,6 +677,7 @@ class UserIncidents:
             since, self._told[node] = min(tick, self._told.get(node, 0)), tick
             if self._grown(node, figures.get(names.LET_GO, 0.0), tick):
                 self._awaiting[node] = since, tick
+                self._note_of_itself(node, figures)
         return []
 
     def _stays_frozen(self, tick: int, figures: Mapping[str, float], running: Collection[str]) -> Iterator[str]:
@@ -713,6 +716,8 @@ class UserIncidents:
 
     def _let_go(self, device: str, since: int, until: int) -> str:
         text = f"{device} was beyond its limits of displacement or speed, and let go until it is within them again"
+        if why := self._of_itself.pop(device, ""):
+            return f"{text}; {why}"
         mover = self._causes.mover(self._couplings[device], since * self._period, until * self._period)
         if mover is None:
             return f"{text}; nobody else has moved it"
@@ -720,6 +725,16 @@ class UserIncidents:
             f"{text}; another party moved it: it had received {mover.total:.3g} J from others, "
             f"{mover.energy:.3g} J of it from {self._who(mover.party)}"
         )
+
+    def _note_of_itself(self, device: str, figures: Mapping[str, float]) -> None:
+        """Note why no energy that a device received can have moved it beyond its limits, where that is so."""
+        if figures.get(names.QUICKER, 0.0) > 0.0:
+            self._of_itself[device] = (
+                "it moved further in a tick than its stated mass and its hand's force allow: see its sensor, the units "
+                "of its driver, and the mass that is stated"
+            )
+        elif any(event.kind is Kind.BEGAN and event.tick > 0 for event in events_in(figures)):  # forces rise by a ramp
+            self._of_itself[device] = "it was there when its process began: see its sensor, and the units of its driver"
 
     def _who(self, coupling: str) -> str:
         devices = [device for device, couplings in self._couplings.items() if coupling in couplings]

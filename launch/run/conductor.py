@@ -225,15 +225,17 @@ class Conductor:
                 return self._faulted(sender, state, text, now)
         return []
 
-    def exited(self, node: str, code: int, now: int) -> list[Instruction]:
+    def exited(self, node: str, code: int, now: int, said: str = "") -> list[Instruction]:
         """Decide what follows from the end of a node's process.
 
         Args:
             node: its name.
             code: exit code; negative: the signal that killed it.
             now: monotonic ns.
+            said: the last line of its error output. A node that is to come back, and has no line to the supervisor
+                yet, says only there what its device lacks.
         """
-        return self._ended(node, ending(code), now)
+        return self._ended(node, ending(code), now, said)
 
     def started(self, node: str, pid: int) -> None:
         """Note the process id of a node that is to come back: a hello of its former process may still arrive."""
@@ -437,14 +439,16 @@ class Conductor:
         self.incidents.add(f"{why}; the session waits for {guest} again")
         return [ReleaseName(guest)]
 
-    def _ended(self, node: str, how: str, now: int) -> list[Instruction]:
+    def _ended(self, node: str, how: str, now: int, said: str = "") -> list[Instruction]:
         state = self.states[node]
         if self.phase is SessionPhase.RUNNING:
             if state is NodeState.LEAVING:
                 return self._withstood(self._recovery.left(node, now))
             survived = self.restarts.allowed > 0 or node in self.seats
             if survived and (state is NodeState.RUNNING or state in RETURNING):
-                return self._withstood(self._recovery.lose(node, f"{how} while {state}", now))
+                vain = bool(said) and state is NodeState.STARTING
+                why = f": {said}" if vain else ""
+                return self._withstood(self._recovery.lose(node, f"{how} while {state}{why}", now, vain=vain))
         self.states[node] = NodeState.ENDED
         out: list[Instruction] = []
         expected = (NodeState.REPORTED, NodeState.FAULTED, NodeState.LEAVING)

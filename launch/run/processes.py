@@ -42,6 +42,7 @@ class Processes:
         self._directory = directory
         self._running: dict[str, subprocess.Popen[bytes]] = {}
         self._fds: dict[int, tuple[str, ...]] = {}
+        self._logged: dict[str, int] = {}  # by name, the length of its log before its latest process
 
     @property
     def fds(self) -> tuple[int, ...]:
@@ -93,6 +94,7 @@ class Processes:
         """
         first, *others = arguments
         with (self._directory / f"{names[0]}.log").open("ab") as log:
+            self._logged[names[0]] = log.tell()
             process = subprocess.Popen(  # noqa: S603 -- our own interpreter and module, no shell
                 [sys.executable, "-P", "-m", module, first, str(os.getpid()), *others],
                 stdin=subprocess.DEVNULL,
@@ -183,6 +185,15 @@ class Processes:
         """The end of a process's error output; empty if there is none, or if the process runs elsewhere."""
         path = self._directory / f"{name}.log"
         return path.read_text(errors="replace").strip()[-_LOG_SHOWN:] if path.exists() else ""
+
+    def last_words(self, name: str) -> str:
+        """The last line of a process's error output; empty if its latest process wrote none."""
+        if name not in self._logged:
+            return ""
+        with (self._directory / f"{name}.log").open("rb") as log:
+            log.seek(self._logged[name])
+            said = log.read().decode(errors="replace").strip()
+        return said.rpartition("\n")[2][:_LOG_SHOWN]
 
 
 def _hand_over(descriptor: int, content: bytes) -> None:

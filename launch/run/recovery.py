@@ -165,6 +165,9 @@ class Restarts:
         return deaths <= self.allowed
 
 
+FIRST_PAUSE: Final = from_seconds(1.0)
+LONGEST_PAUSE: Final = from_seconds(10.0)
+
 RETURN_TIME = from_seconds(60.0)
 """The longest time that a node may take from its start to its hello, and again for its handshakes."""
 
@@ -203,6 +206,7 @@ class Recovery:
     _links: Links = field(init=False)
     _then: dict[str, NodeState] = field(default_factory=dict)  # the state of a leaving node after its process's end
     _since: dict[str, int] = field(default_factory=dict)  # when the present wait for a returning node began
+    _vain: dict[str, tuple[Duration, int]] = field(default_factory=dict)  # the latest pause, and when it ends
 
     def __post_init__(self) -> None:
         self._links = Links(self.graph)
@@ -212,7 +216,7 @@ class Recovery:
         absent = [(seat, peer) for seat in self.seats for peer in self._links.lost(seat)]
         return [Send(peer, Absent(seat)) for seat, peer in sorted(absent) if peer not in self.seats]
 
-    def lose(self, node: str, how: str, now: int, *, alive: bool = False) -> list[Instruction]:
+    def lose(self, node: str, how: str, now: int, *, alive: bool = False, vain: bool = False) -> list[Instruction]:
         """Take ``node`` out of the session: it is lost, or has failed to return. It counts as a death.
 
         Args:
@@ -220,8 +224,12 @@ class Recovery:
             how: what happened to it, to follow its name in a sentence.
             now: monotonic ns.
             alive: whether the end of its process is still to come.
+            vain: whether its process started in vain, so that the next start waits.
         """
         self.note(f"{node} {how}", now)
+        if vain:
+            pause = min(Duration(2 * self._vain[node][0]), LONGEST_PAUSE) if node in self._vain else FIRST_PAUSE
+            self._vain[node] = pause, now + pause
         allowed = node in self.seats or self.restarts.died(node, now)
         out = self._drop(node, self._future(allowed), alive, now)
         if self._awaits(node, NodeState.GONE):
@@ -255,6 +263,7 @@ class Recovery:
         """``node`` has all its links, and takes part again from the present tick on."""
         self.states[node] = NodeState.RUNNING
         self._since.pop(node, None)
+        self._vain.pop(node, None)
         if node in self.seats:
             self.note(f"{node} has joined", now)
         else:
@@ -277,7 +286,7 @@ class Recovery:
         return [*farewell, ReleaseName(node)]
 
     def overdue(self, now: int) -> list[Instruction]:
-        """Give up the nodes that take too long to return."""
+        """Give up the nodes that take too long to return, and start those whose pause is over."""
         late = [node for node, since in self._since.items() if now - since > RETURN_TIME]
         out: list[Instruction] = []
         for node in late:
@@ -285,7 +294,7 @@ class Recovery:
                 continue  # it was given up with one of the others
             out += self._end_process(node)
             out += self.lose(node, f"took too long to return ({self.states[node]})", now, alive=node not in self.remote)
-        return out
+        return out + self.proceed(now) if self._vain else out
 
     def shift(self, coupling: str, rung: int) -> list[Instruction]:
         """Change ``coupling`` to ``rung``: the environment receives that now, and again after a restart that forgets
@@ -322,7 +331,8 @@ class Recovery:
             return out
         for node in reversed(list(self.graph.nodes)):  # the binder of a link before its connector
             state = self.states[node]
-            if state is NodeState.LOST and node not in self.remote and self._all_to_be_found(node):
+            paused = node in self._vain and now < self._vain[node][1]
+            if state is NodeState.LOST and node not in self.remote and not paused and self._all_to_be_found(node):
                 self.states[node], self._since[node] = NodeState.STARTING, now
                 out += [ReleaseName(node), StartProcess(node)]
             elif state is NodeState.WELCOMED and self._all_to_be_found(node):

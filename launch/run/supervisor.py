@@ -310,7 +310,8 @@ class Supervisor:
                 self.carry_out(conductor.silent(name, clock.now()), hub, processes)
             for name, code in processes.reap(ready).items():
                 self._log.note(LogEvent.EXITED, peer=name, code=code)
-                self.carry_out(conductor.exited(name, code, clock.now()), hub, processes)
+                said = processes.last_words(name) if code > 0 else ""
+                self.carry_out(conductor.exited(name, code, clock.now(), said), hub, processes)
             for name, code in elsewhere.reap(ready).items():
                 self._log.note(LogEvent.EXITED, peer=name, code=code)
                 how = ended_there(self._reach.hosts[name], code, elsewhere.log(name))

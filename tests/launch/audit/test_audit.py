@@ -408,6 +408,23 @@ def test_a_device_in_wall_time_is_told_of_a_jump_before_it_exerts_again(
     assert calls == [*["exert"] * 5, "skipped", *["exert"] * 4]
 
 
+@pytest.mark.parametrize("asked", [0.0, 0.5])
+def test_which_force_was_asked_of_a_device_that_had_let_go_is_not_guessed(prepared: Prepared, asked: float) -> None:
+    """After a jump it is that of its coupling's row, or none; a device that exerts none of either does not show it."""
+    bundle = cut(prepared, Way(REALTIME, None, ""))["dx"]
+    assert isinstance(bundle, DeviceBundle)
+    at, ticks = 1e6 * np.arange(9.0), 9
+    x, f, zero = np.zeros((ticks, 1)), np.full((ticks, 1), asked), np.zeros((ticks, 1))
+    x[3] = 10.0 * bundle.limits.displacement[0]
+    instants = np.column_stack([at, at + 2e5, at + 2e5])
+    rows = DeviceRows(x, np.where(np.arange(ticks)[:, None] < 3, f, 0.0), f, instants, zero, 3, zero[:, 0] > 0.0)
+    again = recompute(FollowedInWallTime(bundle, lambda: "given", rows), Course({5: Happening(jumped=True)}, {}, ticks))
+    found = [(gap.begin, gap.end) for gap in again.gaps if "one of two forces" in gap.why]
+    assert found == ([(5, ticks)] if asked else [])
+    assert np.isfinite(again["interface"][:5]).all()
+    assert np.isfinite(again["interface"][5:]).all() == (asked == 0.0)
+
+
 def test_more_free_periods_than_are_computed_end_the_check(prepared: Prepared) -> None:
     bundle = bundle_of(prepared, "dx")
     assert isinstance(bundle, DeviceBundle)

@@ -178,8 +178,10 @@ def test_the_default_is_the_devices_ability_and_at_most_a_hands() -> None:
 
 
 class TestSentences:
-    def told(self, tick: int, let_go: float | None = None, **tables: Mapping[str, float]) -> Telemetry:
-        return Telemetry(tick, Figures({} if let_go is None else {"let_go": let_go}, tables), {})
+    def told(
+        self, tick: int, let_go: float | None = None, quicker: float = 0.0, **tables: Mapping[str, float]
+    ) -> Telemetry:
+        return Telemetry(tick, Figures({} if let_go is None else {"let_go": let_go, "quicker": quicker}, tables), {})
 
     def incidents(self) -> UserIncidents:
         return UserIncidents(topology(load_session(EXAMPLE)), T)
@@ -211,6 +213,25 @@ class TestSentences:
         incidents.receive("dy", self.told(100, let_go=1.0))
         (sentence,) = incidents.receive("environment", self.told(100, moved={"cy/cx": 3.0}))
         assert sentence.endswith("nobody else has moved it")
+
+    def test_nobody_is_named_for_a_jump_that_no_mass_can_make(self) -> None:
+        """A sensor jumps, or a driver has another unit: the others' energy has nothing to do with it."""
+        incidents = self.incidents()
+        incidents.receive("dy", self.told(100, let_go=1.0, quicker=1.0))
+        (sentence,) = incidents.receive("environment", self.told(100, moved={"cx/cy": 3.0}))
+        assert sentence.startswith("dy was beyond its limits")
+        assert "it moved further in a tick than its stated mass and its hand's force allow: see its sensor" in sentence
+        assert "cx" not in sentence
+        incidents.forget("dy")  # its next process is another one
+        late = 100 + round(QUIET / T)
+        begun = Figures({"let_go": 1.0, f"began@{late - 50}": 1.0})
+        incidents.receive("dy", Telemetry(late, begun, {}))
+        (sentence,) = incidents.receive("environment", self.told(late, moved={"cx/cy": 6.0}))
+        assert sentence.endswith("it was there when its process began: see its sensor, and the units of its driver")
+        late += round(QUIET / T)
+        incidents.receive("dy", self.told(late, let_go=2.0))
+        (sentence,) = incidents.receive("environment", self.told(late, moved={"cx/cy": 9.0}))
+        assert sentence.endswith("it had received 6 J from others, 6 J of it from cx (dx)")
 
     def test_a_party_beyond_its_budget_is_reported_not_too_often(self) -> None:
         incidents = self.incidents()

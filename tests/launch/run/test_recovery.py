@@ -234,6 +234,31 @@ class Test_offers:
         assert c.states["cx"] is NodeState.LOST
         assert c.ignored == 2
 
+    def test_a_process_that_cannot_start_says_what_its_device_lacks(self) -> None:
+        c = session().conductor
+        c.exited("dx", 1, 0, "an old line of a process that ran is no reason")
+        c.receive("cx", Offer("dx", "ipc:///anew"), 0)
+        c.exited("dx", 2, 0, "cannot open /dev/ttyACM0: there is no such port; plug the device in")
+        assert c.incidents.sentences == (
+            "at 0.0 s: dx ended with exit code 1 while running",
+            "at 0.0 s: dx ended with exit code 2 while starting: cannot open /dev/ttyACM0: there is no such port; "
+            "plug the device in",
+        )
+
+    def test_starts_in_vain_wait_for_twice_as_long_each_time(self) -> None:
+        c = session(restarts=100).conductor
+        c.exited("dx", -9, 0)
+        assert StartProcess("dx") in c.receive("cx", Offer("dx", "ipc:///anew"), 0)
+        now, waited = 0, []
+        for _ in range(6):
+            assert StartProcess("dx") not in c.exited("dx", 2, now, "plug the device in")
+            began = now
+            while StartProcess("dx") not in c.look(now):
+                now += from_seconds(0.25)
+            waited.append((now - began) / 1e9)
+        assert waited == [1.0, 2.0, 4.0, 8.0, 10.0, 10.0]
+        assert StartProcess("dx") in c.exited("dx", -9, now)  # a process that was killed did not start in vain
+
     def test_a_hello_of_a_former_process_is_not_the_next_ones(self) -> None:
         c = session().conductor
         c.exited("dx", -9, 0)

@@ -1,0 +1,233 @@
+"""The devices of the campaign of faults, a row each (tests/system/device_faults.py); their fakes: tests/fakes/.
+
+A new driver is a function that opens its fake as a :class:`~tests.fakes.far_side.FarSide`, its keys of a session, and
+its faults.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from manyhands.devices.serial_board.frames import opened
+from manyhands.launch.run.breaches import QUIET
+from manyhands.nodes.kernel.timeouts import STALE_TICKS
+
+from ..fakes.board import Axis, FakeBoard, fake_board
+from ..fakes.far_side import FarSide, Force, Given, Record
+
+KILL: Final = "KILL"
+"""In place of an order: the process of the device's driver is killed, which then cannot let go."""
+
+LASTS: Final = STALE_TICKS + 1
+"""Periods from a sample on for which its force is held at the longest (nodes/device/interface.py, ``interface_of``)."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault of a device.
+
+    Attributes:
+        orders: to the fake, or :data:`KILL`.
+        within: the time in which its motors exert no force, s, by what the device's page and the driver state.
+        said: what an incident says of it, a pattern; empty where the device's process has nothing to say.
+        dies: whether the device's process ends; a new one takes its place.
+        then: orders that end the fault, once it was said.
+        after: what is said before these orders, a pattern; empty where ``said`` is all.
+        lasts: for how long it is let be where nothing is said, s.
+        apart: for how long the session says nothing of another one, s.
+    """
+
+    orders: Sequence[str]
+    within: float
+    said: str = ""
+    dies: bool = True
+    then: Sequence[str] = ()
+    after: str = ""
+    lasts: float = 0.1
+    apart: float = 0.0
+
+
+@dataclass(frozen=True)
+class Row:
+    """A device of the campaign.
+
+    Attributes:
+        opened: gives the fake, with files of its own in a folder; ``force`` of it is N or N m.
+        keys: of the session's device, without ``parameters``.
+        period: of the session, s.
+        faults: by name.
+        parameters: for the driver, beside those of the fake.
+        stiffness: of the world's springs at its first axis, N/m or N m/rad.
+        felt: the force on an axis from which on the device counts as felt, N or N m.
+        design: of the session.
+        precision: the relative precision in which its motors are given a force.
+        scale: the fake's force for one of the session's, on every axis.
+    """
+
+    opened: Callable[[Path], AbstractContextManager[FarSide]]
+    keys: Mapping[str, Any]
+    period: float
+    faults: Mapping[str, Fault]
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    stiffness: float = 80.0
+    felt: float = 0.05
+    design: Mapping[str, Any] = field(default_factory=dict)
+    precision: float = 1e-6
+    scale: float = 1.0
+
+
+# --- the serial board
+
+
+class BoardFarSide:
+    """A fake board whose port is a link, so that it is the same after it was plugged in again."""
+
+    def __init__(self, one: FakeBoard, folder: Path) -> None:
+        self._one, self._log = one, folder / "board.log"
+        port = folder / "port"
+        self.plug = f"plug {port}"
+        self.parameters: Mapping[str, object] = {"port": str(port)}
+        self.order(self.plug, f"log {self._log}")
+        one.asked()  # so that the port is there
+
+    def order(self, *lines: str) -> None:
+        if lines:
+            self._one.order("\n".join(self.plug if line == "plug" else line for line in lines))
+
+    def mark(self, number: int, *lines: str) -> None:
+        self.order(f"note mark {number}", *lines)
+
+    def force(self) -> Sequence[float]:
+        return self._one.asked()[1]
+
+    def record(self) -> Record:
+        self._one.asked()  # it has written down all until now
+        motors: list[tuple[int, Force]] = []
+        marks, busy, wire = dict[int, int](), list[tuple[int, int]](), BoardWire()
+        whole, _, _ = self._log.read_text().rpartition("\n")  # the board goes on: its last line may be in the making
+        for line in whole.splitlines():
+            kind, at, rest = (*line.split(" ", 2), "")[:3]
+            match kind:
+                case "c":
+                    wire.clock(int(at), int(rest))
+                case "m":
+                    motors.append((int(at), tuple(single(float(force)) for force in rest.split())))
+                case "r":
+                    wire.take(bytes.fromhex(rest), int(at))
+                case "b":
+                    busy.append((int(at) - 1000 * int(rest), int(at)))
+                case "o" if rest.startswith("note mark "):
+                    marks[int(rest.split()[-1])] = int(at)
+        return Record(motors, wire.given, marks, busy)
+
+
+def single(number: float) -> float:
+    """The number in single precision, as it is on a board."""
+    return float(struct.unpack("<f", struct.pack("<f", number))[0])
+
+
+class BoardWire:
+    """The forces on a board's wire, by PROTOCOL.md and without the firmware's core.
+
+    Attributes:
+        given: the forces, in the order in which they came.
+    """
+
+    LONGEST: Final = 50_000_000
+    """ns, as the fake states it."""
+
+    LIMIT: Final = 5.0
+    """N, as the fake states it."""
+
+    def __init__(self) -> None:
+        self.given: list[Given] = []
+        self._coming = b""
+        self._at_zero = self._shown = 0
+
+    def clock(self, at: int, shown: int) -> None:
+        """The board's clock shows ``shown`` us at the instant ``at``, ns."""
+        self._at_zero, self._shown = at, shown
+
+    def take(self, data: bytes, at: int) -> None:
+        """What was read at an instant, ns."""
+        *frames, self._coming = (self._coming + data).split(b"\0")
+        for frame in frames:
+            payload = opened(frame)
+            if payload is None or payload[0] != 0x02:
+                continue
+            until = struct.unpack_from("<I", payload, 3)[0]
+            f = struct.unpack_from(f"<{(len(payload) - 7) // 4}f", payload, 7)
+            ends = self._at_zero + 1000 * self._since(until, at)
+            limited = tuple(max(-self.LIMIT, min(self.LIMIT, force)) for force in f)
+            self.given.append(Given(at, min(ends, at + self.LONGEST), limited))
+
+    def _since(self, shown: int, at: int) -> int:
+        """us from the clock's 0 until it shows ``shown``, nearest to the instant ``at``, ns."""
+        turn = 1 << 32
+        first = (shown - self._shown) % turn
+        return first + turn * round(((at - self._at_zero) / 1000 - first) / turn)
+
+
+HELD: Final = Axis(m=0.15, b=1.0, step=1e-5, k=100.0, amplitude=0.01, frequency=0.7)
+"""Somebody holds the board, and moves."""
+
+
+@contextmanager
+def board(folder: Path) -> Iterator[FarSide]:
+    with fake_board(HELD, period_us=500) as one:
+        yield BoardFarSide(one, folder)
+
+
+SILENCE: Final = 0.5  # s, of the driver: a busy machine may give the board no turn for a while
+T: Final = 0.004  # s
+BY_ITSELF: Final = LASTS * T
+AT_ONCE: Final = 0.001  # s: two periods of the board
+GONE: Final = "found no state for"
+
+SERIAL_BOARD: Final = Row(
+    opened=board,
+    keys={
+        "dof": 1,
+        "osp": 1.0,
+        "driver": "serial-board",
+        "sample_age": 0.001,
+        "actuation_delay": 0.0005,
+        "mass": 0.149,
+        "step": 0.00001,
+        "limits": {"force": 5, "displacement": 0.1, "speed": 2},
+    },
+    period=T,
+    parameters={"silence": SILENCE, "sample_age": 0.001, "actuation_delay": 0.0005},
+    design={"coupling": "spring-damper", "tau": 0.003, "period_tolerance": 0.5},
+    faults={
+        "unplugged": Fault(
+            ["unplug"],
+            BY_ITSELF,
+            "see that it is plugged in and has power",
+            then=["plug"],
+            after="there is no such port; plug the device in",
+        ),
+        "process killed": Fault([KILL], BY_ITSELF, "was killed by SIGKILL while running"),
+        "reset": Fault(["reset"], AT_ONCE, GONE),
+        "braked": Fault(["brake"], AT_ONCE, "found the board braked by its own protection", then=["free"]),
+        "stalled for 30 ms": Fault(["stall 30"], BY_ITSELF, dies=False),
+        "first frame lost": Fault(["reset", "drop 1"], AT_ONCE, GONE),
+        "wrong units": Fault(
+            ["scale 1000"],
+            BY_ITSELF + 0.001,
+            "beyond its limits of displacement or speed, and let go",
+            dies=False,
+            then=["scale 1"],
+            apart=QUIET + 1.0,
+        ),
+        "mute": Fault(["mute"], SILENCE + BY_ITSELF + 0.001, GONE, then=["speak"]),
+    },
+)
+
+ROWS: Final[Mapping[str, Row]] = {"serial-board": SERIAL_BOARD}
+"""By the driver's name."""
