@@ -231,13 +231,17 @@ class ForceDimension(DeviceDriver):
 
     def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> None:
         """Hold the torques that stand for f, N; from ``until`` on the device's watchdog ends them."""
-        steps = LONGEST if until is None else (until - at) // TICK
+        allows = LONGEST if until is None else (until - at) // TICK
         self._until = None if until is None else Instant(self._clock.now() + max(0, until - at))
-        if steps < 1:
-            f = _ZERO  # its end cannot be told to the watchdog
-        elif (asked := self._watchdog.next(min(steps, LONGEST))) is not None:
-            self._kinematics.called("dhdSetWatchdog", asked)
+        if allows < 1:
+            self._exert(_ZERO)  # its end cannot be told to the watchdog
+            return
+        steps, watchdog = self._watchdog.after(min(allows, LONGEST)), self._watchdog
+        if steps < watchdog.steps:  # before the reading, which sees whether this has ended the last force
+            watchdog.steps = self._set(steps)
         self._exert(f)
+        if steps > watchdog.steps:
+            watchdog.steps = self._set(steps)
 
     def release(self, at: Instant) -> None:
         """Hold no torques."""
@@ -259,9 +263,10 @@ class ForceDimension(DeviceDriver):
         now = self._clock.now()
         if now - self._looked >= LOOK:
             self._looked = now
-            if not self._asked()[_FORCE]:
+            status = self._asked()
+            if not status[_FORCE]:
                 self._may_have_ended = self._lost = True
-                self._refuse_off()
+                self._refuse(status)
 
     def figures(self) -> Mapping[str, float]:
         """What came late, not at all, or by itself; and the rate at which the library exchanges forces."""
@@ -327,8 +332,9 @@ class ForceDimension(DeviceDriver):
 
     def _revive(self) -> None:
         """Give a device its force again that its watchdog may have taken away."""
-        if not self._asked()[_FORCE]:
-            self._refuse_off()
+        status = self._asked()
+        if not status[_FORCE]:
+            self._refuse(status)
             self._ended += 1
             self._turn_on()
         self._may_have_ended = False
@@ -340,10 +346,14 @@ class ForceDimension(DeviceDriver):
         self._kinematics.called("dhdSetBrakes", 0)
         self._kinematics.called("dhdEnableForce", 1)
 
-    def _asked(self) -> Sequence[int]:
+    def _set(self, steps: int) -> int:
+        self._kinematics.called("dhdSetWatchdog", steps)
+        return steps
+
+    def _asked(self) -> list[int]:
         """The device's status; refused where it has no power, or an error."""
         self._kinematics.called("dhdGetStatus", self._status)
-        status = self._status
+        status = list(self._status)
         if not status[_POWER] or status[_ERROR]:
             what = "with an error" if status[_ERROR] else "without power"
             raise ForceDimensionError(
@@ -351,8 +361,9 @@ class ForceDimension(DeviceDriver):
             )
         return status
 
-    def _refuse_off(self) -> None:
-        cause = self._status[_CAUSE]
+    def _refuse(self, status: Sequence[int]) -> None:
+        """Refuse a device whose forces are off by anything but its watchdog."""
+        cause = status[_CAUSE]
         if cause in _CAUSES:
             raise ForceDimensionError(
                 f"{self._kinematics.name}: found its forces taken away {_CAUSES[cause]}; expected a device that obeys"
@@ -363,20 +374,23 @@ class _Watchdog:
     """Which time the device's watchdog has: at most that of each force, and longer once all forces allow it for long.
 
     Setting it costs an exchange. So a shorter time is set at once, and a longer one after :data:`CALM` forces.
+
+    Attributes:
+        steps: that the device has.
     """
 
     def __init__(self) -> None:
         self.steps = LONGEST
-        self._least, self._calm = LONGEST, 0
+        self._least, self._forces = LONGEST, 0  # of the forces since it was changed
 
-    def next(self, asked: int) -> int | None:
-        """The steps to set for a force that allows ``asked`` of them; None to leave them."""
-        self._least, self._calm = min(self._least, asked), self._calm + 1
-        if asked >= self.steps and self._calm < CALM:
-            return None
-        before, self.steps = self.steps, asked if asked < self.steps else self._least
-        self._least, self._calm = LONGEST, 0
-        return self.steps if self.steps != before else None
+    def after(self, allows: int) -> int:
+        """The steps that it should have for a force that allows so many."""
+        self._least, self._forces = min(self._least, allows), self._forces + 1
+        if allows >= self.steps and self._forces < CALM:
+            return self.steps
+        least = min(self._least, allows)
+        self._least, self._forces = LONGEST, 0
+        return least
 
 
 def opened(library: CDLL, serial: int | None, device: int) -> Kinematics:
@@ -428,7 +442,7 @@ def _checked(parameters: Mapping[str, Any]) -> dict[str, Any]:
     for name in parameters:
         if name not in PARAMETERS:
             raise ValueError(f"parameters: found {name!r:.40}; expected {', '.join(PARAMETERS)}")
-    given = {**PARAMETERS, **parameters}
+    given: dict[str, Any] = {**PARAMETERS, **parameters}
     library = given["library"]
     if not isinstance(library, str) or (library and not Path(library).is_absolute()):
         raise ValueError(f"parameters.library: found {library!r:.80}; expected the whole path of libdrd")
@@ -440,10 +454,10 @@ def _checked(parameters: Mapping[str, Any]) -> dict[str, Any]:
             raise ValueError(f"parameters.{name}: found {value!r:.40}; expected a whole number from 0 to {most}")
     units = {"reach": "a length in m, at most 1", "speed": "a speed in m/s, at most 10"}
     for name in ("reach", "speed", "silence", "sample_age", "actuation_delay"):
-        value, most = given[name], 10.0 if name == "speed" else 1.0
+        value, longest = given[name], 10.0 if name == "speed" else 1.0
         if value is None and PARAMETERS[name] is None:
             continue
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value <= most:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value <= longest:
             expected = units.get(name, "a time in s, at most 1")
             raise ValueError(f"parameters.{name}: found {value!r:.40}; expected {expected}")
     return given

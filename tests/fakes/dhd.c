@@ -39,7 +39,7 @@ typedef struct {
     int32_t present, unplugged, uncalibrated, no_watchdog, com, stuck, rotated, transposed, lying, deaf;
     int32_t owner, forces, braked, cause, gravity, guard_us, saturations, watchdogs, reads, sets, trip_us, stall_ms;
     int32_t watchdog, enc[3];
-    int64_t now, read_at, set_at;
+    int64_t now, read_at, set_at, manual; /* manual: of the first device, the time where a test makes it */
     double m, b, c, k, amplitude[3], frequency, most, fastest; /* hand's spring k, motors' N m, threshold m/s */
     double x[3], v[3], t[3], q[3], work, phase;
 } device;
@@ -49,6 +49,7 @@ static __thread int last_error;
 static int expert, default_id;
 
 static int64_t now_ns(void) {
+    if (file.all && file.all->manual) return file.all->manual;
     struct timespec t;
     clock_gettime(CLOCK_MONOTONIC, &t);
     return (int64_t)t.tv_sec * 1000000000 + t.tv_nsec;
@@ -176,6 +177,10 @@ static void catch_up(device *d, int64_t to) {
 }
 
 static void spin(int64_t ns) {
+    if (file.all->manual) {
+        file.all->manual += ns;
+        return;
+    }
     const int64_t end = now_ns() + ns;
     while (now_ns() < end) {}
 }
@@ -217,7 +222,11 @@ static bool gone(const device *d) { return !d->present || d->unplugged; }
 static device *exchange(int id) {
     device *d = enter(id);
     if (!d) return fail(INVALID), NULL;
-    if (d->stall_ms) spin(1000000LL * d->stall_ms), d->stall_ms = 0;
+    if (d->stall_ms) {
+        if (!file.all->manual) usleep(1000u * (unsigned)d->stall_ms);
+        else spin(1000000LL * d->stall_ms);
+        d->stall_ms = 0;
+    }
     spin(500LL * d->trip_us);
     catch_up(d, now_ns());
     if (gone(d) || d->owner != getpid()) return leave(fail(COM)), NULL;
@@ -269,8 +278,18 @@ int fake_dhd_ask(int id, double out[16]) {
     return leave(0);
 }
 
+/* the time of the devices, ns; from the first call on with one of its own it is the test's, and goes on by exchanges */
+int64_t fake_dhd_time(int64_t to) {
+    if (!enter(0)) return -1;
+    for (int id = 0; id < DEVICES && to && !file.all->manual; id++) file.all[id].now = file.all[id].set_at = to;
+    if (to) file.all->manual = to;
+    leave(0);
+    return now_ns();
+}
+
 void fake_dhd_forget(void) {
     if (file.fd >= 0) munmap(file.all, DEVICES * sizeof(device)), close(file.fd);
+    file.all = NULL;
     file.fd = -1, file.path[0] = 0, expert = 0;
 }
 
