@@ -9,13 +9,14 @@ J, and sends t by ``dhdSetDeltaJointTorques``. ``dhdSetForce`` would take the jo
 that nobody could tell the work. Where a motor cannot give its part, the driver scales all of them down first. So it
 knows what is exerted.
 
-**Work.** Each reading of the encoders is of one instant, and place, angles and J are computed from it. The work is the
-sum of t^T (q_new - q_old), read at each sample and once more before each new t. It is unknown where the watchdog may
-have ended the torques in between, where the library did not refresh the reading before new torques, or scaled them.
+**Work.** Each reading of the encoders is of one instant, and place, angles and J are computed from it. Between two
+readings the motors do t^T dq, and new torques take the place of old ones somewhere in the call that sends them. The
+driver tells the most that this can have been (:func:`most_work`). It is unknown where the watchdog may have ended the
+torques in between, where the library did not refresh a reading, or scaled the torques.
 
 **What the device would do by itself** is switched off at the start: gravity compensation, and the time guard, by which
 the library answers with old readings. The watchdog is set for each force, in steps of 125 us. Exchanges are
-synchronous, so that a reading is no older than its call.
+synchronous, so that a reading is no older than its call. A tick has two of them, a reading and new torques.
 """
 
 from __future__ import annotations
@@ -116,6 +117,8 @@ class ForceDimension(DeviceDriver):
         self._silence, self._speed = from_seconds(given["silence"]), given["speed"]
         self._status = (c_int * _STATUS)()
         self._t, self._F = list(_ZERO), list(_ZERO)  # the torques that are held, N·m, and the force they stand for, N
+        self._first: list[float] = self._t  # the torques at the last reading, and what has changed since
+        self._changes: list[Change] = []
         self._watchdog = _Watchdog()
         self._until: Instant | None = None  # of the present force, by the driver's clock
         self._work = self._answer = 0.0  # J, up to the last reading, and up to the last sample
@@ -138,7 +141,8 @@ class ForceDimension(DeviceDriver):
             self.close()
             raise
         self._q, self._x = self._kinematics.angles(counts), self._kinematics.place(counts)
-        self._read_at = self._sent = self._looked = self._clock.now()
+        self._sent = self._looked = self._clock.now()
+        self._read_in = (self._sent, self._sent)
         self._may_have_ended = True  # looking around takes longer than the watchdog waits
 
     @property
@@ -179,15 +183,15 @@ class ForceDimension(DeviceDriver):
         return threshold.value
 
     def _timed(self, given: Mapping[str, Any]) -> DeviceTiming:
-        """The times as they are given, or as they are measured: of a reading, and of a reading and new torques."""
+        """The times as they are given, or as they are measured: of a reading, and of new torques."""
         clock, kinematics = self._clock, self._kinematics
         reading = acting = 0
         for _ in range(TRIPS):
             begin = clock.now()
             kinematics.read()
-            reading = max(reading, clock.now() - begin)
+            read = clock.now()
             kinematics.called("dhdSetDeltaJointTorques", *_ZERO)
-            acting = max(acting, clock.now() - begin)
+            reading, acting = max(reading, read - begin), max(acting, clock.now() - read)
         age, delay = given["sample_age"], given["actuation_delay"]
         age = _up(seconds(Duration(reading))) if age is None else age
         return DeviceTiming(age, None, _up(seconds(Duration(acting))) if delay is None else delay)
@@ -217,10 +221,10 @@ class ForceDimension(DeviceDriver):
             self._exert(_ZERO)  # in case that readings keep its watchdog from ending a force
         self._read()
         now = self._clock.now()
-        age = seconds(Duration(now - self._read_at))
+        age = seconds(Duration(now - self._read_in[0]))
         self._oldest = max(self._oldest, age)
         self._old += age > self._timing.sample_age
-        if now - self._read_at > self._silence:
+        if now - self._read_in[0] > self._silence:
             raise ForceDimensionError(
                 f"{self._kinematics.name}: found no new reading for {1e3 * age:.3g} ms; expected one with each call: "
                 "see that nothing keeps its USB port busy"
@@ -237,7 +241,7 @@ class ForceDimension(DeviceDriver):
             self._exert(_ZERO)  # its end cannot be told to the watchdog
             return
         steps, watchdog = self._watchdog.after(min(allows, LONGEST)), self._watchdog
-        if steps < watchdog.steps:  # before the reading, which sees whether this has ended the last force
+        if steps < watchdog.steps:  # first, for this may end the last force
             watchdog.steps = self._set(steps)
         self._exert(f)
         if steps > watchdog.steps:
@@ -294,41 +298,52 @@ class ForceDimension(DeviceDriver):
 
     # --- both
 
-    def _read(self) -> bool:
-        """Read the encoders, and book what the held torques did on the way; returns whether the reading is new."""
+    def _read(self) -> None:
+        """Read the encoders, and book what the motors did since the reading before."""
         kinematics, began = self._kinematics, self._clock.now()
         fresh, counts = kinematics.read()
+        ended = self._clock.now()
+        self._see_end(ended)
         if not fresh:
             self._unrefreshed += 1
-            return False
-        q, t = kinematics.angles(counts), self._t
-        self._work += sum(torque * (b - a) for torque, a, b in zip(t, self._q, q, strict=True))
-        if any(t) and self._clock.now() - self._sent >= self._watchdog.steps * TICK:
-            self._may_have_ended = self._lost = True
+            self._lost = self._lost or any(self._t) or bool(self._changes)
+            return
+        q = kinematics.angles(counts)
+        way = [b - a for a, b in zip(self._q, q, strict=True)]
+        self._work += most_work(way, self._first, self._changes, self._read_in, (began, ended))
         self._lost = self._lost or self._scaled
-        self._q, self._x, self._read_at = q, kinematics.place(counts), began
-        return True
+        self._q, self._x, self._read_in = q, kinematics.place(counts), (began, ended)
+        self._first, self._changes = self._t, []
 
     def _exert(self, f: Sequence[float]) -> None:
-        """Hold the torques J^T f of the joints as they are now, scaled down where a motor cannot give its part."""
-        kinematics = self._kinematics
-        if not self._read():
-            self._lost = self._lost or any(f) or any(self._t)  # where on the way the torques change is not known
+        """Hold the torques J^T f of the joints as they were read last, all less where a motor cannot give its part."""
+        kinematics, clock = self._kinematics, self._clock
+        self._see_end(clock.now())
         if self._may_have_ended:
             self._revive()
-        q, part, t = self._q, 1.0, list(_ZERO)
+        part, t = 1.0, list(_ZERO)
         if any(f):
-            J = kinematics.jacobian(q)
+            J = kinematics.jacobian(self._q)
             t = [J[j] * f[0] + J[3 + j] * f[1] + J[6 + j] * f[2] for j in range(3)]
-            low, high = kinematics.torques(q)
+            low, high = kinematics.torques(self._q)
             for torque, least, most in zip(t, low, high, strict=True):
                 if not least <= part * torque <= most:
                     part = (most if torque > 0.0 else least) / torque
             t = [part * torque for torque in t]
-        self._sent = self._clock.now()
-        self._scaled = kinematics.called("dhdSetDeltaJointTorques", *t) == SATURATED
-        self._saturated += self._scaled or part < 1.0
+        began = clock.now()
+        scaled = kinematics.called("dhdSetDeltaJointTorques", *t) == SATURATED
+        ended = clock.now()
+        self._see_end(ended)
+        self._lost = self._lost or self._scaled
+        self._changes.append((began, ended, [b - a for a, b in zip(self._t, t, strict=True)]))
+        self._sent, self._scaled = began, scaled
+        self._saturated += scaled or part < 1.0
         self._t, self._F = t, [part * force for force in f]
+
+    def _see_end(self, now: Instant) -> None:
+        """Whether the watchdog may have ended the torques by now."""
+        if any(self._t) and now - self._sent >= self._watchdog.steps * TICK:
+            self._may_have_ended = self._lost = True
 
     def _revive(self) -> None:
         """Give a device its force again that its watchdog may have taken away."""
@@ -343,6 +358,7 @@ class ForceDimension(DeviceDriver):
         """Turn the motors on, with no torque of before."""
         self._kinematics.called("dhdSetDeltaJointTorques", *_ZERO)
         self._t, self._F = list(_ZERO), list(_ZERO)
+        self._scaled = False
         self._kinematics.called("dhdSetBrakes", 0)
         self._kinematics.called("dhdEnableForce", 1)
 
@@ -368,6 +384,44 @@ class ForceDimension(DeviceDriver):
             raise ForceDimensionError(
                 f"{self._kinematics.name}: found its forces taken away {_CAUSES[cause]}; expected a device that obeys"
             )
+
+
+Change = tuple[int, int, list[float]]
+"""New torques: when the call that sent them began and ended, ns, and by how much they differ from those before, N·m."""
+
+
+def most_work(
+    way: Sequence[float],
+    first: Sequence[float],
+    changes: Sequence[Change],
+    since: tuple[int, int],
+    until: tuple[int, int],
+) -> float:
+    """The most that the motors can have done between two readings, if the joints moved evenly in between, J.
+
+    With dq the way, t_0 the first torques, D_i what new ones add, and s_i the part of the way at which they came,
+
+        W = t_0^T dq + sum over i of (1 - s_i) D_i^T dq.
+
+    Each s_i is known up to the calls: new torques act from some instant of theirs on, and a reading is of some instant
+    of its own. Of its least and greatest the one counts with which W is greater. So W is too great by at most
+    |D_i^T dq| times that range: two or three calls in the time between two readings. Joints that do not move evenly,
+    but with an acceleration a, add an error of a h^2/8 |D_i| at most, h that time.
+
+    Args:
+        way: dq, rad.
+        first: t_0, N·m.
+        changes: since the first reading.
+        since: when the call of the first reading began and ended, ns.
+        until: likewise of the second.
+    """
+    work = sum(torque * by for torque, by in zip(first, way, strict=True))
+    for began, ended, more in changes:
+        adds = sum(torque * by for torque, by in zip(more, way, strict=True))
+        earliest = (began - since[1]) / max(1, until[1] - since[1])
+        latest = (ended - since[0]) / max(1, until[0] - since[0])
+        work += adds * (1.0 - (max(0.0, earliest) if adds > 0.0 else min(1.0, latest)))
+    return work
 
 
 class _Watchdog:

@@ -12,6 +12,7 @@
  * Orders, one a line (fake_dhd_order): see `order` below.
  */
 #define _GNU_SOURCE
+#include <errno.h>
 #include <fcntl.h>
 #include <math.h>
 #include <signal.h>
@@ -251,6 +252,7 @@ int fake_dhd_order(int id, const char *line) {
     else if (sscanf(line, "speed %lf %lf %lf", &a, &b, &c) == 3) d->v[0] = a, d->v[1] = b, d->v[2] = c;
     else if (sscanf(line, "present %d", &n) == 1) d->present = n;
     else if (sscanf(line, "unplugged %d", &n) == 1) { if ((d->unplugged = n)) d->forces = 0, d->braked = 1; }
+    else if (sscanf(line, "owner %d", &n) == 1) d->owner = n;            /* the process that has it open */
     else if (sscanf(line, "uncalibrated %d", &n) == 1) d->uncalibrated = n;
     else if (sscanf(line, "no_watchdog %d", &n) == 1) d->no_watchdog = n;
     else if (sscanf(line, "asynchronous %d", &n) == 1) d->com = n ? 3 : 1; /* a mode that cannot be left */
@@ -326,7 +328,7 @@ int drdOpenID(char id) {
     device *d = enter(id);
     if (!d) return fail(NO_DEVICE);
     if (gone(d)) return leave(fail(NO_DEVICE));
-    if (d->owner && d->owner != getpid() && kill(d->owner, 0) == 0) return leave(fail(IN_USE));
+    if (d->owner && d->owner != getpid() && (kill(d->owner, 0) == 0 || errno == EPERM)) return leave(fail(IN_USE));
     d->owner = getpid(), d->forces = 0, d->braked = 1, d->cause = SOFTWARE, d->guard_us = 500, d->gravity = 1;
     if (d->com != 3) d->com = 1;
     return default_id = id, leave(id);
