@@ -7,6 +7,7 @@ exerted. The library is loaded and runs.
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -42,9 +43,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         f"sample_age: {stated.timing.sample_age:g}",
         f"actuation_delay: {stated.timing.actuation_delay:g}",
         f"limits: {{{limits}}}",
-        f"step: {max(stated.step or (0.0,)):.2g}",
+        f"step: {1e-6 * math.ceil(1e6 * max(stated.step or (0.0,))):.3g}",
         "held: torque",
-        f"linkage: {{kappa: {kappa:.3g}}}  # searched on a grid, with 5 % added; not proved",
+        f"linkage: {{kappa: {math.ceil(10.0 * kappa) / 10.0:g}}}  # searched on a grid, with 5 % added; not proved",
     )
     print("\n".join(lines))  # noqa: T201 -- what the command is for
     return 0

@@ -123,7 +123,7 @@ class ForceDimension(DeviceDriver):
         self._until: Instant | None = None  # of the present force, by the driver's clock
         self._work = self._answer = 0.0  # J, up to the last reading, and up to the last sample
         self._lost = self._answer_lost = False  # whether they are not known
-        self._scaled = self._may_have_ended = False
+        self._scaled = self._brief = self._may_have_ended = False
         self._oldest = 0.0  # s
         self._old = self._unrefreshed = self._saturated = self._ended = 0
         self._kinematics = opened(load(given["library"]), given["serial"], given["device"])
@@ -237,7 +237,8 @@ class ForceDimension(DeviceDriver):
         """Hold the torques that stand for f, N; from ``until`` on the device's watchdog ends them."""
         allows = LONGEST if until is None else (until - at) // TICK
         self._until = None if until is None else Instant(self._clock.now() + max(0, until - at))
-        if allows < 1:
+        self._brief = allows < 1
+        if self._brief:
             self._exert(_ZERO)  # its end cannot be told to the watchdog
             return
         steps, watchdog = self._watchdog.after(min(allows, LONGEST)), self._watchdog
@@ -249,11 +250,16 @@ class ForceDimension(DeviceDriver):
 
     def release(self, at: Instant) -> None:
         """Hold no torques."""
-        self._until = None
+        self._until, self._brief = None, False
         self._exert(_ZERO)
 
     def exerted(self) -> Sequence[float] | None:
-        """The force that the held torques stand for, N; where the library has scaled them, what it says of it."""
+        """The force that the held torques stand for, N; where the library has scaled them, what it says of it.
+
+        None of a force that was too brief to be exerted: it is over before anybody could tell.
+        """
+        if self._brief:
+            return None
         return self._kinematics.force() if self._scaled else self._F
 
     def work(self) -> float | None:

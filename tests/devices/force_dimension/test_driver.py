@@ -273,6 +273,8 @@ def test_no_old_torque_acts_when_forces_are_turned_on_again(
 def test_a_force_that_may_not_last_a_step_of_the_watchdog_is_none(devices: FakeDevices, driver: ForceDimension) -> None:
     driver.apply([1.0, 0.0, 0.0], AT, Instant(100_000))
     assert devices.asked().t == (0.0, 0.0, 0.0)
+    assert driver.exerted() is None
+    driver.release(AT)
     assert driver.exerted() == [0.0, 0.0, 0.0]
 
 
