@@ -338,7 +338,7 @@ int drdClose(char id) {
     device *d = enter(id);
     if (!d) return fail(INVALID);
     if (d->owner != getpid()) return leave(fail(INVALID));
-    d->owner = 0, d->forces = 0, d->braked = 1;
+    d->owner = 0; /* its forces last on until the watchdog ends them: dhdStop is another call */
     return leave(0);
 }
 
