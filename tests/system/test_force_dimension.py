@@ -14,7 +14,10 @@ from ..support.commands import read_until, run, started
 
 REACH = 0.02
 
-KINEMATICS = {**LINKAGE, "low": [-REACH, -REACH, MIDDLE - REACH], "high": [REACH, REACH, MIDDLE + REACH]}
+KINEMATICS = {
+    **LINKAGE, "low": [-REACH, -REACH, MIDDLE - REACH], "high": [REACH, REACH, MIDDLE + REACH],
+    "kappa": 14,  # it is 10.0; a greater one is proved in less time
+}  # fmt: skip
 
 SESSION = """
 session: omega
