@@ -347,9 +347,9 @@ class ForceDimension(DeviceDriver):
         self._t, self._F = t, [part * force for force in f]
 
     def _see_end(self, now: Instant) -> None:
-        """Whether the watchdog may have ended the torques by now."""
-        if any(self._t) and now - self._sent >= self._watchdog.steps * TICK:
-            self._may_have_ended = self._lost = True
+        """Whether the watchdog may have ended the torques by now, and has the device brake."""
+        if now - self._sent >= self._watchdog.steps * TICK:
+            self._may_have_ended, self._lost = True, self._lost or any(self._t)
 
     def _revive(self) -> None:
         """Give a device its force again that its watchdog may have taken away."""

@@ -260,6 +260,18 @@ def test_a_watchdog_ends_a_force_though_nobody_calls_and_its_work_is_not_told(
     assert driver.work() is not None
 
 
+def test_a_watchdog_that_ends_no_force_is_seen_as_well(
+    devices: FakeDevices, clock: OwnTime, driver: ForceDimension
+) -> None:
+    """A device that brakes for want of calls is to obey the next force at once."""
+    driver.release(AT)
+    clock.wait(0.04)
+    driver.sample(1, AT)
+    assert driver.work() == 0.0
+    driver.apply([1.0, 0.0, 0.0], AT)
+    assert any(devices.asked().t)
+
+
 def test_no_old_torque_acts_when_forces_are_turned_on_again(
     devices: FakeDevices, clock: OwnTime, driver: ForceDimension
 ) -> None:
