@@ -8,7 +8,7 @@ from rich.console import Console
 
 from manyhands.launch.look.display import say
 from manyhands.launch.session import ENVIRONMENT, Session
-from manyhands.nodes.kernel.factory import is_shipped, place_of
+from manyhands.nodes.kernel.factory import is_shipped, library_of, place_of
 
 
 def warn_of_code(console: Console, session: Session, elsewhere: Collection[str] = ()) -> None:
@@ -27,6 +27,12 @@ def warn_of_code(console: Console, session: Session, elsewhere: Collection[str] 
                 console,
                 f"{session.name}: runs the code of the {what} {name.factory}, which is not confined ({key}); it is "
                 f"from {place_of(name)}; run only {what}s from people you trust",
+            )
+        if node not in elsewhere and (library := library_of(name)) is not None:
+            say(
+                console,
+                f"{session.name}: {node} loads a maker's library, which is not confined ({key}): {library}; run only "
+                "libraries from people you trust",
             )
 
 

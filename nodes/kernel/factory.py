@@ -40,10 +40,21 @@ ENGINES: Final = "manyhands.engines"
 """The group of the entry points that name physics engines."""
 
 SHIPPED: Final[Mapping[str, Mapping[str, str]]] = {
-    DRIVERS: {"serial-board": "manyhands.devices.serial_board:SerialBoard"},
+    DRIVERS: {
+        "force-dimension": "manyhands.devices.force_dimension:ForceDimension",
+        "serial-board": "manyhands.devices.serial_board:SerialBoard",
+    },
     ENGINES: {"mujoco": "manyhands.nodes.environment.mujoco:MujocoEngine"},
 }
 """The factories of this package under short names, by group: its own code, of which no run warns."""
+
+LIBRARY: Final = "library"
+"""The parameter of such a driver that names the file of a maker's library."""
+
+LOADS: Final[Mapping[str, str]] = {
+    SHIPPED[DRIVERS]["force-dimension"]: "libdrd as FORCEDIM_SDK names it, or as the platform's search finds it",
+}
+"""Shipped drivers that load a library of the maker's, and which one where the session names none."""
 
 MESH: Final = "manyhands.nodes.environment.mesh:MeshProxies"
 """This package's model of a mesh. It takes data alone, and checks them, so it needs no permission and no warning."""
@@ -125,18 +136,31 @@ def is_shipped(factory: str) -> bool:
     return factory == MESH or any(factory in own.values() for own in SHIPPED.values())
 
 
+def library_of(name: FactoryName) -> str | None:
+    """The library of a maker that a shipped driver loads into its process, in words; None where it loads none."""
+    if name.factory not in LOADS:
+        return None
+    return str(name.parameters.get(LIBRARY) or LOADS[name.factory])
+
+
 def require_allowed(name: FactoryName | None, allowed: str | None) -> None:
     """Refuse to run code that a file from elsewhere names, unless the user of this machine has named it too.
 
-    This package's model of a mesh needs no permission.
+    This package's model of a mesh needs no permission. A library that a file from elsewhere names is never loaded: its
+    path is no name that says whose code it is.
 
     Args:
         name: the factory in the file; None for none.
         allowed: the factory that the user allows.
 
     Raises:
-        FactoryError: the user has allowed no code, or other code than the file names.
+        FactoryError: the user has allowed no code, or other code than the file names, or the file names a library.
     """
+    if name is not None and name.factory in LOADS and name.parameters.get(LIBRARY):
+        raise FactoryError(
+            f"parameters.{LIBRARY}: found {name.parameters[LIBRARY]!r:.200}, code that a file from elsewhere names; "
+            f"expected none: this machine says itself what {name.factory} loads, {LOADS[name.factory]}"
+        )
     if name is not None and name.factory != allowed and name.factory != MESH:
         raise FactoryError(
             f"found the factory {name.factory:.200}, whose code would run here with your rights, and "
