@@ -39,12 +39,14 @@ PARAMETERS: Final[Mapping[str, object]] = {
     "most": None,
     "update": "replay",
     "reverse": False,
+    "mass": None,
     "sample_age": None,
     "actuation_delay": None,
 }
 """What a session may give, and what holds where it does not. ``range``: rad from stop to stop, and ``most``: N·m at the
 greatest level, each a number or one for each axis; both are required. ``reverse``: whether the kernel driver pushes the
-other way. The times, s, stand in for what the bus says."""
+other way. ``mass``: the least that a push meets, kg·m², where it is known. The times, s, stand in for what the bus
+says."""
 
 UPDATES: Final = ("replay", "restart")
 
@@ -98,6 +100,7 @@ class EvdevWheel(DeviceDriver):
         m, given = len(ports), _checked(parameters, len(ports))
         self._path, self._update = str(given["device"]), given["update"]
         self._range, self._most = _each(given["range"], m), _each(given["most"], m)
+        self._mass = None if given["mass"] is None else tuple(_each(given["mass"], m))
         self._signs = [-1.0 if turned else 1.0 for turned in _each(given["reverse"], m)]
         self._way = way or way_to(self._path)
         self._timing = self._timed(given, m, period)
@@ -241,6 +244,7 @@ class EvdevWheel(DeviceDriver):
             speed=(FASTEST,) * len(self._codes),
             timing=self._timing,
             axes=("wheel",) if len(self._codes) == 1 else ("x", "y"),
+            mass=self._mass,
             step=self._step,
             by_itself=tuple(said),
         )
@@ -363,7 +367,10 @@ def _checked(parameters: Mapping[str, Any], m: int) -> dict[str, Any]:
     given = {**PARAMETERS, **parameters}
     if not isinstance(given["device"], str) or not given["device"]:
         raise ValueError("parameters.device: found none; expected the path of its event device, as in /dev/input/by-id")
-    for name, kind in (("range", "the angle from stop to stop, rad"), ("most", "the greatest torque, N·m")):
+    kinds = {"range": "the angle from stop to stop, rad", "most": "the greatest torque, N·m", "mass": "inertia, kg·m²"}
+    for name, kind in kinds.items():
+        if name == "mass" and given[name] is None:
+            continue
         if not all(_positive(value) for value in _each(given[name], m)) or len(_each(given[name], m)) != m:
             raise ValueError(
                 f"parameters.{name}: found {given[name]!r:.40}; expected {kind}, or one for each of {m} axes"

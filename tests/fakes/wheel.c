@@ -375,7 +375,7 @@ static void answer(void) {
 static void order(const char *line) {
     unsigned n;
     if (sscanf(line, "stall %u", &n) == 1) stalled_until = at_us + 1000u * n;
-    else if (!strncmp(line, "unplug", 6)) present = 0;
+    else if (!strncmp(line, "unplug", 6)) present = 0, torque[0] = torque[1] = 0.0;
     else if (!strncmp(line, "plug", 4)) present = 1, as_new();
     else if (!strncmp(line, "manual", 6)) manual = 1, manual_us = at_us;
     else if (sscanf(line, "advance %u", &n) == 1) advance(manual_us += n);

@@ -56,8 +56,9 @@ def waited(one: FakeWheel, true: Callable[[float], bool], most: float) -> float:
 
 
 def test_a_wheel_states_what_the_session_and_the_bus_say() -> None:
-    with fake_wheel(kind="pid") as one, opened(one) as driver:
+    with fake_wheel(kind="pid") as one, opened(one, mass=0.02) as driver:
         stated = driver.specification()
+        assert stated.mass == (0.02,)
         assert (stated.force, stated.displacement, stated.axes) == ((2.0,), (7.5,), ("wheel",))
         assert stated.step == pytest.approx((STEP,))
         assert (stated.timing.sample_age, stated.timing.actuation_delay) == (0.002, 0.004)
@@ -348,6 +349,7 @@ def test_forces_that_a_stalled_bus_delivers_late_are_over_for_a_kernel_that_coun
         ({"range": [1.0, 2.0]}, r"range: found \[1.0, 2.0\].*each of 1 axes"),
         ({"most": -1.0}, "most: found -1.0"),
         ({"most": True}, "most: found True"),
+        ({"mass": 0}, "mass: found 0; expected inertia"),
         ({"update": "play"}, "update: found 'play'; expected one of replay, restart"),
         ({"reverse": 1}, "reverse: found 1"),
         ({"sample_age": 0}, "sample_age: found 0"),

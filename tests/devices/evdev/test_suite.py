@@ -53,6 +53,7 @@ def verdicts(kind: str, order: str | None, turns: tuple[Turn, ...], update: str 
         if order is not None:
             one.order(order)
         given = {"device": one.path, "range": turns[0].range, "most": turns[0].most, "update": update}
+        given["mass"] = turns[0].m
         ports = tuple(f"d.{axis}" for axis in range(len(turns)))
         driver = EvdevWheel(ports, T, given, FakeCalls(), Way(BUSES[kind], 0.001, 0.001))
         stated = driver.specification()
