@@ -60,8 +60,8 @@ KNOWN: Final = {
     "hid-generic": PIDFF,
 }
 
-UNKNOWN: Final = KernelDriver("an unknown kernel driver", 0.008, 1, 2)
-"""As slow as the slowest known one."""
+UNKNOWN: Final = KernelDriver("an unknown kernel driver", 0.008, 1, 3)
+"""In each respect as slow as the slowest known one."""
 
 
 @dataclass(frozen=True)

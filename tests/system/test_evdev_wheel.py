@@ -41,6 +41,8 @@ design: {{coupling: spring-damper, speed: 4, tau: 0.008, period_tolerance: 0.5}}
 HANDS = Turn(m=0.03, b=0.06, c=0.06, k=4.0, amplitude=0.4, frequency=0.5)
 """Hands that turn a geared wheel to and fro, 1.3 rad/s at most."""
 
+PAGE = Path(__file__).parents[2] / "docs" / "devices" / "steering-wheels.md"
+
 HZ = round(1.0 / tick())
 """The fake counts in ticks like the kernel's own, to whose clock the driver looks."""
 
@@ -108,3 +110,13 @@ def test_the_suite_for_drivers_finds_nothing_wrong(monkeypatch: pytest.MonkeyPat
         opened = one.asked()[2]["opened"]
     found = {judged["check"]: judged["verdict"] for judged in json.loads(done.stdout)["findings"]}
     assert (found["exception"], found["close"], opened) == ("ok", "ok", 1), done.stdout
+
+
+def test_the_session_of_the_page_is_certified_for_what_the_page_says(tmp_path: Path) -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    session = tmp_path / "wheel.yaml"
+    session.write_text(page.split("<!-- file: wheel.yaml -->\n```yaml\n")[1].split("```")[0])
+    said = page.split("$ manyhands design wheel.yaml\n")[1].split("$")[0].splitlines()
+    out = run("design", session, "-o", tmp_path / "wheel.cert.json")
+    for line in said:
+        assert " ".join(line.split()) in " ".join(out.replace("\u2502", " ").split()), out

@@ -99,7 +99,7 @@ def test_leaving_gives_the_filter_back_and_no_effect_stays() -> None:
         (KINDS["lg4ff"], "restart", 0.002 + 0.003),
         (PIDFF, "replay", 0.004),
         (KINDS["tmff2"], "replay", 0.008 + 0.004 + 0.003),
-        (UNKNOWN, "replay", 0.008 + 0.004 + 0.003),
+        (UNKNOWN, "replay", 0.008 + 0.004 + 0.004),
     ],
 )
 def test_the_delay_is_that_of_the_kernel_driver_and_of_its_reports(
