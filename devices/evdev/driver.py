@@ -102,9 +102,6 @@ class EvdevWheel(DeviceDriver):
         self._range, self._most = _each(given["range"], m), _each(given["most"], m)
         self._mass = None if given["mass"] is None else tuple(_each(given["mass"], m))
         self._signs = [-1.0 if turned else 1.0 for turned in _each(given["reverse"], m)]
-        self._way = way or way_to(self._path)
-        self._timing = self._timed(given, m, period)
-        _agree(self._path, self._range[0], self._way.range)
         self._tick = tick()
         self._playing, self._last = False, 0
         self._effects: list[int] = []
@@ -114,7 +111,10 @@ class EvdevWheel(DeviceDriver):
         self._moved_at: int | None = None  # when the last report came, if it moved an axis by more than a step
         self._device = self._opened(calls)
         try:
-            self._codes = self._found(m)
+            self._way = way or way_to(self._path)
+            self._timing = self._timed(given, m, period)
+            _agree(self._path, self._range[0], self._way.range)
+            self._codes = self._asked(lambda: self._found(m))
             self._asked(self._prepare)
             self._asked(self._reread)
         except BaseException:

@@ -354,14 +354,29 @@ def test_forces_that_a_stalled_bus_delivers_late_are_over_for_a_kernel_that_coun
         ({"reverse": 1}, "reverse: found 1"),
         ({"sample_age": 0}, "sample_age: found 0"),
         ({"actuation_delay": "soon"}, "actuation_delay: found 'soon'"),
-        ({"sample_age": 0.0005}, "sample_age: found 0.0005 s; expected 0.001 s or more, by its bus alone"),
-        ({"actuation_delay": 0.002}, "actuation_delay: found 0.002 s; expected 0.003 s or more"),
     ],
 )
 def test_parameters_that_are_none_are_refused(parameters: dict[str, Any], said: str) -> None:
     given = {"device": "/dev/null", "range": 15.0, "most": 2.0, **parameters}
     with pytest.raises(ValueError, match=said):
         EvdevWheel(("w.0",), T, given, way=Way(PIDFF, 0.001, 0.001))
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"sample_age": 0.0005}, "sample_age: found 0.0005 s; expected 0.001 s or more, by its bus alone"),
+        ({"actuation_delay": 0.002}, "actuation_delay: found 0.002 s; expected 0.003 s or more"),
+    ],
+)
+def test_times_that_the_bus_alone_exceeds_are_refused(given: dict[str, float], said: str) -> None:
+    with fake_wheel() as one, pytest.raises(ValueError, match=said), opened(one, **given):
+        pass
+
+
+def test_a_device_that_is_away_is_named_before_anything_is_said_of_its_bus() -> None:
+    with pytest.raises(WheelError, match="no-such-wheel: found no such device"):
+        EvdevWheel(("w.0",), T, {"device": "/dev/input/no-such-wheel", "range": 15.0, "most": 2.0})
 
 
 def test_times_are_needed_where_no_bus_tells_them() -> None:
