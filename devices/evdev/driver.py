@@ -296,7 +296,7 @@ class EvdevWheel(DeviceDriver):
         The last length stays while it is not too long, and more than half of what may be: hid-pidff sends a report more
         for each new one.
         """
-        ticks = math.floor(seconds(lives) / self._tick + 1e-6)
+        ticks = max(0, math.floor(seconds(lives) / self._tick + 1e-6))  # on a late machine it may be over
         most = min(math.floor(1e3 * ticks * self._tick + 1e-6), ev.LONGEST)
         if not self._last <= most < 2 * self._last:
             self._last = most

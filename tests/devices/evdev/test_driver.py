@@ -187,17 +187,21 @@ def test_reports_that_come_later_than_stated_are_counted() -> None:
 
 def test_a_length_is_whole_ticks_and_changes_seldom() -> None:
     with fake_wheel() as one, opened(one) as driver:
-        lengths = [driver._length(from_seconds(lives)) for lives in (0.0039, 0.004, 0.0235, 0.026, 0.019, 0.05, 100.0)]
-    assert lengths == [0, 4, 20, 20, 16, 48, 32767]
+        lengths = [
+            driver._length(from_seconds(lives)) for lives in (-0.01, 0.0039, 0.004, 0.0235, 0.026, 0.019, 0.05, 100.0)
+        ]
+    assert lengths == [0, 0, 4, 20, 20, 16, 48, 32767]
 
 
-def test_a_force_that_may_not_last_a_tick_is_none() -> None:
+@pytest.mark.parametrize("end", [0.0235, 0.02, 0.01])
+def test_a_force_that_may_not_last_a_tick_is_none(end: float) -> None:
+    """Nor is one whose end is over, as where a machine was late."""
     with fake_wheel(Turn(m=1e6)) as one, opened(one) as driver:
         one.order("manual")
         driver.apply([1.0], at(0.0), at(0.05))
         one.advance(0.02)
         assert one.asked()[1][0] == pytest.approx(1.0, abs=0.02)
-        driver.apply([1.0], at(0.02), at(0.0235))
+        driver.apply([1.0], at(0.02), at(end))
         one.advance(0.01)
         assert one.asked()[1] == [0.0]
 
