@@ -78,6 +78,15 @@ def test_an_interval_that_the_user_has_set_for_joysticks_counts_where_it_is_long
     assert (found.polled, found.sent) == (0.004, 0.004)
 
 
+def test_of_several_endpoints_the_slowest_counts(tmp_path: Path) -> None:
+    tree(tmp_path, "hid_logitech")
+    second = tmp_path / "devices" / "usb1" / "1-2" / "1-2:1.0" / "ep_82"
+    second.mkdir()
+    for file, text in (("type", "Interrupt"), ("direction", "in"), ("interval", "8ms")):
+        (second / file).write_text(text)
+    assert way_to("/dev/input/event7", tmp_path).polled == 0.008
+
+
 def test_elsewhere_than_at_a_usb_nothing_is_known(tmp_path: Path) -> None:
     assert way_to("/dev/input/event7", tmp_path) == Way()
     tree(tmp_path, "hid_logitech", extra=False, range="0")

@@ -92,3 +92,22 @@ def test_the_end_of_a_fake_is_an_unplugged_device() -> None:
         one.process.wait()
         with pytest.raises(OSError, match="No such device"):
             list(device.events())
+
+
+class Chunks(FakeCalls):
+    """A device whose queue is longer than one read: what reads return is given."""
+
+    given: tuple[int, ...] = ()
+
+    def read(self, fd: int, size: int) -> bytes:
+        """As many events as the next number says."""
+        count, self.given = self.given[0], self.given[1:]
+        return ev.EVENT.pack(1, 2, ev.EV_ABS, 0, 7) * count
+
+
+def test_a_long_queue_is_read_to_its_end() -> None:
+    calls = Chunks()
+    calls.given = (64, 64, 3)
+    with fake_wheel() as one, closing(EventDevice(one.path, calls)) as device:
+        assert len(list(device.events())) == 131
+    assert calls.given == ()
