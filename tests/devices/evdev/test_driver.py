@@ -373,7 +373,7 @@ def test_parameters_that_are_none_are_refused(parameters: dict[str, Any], said: 
         ({"actuation_delay": 0.002}, "actuation_delay: found 0.002 s; expected 0.003 s or more"),
     ],
 )
-def test_times_that_the_bus_alone_exceeds_are_refused(given: dict[str, float], said: str) -> None:
+def test_times_that_the_bus_alone_exceeds_are_refused(given: dict[str, Any], said: str) -> None:
     with fake_wheel() as one, pytest.raises(ValueError, match=said), opened(one, **given):
         pass
 
