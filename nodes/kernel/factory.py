@@ -41,6 +41,7 @@ ENGINES: Final = "manyhands.engines"
 
 SHIPPED: Final[Mapping[str, Mapping[str, str]]] = {
     DRIVERS: {
+        "evdev-wheel": "manyhands.devices.evdev:EvdevWheel",
         "force-dimension": "manyhands.devices.force_dimension:ForceDimension",
         "serial-board": "manyhands.devices.serial_board:SerialBoard",
     },
