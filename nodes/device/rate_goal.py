@@ -10,8 +10,9 @@ and v is no greater than the speed of the follower that smooths the goal
 follower's reach, at which the goal stays.
 
 **A hand closes only from rest**: on the device as it is, at the first deflection after all axes were in the dead zone.
-So a stick that drifts from the start, or is held while a process starts anew, moves nothing. A button opens the hand.
-Otherwise it stays closed: who lets the cap go holds still.
+So a stick that drifts from the start, or is held while a process starts anew, moves nothing: the kernel tells its state
+first. A SpaceMouse tells none, and counts as at rest until it does. A button opens the hand. Otherwise it stays closed:
+who lets the cap go holds still.
 """
 
 from __future__ import annotations

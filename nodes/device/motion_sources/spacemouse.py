@@ -61,8 +61,8 @@ class SpaceMouse(MotionSource):
     NAME: ClassVar = "SpaceMouse"
     FILES: ClassVar = re.compile("/dev/hidraw[0-9]+")
     PERMISSION: ClassVar = (
-        "write these two lines to /etc/udev/rules.d/70-spacemouse.rules, and plug it in again:\n"
-        f"{UDEV_RULE.format(vendor=0x256F)}\n{UDEV_RULE.format(vendor=0x046D)}"
+        f"write {UDEV_RULE.format(vendor=0x256F)} to /etc/udev/rules.d/70-spacemouse.rules, for an older one of the "
+        "vendor 046d with that number, and plug it in again"
     )
 
     @classmethod

@@ -89,6 +89,8 @@ def test_triggers_are_at_rest_before_any_event(tmp_path: Path) -> None:
     assert pad.deflection == [0.0] * 5
     pad._take(struct.pack("=IhBB", 0, 0, 0x82, 0))
     assert pad.deflection == [0.0] * 5
+    pad._take(struct.pack("=IhBB", 0, 32767, 2, 5))  # the right one; nothing was heard of the left one
+    assert pad.deflection == [0.0] * 4 + [1.0]
     pad.close()
 
 
