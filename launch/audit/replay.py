@@ -25,7 +25,7 @@ from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.recorded import Traces
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.run import RecordedRun, RecordedTrace, rows_of
-from manyhands.launch.session import Session
+from manyhands.launch.session import PERSONS, Session
 from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.environment.model import ModelFailure
 from manyhands.nodes.kernel.bundle import SIMULATED, DeviceBundle
@@ -44,7 +44,7 @@ def given_devices(session: Session, clock: str) -> tuple[str, ...]:
     A person moved them, as under the realtime clock alone; or a driver of another package did, which is neither
     imported nor run to look at a recording.
     """
-    computed = COMPUTED if clock != SIMULATED else COMPUTED | {"browser"}
+    computed = COMPUTED if clock != SIMULATED else COMPUTED | {*PERSONS}
     return tuple(name for name, device in session.devices.items() if device.driver not in computed)
 
 

@@ -32,7 +32,7 @@ from manyhands.launch.plan.loop import NotCertified
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.reach import IPC, Listen, Reach, ReachError, reach
 from manyhands.launch.plan.topology import Topology
-from manyhands.launch.session import Device, Session
+from manyhands.launch.session import PERSONS, Device, Session
 from manyhands.launch.session.errors import one_of
 from manyhands.launch.session.limits import HAND_STORE
 from manyhands.launch.session.motion import plain_intent
@@ -45,7 +45,6 @@ from manyhands.nodes.kernel.bundle import (
     OWN,
     REALTIME,
     WALL,
-    BrowserHand,
     Bundle,
     Common,
     CouplingBundle,
@@ -56,6 +55,7 @@ from manyhands.nodes.kernel.bundle import (
     Limits,
     ObserverBundle,
     Peer,
+    PersonHand,
     PluginDevice,
     RecordedMotion,
     SimulatedHand,
@@ -528,7 +528,7 @@ def _source(session: Session, name: str) -> Source:
         linkage=_simulated_linkage(device),
         friction=None if device.kinematics is not None or device.friction is None else device.friction.simulated,
     )
-    return BrowserHand(physics) if device.driver == "browser" else physics
+    return PersonHand(physics, device.rate) if device.driver in PERSONS else physics
 
 
 def _simulated_linkage(device: Device) -> dict[str, Any] | None:

@@ -107,17 +107,23 @@ def describe(
         masses=masses,
         springs=tuple(SpringAbout(link.ends, link.stiffness, link.damping) for link in springs),
         grips=_grips(session, clock, remote),
-        reach={
-            port: limit
-            for name, device in session.devices.items()
-            for port, limit in zip(session.ports_of(name), device.limits.displacement, strict=True)
-        },
+        reach=_by_port(session, "displacement"),
+        force=_by_port(session, "force"),
         certificate=_certificate(prepared) if prepared.certified else None,
         environment=session.environment.type,
         observers={name: tuple(observer.reads) for name, observer in session.observers.items()},
         seats={name: session.carriers[name] for name in session.wave_links if name in seats},
         scene=session.environment.geometry(session.ports),
     )
+
+
+def _by_port(session: Session, limit: str) -> dict[str, float]:
+    """A limit of every port's device."""
+    return {
+        port: most
+        for name, device in session.devices.items()
+        for port, most in zip(session.ports_of(name), getattr(device.limits, limit), strict=True)
+    }
 
 
 def _grips(session: Session, clock: str, remote: Collection[str]) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ format.
 """
 
 from manyhands.launch.session.design import BlockMatrices, Design, Pole, Weight, Weights
-from manyhands.launch.session.device import BROWSER_HAND, DEFAULT_HAND, Device, Hand
+from manyhands.launch.session.device import BROWSER_HAND, DEFAULT_HAND, PERSONS, Device, Hand
 from manyhands.launch.session.environment import (
     EngineEnvironment,
     Environment,
@@ -39,6 +39,7 @@ __all__ = [
     "BROWSER_HAND",
     "DEFAULT_HAND",
     "ENVIRONMENT",
+    "PERSONS",
     "RESERVED",
     "SUPERVISOR",
     "BlockMatrices",

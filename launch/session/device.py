@@ -1,9 +1,10 @@
 """A device of a session: its axes, its OSP level, its limits, and its driver with the simulated hand.
 
 The ``driver`` is what moves the device. ``simulated`` is a simulated mechanism in a simulated hand. ``browser`` is the
-same mechanism, whose hand follows the pointer of a person at a browser. ``trace`` is a recorded motion, which needs
-neither mechanism nor hand. Every other driver is the code of another package, named by its factory. A session file
-only names it. The device's process alone imports it (:mod:`manyhands.nodes.device.plugin`).
+same mechanism, whose hand follows the pointer of a person at a browser; with ``spacemouse`` and ``gamepad`` the hand
+follows a goal that such a device moves. ``trace`` is a recorded motion, which needs neither mechanism nor hand. Every
+other driver is the code of another package, named by its factory. A session file only names it. The device's process
+alone imports it (:mod:`manyhands.nodes.device.plugin`).
 
 A simulated hand is a passive linear operator H(s) and an intention. It responds to the device's velocity v (m/s) with
 the force (N)
@@ -34,6 +35,7 @@ from pydantic import (
     model_validator,
 )
 from pydantic.json_schema import SkipJsonSchema
+from pydantic_core import PydanticCustomError
 
 from manyhands.design.levels.held_torque import HeldTorque
 from manyhands.design.models.linkage import LENGTHS, LinkageError, greatest_bending, linkage_of
@@ -69,6 +71,7 @@ from manyhands.launch.session.fields import (
     is_interval,
     matrix,
     ordered,
+    problems_of,
     refusal,
     refuse,
     unsymmetric,
@@ -86,7 +89,9 @@ from manyhands.launch.session.limits import (
 )
 from manyhands.launch.session.matrices import Entry, Rational
 from manyhands.launch.session.motion import MOTION_FORM, Motion, TraceData, motion_of, read_trace, trace_from_numbers
-from manyhands.nodes.kernel.bundle import WALL
+from manyhands.launch.session.rate import rate_motion
+from manyhands.nodes.device.motion_sources import MOTION_SOURCES
+from manyhands.nodes.kernel.bundle import WALL, RateMotion
 from manyhands.nodes.kernel.driver_statement import DeviceTiming, DriverWord
 from manyhands.nodes.kernel.factory import DRIVERS
 from manyhands.nodes.kernel.inertia import Inertia
@@ -100,7 +105,7 @@ DEFAULT_HAND: Final[Mapping[str, object]] = {
 0.02 (s^2 + 60 s + 1000)/(s^2 + 10.3 s + 100) in N·s/m, and a push of 2 N between 0.1 s and 0.2 s."""
 
 BROWSER_HAND: Final[Mapping[str, object]] = {"stiffness": 200.0, "damping": 5.0}
-"""The default stiffness and damping of the hand with ``driver: browser``: 200 N/m and 5 N·s/m on each axis."""
+"""The default stiffness and damping of a person's hand, as at a browser: 200 N/m and 5 N·s/m on each axis."""
 
 _entry: Final = Entry("N·s/m")
 _SAMPLES: Final = Items("samples", MAX_TRACE_ROWS, Quantity("a number"))
@@ -239,7 +244,11 @@ class Hand(SessionModel):
 _TORQUE: Final = "torque"
 _ROUNDING: Final = 1e-12  # rounding error of the eigenvalues of a difference, relative to the largest entry
 _per_axis: Final = PerAxis(OSP_LEVEL)
-_SIMULATED, _TRACE, _BROWSER = _DRIVERS = ("simulated", "trace", "browser")
+_SIMULATED, _TRACE = "simulated", "trace"
+PERSONS: Final = ("browser", *MOTION_SOURCES)
+"""Drivers by which a person moves a simulated device without feeling it."""
+
+_DRIVERS: Final = (_SIMULATED, _TRACE, *PERSONS)
 _ELSEWHERE: Final = ("mass", "damping", "hand")
 """Keys of a simulated mechanism; a recorded motion has none of them."""
 
@@ -247,7 +256,12 @@ _NOT_OF_A_PLUGIN: Final = ("damping", "hand")
 """Those that a driver of another package has itself. Of its mass a session may state the least."""
 
 _OF_A_PLUGIN: Final = ("parameters", "sample_age", "age_jitter", "actuation_delay", "axis_map", "scale")
-"""Keys of a driver of another package; no other device has them."""
+"""Keys of a driver of another package; no other device has them, but for those in :data:`_OF_A_MOTION_SOURCE`."""
+
+_OF_A_MOTION_SOURCE: Final = ("parameters", "axis_map")
+"""Those that a SpaceMouse and a gamepad have as well."""
+
+_ALWAYS_OF_A_PLUGIN: Final = tuple(key for key in _OF_A_PLUGIN if key not in _OF_A_MOTION_SOURCE)
 
 _AGE: Final = Quantity("a time", "s", least=0.0, most=LONGEST_PERIOD)
 _SCALE: Final = Quantity("a scale", above=0.0, smallest=MIN_POSITIVE)
@@ -256,7 +270,7 @@ _AXIS: Final = Name("an axis of the driver", "-?[a-z0-9][a-z0-9_]{0,31}", "its n
 
 def _is_simulated(driver: object) -> bool:
     """Whether a driver has a simulated mechanism; so has one that was refused, for the other messages."""
-    return driver in (_SIMULATED, _BROWSER, None)
+    return driver in (_SIMULATED, *PERSONS, None)
 
 
 _OSP_FORM: Final = either(
@@ -319,7 +333,7 @@ def _damping(value: object, info: ValidationInfo) -> object:
 _MASS: Final = PerAxis(MASS)
 _STEP: Final = PerAxis(Quantity("a step", "m", least=0.0))
 _NOT_MEASURED: Final = ("step", "friction")
-"""Keys of an encoder and its mechanism; a recorded motion and a pointer at a browser have neither."""
+"""Keys of an encoder and its mechanism; a recorded motion and the goal of a person have neither."""
 
 
 def _trace(value: object, info: ValidationInfo) -> object:
@@ -405,13 +419,14 @@ class Device(SessionModel):
         json_schema_extra={
             "allOf": [
                 {
-                    "if": where("driver", _SIMULATED, _BROWSER),
-                    "then": {"required": ["mass"], **without("trace", *_OF_A_PLUGIN)},
+                    "if": where("driver", _SIMULATED, *PERSONS),
+                    "then": {"required": ["mass"], **without("trace", *_ALWAYS_OF_A_PLUGIN)},
                 },
-                {"if": where("driver", _BROWSER), "then": without(*_NOT_MEASURED)},
+                {"if": where("driver", _SIMULATED, _TRACE, "browser"), "then": without(*_OF_A_MOTION_SOURCE)},
+                {"if": where("driver", *PERSONS), "then": without(*_NOT_MEASURED)},
                 {
                     "if": where("driver", _TRACE),
-                    "then": {"required": ["trace"], **without(*_ELSEWHERE, *_OF_A_PLUGIN, *_NOT_MEASURED)},
+                    "then": {"required": ["trace"], **without(*_ELSEWHERE, *_ALWAYS_OF_A_PLUGIN, *_NOT_MEASURED)},
                 },
                 {
                     "if": {"properties": {"driver": {"not": {"enum": [*_DRIVERS]}}}, "required": ["driver"]},
@@ -429,10 +444,11 @@ class Device(SessionModel):
         description="the OSP level Delta_D in N·s/m: a number, one for each axis, a matrix, or an interval"
     )
     driver: Annotated[str, Factory(DRIVERS, _DRIVERS)] = Field(
-        description="what moves it: simulated, trace, browser, or a driver's factory, package.module:factory"
+        description=f"what moves it: {', '.join(_DRIVERS)}, or a driver's factory, package.module:factory"
     )
     parameters: Annotated[dict[str, Any] | None, PARAMETERS] = Field(
-        default=None, description="with a driver's factory, plain data that is handed to it"
+        default=None,
+        description="with a driver's factory, plain data for it; its settings with a SpaceMouse or a gamepad",
     )
     sample_age: Annotated[float | None, _AGE] = Field(
         default=None, description="with a driver's factory, the greatest age of its samples in s; a part of tau"
@@ -444,7 +460,8 @@ class Device(SessionModel):
         default=None, description="with a driver's factory, the greatest delay of its forces in s; a part of tau"
     )
     axis_map: Annotated[tuple[str, ...] | None, Items("axes", MAX_DOF, _AXIS)] = Field(
-        default=None, description="with a driver's factory, its axis at each port, after a minus to turn it round"
+        default=None,
+        description="but for simulated, trace, browser: the driver's axis at each port, after a minus to turn it round",
     )
     scale: Annotated[float | None, _SCALE] = Field(
         default=None, description="with a driver's factory, by how much motions grow from the device to the session"
@@ -483,6 +500,13 @@ class Device(SessionModel):
         return None if self.driver in _DRIVERS else self.driver
 
     @property
+    def rate(self) -> RateMotion | None:
+        """What moves the goal of a person's hand by its deflection; None where nothing of the kind does."""
+        if self.driver not in MOTION_SOURCES:
+            return None
+        return rate_motion(self.driver, self.parameters or {}, self.axis_map, self.dof)
+
+    @property
     def timing(self) -> DeviceTiming:
         """The age of its samples and the delay of its forces."""
         return DeviceTiming(self.sample_age or 0.0, self.age_jitter, self.actuation_delay or 0.0)
@@ -491,9 +515,9 @@ class Device(SessionModel):
     def inertia(self) -> Inertia | None:
         """What is stated of its mass and its hand; None where nothing is.
 
-        A recorded motion has no mass. A pointer may jump, so that nothing bounds the force of a hand that follows it.
+        A recorded motion has no mass. A person's goal may jump, so nothing bounds the force of a hand that follows it.
         """
-        if self.mass is None or self.driver == _BROWSER:
+        if self.mass is None or self.driver in PERSONS:
             return None
         return Inertia(self.mass, self.limits.hand, self.step or (0.0,) * self.dof)
 
@@ -585,7 +609,7 @@ class Device(SessionModel):
             driver = info.data.get("driver")
             if value is None and not _is_simulated(driver):
                 return None
-            if driver == _BROWSER and (value is None or isinstance(value, Mapping)):
+            if driver in PERSONS and (value is None or isinstance(value, Mapping)):
                 value = {**BROWSER_HAND, **(value or {})}
         if info.field_name == "friction" and not isinstance(value, Mapping | Friction):
             raise refuse(show(value), "{least: c}, with the least dry friction in N: a number, or one for each axis")
@@ -612,7 +636,7 @@ class Device(SessionModel):
         if self.factory is not None:
             yield from self._plugin_problems(here)
             return
-        for key in _OF_A_PLUGIN:
+        for key in _OF_A_PLUGIN if self.driver not in MOTION_SOURCES else _ALWAYS_OF_A_PLUGIN:
             if getattr(self, key) is not None:
                 yield Problem((key,), f"{key} {here}", f"a driver's factory, package.module:factory, or no {key}")
         for key in _NOT_MEASURED:
@@ -631,13 +655,18 @@ class Device(SessionModel):
             yield Problem(("trace",), f"trace {here}", "'driver: trace', or no trace")
         if self.mass is None:
             yield Problem((), "no key 'mass'", f"mass, {type(self).model_fields['mass'].description}")
-        if self.driver == _BROWSER and self.hand is not None:
+        if self.driver in MOTION_SOURCES:
+            try:
+                _ = self.rate
+            except PydanticCustomError as error:
+                yield from problems_of(error)
+        if self.driver in PERSONS and self.hand is not None:
             for key in ("force", "motion"):
                 if any(intent != 0.0 for intent in getattr(self.hand, key)):
-                    expected = f"no {key}: the intention comes from the person at the browser"
+                    expected = f"no {key}: the intention comes from the person"
                     yield Problem(("hand", key), f"{key} {here}", expected)
             if 0.0 in self.hand.stiffness:
-                expected = "a stiffness in N/m greater than 0: it ties the device to the pointer"
+                expected = "a stiffness in N/m greater than 0: it ties the device to the goal, a pointer's for one"
                 yield Problem(("hand", "stiffness"), f"0 {here}", expected)
 
     def _friction_problems(self, here: str) -> Iterator[Problem]:
@@ -661,8 +690,8 @@ class Device(SessionModel):
         if self.joint_friction is not None and self.driver != _SIMULATED:
             expected = "driver: simulated, or no friction: of any other device no claim rests on that of its joints"
             yield Problem(("linkage", "friction"), f"friction of joints with 'driver: {self.driver}'", expected)
-        if self.driver == _BROWSER:
-            yield Problem(("linkage",), "kinematics with 'driver: browser'", "kappa alone, or driver: simulated")
+        if self.driver in PERSONS:
+            yield Problem(("linkage",), f"kinematics with 'driver: {self.driver}'", "kappa alone, or driver: simulated")
         try:
             _ = self.held_torque
         except LinkageError as error:

@@ -18,18 +18,29 @@ delay inside the tick the sum is 0, and what is left is the ledger of a device t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from manyhands.nodes.device.dry_joints import DryMechanism
 from manyhands.nodes.device.friction import DryPlant
 from manyhands.nodes.device.mechanism import Mechanism
+from manyhands.nodes.device.motion_sources import MOTION_SOURCES
 from manyhands.nodes.device.plugin import plugin_driver
-from manyhands.nodes.device.pointer import pointer_hand, pointer_of
+from manyhands.nodes.device.pointer import Follower, GoalSource, browser_goal, pointer_hand, pointer_of
+from manyhands.nodes.device.rate_goal import RateGoal
 from manyhands.nodes.device.simulated import Hand, HeldDeviceDriver, OwnTimeDriver, Plant, device_of, intent_hand
 from manyhands.nodes.device.wall_time import WallTimeDriver
 from manyhands.nodes.kernel.arithmetic import Floats, dot, linear_map
-from manyhands.nodes.kernel.bundle import WALL, BrowserHand, DeviceBundle, PluginDevice, RecordedMotion, SimulatedHand
+from manyhands.nodes.kernel.bundle import (
+    SIMULATED,
+    WALL,
+    DeviceBundle,
+    PersonHand,
+    PluginDevice,
+    RateMotion,
+    RecordedMotion,
+    SimulatedHand,
+)
 from manyhands.nodes.kernel.intent import SampledSignal
 from manyhands.protocol.clock import Duration, Instant, seconds
 from manyhands.protocol.messages import Figures
@@ -219,6 +230,7 @@ def driver_of(bundle: DeviceBundle) -> Driver:
 
     Raises:
         ValueError: the bundle's numbers make no device, or the driver of another package cannot be made.
+        MotionSourceError: the device by which a person moves it cannot be opened.
         TransportError: the socket of its pointer cannot be opened.
     """
     T, wall = bundle.common.period, bundle.time == WALL
@@ -227,8 +239,8 @@ def driver_of(bundle: DeviceBundle) -> Driver:
             return _held(intent_hand(hand, T, wall, _plant(hand, T)), T, wall)
         case RecordedMotion() as motion:
             return WallTimeTrace(motion, T) if wall else TraceDriver(motion, T)
-        case BrowserHand(physics):
-            return _held(pointer_hand(physics, bundle.limits, T, pointer_of(bundle.common), wall), T, wall)
+        case PersonHand(physics, rate):
+            return _held(pointer_hand(physics, bundle.limits, T, _goal(rate, bundle), wall), T, wall)
         case PluginDevice() as device:
             return plugin_driver(device, bundle)
 
@@ -241,6 +253,20 @@ def _plant(hand: SimulatedHand, T: float) -> Plant | None:
             return DryMechanism(device_of(hand), T, hand.linkage, tuple(map(float, friction)))
         return Mechanism(device_of(hand), T, hand.linkage)
     return None if hand.friction is None else DryPlant(device_of(hand), T, hand.friction)
+
+
+def _goal(rate: RateMotion | None, bundle: DeviceBundle) -> Callable[[Follower], GoalSource]:
+    """Makes the source of the goals by which a person moves a device; under the simulated clock nobody does."""
+    T = bundle.common.period
+    if rate is None or bundle.common.clock == SIMULATED:
+        return browser_goal(T, pointer_of(bundle.common))
+    if rate.source not in MOTION_SOURCES:
+        raise ValueError(f"found the source of motion {rate.source!r}; expected one of {', '.join(MOTION_SOURCES)}")
+    kind = MOTION_SOURCES[rate.source]
+    if wrong := [name for name in rate.axes if name.removeprefix("-") not in kind.AXES]:
+        raise ValueError(f"found the axis {wrong[0]!r} of a {kind.NAME}; expected one of {', '.join(kind.AXES)}")
+    axes = [(kind.AXES.index(name.removeprefix("-")), -1.0 if name.startswith("-") else 1.0) for name in rate.axes]
+    return lambda follower: RateGoal(kind(rate.device), axes, rate.speed, rate.dead_zone, follower, T)
 
 
 def _held(hand: Hand, T: float, wall: bool) -> Driver:

@@ -1,8 +1,9 @@
-"""The hand of a person with a browser, who drags a simulated device by a pointer. The person feels no force.
+"""The hand of a person who moves a simulated device by a pointer, or by a device without motors, and feels no force.
 
-The pointer gives a trajectory, which is smoothed and becomes the intended motion of a simulated hand: a spring and a
-damper join the device to it (:class:`PointerHand`). The coupling acts on that hand as on every simulated device, and
-the work of the motion is in the ledger.
+What the person moves gives a goal (:class:`GoalSource`): a browser's pointer (:class:`BrowserGoal`), or the deflection
+of a SpaceMouse or a gamepad (:mod:`manyhands.nodes.device.rate_goal`). The goal is smoothed and becomes the intended
+motion of a simulated hand: a spring and a damper join the device to it (:class:`PointerHand`). The coupling acts on
+that hand as on every simulated device, and the work of the motion is in the ledger.
 
 While no person holds the device, the hand is open: the device is a mass with its damping. A hand that opens forgets the
 tension of its spring and the state of its operator. A hand that closes begins at rest on the device, its spring slack.
@@ -33,7 +34,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, Protocol
 
 from manyhands.nodes.device.simulated import Hand, Intention, Plant, bare_device_of, device_of
 from manyhands.nodes.kernel.arithmetic import Floats
@@ -44,6 +45,30 @@ from manyhands.protocol.transport.pointer import PointerInlet
 
 PATIENCE: Final = 2.0
 """The time after which a grasp that is not sent again ends, s."""
+
+
+class GoalSource(Protocol):
+    """Where a person wants the device to be, m; asked once a period, and it never waits."""
+
+    def tick(self) -> Floats | None:
+        """Read what has come, and step by one tick; returns the goal, or None while no person holds the device.
+
+        Raises:
+            ValueError: the source is of no use any more; the message says what to do.
+        """
+        ...
+
+    def begin(self, position: Floats) -> Floats:
+        """The hand has closed on the device at ``position``, m; returns the goal with which it begins, m."""
+        ...
+
+    def figures(self) -> Figures:
+        """Whether the device is held, and counts of what has come."""
+        ...
+
+    def close(self) -> None:
+        """Close its files and sockets. A second call does nothing."""
+        ...
 
 
 class Pointer:
@@ -109,6 +134,38 @@ class Pointer:
         )
 
 
+class BrowserGoal:
+    """The :class:`GoalSource` that a browser's page moves."""
+
+    def __init__(self, pointer: Pointer, inlet: PointerInlet | None) -> None:
+        """Hold nothing.
+
+        Args:
+            pointer: the grasp.
+            inlet: receives the pointer's messages, and is closed with the source; None where no pointer can connect.
+        """
+        self._pointer, self._inlet = pointer, inlet
+
+    def tick(self) -> Floats | None:
+        """Read the pointer's messages."""
+        if self._inlet is not None:
+            self._pointer.tick(self._inlet.latest())
+        return self._pointer.goal
+
+    def begin(self, position: Floats) -> Floats:
+        """The goal of the pointer, wherever the device is."""
+        return position if self._pointer.goal is None else self._pointer.goal
+
+    def figures(self) -> Figures:
+        """Whether the device is held, and counts of the pointer's messages."""
+        return self._pointer.figures(0 if self._inlet is None else self._inlet.malformed)
+
+    def close(self) -> None:
+        """Close the pointer's socket. A second call does nothing."""
+        if self._inlet is not None:
+            self._inlet.close()
+
+
 class Follower:
     """The critically damped follower of a goal on m axes, one step a tick.
 
@@ -172,55 +229,56 @@ RATE: Final = 30.0
 
 
 class PointerHand(Hand):
-    """The hand of a person, who may hold a simulated device by a pointer; open at first."""
+    """The hand of a person, who may hold a simulated device by a source of goals; open at first."""
 
-    def __init__(self, held: Plant, bare: Plant, limits: Limits, T: float, inlet: PointerInlet | None) -> None:
+    def __init__(
+        self, held: Plant, bare: Plant, limits: Limits, T: float, source: Callable[[Follower], GoalSource]
+    ) -> None:
         """Hold nothing.
 
         Args:
-            held: the device with the hand that joins it to the pointer.
+            held: the device with the hand that joins it to the goal.
             bare: the device with the open hand.
             limits: the limits of the device.
             T: period, s.
-            inlet: receives the pointer's messages, and is closed by the hand; None where no pointer can connect.
+            source: makes the source of goals, which the hand closes, for the follower of them.
         """
-        self._inlet = inlet
         self._held, self._bare = held, bare
         self.plant = bare
         m = self._m = bare.axes
         speed = [min(SPEED, SPEED * limit) for limit in limits.speed]
         self._follower = Follower([REACH * most for most in limits.displacement], speed, ACCELERATION, RATE, T)
-        self._pointer = Pointer(m, self._follower.within, T)
+        self._source = source(self._follower)
+        self._goal: Floats | None = None
         self._prepared = False
         self._zero: Floats = [0.0] * m
         self._at_rest = Intention(self._zero, self._zero)
 
     def figures(self) -> Figures:
-        """Whether the device is held, and counts of the pointer's messages."""
-        return self._pointer.figures(0 if self._inlet is None else self._inlet.malformed)
+        """Whether the device is held, and counts of what moves it."""
+        return self._source.figures()
 
     def close(self) -> None:
-        """Close the pointer's socket. A second call does nothing."""
-        if self._inlet is not None:
-            self._inlet.close()
+        """Close the source. A second call does nothing."""
+        self._source.close()
 
     def prepare(self, tick: int) -> None:
-        """Read the pointer's messages."""
+        """Read what has come from the source."""
         if not self._prepared:
             self._prepared = True
-            if self._inlet is not None:
-                self._pointer.tick(self._inlet.latest())
+            self._goal = self._source.tick()
 
     def intend(self, tick: int, state: Floats) -> tuple[Floats, Intention]:
-        """Open or close the hand, and follow the pointer while it is closed."""
+        """Open or close the hand, and follow the goal while it is closed."""
         self.prepare(tick)
         self._prepared = False
-        goal = self._pointer.goal
+        goal = self._goal
         if goal is None:
             return self._become(self._bare, state), self._at_rest
         if self.plant is not self._held:
             state = self._become(self._held, state)
             self._follower.begin(state[: self._m])
+            goal = self._source.begin(state[: self._m])
         return state, Intention(self._zero, self._follower.step(goal))
 
     def _become(self, plant: Plant, state: Floats) -> Floats:
@@ -232,21 +290,26 @@ class PointerHand(Hand):
 
 
 def pointer_hand(
-    hand: SimulatedHand, limits: Limits, T: float, inlet: PointerInlet | None, parts: bool = False
+    hand: SimulatedHand, limits: Limits, T: float, source: Callable[[Follower], GoalSource], parts: bool = False
 ) -> PointerHand:
     """The hand of a person on the device that a bundle describes.
 
     Args:
-        hand: the device, and the hand that joins it to the pointer.
+        hand: the device, and the hand that joins it to the goal.
         limits: the limits of the device.
         T: period, s.
-        inlet: see :class:`PointerHand`.
+        source: see :class:`PointerHand`.
         parts: whether the plants step over parts of a period, for a driver in wall time.
 
     Raises:
-        ValueError: a mass of the device is not positive.
+        ValueError: a mass of the device is not positive, or the source cannot be made.
     """
-    return PointerHand(Plant(device_of(hand), T, parts), Plant(bare_device_of(hand), T, parts), limits, T, inlet)
+    return PointerHand(Plant(device_of(hand), T, parts), Plant(bare_device_of(hand), T, parts), limits, T, source)
+
+
+def browser_goal(T: float, inlet: PointerInlet | None) -> Callable[[Follower], GoalSource]:
+    """Makes the source of goals of a browser's pointer; without an inlet nobody ever holds the device."""
+    return lambda follower: BrowserGoal(Pointer(len(follower.reach), follower.within, T), inlet)
 
 
 def pointer_of(common: Common) -> PointerInlet | None:

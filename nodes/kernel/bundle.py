@@ -6,8 +6,8 @@ rung 0 comes with the handshakes, and the bundle has only the D_V of the ladder'
 
 A bundle names the node, its peers and its limits (:class:`Common`, :class:`Peer`, :class:`Limits`), and the rungs of
 the ladder. A device's bundle also has the source of its motion (:data:`Source`): a simulated hand, a recorded motion,
-a person at a browser, or the driver of another package. A field is declared once, with its annotation: the form that it
-has in the file, and what is refused there, follow from it (:mod:`manyhands.protocol.plain`).
+a person who feels no force, or the driver of another package. A field is declared once, with its annotation: the form
+that it has in the file, and what is refused there, follow from it (:mod:`manyhands.protocol.plain`).
 """
 
 from __future__ import annotations
@@ -67,6 +67,8 @@ MAX_TELEMETRY_TICKS = 1000
 _TIME: Final = Requirement(lambda t: 0.0 <= t < 1e9, "0 s to 1e9 s")
 _SPAN: Final = Requirement(lambda t: 0.0 < t < 1e9, "more than 0, and less than 1e9")
 _TICKS: Final = Requirement(lambda ticks: 0 < ticks <= MAX_TELEMETRY_TICKS, f"1 to {MAX_TELEMETRY_TICKS}")
+_PART: Final = Requirement(lambda part: 0.0 <= part < 1.0, "at least 0, below 1")
+_SPEED: Final = Requirement(lambda speed: speed > 0.0, "more than 0 m/s")
 _CLOCK: Final = Requirement(CLOCKS.__contains__, f"one of {', '.join(CLOCKS)}")
 
 
@@ -281,24 +283,48 @@ class SimulatedHand:
         return len(self.mass)
 
 
-@dataclass(frozen=True, eq=False)
-class BrowserHand:
-    """The physics of a device that a person holds by a browser's pointer; by itself the hand has no intention.
+@dataclass(frozen=True)
+class RateMotion:
+    """A device without motors by whose deflection a person moves a goal (:mod:`manyhands.nodes.device.rate_goal`).
 
     Attributes:
-        physics: the device, and the hand that joins it to the pointer.
+        source: its kind (:data:`manyhands.nodes.device.motion_sources.MOTION_SOURCES`).
+        device: the path of its file; empty for the one that is plugged in.
+        axes: by port, the name of the source's axis, after a minus where it points the other way.
+        speed: of the goal at full deflection, m/s.
+        dead_zone: the part of the full deflection up to which nothing moves.
+    """
+
+    source: str
+    device: str
+    axes: tuple[str, ...]
+    speed: Annotated[float, _SPEED]
+    dead_zone: Annotated[float, _PART]
+
+
+@dataclass(frozen=True, eq=False)
+class PersonHand:
+    """The physics of a device that a person holds without feeling it; by itself the hand has no intention.
+
+    Attributes:
+        physics: the device, and the hand that joins it to the goal that the person moves.
+        rate: what moves the goal by its deflection; None for the pointer of a browser.
 
     Raises:
-        ValueError: the device has a linkage or dry friction, which a pointer does not move.
+        ValueError: the device has a linkage or dry friction, which a goal does not move, or not one axis of the source
+            for each of its own.
     """
 
     physics: SimulatedHand
+    rate: Added[RateMotion | None] = None
 
     def __post_init__(self) -> None:
         if self.physics.linkage is not None:
             raise ValueError("found a linkage of a device that a pointer moves; expected none, or a simulated hand")
         if self.physics.friction is not None:
             raise ValueError("found friction of a device that a pointer moves; expected none, or a simulated hand")
+        if self.rate is not None:
+            _require_one_number({self.physics.axes, len(self.rate.axes)})
 
     @property
     def axes(self) -> int:
@@ -366,10 +392,10 @@ class PluginDevice:
 
 
 Source: TypeAlias = Annotated[
-    SimulatedHand | BrowserHand | RecordedMotion | PluginDevice,
-    by_kind(simulated=SimulatedHand, browser=BrowserHand, trace=RecordedMotion, plugin=PluginDevice),
+    SimulatedHand | PersonHand | RecordedMotion | PluginDevice,
+    by_kind(simulated=SimulatedHand, browser=PersonHand, trace=RecordedMotion, plugin=PluginDevice),
 ]
-"""The source of a device's motion."""
+"""The source of a device's motion; ``browser`` is what bundles called the hand of a person before it had a rate."""
 
 
 def _require_one_number(numbers: set[int]) -> None:

@@ -166,6 +166,7 @@ class About:
         seats: the device of each seat that users take and leave while the session runs, by the seat's name, which is
             that of its coupling.
         scene: the geometry of the virtual world's tools, bodies and obstacles; None if it is no scene and no mesh.
+        force: the limit of the force at each port's device, N.
     """
 
     session: str
@@ -187,6 +188,7 @@ class About:
     observers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     seats: Mapping[str, str] = field(default_factory=dict)
     scene: Annotated[ContactScene, GEOMETRY] | None = None
+    force: Added[Mapping[str, float]] = field(default_factory=dict)
 
     @property
     def terms(self) -> Terms:

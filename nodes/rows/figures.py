@@ -361,11 +361,13 @@ MEASURED: str = _figure(Figure(
 UNTRUE: str = _figure(Figure("untrue", Unit.TICKS, "of these in which the force was none that it had been given"))
 UNTRUE_MOST: str = _figure(Figure(
     "untrue_most", Unit.NEWTONS, "by which it was none of them at most, on any of the driver's axes"))
-GRASPED: str = _figure(Figure("grasped", Unit.STATE, "whether a person's browser holds the device"))
-GRASPS: str = _figure(Figure("grasps", Unit.TIMES, "positions that the pointer sent and the device took"))
-GRASPS_CLIPPED: str = _figure(Figure("grasps_clipped", Unit.TIMES, "of these that were beyond the pointer's reach"))
+GRASPED: str = _figure(Figure("grasped", Unit.STATE, "whether a person who feels no force holds the device"))
+GRASPS: str = _figure(Figure(
+    "grasps", Unit.TIMES, "positions of a pointer, or reports of a SpaceMouse or a gamepad, that the device took"))
+GRASPS_CLIPPED: str = _figure(Figure(
+    "grasps_clipped", Unit.TIMES, "of these, or ticks after them, that the goal would have left its reach"))
 GRASPS_REFUSED: str = _figure(Figure(
-    "grasps_refused", Unit.TIMES, "messages of the pointer that were no position of this device"))
+    "grasps_refused", Unit.TIMES, "messages of the pointer that were no position of this device, or other reports"))
 GRASPS_LAPSED: str = _figure(Figure("grasps_lapsed", Unit.TIMES, "that a pointer fell silent without letting go"))
 
 # --- messages

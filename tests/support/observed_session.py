@@ -43,6 +43,7 @@ ABOUT = About(
     reach={"left": 0.1, "right.x": 0.1, "right.y": 0.05},
     certificate=CertificateAbout(0.0003, {"(10)": 0.5}, None, {"left": 1.0, "right": 1.0}, (0.0005,), (), 0.005, True),
     environment="network",
+    force={"left": 10.0, "right.x": 6.0, "right.y": 8.0},
 )
 """Two users and a ball; the right device can be held."""
 

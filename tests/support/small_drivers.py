@@ -13,7 +13,7 @@ from manyhands.design.models.device import held_device
 from manyhands.design.models.statespace import StateSpace
 from manyhands.design.passivity.operators import RationalMatrix
 from manyhands.nodes.device.drivers import Driver, TraceDriver, WallTimeTrace
-from manyhands.nodes.device.pointer import PointerHand
+from manyhands.nodes.device.pointer import PointerHand, browser_goal
 from manyhands.nodes.device.simulated import (
     Hand,
     HeldDeviceDriver,
@@ -84,7 +84,7 @@ def browser_plants(axes: int, wall: bool) -> tuple[Plant, Plant]:
 def browser(*said: Grasp | Release | None, axes: int = 2, wall: bool = False) -> Driver:
     inlet: Any = Said(*said) if said else None
     limits = Limits((30.0,) * axes, (0.1,) * axes, (3.0,) * axes)
-    return held(PointerHand(*browser_plants(axes, wall), limits, T, inlet), wall)
+    return held(PointerHand(*browser_plants(axes, wall), limits, T, browser_goal(T, inlet)), wall)
 
 
 def dragged(wall: bool = False) -> Driver:

@@ -15,9 +15,9 @@ from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings import tables
 from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.run.broadcast import describe
-from manyhands.launch.session import BROWSER_HAND, Session, SessionError, limits, load_session
+from manyhands.launch.session import BROWSER_HAND, PERSONS, Session, SessionError, limits, load_session
 from manyhands.launch.session.shipped import load_named, shipped_sessions
-from manyhands.nodes.kernel.bundle import BrowserHand, DeviceBundle, RecordedMotion, load, save
+from manyhands.nodes.kernel.bundle import DeviceBundle, PersonHand, RateMotion, RecordedMotion, load, save
 from tests.support.exponential import errors
 
 SESSION = """
@@ -38,6 +38,8 @@ TRACED = "devices.dx={{dof: 1, osp: 1.37, driver: trace, trace: {}}}"
 LIMITED = "devices.dx={{dof: 1, osp: 1, driver: trace, limits: {{{}}}, trace: {}}}"
 TWO_AXES = "devices.dy={{dof: 2, osp: 1, driver: trace, limits: {{speed: 1000}}, trace: {}}}"
 HELD = "devices.dy={{dof: 2, osp: 1, driver: browser, mass: 1, hand: {}}}"
+
+MOVED = "devices.dy={{dof: 2, osp: 1, mass: 1, driver: {}}}"
 
 
 def loaded(folder: Path, *overrides: str) -> Session:
@@ -73,6 +75,21 @@ def test_a_traced_device_has_a_motion_and_no_mechanism(tmp_path: Path) -> None:
         (HELD.format("{motion: sin(t)}"), "devices.dy", "motion", "person"),
         (HELD.format("{force: [0, 1]}"), "devices.dy", "force", "person"),
         (HELD.format("{stiffness: [0, 9]}"), "devices.dy", "0", "pointer"),
+        (MOVED.format("spacemouse, step: 0.1"), "devices.dy.step", "step with 'driver: spacemouse'", "no step"),
+        (MOVED.format("spacemouse, scale: 2"), "devices.dy.scale", "scale with 'driver: spacemouse'", "no scale"),
+        (MOVED.format("spacemouse, trace: 3"), "devices.dy.trace", "3", "{times"),
+        (MOVED.format("gamepad, parameters: {speed: 0}"), "devices.dy.parameters.speed", "0", "greater than 0"),
+        (MOVED.format("gamepad, parameters: {speed: 0.6}"), "devices.dy.parameters.speed", "0.6", "at most 0.5"),
+        (MOVED.format("gamepad, parameters: {dead_zone: 1}"), "devices.dy.parameters.dead_zone", "1", "from 0 to 0.9"),
+        (MOVED.format("gamepad, parameters: {device: js0}"), "devices.dy.parameters.device", "'js0'", "/dev/hidraw3"),
+        (MOVED.format("gamepad, parameters: {sped: 1}"), "devices.dy.parameters.sped", "'sped'", "device, speed, dead"),
+        (MOVED.format("gamepad, parameters: 3"), "devices.dy.parameters", "3", "a mapping"),
+        (MOVED.format("gamepad, axis_map: [x, ry]"), "devices.dy.axis_map", "a list of 2", "2 of x, y, z, rx"),
+        (MOVED.format("gamepad, axis_map: [x, -x]"), "devices.dy.axis_map", "a list of 2", "each once"),
+        (MOVED.format("gamepad, axis_map: [x]"), "devices.dy.axis_map", "a list of 1", "2 of x, y"),
+        ("devices.dy={dof: 6, osp: 1, driver: gamepad, mass: 1}", "devices.dy.dof", "6", "at most 5, the axes of"),
+        (MOVED.format("spacemouse, hand: {motion: 1}"), "devices.dy", "motion", "person"),
+        (MOVED.format("browser, parameters: {speed: 1}"), "devices.dy.parameters", "with 'driver: browser'", "no para"),
         (TRACED.format("3"), "devices.dx", "3", "{times: [...], values: [...]}"),
         (TRACED.format("{fil: a.csv}"), "devices.dx.trace", "fil", "{file: FILE, device: NAME}"),
         (TRACED.format("{file: run.txt}"), "devices.dx.trace.file", "'run.txt'", ".mcap, .npz, .csv"),
@@ -251,6 +268,33 @@ def test_the_hand_at_a_browser_has_its_own_defaults(tmp_path: Path) -> None:
     assert (own.stiffness, own.damping) == ((50.0,) * 2, (BROWSER_HAND["damping"],) * 2)
 
 
+@pytest.mark.parametrize("driver", PERSONS)
+def test_every_person_has_the_same_hand_and_no_stated_inertia(driver: str, tmp_path: Path) -> None:
+    device = loaded(tmp_path, MOVED.format(driver)).devices["dy"]
+    assert device.hand is not None
+    assert device.hand.stiffness == (BROWSER_HAND["stiffness"],) * 2
+    assert device.inertia is None
+    assert device.word is None  # its hand is known, and its ledger is judged
+
+
+def test_a_spacemouse_moves_the_goal_of_a_hand(tmp_path: Path) -> None:
+    plain = loaded(tmp_path, MOVED.format("spacemouse"))
+    assert plain.devices["dy"].rate == RateMotion("spacemouse", "", ("x", "y"), 0.1, 0.05)
+    override = MOVED.format(
+        "gamepad, parameters: {device: /dev/input/js1, speed: 0.3, dead_zone: 0}, axis_map: [-z, x]"
+    )
+    own = loaded(tmp_path, override)
+    assert own.devices["dy"].rate == RateMotion("gamepad", "/dev/input/js1", ("-z", "x"), 0.3, 0.0)
+    assert Session.model_validate(own.as_plain()) == own
+    from manyhands.launch.plan.prepare import prepare
+
+    source = cut(prepare(own, uncertified=True), RunPlan("realtime", tmp_path, ""))["dy"]
+    assert isinstance(source, DeviceBundle)
+    assert isinstance(source.source, PersonHand)
+    assert source.source.rate == own.devices["dy"].rate
+    assert describe(prepare(own, uncertified=True), "realtime", "ipc", 0, ()).grips == ()  # no page holds it
+
+
 @pytest.fixture
 def prepared(tmp_path: Path) -> Prepared:
     from manyhands.launch.plan.prepare import prepare
@@ -261,7 +305,7 @@ def prepared(tmp_path: Path) -> Prepared:
 
 def test_a_bundle_names_its_devices_driver(prepared: Prepared, tmp_path: Path) -> None:
     bundles = cut(prepared, RunPlan("realtime", tmp_path, ""))
-    for name, kind in (("dx", RecordedMotion), ("dy", BrowserHand)):
+    for name, kind in (("dx", RecordedMotion), ("dy", PersonHand)):
         bundle = bundles[name]
         assert isinstance(bundle, DeviceBundle)
         save(bundle, tmp_path / name)

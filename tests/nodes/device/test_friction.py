@@ -21,7 +21,7 @@ from manyhands.nodes.device.simulated import HeldDeviceDriver, IntentHand, Inten
 from manyhands.nodes.device.tick import DeviceTick, OwnTimeTick, WallTimeTick
 from manyhands.nodes.kernel.allowance import LatenessAllowance
 from manyhands.nodes.kernel.arithmetic import Floats
-from manyhands.nodes.kernel.bundle import OWN, WALL, BrowserHand, DeviceBundle, DeviceRung, Limits, SimulatedHand
+from manyhands.nodes.kernel.bundle import OWN, WALL, DeviceBundle, DeviceRung, Limits, PersonHand, SimulatedHand
 from manyhands.nodes.kernel.friction_curve import FrictionCurve
 from manyhands.nodes.kernel.intent import Intent
 from manyhands.protocol.clock import Instant
@@ -249,7 +249,7 @@ def test_friction_is_one_for_each_axis_and_not_behind_joints_or_a_pointer() -> N
     with pytest.raises(ValueError, match="found dry friction behind a linkage"):
         dataclasses.replace(hand, linkage={"kind": "chain"})
     with pytest.raises(ValueError, match="found friction of a device that a pointer moves"):
-        BrowserHand(hand)
+        PersonHand(hand)
 
 
 C, B, BELOW = 0.1, 0.1, 0.05

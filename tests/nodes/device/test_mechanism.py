@@ -21,7 +21,7 @@ from manyhands.nodes.device.mechanism import Mechanism, TipAstray, joints_of
 from manyhands.nodes.device.simulated import Intention
 from manyhands.nodes.device.tick import OwnTimeTick, WallTimeTick
 from manyhands.nodes.kernel.allowance import LatenessAllowance
-from manyhands.nodes.kernel.bundle import WALL, BrowserHand, DeviceBundle, SimulatedHand
+from manyhands.nodes.kernel.bundle import WALL, DeviceBundle, PersonHand, SimulatedHand
 from tests.support.held_arm import Arm
 from tests.support.instants import instant
 from tests.support.mechanisms import ALL_LINKAGES, CHAIN, DELTA, FIVE_BAR, HOME, mechanism_bundle, swinging, worst
@@ -227,4 +227,4 @@ def test_in_wall_time_only_torques_that_were_not_stated_break_the_promise(
 
 def test_a_linkage_behind_a_pointer_is_refused() -> None:
     with pytest.raises(ValueError, match="found a linkage of a device that a pointer moves"):
-        BrowserHand(swinging(CHAIN))
+        PersonHand(swinging(CHAIN))

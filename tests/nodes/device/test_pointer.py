@@ -17,7 +17,7 @@ from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
 from manyhands.nodes.device.core import DeviceCore
 from manyhands.nodes.device.drivers import driver_of
-from manyhands.nodes.device.pointer import PATIENCE, REACH, SPEED, Pointer, PointerHand, pointer_hand
+from manyhands.nodes.device.pointer import PATIENCE, REACH, SPEED, Pointer, PointerHand, browser_goal, pointer_hand
 from manyhands.nodes.device.simulated import OwnTimeDriver
 from manyhands.nodes.kernel.bundle import Common, DeviceBundle, Limits, SimulatedHand, load, save
 from manyhands.nodes.rows import figures as names
@@ -62,7 +62,7 @@ class HeldDevice:
 
     def __init__(self) -> None:
         self.inlet = FedInlet()
-        self.hand = pointer_hand(HAND, LIMITS, T, self.inlet)  # type: ignore[arg-type]
+        self.hand = pointer_hand(HAND, LIMITS, T, browser_goal(T, self.inlet))  # type: ignore[arg-type]
         self.driver = OwnTimeDriver(self.hand)
         self.core = DeviceCore(np.array([[1.37]]), np.array([[T / 2.0 / 1.37]]), T)
         self.ticks = 0
@@ -232,7 +232,7 @@ def test_a_drag_moves_the_other_user_and_every_promise_is_kept(prepared: Prepare
     left = simulation.devices["left"].driver
     assert isinstance(left, OwnTimeDriver)
     assert isinstance(left._hand, PointerHand)
-    left._hand._inlet = inlet  # type: ignore[assignment]
+    left._hand._source._inlet = inlet  # type: ignore[attr-defined]
     inlet.said = at(0.11)
     dragged = simulation.run(1500)
     inlet.said = Release()

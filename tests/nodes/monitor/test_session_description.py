@@ -93,7 +93,8 @@ DAMAGED = {
     "deep": "[" * 100_000,
     "another version's": json.dumps({"session": "s"}),
     "more than there is": changed(more=1),
-    **{f"no {key}": without(key) for key in WHOLE.as_plain()},
+    **{f"no {key}": without(key) for key in WHOLE.as_plain() if key != "force"},
+    "forces in words": changed(force={"dx": "strong"}),
     "a role that there is not": changed(nodes={"dx": {"role": "king", "ports": [], "process": None}}),
     "ports that are no list": changed(nodes={"dx": {"role": "device", "ports": "dx", "process": None}}, links=[]),
     "a process of nobody": changed(nodes={"dx": {"role": "device", "ports": [], "process": "dz"}}, links=[]),
@@ -132,6 +133,11 @@ def test_damaged(text: str, tmp_path: Path) -> None:
     (tmp_path / ABOUT).write_text(text)
     with pytest.raises(AboutError, match=r"about\.json: found no session's description"):
         About.load(tmp_path)
+
+
+def test_a_description_from_before_it_had_limits_of_forces(tmp_path: Path) -> None:
+    (tmp_path / ABOUT).write_text(without("force"))
+    assert About.load(tmp_path).force == {}
 
 
 def test_not_there_not_a_file_not_text_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 import { showAlarms } from "./alarms.js";
 import { Certificate } from "./certificate.js";
 import { Connection } from "./connection.js";
+import { Cues } from "./cues.js";
 import { byId } from "./elements.js";
 import { Forces } from "./forces.js";
 import { Graph } from "./graph.js";
@@ -33,6 +34,7 @@ function begin(about) {
   const grips = new Grips(session, (message) => connection.send(message));
   showFacts(about);
   views?.view.dispose();
+  views?.cues.dispose();
   views = null; // built with the first picture: until then there is nothing to draw
   session.grips = grips;
 }
@@ -51,6 +53,7 @@ function take(picture) {
     forces: new Forces(session),
     plots: new Plots(session),
     certificate: new Certificate(session.about),
+    cues: new Cues(session),
   };
 }
 
@@ -87,6 +90,7 @@ function frame(now) {
   views.view.rescale(now);
   views.view.draw();
   views.forces.draw();
+  views.cues.draw(now);
   if (now - plotted >= PLOT_EVERY) {
     plotted = now;
     views.plots.draw();
