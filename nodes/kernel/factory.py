@@ -40,7 +40,10 @@ ENGINES: Final = "manyhands.engines"
 """The group of the entry points that name physics engines."""
 
 SHIPPED: Final[Mapping[str, Mapping[str, str]]] = {
-    DRIVERS: {"serial-board": "manyhands.devices.serial_board:SerialBoard"},
+    DRIVERS: {
+        "serial-board": "manyhands.devices.serial_board:SerialBoard",
+        "haply-inverse3": "manyhands.devices.haply:HaplyInverse3",
+    },
     ENGINES: {"mujoco": "manyhands.nodes.environment.mujoco:MujocoEngine"},
 }
 """The factories of this package under short names, by group: its own code, of which no run warns."""

@@ -23,6 +23,7 @@ EXTRAS: Final[Mapping[str, tuple[str, ...]]] = {
     "ros": ("rosbags", "zenoh"),
     "mujoco": ("mujoco",),
     "mesh": ("trimesh",),
+    "haply": ("websockets",),
 }
 """The modules that are imported from each extra of pyproject.toml; no module belongs to two of them."""
 
