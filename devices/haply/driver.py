@@ -123,7 +123,7 @@ class HaplyInverse3(DeviceDriver):
         self._gone = ""
         self._newest: tuple[Instant, Reading, Vector] | None = None  # when its message was sent, and of which force
         self._work = MotorWork()
-        self._told: float | None = None  # J, up to the displacement that was returned last
+        self._told = self._sampled = 0.0, 0  # the work (J) and what is unknown of it: as told last, and up to the sample
         self._counts = dict.fromkeys(
             ("older_than_stated", "unsent_forces", "unasked_frames", "other_forces", "rate_warnings", "safety_events"),
             0.0,
@@ -278,7 +278,7 @@ class HaplyInverse3(DeviceDriver):
         self._offset, self._heard = now - at, now
         self._read()
         newest = self._fresh(now)
-        self._told = self._work.told()
+        self._sampled = self._work.sum, self._work.unknown
         return [a - b for a, b in zip(newest.position, self._given["origin"], strict=True)]
 
     def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> None:
@@ -301,7 +301,9 @@ class HaplyInverse3(DeviceDriver):
 
     def work(self) -> float | None:
         """The work of the motors since the last call, J; None where the frames do not tell it."""
-        return self._told
+        (before, unknown), self._told = self._told, self._sampled
+        done, missing = self._sampled
+        return None if missing > unknown or self._work.doubted else done - before
 
     def idle(self, due: Instant) -> None:
         """Read what has come, and have the state for the sample at ``due`` asked for in time."""
@@ -317,6 +319,7 @@ class HaplyInverse3(DeviceDriver):
             "other_most": self._other_most,
             "idle_after_ms": idle,
             "torques_doubted": float(self._work.doubted),
+            "work_unknown": float(self._work.unknown),
         }
 
     def close(self) -> None:

@@ -112,7 +112,8 @@ class Speech:
 def devices(frame: Any) -> dict[str, dict[str, Any]]:
     """The devices of a frame, by their id."""
     found = frame.get(FAMILY) if isinstance(frame, dict) else None
-    return {str(one.get("device_id")): one for one in found or () if isinstance(one, dict)}
+    listed = found if isinstance(found, list) else []
+    return {str(one.get("device_id")): one for one in listed if isinstance(one, dict)}
 
 
 def decoded(text: str) -> Any:

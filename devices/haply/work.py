@@ -29,16 +29,17 @@ class MotorWork:
     """The sum of the motors' work.
 
     Attributes:
+        sum: of all that is known, J.
+        unknown: how many stretches between two readings are missing in it.
         doubted: whether the torques were found to be none in N·m; the work is unknown from then on.
     """
 
     def __init__(self) -> None:
         """No reading yet."""
-        self.doubted = False
+        self.sum, self.unknown, self.doubted = 0.0, 0, False
         self._last: tuple[Reading, Vector] | None = None  # with the force of the message that it answers
         self._late = False  # whether a frame tells what was before its message
-        self._sum = self._unknown = 0.0
-        self._done = self._seen = self._size = 0.0  # J: since the beginning, of motors and ports
+        self._seen = self._size = 0.0  # J, of the ports in the same stretches: the sum of f^T dx, and of its parts' sizes
 
     def take(self, now: Reading, f: Vector) -> None:
         """A reading, which answers a message of the force f (N)."""
@@ -57,26 +58,19 @@ class MotorWork:
                 turns = zip(told.torques, before.angles, now.angles, strict=True)
                 done = sum(t * (b - a) for t, a, b in turns)
         if done is None:
-            self._unknown += 1.0
+            self.unknown += 1
             return
-        self._sum += done
+        self.sum += done
         seen = [a * b for a, b in zip(held, dx, strict=True)]
-        self._done += done
         self._seen += sum(seen)
         self._size += sum(map(abs, seen))
-        if self._size > ENOUGH and abs(self._done - self._seen) > DOUBT * self._size:
+        if self._size > ENOUGH and abs(self.sum - self._seen) > DOUBT * self._size:
             self.doubted = True
 
     def gap(self) -> None:
         """Readings are missing here: the work between the last one and the next is unknown."""
         self._last = None
-        self._unknown += 1.0
-
-    def told(self) -> float | None:
-        """The work since the last call, J; None where a part of it is unknown."""
-        found = None if self._unknown or self.doubted else self._sum
-        self._sum = self._unknown = 0.0
-        return found
+        self.unknown += 1
 
 
 def same(a: Vector, b: Vector) -> bool:

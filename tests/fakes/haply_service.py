@@ -22,6 +22,7 @@ from functools import partial
 from math import acos, atan2, cos, degrees, hypot, pi, radians, sin
 from typing import Any
 
+from websockets.exceptions import InvalidState
 from websockets.frames import Frame, Opcode
 from websockets.http11 import Request
 from websockets.server import ServerProtocol
@@ -46,6 +47,8 @@ DEFAULTS: dict[str, Any] = {
     "amplitude": 0.0,  # m
     "frequency": 0.7,  # Hz
     "gain": 0.3,  # of the force gate, as it stands at first
+    "filters": True,  # whether a client may configure gate and damping
+    "sign": 1.0,  # of the forces
 }
 LINK = 0.15  # m, both
 HOME = (0.0, -0.15, 0.15)
@@ -131,7 +134,7 @@ class Device:
 
     def command(self, f: list[float]) -> None:
         works = self.status["ready"] and self.status["power_supply"]
-        self.force = [(1.0 - self.gate) * value if works else 0.0 for value in f]
+        self.force = [self.given["sign"] * (1.0 - self.gate) * value if works else 0.0 for value in f]
         self.torques = self.loads(self.force)
 
     def state(self) -> dict[str, Any]:
@@ -235,7 +238,7 @@ class Service:
                 continue
             device.advance()
             device.reported, device.reported_torques = list(device.force), list(device.torques)
-            configure = one.get("configure", {})
+            configure = one.get("configure", {}) if self.given["filters"] else {}
             device.gate = configure.get("force_gate", {}).get("gain", device.gate)
             device.damping = configure.get("damping", {}).get("scalar", device.damping)
             device.heard = device.t
@@ -249,7 +252,7 @@ class Service:
     # --- the wire
 
     async def talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, events: bool) -> None:
-        with suppress(OSError, asyncio.IncompleteReadError):
+        with suppress(OSError, asyncio.IncompleteReadError, InvalidState):
             head = await reader.readuntil(b"\r\n\r\n")
             if b"upgrade: websocket" in head.lower():
                 await self.websocket(head, reader, writer, events)
