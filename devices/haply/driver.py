@@ -123,7 +123,7 @@ class HaplyInverse3(DeviceDriver):
         self._gone = ""
         self._newest: tuple[Instant, Reading, Vector] | None = None  # when its message was sent, and of which force
         self._work = MotorWork()
-        self._told = self._sampled = 0.0, 0  # the work (J) and what is unknown of it: as told last, and up to the sample
+        self._told = self._sampled = 0.0, 0  # J, and what is unknown of it: as told last, and up to the sample
         self._counts = dict.fromkeys(
             ("older_than_stated", "unsent_forces", "unasked_frames", "other_forces", "rate_warnings", "safety_events"),
             0.0,

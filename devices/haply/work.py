@@ -39,7 +39,7 @@ class MotorWork:
         self.sum, self.unknown, self.doubted = 0.0, 0, False
         self._last: tuple[Reading, Vector] | None = None  # with the force of the message that it answers
         self._late = False  # whether a frame tells what was before its message
-        self._seen = self._size = 0.0  # J, of the ports in the same stretches: the sum of f^T dx, and of its parts' sizes
+        self._seen = self._size = 0.0  # J: the sum of f^T dx in the same stretches, and of the sizes of its parts
 
     def take(self, now: Reading, f: Vector) -> None:
         """A reading, which answers a message of the force f (N)."""

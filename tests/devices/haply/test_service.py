@@ -106,7 +106,7 @@ def test_what_is_on_is_said_with_how_it_stands() -> None:
         "force_gate": "gain is 0.3",
     }
     assert set(left_on(None).values()) == {"its service does not tell"}
-    off = {
+    off: dict[str, Any] = {
         "gravity_compensation": {"enabled": False},
         "torque_scaling": {"enabled": False},
         "filters": {"force_gate": {"gain": 0}, "damping": {"scalar": 0.0}},
