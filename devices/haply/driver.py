@@ -65,6 +65,9 @@ LONGEST: Final = from_seconds(0.05)
 LISTENING: Final = from_seconds(0.2)
 """How long the keeper goes on for a loop that is silent, so that its next sample is fresh."""
 
+WAITING: Final = 3
+"""Messages without an answer from which on the keeper adds none: a service that is behind would only be later."""
+
 IDLE_WITHIN: Final = 0.5
 """s; how long it is waited at the start for the service to let go of a device that is sent nothing."""
 
@@ -481,7 +484,9 @@ class HaplyInverse3(DeviceDriver):
                         self._lock.wait(seconds(Duration(self._wakes - now)))
                     if self._closing or self._clock.now() < self._wakes:
                         continue  # it was woken, since a force ends sooner
-                if holds or self._clock.now() - self._heard < LISTENING:
+                ended = holds and self._clock.now() >= self._ends
+                listening = holds or self._clock.now() - self._heard < LISTENING
+                if ended or (listening and len(self._outstanding) < WAITING):
                     self._send()
         except HaplyError as error:
             self._gone = str(error)

@@ -53,6 +53,7 @@ DEFAULTS: dict[str, Any] = {
 LINK = 0.15  # m, both
 HOME = (0.0, -0.15, 0.15)
 DT = 1e-4  # s
+STOP = 0.1  # m from home; there it has springs, before the arm is stretched
 
 
 class Device:
@@ -126,6 +127,8 @@ class Device:
                 # each axis of the hand moves by a phase of its own
                 goal = HOME[i] + g["amplitude"] * sin(2 * pi * g["frequency"] * self.t + i)
                 pull = g["hand"] * (goal - self.x[i])
+                away = self.x[i] - HOME[i]
+                pull -= 2000.0 * (away - max(-STOP, min(STOP, away)))
                 b = g["damping"] + self.damping
                 self.v[i] = (self.v[i] + DT / g["mass"] * (f[i] + pull)) / (1.0 + DT * b / g["mass"])
                 self.x[i] += DT * self.v[i]
@@ -318,6 +321,8 @@ class Service:
 
     def flush(self, writer: asyncio.StreamWriter, protocol: ServerProtocol) -> None:
         for data in protocol.data_to_send():
+            if writer.is_closing():
+                raise ConnectionError("the client is gone")
             if data:
                 writer.write(data)
 

@@ -116,12 +116,14 @@ def test_a_force_ends_by_itself_though_nobody_calls() -> None:
 
 
 def test_a_force_whose_end_comes_nearer_ends_there() -> None:
-    with fake_haply(idle=10.0, damping=5.0) as one, opened(one) as driver:
-        loop = Loop(driver)
-        loop.turn([2.0, 0.0, 0.0], 20_000 * MS)
-        until(lambda: one.asked()["most"] > 1.0)
-        driver.apply([2.0, 0.0, 0.0], Instant(0), Instant(5 * MS))
-        until(lambda: one.asked()["f"] == [0.0, 0.0, 0.0])
+    """Though the keeper sleeps for longer than that: its next turn is days away."""
+    with fake_haply(idle=60.0, damping=5.0) as one:
+        given = {"port": one.port, "events": one.events, "sample_age": 0.002, **SLOW}
+        with closing(HaplyInverse3(PORTS, 1e6, given)) as driver:
+            driver.apply([2.0, 0.0, 0.0], Instant(0), Instant(40_000 * MS))
+            until(lambda: one.asked()["most"] > 1.0)
+            driver.apply([2.0, 0.0, 0.0], Instant(0), Instant(50 * MS))
+            until(lambda: one.asked()["f"] == [0.0, 0.0, 0.0])
 
 
 def test_a_force_that_is_over_already_is_none() -> None:
@@ -152,6 +154,18 @@ def test_a_loop_that_has_paused_gets_a_new_state() -> None:
         before = one.order("ask")["messages"]
         loop.turn()
         assert one.order("ask")["messages"] > before
+
+
+def test_a_service_that_is_behind_is_asked_no_more() -> None:
+    """Answers that queue up would make every later sample older, and every force later."""
+    with fake_haply() as one, opened(one) as driver:
+        Loop(driver).turn()
+        until(lambda: one.asked()["idle"])
+        before = one.order("stall 300")["messages"]
+        driver.apply([0.0, 0.0, 0.0], Instant(0))  # the keeper goes on for 200 ms
+        until(lambda: one.order("ask")["messages"] > before)
+        until(lambda: one.asked()["idle"])
+        assert one.order("ask")["messages"] - before < 10
 
 
 def test_how_long_the_service_holds_a_force_is_measured() -> None:
@@ -187,6 +201,30 @@ def test_torques_that_frames_do_not_tell_are_no_work(given: dict[str, Any]) -> N
         before = loop.unknown
         loop.turn([1.0, 0.0, 0.0])
         assert loop.unknown == before + 1
+
+
+class Unkept(HaplyInverse3):
+    """Its keeper does nothing, as that of a process that is stopped."""
+
+    def _keep(self) -> None:
+        return
+
+
+def test_the_work_of_a_pause_is_unknown() -> None:
+    """The service has let go meanwhile, nobody knows when."""
+    with fake_haply(damping=3.0, idle=0.03) as one:
+        with closing(Unkept(PORTS, 1e-3, {"port": one.port, "events": one.events, **SLOW})) as driver:
+            loop = Loop(driver)
+            until(lambda: loop.turn([0.5, 0.0, 0.0])[0] > 1e-3)
+            driver.apply([0.5, 0.0, 0.0], Instant(0), Instant(60_000 * MS))
+            until(lambda: one.asked()["idle"])
+            time.sleep(0.06)  # longer than a force is held without an end
+            driver.sample(0, Instant(0))  # the answer to that force
+            driver.work()
+            driver.release(Instant(0))
+            until(lambda: driver.exerted() == (0.0, 0.0, 0.0))
+            driver.sample(1, Instant(0))
+            assert driver.work() is None
 
 
 # --- what the device does by itself
