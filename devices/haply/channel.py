@@ -20,7 +20,7 @@ from manyhands.extras import require
 if TYPE_CHECKING:
     from websockets.client import ClientProtocol
 
-PATIENCE: Final = 2.0
+PATIENCE: Final = 5.0
 """s; how long the service may take to accept a connection, or to answer over HTTP."""
 
 _AT_ONCE: Final = 1 << 16

@@ -52,7 +52,7 @@ DEFAULTS: dict[str, Any] = {
 }
 LINK = 0.15  # m, both
 HOME = (0.0, -0.15, 0.15)
-DT = 1e-4  # s
+DT = 5e-4  # s, the longest step: one that a busy machine can follow
 STOP = 0.1  # m from home; there it has springs, before the arm is stretched
 
 
@@ -69,7 +69,6 @@ class Device:
         self.heard = -1.0  # s, when a message came last
         self.status = {
             "calibrated": True,
-            "in_use": given["in_use"],
             "power_supply": True,
             "ready": True,
             "started": True,
@@ -77,6 +76,7 @@ class Device:
         self.enabled = {"gravity_compensation": True, "torque_scaling": True}
         self.gate, self.damping = given["gain"], 0.0  # of the session
         self.unit = 1.0
+        self.owner: int | None = None  # the session that commands it
         self.most = 0.0
 
     def joints(self) -> tuple[float, float, float]:
@@ -116,8 +116,9 @@ class Device:
     def advance(self) -> None:
         """Move up to the present."""
         now = time.monotonic() - self.began
-        g, end = self.given, now - DT
-        while self.t < end:
+        g = self.given
+        while self.t < now:
+            dt = min(DT, now - self.t)
             if self.heard >= 0.0 and self.t - self.heard > g["idle"]:
                 self.command([0.0] * 3)
                 self.heard = -1.0
@@ -130,10 +131,10 @@ class Device:
                 away = self.x[i] - HOME[i]
                 pull -= 2000.0 * (away - max(-STOP, min(STOP, away)))
                 b = g["damping"] + self.damping
-                self.v[i] = (self.v[i] + DT / g["mass"] * (f[i] + pull)) / (1.0 + DT * b / g["mass"])
-                self.x[i] += DT * self.v[i]
-                self.work += DT * f[i] * self.v[i]
-            self.t += DT
+                self.v[i] = (self.v[i] + dt / g["mass"] * (f[i] + pull)) / (1.0 + dt * b / g["mass"])
+                self.x[i] += dt * self.v[i]
+                self.work += dt * f[i] * self.v[i]
+            self.t += dt
 
     def command(self, f: list[float]) -> None:
         works = self.status["ready"] and self.status["power_supply"]
@@ -194,7 +195,9 @@ class Device:
         found: dict[str, Any] = {"device_id": self.name}
         if config and self.given["tells_config"]:
             found["config"] = self.config()
-        return found | {"state": self.state(), "status": dict(self.status)}
+        state = self.state()
+        in_use = self.given["in_use"] or self.heard >= 0.0
+        return found | {"state": state, "status": self.status | {"in_use": in_use}}
 
 
 def tell(line: str) -> None:
@@ -244,7 +247,7 @@ class Service:
             configure = one.get("configure", {}) if self.given["filters"] else {}
             device.gate = configure.get("force_gate", {}).get("gain", device.gate)
             device.damping = configure.get("damping", {}).get("scalar", device.damping)
-            device.heard = device.t
+            device.heard, device.owner = device.t, session
             f = [0.0] * 3
             for dialect, value in one.get("commands", {}).get("set_cursor_force", {}).items():
                 if dialect in self.given["dialects"]:
@@ -316,8 +319,10 @@ class Service:
         finally:
             self.sessions.pop(session, None)
             for device in self.devices.values():
-                device.advance()
-                device.command([0.0] * 3)  # one connection is one session
+                if device.owner == session:  # one connection is one session
+                    device.advance()
+                    device.command([0.0] * 3)
+                    device.heard, device.owner = -1.0, None
 
     def flush(self, writer: asyncio.StreamWriter, protocol: ServerProtocol) -> None:
         for data in protocol.data_to_send():

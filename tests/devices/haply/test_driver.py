@@ -179,17 +179,26 @@ def test_how_long_the_service_holds_a_force_is_measured() -> None:
 # --- the work
 
 
-@pytest.mark.parametrize("late", [False, True])
-def test_the_work_is_that_of_the_motors(late: bool) -> None:
+def worked(late: bool) -> tuple[float, float, int]:
+    """The work of the fake's motors and what the driver told of it, J; and how often it could not tell."""
     with fake_haply(damping=3.0, step=0.0005, late=late, idle=1.0) as one, opened(one) as driver:
         loop = Loop(driver)
-        for tick in range(300):
-            loop.turn([0.5 if tick % 100 < 50 else -0.5, 0.3, -0.2], 5_000 * MS)
+        for tick in range(150):
+            loop.turn([0.5 if tick % 60 < 30 else -0.5, 0.3, -0.2], 5_000 * MS)
         for _ in range(20):
             loop.turn()
-        assert one.asked()["work"] == pytest.approx(loop.work, rel=0.05, abs=1e-5)
-        assert loop.unknown <= 1 + late
         assert driver.figures()["torques_doubted"] == 0.0
+        return one.asked()["work"], loop.work, loop.unknown
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_the_work_is_that_of_the_motors(late: bool) -> None:
+    for _ in range(5):
+        done, told, unknown = worked(late)
+        if unknown <= 1 + late:  # before a force has changed, nobody knows which frame tells it
+            assert told == pytest.approx(done, rel=0.05, abs=1e-5)
+            return
+    pytest.fail(f"the machine was too slow five times: {unknown} stretches are unknown")
 
 
 @pytest.mark.parametrize("given", [{"tells_torques": False}, {"torque_unit": 1000.0}])
@@ -276,6 +285,9 @@ def test_one_of_two_devices_is_chosen_by_its_id() -> None:
             until(lambda: loop.turn([0.5, 0.0, 0.0])[0] > 1e-3)
             assert abs(Loop(first).turn()[0]) < 1e-4
             assert one.asked("049D")["most"] == 0.0
+            Loop(first).turn()
+            with pytest.raises(HaplyError, match="049D: found it in use by another program"):
+                HaplyInverse3(PORTS, 1e-3, {"port": one.port, "device_id": "049D"})
         with pytest.raises(HaplyError, match="expected 04CC"):
             HaplyInverse3(PORTS, 1e-3, {"port": one.port, "device_id": "04CC"})
 
