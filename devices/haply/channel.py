@@ -171,13 +171,15 @@ class Channel:
         )
 
 
-def asked(port: int, path: str, body: dict[str, Any] | None = None) -> Any:
+def asked(port: int, path: str, body: dict[str, Any] | None = None, timeout: float = PATIENCE) -> Any:
     """What the service answers to a GET, or to a POST with ``body``: its ``data`` where it is in an envelope.
+
+    It has ``timeout`` s for that.
 
     Raises:
         HaplyError: no answer, one that is no JSON, or a refusal.
     """
-    line = http.client.HTTPConnection("localhost", port, timeout=PATIENCE)
+    line = http.client.HTTPConnection("localhost", port, timeout=timeout)
     where = f"http://localhost:{port}{path}"
     try:
         if body is None:

@@ -65,6 +65,9 @@ LONGEST: Final = from_seconds(0.05)
 LISTENING: Final = from_seconds(0.2)
 """How long the keeper goes on for a loop that is silent, so that its next sample is fresh."""
 
+FAREWELL: Final = 0.5
+"""s, in which the service may answer at the end."""
+
 WAITING: Final = 3
 """Messages without an answer from which on the keeper adds none: a service that is behind would only be later."""
 
@@ -136,7 +139,7 @@ class HaplyInverse3(DeviceDriver):
         self._keeper: threading.Thread | None = None
         self._events: Channel | None = None
         self._restore: list[str] = []  # what was on, and is to be again
-        self.lead = 0.0
+        self.lead = self._half = 0.0  # s, the latter half of the shortest trip
         self._version = version_of(asked(given["port"], "/version"))
         self._channel = Channel(given["port"])
         try:
@@ -235,13 +238,14 @@ class HaplyInverse3(DeviceDriver):
             trips.append(seconds(Duration(self._clock.now() - sent)))
         shortest, longest = min(trips), max(trips)
         room, own = ROOM * seconds(self._period), given["device_period"]
+        self._half = shortest / 2.0
         self.lead = longest + room
         age, delay = given["sample_age"], given["actuation_delay"]
         delay = _up(longest / 2.0 + own) if delay is None else delay
         if age is not None:
-            self.lead = min(self.lead, age)
+            self.lead = min(self.lead, max(room, age - room - own + self._half))
             return DeviceTiming(age, None, delay)
-        age = _up(longest + 2.0 * room + own - shortest / 2.0)
+        age = _up(longest + 2.0 * room + own - self._half)
         return DeviceTiming(age, min(age, _up(own + 2.0 * room + (longest - shortest) / 2.0)), delay)
 
     def _idles(self) -> float:
@@ -342,7 +346,7 @@ class HaplyInverse3(DeviceDriver):
             self._events.close()
         for key in self._restore:
             with suppress(HaplyError):  # a service that is gone
-                asked(self._given["port"], *switch(key, True, self._id, self._version))
+                asked(self._given["port"], *switch(key, True, self._id, self._version), timeout=FAREWELL)
 
     # --- what comes
 
@@ -434,7 +438,7 @@ class HaplyInverse3(DeviceDriver):
                 f"{self._name}: found no answer for {1e-6 * before:.0f} ms; expected one for each message within "
                 f"{1e-6 * limit:g} ms: the service is busy or stopped (see its log)"
             )
-        age = seconds(before) + self._given["device_period"]
+        age = seconds(before) + self._given["device_period"] - self._half
         self._oldest = max(self._oldest, age)
         self._counts["older_than_stated"] += age > self._timing.sample_age
         return newest

@@ -6,6 +6,7 @@ Nothing here judges how fast the machine is: what is awaited comes in the end, o
 from __future__ import annotations
 
 import socket
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -16,6 +17,7 @@ import pytest
 
 from manyhands.devices.haply import HaplyError, HaplyInverse3
 from manyhands.devices.haply.driver import ROUND
+from manyhands.extras import MissingExtra
 from manyhands.protocol.clock import Instant
 
 from ...fakes.haply import FakeHaply, fake_haply
@@ -90,6 +92,7 @@ def test_given_words_are_stated_as_they_are() -> None:
         opened(one, sample_age=0.002, actuation_delay=0.001, force_held="firmware") as driver,
     ):
         stated = driver.specification()
+        assert driver.lead <= 0.002 - 0.00025  # what is asked for so late is at most as old as stated
     assert not stated.holds_torque
     assert (stated.timing.sample_age, stated.timing.jitter, stated.timing.actuation_delay) == (0.002, 0.002, 0.001)
 
@@ -183,7 +186,7 @@ def worked(late: bool) -> tuple[float, float, int]:
     """The work of the fake's motors and what the driver told of it, J; and how often it could not tell."""
     with fake_haply(damping=3.0, step=0.0005, late=late, idle=1.0) as one, opened(one) as driver:
         loop = Loop(driver)
-        for tick in range(150):
+        for tick in range(80):
             loop.turn([0.5 if tick % 60 < 30 else -0.5, 0.3, -0.2], 5_000 * MS)
         for _ in range(20):
             loop.turn()
@@ -193,12 +196,12 @@ def worked(late: bool) -> tuple[float, float, int]:
 
 @pytest.mark.parametrize("late", [False, True])
 def test_the_work_is_that_of_the_motors(late: bool) -> None:
-    for _ in range(5):
+    for _ in range(10):
         done, told, unknown = worked(late)
-        if unknown <= 1 + late:  # before a force has changed, nobody knows which frame tells it
+        if not unknown:  # the machine gave the loop its turn within 50 ms each time
             assert told == pytest.approx(done, rel=0.05, abs=1e-5)
             return
-    pytest.fail(f"the machine was too slow five times: {unknown} stretches are unknown")
+    pytest.fail(f"the machine was too slow ten times: {unknown} answers were unknown")
 
 
 @pytest.mark.parametrize("given", [{"tells_torques": False}, {"torque_unit": 1000.0}])
@@ -206,10 +209,9 @@ def test_torques_that_frames_do_not_tell_are_no_work(given: dict[str, Any]) -> N
     with fake_haply(damping=3.0, **given) as one, opened(one) as driver:
         loop = Loop(driver)
         until(lambda: loop.turn([1.0, 0.0, 0.0])[0] > 0.02)
-        loop.turn([1.0, 0.0, 0.0])
-        before = loop.unknown
-        loop.turn([1.0, 0.0, 0.0])
-        assert loop.unknown == before + 1
+        before = loop.unknown, loop.work
+        until(lambda: loop.turn([1.0, 0.0, 0.0]) != [] and loop.unknown > before[0] + 5)
+        assert loop.work == before[1]
 
 
 class Unkept(HaplyInverse3):
@@ -314,6 +316,12 @@ def test_no_service_is_named() -> None:
         taken.bind(("localhost", 0))  # nobody listens
         with pytest.raises(HaplyError, match="Connection refused"):
             HaplyInverse3(PORTS, 1e-3, {"port": taken.getsockname()[1]})
+
+
+def test_without_its_library_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "websockets", None)
+    with fake_haply() as one, pytest.raises(MissingExtra, match=r"expected the extra haply: pip install"):
+        HaplyInverse3(PORTS, 1e-3, {"port": one.port})
 
 
 def test_without_events_the_device_is_used() -> None:
