@@ -59,6 +59,9 @@ ROUND: Final = 5e-5
 ROOM: Final = 0.1
 """Part of a period by which a thread may wake too late, s in the formulas above."""
 
+ROUNDED: Final = 1e-3
+"""N; how much the numbers of 32 bits of a report may be off, and more."""
+
 LONGEST: Final = from_seconds(0.05)
 """How long a force without ``until`` is held."""
 
@@ -300,11 +303,18 @@ class HaplyInverse3(DeviceDriver):
         self._set(ZERO, now, now)
 
     def exerted(self) -> Sequence[float] | None:
-        """The force that the service reports, N; None as long as no state answers one like the last."""
+        """The force that the service reports, N; None as long as no state answers one like the last.
+
+        A report that differs by less than :data:`ROUNDED` is the force that was given.
+        """
         self._read()
-        if self._newest is None or self._newest[2] != self._force:
+        given = self._force
+        if self._newest is None or self._newest[2] != given:
             return None
-        return self._newest[1].force
+        told = self._newest[1].force
+        if told is not None and all(abs(a - b) < ROUNDED for a, b in zip(told, given, strict=True)):
+            return given
+        return None if self._work.late else told
 
     def work(self) -> float | None:
         """The work of the motors since the last call, J; None where the frames do not tell it."""

@@ -31,6 +31,7 @@ class MotorWork:
     Attributes:
         sum: of all that is known, J.
         unknown: how many stretches between two readings are missing in it.
+        late: whether a frame tells what was before its message, as far as is known.
         doubted: whether the torques were found to be none in N·m; the work is unknown from then on.
     """
 
@@ -38,7 +39,7 @@ class MotorWork:
         """No reading yet."""
         self.sum, self.unknown, self.doubted = 0.0, 0, False
         self._last: tuple[Reading, Vector] | None = None  # with the force of the message that it answers
-        self._late = False  # whether a frame tells what was before its message
+        self.late = False
         self._seen = self._size = 0.0  # J: the sum of f^T dx in the same stretches, and of the sizes of its parts
 
     def take(self, now: Reading, f: Vector) -> None:
@@ -48,8 +49,8 @@ class MotorWork:
             return
         before, held = last
         if not same(f, held) and now.force is not None:
-            self._late = same(now.force, held)
-        told = now if self._late else before
+            self.late = same(now.force, held)
+        told = now if self.late else before
         dx = [b - a for a, b in zip(before.position, now.position, strict=True)]
         done = None
         if now.angles is not None and before.angles is not None and told.torques is not None:

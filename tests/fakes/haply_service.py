@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import struct
 import sys
 import time
 from contextlib import suppress
@@ -39,6 +40,7 @@ DEFAULTS: dict[str, Any] = {
     "first_frame": True,
     "in_use": False,
     "refuses": [],  # keys of the config that cannot be switched off over HTTP
+    "float32": False,  # whether it reports forces in 32 bits
     "late": False,  # whether a frame tells the force of the message before
     "mass": 0.15,
     "damping": 1.0,
@@ -150,6 +152,8 @@ class Device:
         if self.given["late"]:
             told, force = self.reported_torques, self.reported
         idle = self.heard < 0.0
+        if self.given["float32"]:
+            force = list(struct.unpack("3f", struct.pack("3f", *force)))
         return {
             "cursor_position": named("xyz", [self.unit * p for p in (r * sin(turn), -r * cos(turn), z)]),
             "cursor_velocity": named("xyz", self.v),

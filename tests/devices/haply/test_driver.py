@@ -179,6 +179,20 @@ def test_how_long_the_service_holds_a_force_is_measured() -> None:
         assert "may hold a force for 0.5 s and more" in driver.specification().by_itself[0]
 
 
+@pytest.mark.parametrize("given", [{}, {"float32": True}, {"late": True}])
+def test_what_is_exerted_is_the_force_itself_or_unknown(given: dict[str, Any]) -> None:
+    """A report that is rounded, or of the message before, is no other force."""
+    with fake_haply(damping=5.0, **given) as one, opened(one) as driver:
+        loop, told = Loop(driver), 0
+        for tick in range(100):
+            f = (0.1 * (tick // 10) + 1.0 / 3.0, 0.0, 0.0)
+            loop.turn([*f])
+            found = driver.exerted()
+            assert found in (None, f)
+            told += found is not None
+        assert told
+
+
 # --- the work
 
 
