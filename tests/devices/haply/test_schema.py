@@ -1,8 +1,8 @@
 """The fake and the driver speak as the maker writes: each name with the place where it stands.
 
 Sources: the maker's pages of service 3.5 under docs.haply.co/inverseSDK/service; a frame of a real service of 3.1 to
-3.4, which others recorded in a comment of their controller for SOFA (``Haply_Inverse3Controller.cpp``); the maker's
-crate ``haply`` 1.3.1 (docs.rs), of which the list of types and ``examples/damping_demo.rs`` could be read.
+3.4 in a comment of InfinyTech3D/SofaHaplyRobotics (``HapticsHandling`` of the class ``Haply_Inverse3Controller``); the
+maker's crate ``haply`` 1.3.1 (docs.rs), of which the list of types and ``examples/damping_demo.rs`` could be read.
 """
 
 from __future__ import annotations
