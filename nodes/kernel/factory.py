@@ -43,6 +43,7 @@ SHIPPED: Final[Mapping[str, Mapping[str, str]]] = {
     DRIVERS: {
         "evdev-wheel": "manyhands.devices.evdev:EvdevWheel",
         "force-dimension": "manyhands.devices.force_dimension:ForceDimension",
+        "haply-inverse3": "manyhands.devices.haply:HaplyInverse3",
         "serial-board": "manyhands.devices.serial_board:SerialBoard",
     },
     ENGINES: {"mujoco": "manyhands.nodes.environment.mujoco:MujocoEngine"},

@@ -23,8 +23,12 @@ EXTRAS: Final[Mapping[str, tuple[str, ...]]] = {
     "ros": ("rosbags", "zenoh"),
     "mujoco": ("mujoco",),
     "mesh": ("trimesh",),
+    "haply": ("websockets",),
 }
-"""The modules that are imported from each extra of pyproject.toml; no module belongs to two of them."""
+"""The modules that are imported from each extra of pyproject.toml.
+
+Where one belongs to two of them, :func:`explained` names the first.
+"""
 
 
 class MissingExtra(ImportError):
@@ -50,7 +54,7 @@ def explained() -> Iterator[None]:
         yield
     except ModuleNotFoundError as error:
         module = (error.name or "").partition(".")[0]
-        extras = [extra for extra, modules in EXTRAS.items() if module in modules]
+        extras = [extra for extra, modules in EXTRAS.items() if module in modules][:1]
         if not extras:
             raise
         raise MissingExtra(_sentence(extras, [module]), name=error.name) from error
