@@ -8,6 +8,7 @@ tau, and the variation of a is a part of the period tolerance.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from manyhands.protocol.plain import Added
@@ -93,6 +94,11 @@ class DriverWord:
         """What rests on the driver's word; ``measured`` is whether it measures the force that it exerts."""
         *most, last = self.believed(measured)
         return f"{device} rests on the word of its driver {self.factory}: {', '.join(most)}, and {last}"
+
+
+def outside(device: str, by_itself: Sequence[str]) -> str:
+    """What a device does by itself, beside what is certified, as a sentence; empty for nothing."""
+    return f"{device} does by itself, outside the certificate: {'; '.join(by_itself)}" if by_itself else ""
 
 
 NO_DELAY = DeviceTiming()

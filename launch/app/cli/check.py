@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from pydantic_core import PydanticCustomError
@@ -24,6 +24,7 @@ from manyhands.launch.session.yaml import parse_tree
 from manyhands.nodes.device.plugin import PluginDriver, made_driver
 from manyhands.nodes.device.specification import AxisMap, DeviceSpecification
 from manyhands.nodes.environment.model import PROXY, REACT, make_model
+from manyhands.nodes.kernel.driver_statement import outside
 from manyhands.nodes.kernel.factory import DRIVERS, ENGINES, MODELS, FactoryError, FactoryName, published
 from manyhands.protocol.clock import RealtimeClock
 
@@ -89,7 +90,10 @@ def check_driver(
         bench = Bench(plugin, period, clock_for(stated, RealtimeClock()))
         pushes = Push(force, travel) if push else None
         found = checked_apart(bench, lambda: list(try_driver(bench, stated, pushes)))
-        _end(found, {"driver": name.factory}, as_json, f"for the session file: {_keys(stated)}")
+        if stated.by_itself and not as_json:
+            say(out, outside("the device", stated.by_itself))
+        own_words = {"by_itself": list(stated.by_itself)} if stated.by_itself else {}
+        _end(found, {"driver": name.factory, **own_words}, as_json, f"for the session file: {_keys(stated)}")
 
 
 @commands.command(name="check-model", epilog="Example: manyhands check-model my_world:make --ports 2 --level 0.2")
@@ -140,7 +144,7 @@ def check_model(
         _end(found, {"model": name.factory}, as_json)
 
 
-def _end(found: list[Judgement], what: dict[str, str], as_json: bool, advice: str = "") -> None:
+def _end(found: list[Judgement], what: dict[str, Any], as_json: bool, advice: str = "") -> None:
     """Print what was found, and ``advice`` where nothing is broken, and end the command."""
     if as_json:
         print_json({**what, "findings": [finding.as_plain() for finding in found]})
