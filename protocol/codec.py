@@ -365,6 +365,7 @@ ENDPOINTS: Final = _mapping(ENDPOINT)
 NAMES: Final = _list_of("names", MAX_ENTRIES, NAME)
 SENTENCES: Final = _list_of("sentences", MAX_SENTENCES, TEXT)
 BY_ITSELF: Final = _list_of("sentences", MAX_BY_ITSELF, _word(MAX_SENTENCE))
+ALL_BY_ITSELF: Final = _mapping(_list_of("sentences", 2 * MAX_BY_ITSELF, _word(MAX_SENTENCE)))
 STATES: Final = _mapping(NAME)
 RUNG: Final = integer(0, MAX_RUNG)
 VALUES: Final = PlainForm(pack_values, read_values)
@@ -575,7 +576,7 @@ LAYOUTS: Final[dict[type[Message], _Layout]] = {
     Report: (33, (COUNT, FIGURES)),
     Fault: (34, (TEXT,)),
     Observation: (35, (NAME, COUNT, FIGURES, TRACES)),
-    Condition: (36, (NAME, FINITE, STATES, NAMES, *[SENTENCES] * 3, PROMISES, _mapping(BY_ITSELF))),
+    Condition: (36, (NAME, FINITE, STATES, NAMES, *[SENTENCES] * 3, PROMISES, ALL_BY_ITSELF)),
     Grasp: (37, (VALUES,)),
     Release: (38, ()),
 }

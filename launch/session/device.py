@@ -91,6 +91,7 @@ from manyhands.nodes.kernel.driver_statement import DeviceTiming, DriverWord
 from manyhands.nodes.kernel.factory import DRIVERS
 from manyhands.nodes.kernel.inertia import Inertia
 from manyhands.nodes.kernel.intent import ALLOWED, Formula, FormulaError
+from manyhands.protocol.limits import MAX_BY_ITSELF, MAX_SENTENCE
 
 DEFAULT_HAND: Final[Mapping[str, object]] = {
     "operator": {"num": [0.02, 1.2, 20.0], "den": [1.0, 10.3, 100.0]},
@@ -243,12 +244,21 @@ _SIMULATED, _TRACE, _BROWSER = _DRIVERS = ("simulated", "trace", "browser")
 _ELSEWHERE: Final = ("mass", "damping", "hand")
 """Keys of a simulated mechanism; a recorded motion has none of them."""
 
-_NOT_OF_A_PLUGIN: Final = ("damping", "hand")
+_NOTOF_A_PLUGIN: Final = ("damping", "hand")
 """Those that a driver of another package has itself. Of its mass a session may state the least."""
 
-_OF_A_PLUGIN: Final = ("parameters", "sample_age", "age_jitter", "actuation_delay", "axis_map", "scale")
+OF_A_PLUGIN: Final = ("parameters", "sample_age", "age_jitter", "actuation_delay", "axis_map", "scale", "by_itself")
 """Keys of a driver of another package; no other device has them."""
 
+_DEEDS: Final = Items(
+    "sentences",
+    MAX_BY_ITSELF,
+    Name(
+        "what it does by itself",
+        rf"[^\x00-\x1f\x7f]{{1,{MAX_SENTENCE}}}",
+        f"a line of at most {MAX_SENTENCE} characters",
+    ),
+)
 _AGE: Final = Quantity("a time", "s", least=0.0, most=LONGEST_PERIOD)
 _SCALE: Final = Quantity("a scale", above=0.0, smallest=MIN_POSITIVE)
 _AXIS: Final = Name("an axis of the driver", "-?[a-z0-9][a-z0-9_]{0,31}", "its name, after a minus to turn it round")
@@ -406,16 +416,16 @@ class Device(SessionModel):
             "allOf": [
                 {
                     "if": where("driver", _SIMULATED, _BROWSER),
-                    "then": {"required": ["mass"], **without("trace", *_OF_A_PLUGIN)},
+                    "then": {"required": ["mass"], **without("trace", *OF_A_PLUGIN)},
                 },
                 {"if": where("driver", _BROWSER), "then": without(*_NOT_MEASURED)},
                 {
                     "if": where("driver", _TRACE),
-                    "then": {"required": ["trace"], **without(*_ELSEWHERE, *_OF_A_PLUGIN, *_NOT_MEASURED)},
+                    "then": {"required": ["trace"], **without(*_ELSEWHERE, *OF_A_PLUGIN, *_NOT_MEASURED)},
                 },
                 {
                     "if": {"properties": {"driver": {"not": {"enum": [*_DRIVERS]}}}, "required": ["driver"]},
-                    "then": {"allOf": [without("trace", *_NOT_OF_A_PLUGIN), {"properties": {"time": {"const": WALL}}}]},
+                    "then": {"allOf": [without("trace", *_NOTOF_A_PLUGIN), {"properties": {"time": {"const": WALL}}}]},
                 },
             ]
         }
@@ -448,6 +458,9 @@ class Device(SessionModel):
     )
     scale: Annotated[float | None, _SCALE] = Field(
         default=None, description="with a driver's factory, by how much motions grow from the device to the session"
+    )
+    by_itself: Annotated[tuple[str, ...] | None, _DEEDS] = Field(
+        default=None, description="with a driver's factory, what it does by itself, outside the certificate: sentences"
     )
     step: Annotated[tuple[float, ...] | None, _STEP] = Field(
         default=None, description="the step of its encoder in m: a number, or one for each axis"
@@ -532,7 +545,10 @@ class Device(SessionModel):
         if self.factory is None:
             return None
         timing, least = self.timing, None if self.friction is None else self.friction.least
-        return DriverWord(self.factory, timing.sample_age, timing.actuation_delay, self.step, least, self.holds_torques)
+        return DriverWord(
+            self.factory, timing.sample_age, timing.actuation_delay, self.step, least, self.holds_torques,
+            self.by_itself or (),
+        )  # fmt: skip
 
     @property
     def osp_low(self) -> Rows:
@@ -612,7 +628,7 @@ class Device(SessionModel):
         if self.factory is not None:
             yield from self._plugin_problems(here)
             return
-        for key in _OF_A_PLUGIN:
+        for key in OF_A_PLUGIN:
             if getattr(self, key) is not None:
                 yield Problem((key,), f"{key} {here}", f"a driver's factory, package.module:factory, or no {key}")
         for key in _NOT_MEASURED:
@@ -672,7 +688,7 @@ class Device(SessionModel):
         """The problems of a device that a driver of another package moves."""
         if self.trace is not None:
             yield Problem(("trace",), f"trace {here}", "'driver: trace', or no trace")
-        for key in _NOT_OF_A_PLUGIN:
+        for key in _NOTOF_A_PLUGIN:
             if getattr(self, key) is not None:
                 yield Problem((key,), f"{key} {here}", f"no {key}: the driver's device and its user have their own")
         if self.time != WALL:

@@ -62,6 +62,7 @@ class DriverWord:
         step: of its encoder by axis, likewise, m; None where none is stated.
         friction: what it burns at least, by axis, likewise, N; None where none is stated.
         torques: whether its motors hold joint torques from tick to tick, in place of the force.
+        by_itself: what the session states that the device does by itself; its driver may state more.
     """
 
     factory: str
@@ -70,6 +71,7 @@ class DriverWord:
     step: Added[tuple[float, ...] | None] = None
     friction: Added[tuple[float, ...] | None] = None
     torques: Added[bool] = False
+    by_itself: Added[tuple[str, ...]] = ()
 
     def believed(self, measured: bool) -> tuple[str, ...]:
         """Everything that rests on the driver's word; ``measured`` is whether it measures the force that it exerts."""

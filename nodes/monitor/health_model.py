@@ -206,7 +206,7 @@ class HealthModel:
 
     Attributes:
         now: the session's time, s: that of the latest tick that any node has reported.
-        by_itself: by device, what it does by itself, as its driver states.
+        by_itself: by device, what it does by itself, as its session and its driver state.
     """
 
     def __init__(self, terms: Terms) -> None:
@@ -222,7 +222,7 @@ class HealthModel:
         self._stated: set[Promise] = set()  # of which only a device's telemetry says that they are made
         self._given = {name: _Given() for name in terms.wall}
         self._put_in = dict.fromkeys(terms.drivers, 0.0)  # by the users of these devices at least, J
-        self.by_itself: dict[str, tuple[str, ...]] = {}
+        self.by_itself = {name: word.by_itself for name, word in terms.drivers.items() if word.by_itself}
         self._measure: set[str] = set()  # devices whose driver measures the force that they exert
         self._causes = Causes()
         self._told: dict[str, float] = {}  # by node, the time of its latest message, s
@@ -240,10 +240,10 @@ class HealthModel:
 
     def hear(self, node: str, by_itself: tuple[str, ...]) -> None:
         """``node`` is a device whose driver has stated what it does by itself; of other nodes nothing changes."""
-        if node in self._terms.drivers and by_itself:
-            self.by_itself[node] = by_itself
-        else:  # another process of a device may state less
-            self.by_itself.pop(node, None)
+        if node in self._terms.drivers:
+            found = tuple(dict.fromkeys((*self._terms.drivers[node].by_itself, *by_itself)))
+            self.by_itself.pop(node, None)  # another process of a device may state less
+            self.by_itself |= {node: found} if found else {}
 
     def take(self, node: str, tick: int, figures: Figures) -> None:
         """Take in the figures of a node's telemetry; unknown nodes and figures that make no sense change nothing.

@@ -509,7 +509,12 @@ def test_what_a_device_does_by_itself_is_said_with_its_drivers_word() -> None:
     assert deed not in remark()
 
 
+FACTORY = "a.b:" + "C" * 200
+LONG = tuple(f"{i}{'x' * (MAX_SENTENCE - 1)}" for i in range(MAX_BY_ITSELF))
+
+
 def test_a_remark_has_room_for_all_that_may_be_said() -> None:
-    found = HealthModel(replace(TERMS, drivers={"dx": DriverWord("a.b:" + "C" * 200, 1.0, 1.0, (1.0,), (1.0,), True)}))
-    found.hear("dx", ("x" * MAX_SENTENCE,) * MAX_BY_ITSELF)
-    encode(Condition("running", 0.0, {}, promises=found.rows()))
+    found = HealthModel(replace(TERMS, drivers={"dx": DriverWord(FACTORY, 1.0, 1.0, (1.0,), (1.0,), True, LONG)}))
+    found.hear("dx", tuple(f"{i}{'y' * (MAX_SENTENCE - 1)}" for i in range(MAX_BY_ITSELF)))
+    assert len(found.by_itself["dx"]) == 2 * MAX_BY_ITSELF
+    encode(Condition("running", 0.0, {}, promises=found.rows(), by_itself=found.by_itself))
