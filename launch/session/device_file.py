@@ -185,18 +185,17 @@ def _with_file(tree: SessionTree, name: str, device: Mapping[str, Any], file: De
         given = {key: value for key, value in given.items() if key not in OF_A_PLUGIN}
     elif file.by_itself:
         given[BY_ITSELF] = list(file.by_itself)
-    merged, replaced = {**given, **own}, {key for key in own if key in given}
+    merged = {**given, **own}
     for key in (*OWN_ENTRIES, BY_ITSELF):
         match given.get(key), own.get(key):
             case dict(theirs), dict(ours):
                 merged[key] = {**theirs, **ours}
-                replaced.remove(key)
             case list(theirs), list(ours):
                 merged[key] = [*theirs, *ours]
     places = {
         inner: place
         for path, place in file.tree.places.items()
-        if len(inner := _inner(at, path)) > len(at) and inner[2] in given and inner[2] not in replaced
+        if len(inner := _inner(at, path)) > len(at) and inner[2] in given
     } | {path: place for path, place in tree.places.items() if path != (*at, FROM)}
     if "osp" not in merged:
         _, where = tree.locate((*at, FROM))

@@ -144,6 +144,10 @@ class TestWhatIsWrong:
         said = refusal(tmp_path, "from: ./my-stick.yaml, limits: {force: -5}")
         assert said.startswith("s.yaml:4: devices.stick.limits.force: found -5; expected ")
 
+    def test_though_the_file_has_a_number_for_each_axis(self, tmp_path: Path) -> None:
+        listed = STICK.replace("step: 0.00001", "step: [0.00001, 0.00002]")
+        assert refusal(tmp_path, "from: ./my-stick.yaml, step: -1", listed).startswith("s.yaml:4: devices.stick.step")
+
     @pytest.mark.parametrize(
         ("before", "after", "said"),
         [
