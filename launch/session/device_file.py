@@ -44,7 +44,8 @@ _PARTS: Final = ("device", "keys", "sources", BY_ITSELF, "identification", "note
 _REQUIRED: Final = ("device", "keys", "sources")
 _CITED: Final = re.compile(r"\bdoi\b|https?://|\bidentif", re.IGNORECASE)
 _USB: Final = re.compile(r"[0-9a-f]{4}(:[0-9a-f]{4})?")
-_FOUND_BY: Final = ("usb", "product", "library", "service", "input", "source")
+_FLAGS: Final = ("input", "serial")
+_FOUND_BY: Final = ("usb", "product", "library", "service", *_FLAGS, "parameter", "source")
 _TO_DO: Final = "the damping that your device surely has; measure it with manyhands identify, or state it"
 
 
@@ -58,6 +59,8 @@ class FoundBy:
         library: the shared library that talks to it, by its name without "lib" and ".so"; empty for none.
         service: the address at which its maker's service tells its version; empty for none.
         input: whether it is a device of Linux' input subsystem with force feedback.
+        serial: whether any USB serial port may be one.
+        parameter: of its driver, which takes the path of the port; empty where it takes none.
         source: where the ids are from.
     """
 
@@ -66,6 +69,8 @@ class FoundBy:
     library: str = ""
     service: str = ""
     input: bool = False
+    serial: bool = False
+    parameter: str = ""
     source: str = ""
 
 
@@ -294,7 +299,7 @@ def _found_by_problems(found_by: object) -> Iterator[Problem]:
                 yield Problem(
                     at, show(value), 'a list of "VENDOR:PRODUCT" or "VENDOR", lowercase hexadecimal in quotes'
                 )
-        elif key == "input":
+        elif key in _FLAGS:
             if not isinstance(value, bool):
                 yield Problem(at, show(value), "true or false")
         elif not isinstance(value, str):
