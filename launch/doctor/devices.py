@@ -2,8 +2,8 @@
 
 What a device is known by stands in its file of the catalogue: ``found_by`` of
 :mod:`manyhands.launch.session.device_file`. Everything is read from sysfs, from the device nodes' rights, from the
-folders of shared libraries, and from a service on this computer that tells its version. Nothing is opened, and no device
-notices.
+folders of shared libraries, and from a service on this computer that tells its version. Nothing is opened, and no
+device notices.
 """
 
 from __future__ import annotations

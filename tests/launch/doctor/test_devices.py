@@ -196,7 +196,11 @@ class TestService:
         assert asked == ["/version"]
         assert version_at(f"http://127.0.0.1:{free}/version") is None
 
-    def test_nobody_elsewhere_is_asked(self) -> None:
+    def test_nobody_elsewhere_is_asked(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        def refuse(*_: object, **__: object) -> None:
+            pytest.fail("a connection was made")
+
+        monkeypatch.setattr(devices.http.client, "HTTPConnection", refuse)
         assert version_at("http://192.0.2.1:10001/version") is None
 
 
