@@ -20,7 +20,7 @@ class Heavy(Counterpart):
 """
 
 SENTENCE = (
-    "d does by itself, outside the certificate: compensates gravity by a force of its own; "
+    "d does by itself, outside the certificate: rests on a spring; compensates gravity by a force of its own; "
     "passes 30 % of each force through a filter"
 )
 
@@ -28,7 +28,12 @@ SESSION = """
 session: heavy
 period: 0.001
 devices:
-  d: {dof: 1, osp: 1.37, driver: "heavy:Heavy", limits: {force: 8, displacement: 0.2, speed: 2}}
+  d:
+    dof: 1
+    osp: 1.37
+    driver: "heavy:Heavy"
+    by_itself: [rests on a spring]
+    limits: {force: 8, displacement: 0.2, speed: 2}
   other: {dof: 1, osp: 1.37, driver: simulated, mass: 0.2}
 couplings:
   c: {devices: [d]}
@@ -46,6 +51,8 @@ def test_what_a_device_does_by_itself_stands_beside_the_certificate(tmp_path: Pa
     root = Path(__file__).parents[2]
     (tmp_path / "heavy.py").write_text(f"import sys\nsys.path.append({str(root)!r})\n{DRIVER}")
     (tmp_path / "heavy.yaml").write_text(SESSION)
+    designed = " ".join(run("design", tmp_path / "heavy.yaml").split())
+    assert "d does by itself, outside the certificate: rests on a spring" in designed  # what its session states of it
     recording, report = tmp_path / "heavy.mcap", tmp_path / "heavy.json"
     files = ("--record", recording, "--report", report)
     run("launch", tmp_path / "heavy.yaml", "--clock", "simulated", "--duration", "0.3", *files)
