@@ -62,7 +62,7 @@ class AxisRead:
 
 
 @dataclass(frozen=True)
-class Answer:
+class AxisAnswer:
     """What one axis answered to a push both ways.
 
     Attributes:
@@ -171,14 +171,16 @@ class Question:
 
 
 @dataclass
-class Found:
+class Explained:
     """What was read, and what was answered."""
 
     reads: list[AxisRead] = field(default_factory=list)
-    answers: list[Answer] = field(default_factory=list)
+    answers: list[AxisAnswer] = field(default_factory=list)
 
 
-def ask_device(bench: Bench, stated: DeviceSpecification, ticks: int, push: Push | None, question: Question) -> Found:
+def ask_device(
+    bench: Bench, stated: DeviceSpecification, ticks: int, push: Push | None, question: Question
+) -> Explained:
     """Read a device, push it where its user agrees, and close it.
 
     An axis that moves against its force, or another axis in its place, is the last that is pushed.
@@ -193,7 +195,7 @@ def ask_device(bench: Bench, stated: DeviceSpecification, ticks: int, push: Push
     Raises:
         DriverFailure: the driver fails.
     """
-    found = Found()
+    found = Explained()
     try:
         bench.rest(ticks)
         places = bench.samples.places
@@ -216,7 +218,7 @@ def ask_device(bench: Bench, stated: DeviceSpecification, ticks: int, push: Push
         bench.close()
 
 
-def _pushed(bench: Bench, stated: DeviceSpecification, axis: int, push: Push) -> Answer:
+def _pushed(bench: Bench, stated: DeviceSpecification, axis: int, push: Push) -> AxisAnswer:
     """Push one axis, both ways."""
     force = min(push.force, stated.force[axis])
     f = [force if i == axis else 0.0 for i in range(len(stated.axes))]
@@ -236,7 +238,7 @@ def _pushed(bench: Bench, stated: DeviceSpecification, axis: int, push: Push) ->
     least = max(LEAST, STEPS * step, ABOVE_NOISE * float(max(noise[axis] for noise in noises)))
     most = int(np.abs(answer).argmax())
     beside = abs(answer[most]) > max(least, SIDEWAYS * abs(answer[axis])) and most != axis
-    return Answer(
+    return AxisAnswer(
         called(stated.axes[axis]), force, float(ways[0][axis]), float(ways[1][axis]), least,
         max(measured) if measured else None, (called(stated.axes[most]), float(answer[most])) if beside else None,
     )  # fmt: skip

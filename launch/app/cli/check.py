@@ -12,7 +12,7 @@ import typer
 from pydantic_core import PydanticCustomError
 
 from manyhands.launch.app.cli.common import Json, end, err, errors, out, refuse
-from manyhands.launch.conformance.answers import Found, Question, ask_device, called
+from manyhands.launch.conformance.answers import Explained, Question, ask_device, called
 from manyhands.launch.conformance.driver import Bench, NeverReturned, Push, checked_apart, clock_for, run_apart
 from manyhands.launch.conformance.driver import check_driver as try_driver
 from manyhands.launch.conformance.judgement import Judgement, broken, print_judgements
@@ -140,7 +140,7 @@ def probe(
         end(EXIT_OK if all(answer.right for answer in found.answers) else EXIT_FAILED)
 
 
-def _sentences(found: Found, stated: DeviceSpecification, push: bool) -> Iterator[str]:
+def _sentences(found: Explained, stated: DeviceSpecification, push: bool) -> Iterator[str]:
     """What was found, as sentences."""
     moved = {answer.axis for answer in found.answers if answer.moved}
     for one in found.reads:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from manyhands.launch.conformance.answers import Answer, Found, Question, ask_device, called
+from manyhands.launch.conformance.answers import AxisAnswer, Explained, Question, ask_device, called
 from manyhands.launch.conformance.driver import Bench, NeverReturned, Push, run_apart
 from manyhands.nodes.device.plugin import DeviceDriver, DriverFailure
 from manyhands.protocol.clock import Instant
@@ -25,7 +25,7 @@ def agreed(answer: bool = True) -> Question:
     return question
 
 
-def found(kind: type[DeviceDriver], axes: int = 2, push: Push | None = Push(), **parameters: Any) -> Found:  # noqa: B008
+def found(kind: type[DeviceDriver], axes: int = 2, push: Push | None = Push(), **parameters: Any) -> Explained:  # noqa: B008
     bench, stated = bench_of(kind, axes, **parameters)
     return ask_device(bench, stated, TICKS, push, agreed())
 
@@ -134,8 +134,8 @@ class TestAnswers:
         ]
 
     def test_an_encoders_step_is_no_answer(self) -> None:
-        assert not Answer("x", 0.5, 2e-5, -2e-5, 2e-5).moved
-        assert Answer("x", 0.5, 2.1e-5, -2.1e-5, 2e-5).moved
+        assert not AxisAnswer("x", 0.5, 2e-5, -2e-5, 2e-5).moved
+        assert AxisAnswer("x", 0.5, 2.1e-5, -2.1e-5, 2e-5).moved
         [answer] = found(drivers.Counterpart, 1, Push(0.5), step=0.01).answers
         assert (answer.moved, answer.noise) == (False, 0.02)
 
@@ -144,7 +144,7 @@ class TestAnswers:
 
     def test_as_a_json_object(self) -> None:
         text = "x answered +0.5 N by moving +2.00 mm, and -0.5 N by moving -1.00 mm: in its direction"
-        assert Answer("x", 0.5, 0.002, -0.001, 1e-6, 0.5).as_plain() == {
+        assert AxisAnswer("x", 0.5, 0.002, -0.001, 1e-6, 0.5).as_plain() == {
             "axis": "x", "force": 0.5, "there": 0.002, "back": -0.001, "moved": True, "right": True, "measured": 0.5,
             "sideways": None, "text": text,
         }  # fmt: skip
@@ -169,7 +169,7 @@ class TestReading:
     def test_it_is_read_on_until_the_question_is_answered(self) -> None:
         """A loop that stopped would let a device's watchdog end, or its buffer run over."""
         bench, stated = bench_of(drivers.Counterpart, 1)
-        question, seen = Question(), list[Found]()
+        question, seen = Question(), list[Explained]()
         thread = threading.Thread(target=lambda: seen.append(ask_device(bench, stated, TICKS, Push(), question)))
         thread.start()
         try:
