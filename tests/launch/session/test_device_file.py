@@ -117,7 +117,7 @@ class TestDefaults:
             "type": "network",
             "links": [{"between": [f"stick.{axis}", "ground"], "stiffness": 100} for axis in "xyz"],
         }
-        assert Session.from_dict(data).devices["stick"].limits.force == (12.0,) * 3
+        assert Session.from_dict(data).devices["stick"].limits.force == (6.9,) * 3
 
 
 class TestWhatIsWrong:
