@@ -35,6 +35,7 @@ import msgpack
 import numpy as np
 
 from manyhands.protocol.limits import (
+    MAX_BY_ITSELF,
     MAX_CONTAINERS,
     MAX_CONTROL_BYTES,
     MAX_COUNT,
@@ -46,6 +47,7 @@ from manyhands.protocol.limits import (
     MAX_PIECE_BYTES,
     MAX_PORTS,
     MAX_RUNG,
+    MAX_SENTENCE,
     MAX_SENTENCES,
     MAX_TEXT,
     MAX_TRACE_SIDE,
@@ -362,6 +364,8 @@ ENDPOINT: Final = _word(MAX_ENDPOINT)
 ENDPOINTS: Final = _mapping(ENDPOINT)
 NAMES: Final = _list_of("names", MAX_ENTRIES, NAME)
 SENTENCES: Final = _list_of("sentences", MAX_SENTENCES, TEXT)
+BY_ITSELF: Final = _list_of("sentences", MAX_BY_ITSELF, _word(MAX_SENTENCE))
+ALL_BY_ITSELF: Final = _mapping(_list_of("sentences", 2 * MAX_BY_ITSELF, _word(MAX_SENTENCE)))
 STATES: Final = _mapping(NAME)
 RUNG: Final = integer(0, MAX_RUNG)
 VALUES: Final = PlainForm(pack_values, read_values)
@@ -553,7 +557,7 @@ LAYOUTS: Final[dict[type[Message], _Layout]] = {
     Welcome: (3, ()),
     Refusal: (4, (REFUSAL_CODE, TEXT)),
     Connect: (5, (ENDPOINTS,)),
-    Ready: (6, ()),
+    Ready: (6, (BY_ITSELF,)),
     Start: (7, (COUNT, COUNT, COUNT)),
     Stop: (8, (TEXT,)),
     Probe: (9, (COUNT,)),
@@ -572,7 +576,7 @@ LAYOUTS: Final[dict[type[Message], _Layout]] = {
     Report: (33, (COUNT, FIGURES)),
     Fault: (34, (TEXT,)),
     Observation: (35, (NAME, COUNT, FIGURES, TRACES)),
-    Condition: (36, (NAME, FINITE, STATES, NAMES, *[SENTENCES] * 3, PROMISES)),
+    Condition: (36, (NAME, FINITE, STATES, NAMES, *[SENTENCES] * 3, PROMISES, ALL_BY_ITSELF)),
     Grasp: (37, (VALUES,)),
     Release: (38, ()),
 }

@@ -32,6 +32,12 @@ MAX_ENTRIES: Final = 2048
 MAX_SENTENCES: Final = 128
 """Most sentences of one kind, and most promises, in a Condition."""
 
+MAX_BY_ITSELF: Final = 8
+"""Most sentences of one source, a driver or a session, about what a device does by itself."""
+
+MAX_SENTENCE: Final = 200
+"""Longest of these sentences, characters: those of a session and of its driver have room in the remark of a promise."""
+
 MAX_CONTAINERS: Final = 5000
 """Most arrays and maps in one frame: an empty one needs a hundred times its length. A report of all maps needs 4100."""
 

@@ -107,7 +107,13 @@ class Connect:
 
 @dataclass(frozen=True, slots=True)
 class Ready:
-    """To the supervisor: all links of the sender are established."""
+    """To the supervisor: all links of the sender are established.
+
+    Attributes:
+        by_itself: of a device, a sentence for each thing that it does by itself, as its driver states.
+    """
+
+    by_itself: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -449,6 +455,7 @@ class Condition:
         incidents: a sentence for each of the latest incidents that the session withstood.
         faults: a sentence for each failure.
         promises: how each promise of the session stands.
+        by_itself: by device, what it does by itself, which no certificate covers.
     """
 
     phase: str
@@ -459,6 +466,7 @@ class Condition:
     incidents: tuple[str, ...] = ()
     faults: tuple[str, ...] = ()
     promises: Added[tuple[PromiseStatus, ...]] = ()
+    by_itself: Added[Mapping[str, tuple[str, ...]]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -38,6 +38,7 @@ from manyhands.launch.plan.feel import feel_lines
 from manyhands.launch.plan.loop import haptic_loop
 from manyhands.launch.plan.sites import IN_TICK, part, part_files, part_names, world
 from manyhands.launch.session import ENVIRONMENT, Session
+from manyhands.nodes.kernel.driver_statement import outside
 
 if TYPE_CHECKING:
     from manyhands.design.synthesis import Designed
@@ -116,6 +117,10 @@ def run_design(
             break
     if as_json:
         print_json(objects if several else objects[IN_TICK])
+    elif code == EXIT_OK:
+        for name, device in session.devices.items():
+            if device.by_itself:
+                say(out, outside(name, device.by_itself))
     return code
 
 

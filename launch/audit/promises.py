@@ -63,6 +63,8 @@ def promises_of(prepared: Prepared, run: RecordedRun, checks: Sequence[Check]) -
     for _, node, tick, figures in sorted(telemetry, key=lambda one: one[2] / one[0]):
         model.take(node, tick, figures)
     model.conclude()
+    for device, by_itself in run.by_itself.items():
+        model.hear(device, by_itself)
     rows = {(row.promise, row.who): row for row in model.rows()}
     for row in _of_the_clock(run, made := {*terms.promises}):
         shown = rows.get((row.promise, row.who))

@@ -104,6 +104,9 @@ LEFT: Final = 0.1
 MASSES: Final = (0.005, 50.0)
 """kg; the masses that a hand can move, where a driver states none."""
 
+LOOK: Final = 0.1
+"""s, from one look at a running suite to the next."""
+
 PATIENCE: Final = 2.0
 """s; a call that takes longer is taken for one that never returns."""
 
@@ -122,7 +125,7 @@ class Push:
 
 
 @dataclass
-class _Record:
+class Stretch:
     """One stretch of ticks: when the samples were taken, and what they were.
 
     Attributes:
@@ -135,10 +138,12 @@ class _Record:
 
     @property
     def times(self) -> Array:
+        """As an array, s."""
         return np.array(self.at)
 
     @property
     def places(self) -> Array:
+        """As an array, ticks x axes, m."""
         return np.array(self.x)
 
     def __len__(self) -> int:
@@ -174,6 +179,8 @@ class Bench:
         durations: of the calls, by method, ns.
         inside: the call that has not returned yet, and its number; None between calls.
         stopping: set from outside, ends the suite at the next tick.
+        exerted: what the driver measured of its force in each tick of the last stretches, N, at the ports; empty for a
+            driver that measures none. Whoever asks clears it.
     """
 
     def __init__(self, driver: Driver, T: float, clock: Clock, timer: CallTimer | None = None) -> None:
@@ -193,25 +200,26 @@ class Bench:
         self.durations: dict[str, list[int]] = {}
         self.inside: tuple[str, int] | None = None
         self.stopping = False
-        self.samples = _Record()  # all of them
+        self.exerted: list[list[float]] = []
+        self.samples = Stretch()  # all of them
         self.books = _Books()
         self._held: list[float] | None = None
 
-    def rest(self, ticks: int) -> _Record:
+    def rest(self, ticks: int) -> Stretch:
         """Read the device for some ticks, with no force."""
         return self._run(ticks, None)
 
-    def push(self, f: list[float], ticks: int, travel: float) -> _Record:
+    def push(self, f: list[float], ticks: int, travel: float) -> Stretch:
         """Exert f (N) for some ticks, or until the device has moved by ``travel``, m."""
         return self._run(ticks, f, travel)
 
-    def silence(self, f: list[float], end: int, ticks: int) -> _Record:
+    def silence(self, f: list[float], end: int, ticks: int) -> Stretch:
         """Exert f (N) until ``end`` ticks are over, call nothing for ``ticks``, and read the device on both ends."""
         self._tick(None)
         now = self._now()
         until = Instant(now + end * self._period)
         self._call("apply", lambda: self._driver.apply(f, now, until))
-        record = _Record(self.samples.at[-1:], self.samples.x[-1:])
+        record = Stretch(self.samples.at[-1:], self.samples.x[-1:])
         self._slot += ticks - 1
         self._timed = False  # a counterpart makes up for all of the silence in the next call
         self._tick(None)
@@ -225,8 +233,8 @@ class Bench:
         self._call("close", self._driver.close)
         self._call("close", self._driver.close)
 
-    def _run(self, ticks: int, f: list[float] | None, travel: float | None = None) -> _Record:
-        record = _Record()
+    def _run(self, ticks: int, f: list[float] | None, travel: float | None = None) -> Stretch:
+        record = Stretch()
         for _ in range(ticks):
             self._tick(f)
             record.at.append(self.samples.at[-1])
@@ -259,7 +267,9 @@ class Bench:
         self._slot = max(self._slot + 1, -((self._epoch - self._clock.now()) // self._period))
         self._turn += 1
         if isinstance(driver, PluginDriver):
-            self._call("exerted", lambda: driver.exerted(f or [0.0] * driver.axes))
+            measured = self._call("exerted", lambda: driver.exerted(f or [0.0] * driver.axes))
+            if driver.measures and f is not None:
+                self.exerted.append(list(measured))
         due = Instant(self._slot * self._period)
         self._call("idle", lambda: driver.idle(due))
 
@@ -373,11 +383,11 @@ def _fault(ratio: float) -> str:
     return "it is the sum of t^T (q_new - q_old) since the last answer, with the torques that were held in between"
 
 
-def _silent(bench: Bench, f: list[float]) -> _Record:
+def _silent(bench: Bench, f: list[float]) -> Stretch:
     """A push that ends by itself in silence, after some ticks that show how the device moves without it."""
     before = bench.rest(LEAST_TICKS)
     during = bench.silence(f, SILENT_TICKS // 5, SILENT_TICKS)
-    return _Record(before.at + during.at, before.x + during.x)
+    return Stretch(before.at + during.at, before.x + during.x)
 
 
 def _failed(failure: DriverFailure) -> Judgement:
@@ -441,10 +451,10 @@ class _Pushed:
 
     axis: int
     force: float
-    there: _Record
-    after: _Record
-    back: _Record
-    after_back: _Record
+    there: Stretch
+    after: Stretch
+    back: Stretch
+    after_back: Stretch
 
     def answer(self) -> Array:
         """The acceleration of each axis along the push, m/s^2: half the difference between both ways."""
@@ -464,7 +474,7 @@ class _Pushed:
         return times, places, np.concatenate([np.array(every) for every in forces])
 
 
-def _acceleration(record: _Record) -> Array:
+def _acceleration(record: Stretch) -> Array:
     """The acceleration a of the fit x(t) = x0 + v0 t + a t^2 / 2, m/s^2, by axis."""
     t = record.times - record.at[0]
     fit = np.linalg.lstsq(np.column_stack([np.ones_like(t), t, t**2 / 2.0]), record.places, rcond=None)[0]
@@ -588,12 +598,12 @@ def _answer(t: Array, x: Array, force: Array, T: float) -> tuple[float, float, b
     return delay, 1.0 / mobility if mobility > 0.0 else np.inf, best <= 0.05 * scale
 
 
-def _silence(pushed: _Pushed, silence: tuple[_Record, _Record], T: float, stated: DeviceSpecification) -> Judgement:
+def _silence(pushed: _Pushed, silence: tuple[Stretch, Stretch], T: float, stated: DeviceSpecification) -> Judgement:
     """Whether a force ended by itself: the way that it moved the device while nothing was called."""
     axis, of, ways = pushed.axis, pushed.words(stated), []
     a = float(pushed.answer()[axis])
     for record in silence:
-        before = _Record(record.at[:-1], record.x[:-1])
+        before = Stretch(record.at[:-1], record.x[:-1])
         t = before.times - before.at[-1]
         line = np.polyfit(t, before.places[:, axis], 1)
         ways.append(record.x[-1][axis] - float(np.polyval(line, record.at[-1] - before.at[-1])))
@@ -616,33 +626,65 @@ def checked_apart(bench: Bench, suite: Callable[[], list[Judgement]], patience: 
         suite: makes the findings.
         patience: s after which a call is taken for one that never returns.
     """
-    found: list[Judgement] = []
+    try:
+        return run_apart(bench, suite, patience)
+    except NeverReturned as error:
+        return [Judgement(BLOCKING, Conformance.BROKEN, f"{error}; expected it to return at once")]
+
+
+class NeverReturned(Exception):
+    """A call of a driver has not returned for long; the message names it."""
+
+
+def run_apart(
+    bench: Bench, suite: Callable[[], _R], patience: float = PATIENCE, look: Callable[[], None] | None = None
+) -> _R:
+    """Run what uses a bench in a thread of its own; returns its result.
+
+    Args:
+        bench: the bench.
+        suite: what uses it.
+        patience: s after which a call is taken for one that never returns.
+        look: called in this thread ten times a second meanwhile, as long as it likes.
+
+    Raises:
+        NeverReturned: a call of the driver does not return.
+    """
+    found: list[_R] = []
     failed: list[BaseException] = []
 
     def work() -> None:
         try:
-            found.extend(suite())
+            found.append(suite())
         except BaseException as error:  # noqa: BLE001 -- raised again in the caller's thread
             failed.append(error)
 
     thread = threading.Thread(target=work, daemon=True)
     thread.start()
-    last: tuple[str, int] | None = None
+    last, waited = bench.inside, 0.0
+    step = patience if look is None else min(patience, LOOK)
     try:
         while thread.is_alive():
-            thread.join(patience)
+            thread.join(step)
+            waited += step
+            if look is not None:
+                look()
             inside = bench.inside
-            if thread.is_alive() and inside is not None and inside == last:
-                text = f"found that {inside[0]} has not returned for {patience:g} s; the device may keep its force"
-                return [Judgement(BLOCKING, Conformance.BROKEN, f"{text}; expected it to return at once")]
-            last = inside
+            if inside != last:
+                last, waited = inside, 0.0
+            elif thread.is_alive() and inside is not None and waited >= patience:
+                raise NeverReturned(
+                    f"found that {inside[0]} has not returned for {patience:g} s; the device may keep its force"
+                )
+    except NeverReturned:
+        raise  # there is no use in waiting for it
     except BaseException:
         bench.stopping = True  # the suite's thread closes the driver
         thread.join(patience)
         raise
     if failed:
         raise failed[0]
-    return found
+    return found[0]
 
 
 def clock_for(stated: DeviceSpecification, real: Clock) -> Clock:

@@ -18,10 +18,10 @@ from manyhands.launch.recordings.reading import cut_at, fitting, objects
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.nodes.recorder.coverage import Coverage, missing_by_party, spans_by_party
 from manyhands.nodes.recorder.coverage import Gap as MissingTicks
-from manyhands.nodes.recorder.format import METADATA, SUPERVISOR, Recorded, decode_figures
+from manyhands.nodes.recorder.format import METADATA, SUPERVISOR, Recorded, decode_condition, decode_figures
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.own_ticks import session_tick
-from manyhands.protocol.channels import DISPLACEMENT, TELEMETRY, topic_name, topics_of
+from manyhands.protocol.channels import CONDITION, DISPLACEMENT, TELEMETRY, topic_name, topics_of
 from manyhands.protocol.messages import Role
 
 
@@ -61,6 +61,7 @@ class Info:
         missing: number of its own ticks that are missing between first and last, by device, for devices that miss some.
         gaps: the missing ticks by device; the first :data:`MOST_GAPS`.
         accounts: the least interface account of each device that reported one, J.
+        by_itself: what devices do by themselves, which no certificate covers, by device.
         cut: why the file cannot be read to its end, and up to which tick it can; None for a whole file.
     """
 
@@ -73,6 +74,7 @@ class Info:
     missing: Mapping[str, int]
     gaps: Mapping[str, tuple[MissingTicks, ...]]
     accounts: Mapping[str, float]
+    by_itself: Mapping[str, tuple[str, ...]]
     cut: str | None
 
     @property
@@ -99,6 +101,7 @@ class Info:
             "missing": dict(self.missing),
             "gaps": {device: [[gap.begin, gap.end] for gap in gaps] for device, gaps in self.gaps.items()},
             "accounts": dict(self.accounts),
+            "by_itself": {device: list(own) for device, own in self.by_itself.items()},
             "cut": self.cut,
         }
 
@@ -131,10 +134,12 @@ class _InfoReader:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._recorded: Recorded | None = None
+        self._condition = ""  # the topic of the session's condition
         self._channels: dict[int, ChannelInfo] = {}
         self._devices: dict[str, tuple[str, Coverage]] = {}
         self._reporting: dict[str, str] = {}  # devices, by the topic of their figures
         self._accounts: dict[str, float] = {}
+        self._by_itself: dict[str, tuple[str, ...]] = {}
         self._attachments: dict[str, int] = {}
         self._why: str | None = None
 
@@ -160,6 +165,7 @@ class _InfoReader:
         self._devices = {
             topic_name(recorded.session, device, sample): (device, Coverage()) for device in recorded.devices
         }
+        self._condition = topic_name(recorded.session, SUPERVISOR, CONDITION)
         self._reporting = {topic_name(recorded.session, device, TELEMETRY): device for device in recorded.devices}
 
     def _count(self, found: list[Message]) -> None:
@@ -179,6 +185,9 @@ class _InfoReader:
                 self._devices[channel.topic][1].take_each(ticks)
             elif channel.topic in self._reporting:
                 self._take_accounts(self._reporting[channel.topic], own)
+            elif channel.topic == self._condition:
+                for _, condition in fitting(objects([message.data for message in own]), decode_condition):
+                    self._by_itself |= condition.by_itself
 
     def _take_accounts(self, device: str, found: list[Message]) -> None:
         """Take the least account from figures; each message has the least since the device's process began."""
@@ -209,5 +218,6 @@ class _InfoReader:
             missing=missing,
             gaps={device: devices[device].gaps_in(spans[device].start, spans[device].stop) for device in missing},
             accounts={device: self._accounts[device] for device in devices if device in self._accounts},
+            by_itself=self._by_itself,
             cut=None if self._why is None else cut_at(self._why, end),
         )

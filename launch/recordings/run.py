@@ -85,6 +85,11 @@ class RecordedRun:
     started: int | None = None
 
     @property
+    def by_itself(self) -> dict[str, tuple[str, ...]]:
+        """By device, what it does by itself, which no certificate covers; of each the latest that was recorded."""
+        return {device: own for _, condition in self.conditions for device, own in condition.by_itself.items()}
+
+    @property
     def session(self) -> str:
         """The session's name."""
         return self.recorded.session

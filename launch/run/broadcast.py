@@ -49,8 +49,9 @@ def condition_of(progress: Progress) -> Condition:
     silent = tuple(sorted(progress.silent))
     promises = tuple(replace(row, remark=presentable(row.remark)) for row in progress.promises)
     return Condition(
-        progress.phase.value, progress.elapsed, progress.states, silent, notices, incidents, faults, promises
-    )
+        progress.phase.value, progress.elapsed, progress.states, silent, notices, incidents, faults, promises,
+        progress.by_itself,
+    )  # fmt: skip
 
 
 def condition_frame(progress: Progress) -> bytes | None:

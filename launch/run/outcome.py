@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
@@ -47,6 +47,7 @@ class Progress:
         incidents: the latest faults that the session survived.
         faults: what went wrong.
         promises: how each promise of the session stands.
+        by_itself: by device, what it does by itself, as its driver states.
     """
 
     phase: SessionPhase
@@ -60,6 +61,7 @@ class Progress:
     incidents: tuple[str, ...] = ()
     faults: tuple[str, ...] = ()
     promises: tuple[PromiseStatus, ...] = ()
+    by_itself: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     __repr__ = brief_repr
 
@@ -288,6 +290,7 @@ def run_report(
     wave_links: Mapping[str, FeltLink] = MappingProxyType({}),
     promises: Sequence[PromiseStatus] = (),
     unreported: Sequence[str] = (),
+    by_itself: Mapping[str, Sequence[str]] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """The whole report.
 
@@ -305,6 +308,7 @@ def run_report(
         wave_links: what is felt of each wave link at the end, by coupling.
         promises: how each promise stands at the end.
         unreported: the nodes that have run and sent no final report.
+        by_itself: by device, what it does by itself, as its driver states.
     """
     restarts = incidents.restarts
     return {
@@ -317,6 +321,7 @@ def run_report(
         },
         **({"unreported": list(unreported)} if unreported else {}),
         **({"enforced": list(enforced)} if enforced else {}),
+        **({"by_itself": {name: list(own) for name, own in by_itself.items()}} if by_itself else {}),
         **({} if lateness is None else {"lateness": dict(lateness)}),
         **({"wave_links": {name: felt.as_plain() for name, felt in wave_links.items()}} if wave_links else {}),
         **({"promises": [written(row) for row in promises]} if promises else {}),

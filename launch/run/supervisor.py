@@ -57,7 +57,7 @@ from manyhands.nodes.rows.promises import Promise
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds, seconds
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import HUB_FRAMES_PER_S, MAX_CONTROL_BYTES
-from manyhands.protocol.messages import Figures, PromiseStatus, Report, Role, Telemetry
+from manyhands.protocol.messages import Figures, PromiseStatus, Ready, Report, Role, Telemetry
 from manyhands.protocol.transport import Hub
 from manyhands.protocol.transport.zeromq import ZmqTransport
 
@@ -394,6 +394,8 @@ class Supervisor:
                 seen = self._telemetry.get(sender)
                 message = Report(0 if seen is None else seen.tick, Figures())
         before = self.conductor.states.get(sender)
+        if isinstance(message, Ready) and before is NodeState.CONNECTED:
+            self._health.hear(sender, message.by_itself)
         self.carry_out(self.conductor.receive(sender, message, self._clock.now()), hub, processes)
         after = self.conductor.states.get(sender)
         if sender in self._reach.remote and before is not after and after is NodeState.RUNNING:
@@ -517,6 +519,7 @@ class Supervisor:
             conductor.incidents.sentences,
             tuple(conductor.faults),
             promises,
+            dict(self._health.by_itself),
         )
 
     def _promises(self) -> tuple[PromiseStatus, ...]:
@@ -576,6 +579,7 @@ class Supervisor:
                 ),
                 promises,
                 self._unreported(),
+                self._health.by_itself,
             )
             | recorder.as_plain(),
             recording,

@@ -96,6 +96,7 @@ from manyhands.nodes.kernel.driver_statement import DeviceTiming, DriverWord
 from manyhands.nodes.kernel.factory import DRIVERS
 from manyhands.nodes.kernel.inertia import Inertia
 from manyhands.nodes.kernel.intent import ALLOWED, Formula, FormulaError
+from manyhands.protocol.limits import MAX_BY_ITSELF, MAX_SENTENCE
 
 DEFAULT_HAND: Final[Mapping[str, object]] = {
     "operator": {"num": [0.02, 1.2, 20.0], "den": [1.0, 10.3, 100.0]},
@@ -255,14 +256,23 @@ _ELSEWHERE: Final = ("mass", "damping", "hand")
 _NOT_OF_A_PLUGIN: Final = ("damping", "hand")
 """Those that a driver of another package has itself. Of its mass a session may state the least."""
 
-_OF_A_PLUGIN: Final = ("parameters", "sample_age", "age_jitter", "actuation_delay", "axis_map", "scale")
+OF_A_PLUGIN: Final = ("parameters", "sample_age", "age_jitter", "actuation_delay", "axis_map", "scale", "by_itself")
 """Keys of a driver of another package; no other device has them, but for those in :data:`_OF_A_MOTION_SOURCE`."""
 
 _OF_A_MOTION_SOURCE: Final = ("parameters", "axis_map")
 """Those that a SpaceMouse and a gamepad have as well."""
 
-_ALWAYS_OF_A_PLUGIN: Final = tuple(key for key in _OF_A_PLUGIN if key not in _OF_A_MOTION_SOURCE)
+_ALWAYS_OF_A_PLUGIN: Final = tuple(key for key in OF_A_PLUGIN if key not in _OF_A_MOTION_SOURCE)
 
+_DEEDS: Final = Items(
+    "sentences",
+    MAX_BY_ITSELF,
+    Name(
+        "what it does by itself",
+        rf"[^\x00-\x1f\x7f]{{1,{MAX_SENTENCE}}}",
+        f"a line of at most {MAX_SENTENCE} characters",
+    ),
+)
 _AGE: Final = Quantity("a time", "s", least=0.0, most=LONGEST_PERIOD)
 _SCALE: Final = Quantity("a scale", above=0.0, smallest=MIN_POSITIVE)
 _AXIS: Final = Name("an axis of the driver", "-?[a-z0-9][a-z0-9_]{0,31}", "its name, after a minus to turn it round")
@@ -466,6 +476,9 @@ class Device(SessionModel):
     scale: Annotated[float | None, _SCALE] = Field(
         default=None, description="with a driver's factory, by how much motions grow from the device to the session"
     )
+    by_itself: Annotated[tuple[str, ...] | None, _DEEDS] = Field(
+        default=None, description="with a driver's factory, what it does by itself, outside the certificate: sentences"
+    )
     step: Annotated[tuple[float, ...] | None, _STEP] = Field(
         default=None, description="the step of its encoder in m: a number, or one for each axis"
     )
@@ -556,7 +569,10 @@ class Device(SessionModel):
         if self.factory is None:
             return None
         timing, least = self.timing, None if self.friction is None else self.friction.least
-        return DriverWord(self.factory, timing.sample_age, timing.actuation_delay, self.step, least, self.holds_torques)
+        return DriverWord(
+            self.factory, timing.sample_age, timing.actuation_delay, self.step, least, self.holds_torques,
+            self.by_itself or (),
+        )  # fmt: skip
 
     @property
     def osp_low(self) -> Rows:
@@ -636,7 +652,7 @@ class Device(SessionModel):
         if self.factory is not None:
             yield from self._plugin_problems(here)
             return
-        for key in _OF_A_PLUGIN if self.driver not in MOTION_SOURCES else _ALWAYS_OF_A_PLUGIN:
+        for key in OF_A_PLUGIN if self.driver not in MOTION_SOURCES else _ALWAYS_OF_A_PLUGIN:
             if getattr(self, key) is not None:
                 yield Problem((key,), f"{key} {here}", f"a driver's factory, package.module:factory, or no {key}")
         for key in _NOT_MEASURED:

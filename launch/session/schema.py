@@ -16,6 +16,8 @@ from typing import Any, Final
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
+from manyhands.launch.session.device import Device
+from manyhands.launch.session.device_file import with_from
 from manyhands.launch.session.fields import SessionModel
 from manyhands.launch.session.forms import JsonSchema
 from manyhands.launch.session.session import Session
@@ -62,7 +64,8 @@ class _Schema(GenerateJsonSchema):
         """A part of the session; of its documentation the first line is for readers of a file."""
         described = super().model_schema(schema)
         documentation = inspect.getdoc(schema["cls"]) or ""
-        return {**described, "description": documentation.partition("\n")[0]}
+        described = {**described, "description": documentation.partition("\n")[0]}
+        return with_from(described) if schema["cls"] is Device else described
 
     def field_title_should_be_set(self, schema: Any) -> bool:
         """No titles: they would repeat the keys."""

@@ -32,6 +32,7 @@ from manyhands.design.models.brief import brief_names
 from manyhands.design.models.contacts import GROUND
 from manyhands.launch.session.design import AUTO, TRANSPARENCY, Design, full_matrix
 from manyhands.launch.session.device import Device
+from manyhands.launch.session.device_file import parts_to_begin, with_device_files
 from manyhands.launch.session.environment import Environment, environment_of_its_type
 from manyhands.launch.session.errors import SessionError, listed, one_of, show
 from manyhands.launch.session.fields import (
@@ -744,7 +745,8 @@ def load_session(path: Path, overrides: Sequence[str] = ()) -> Session:
     Raises:
         SessionError: the file or an override is wrong; the message has the first problem in the order of the file.
     """
-    return _session_of(apply_overrides(read_tree(path), overrides, _BEGUN_BY_OVERRIDES), path.parent)
+    tree = read_tree(path)
+    return _session_of(apply_overrides(tree, overrides, _BEGUN_BY_OVERRIDES | parts_to_begin(tree)), path.parent)
 
 
 def with_changes(tree: SessionTree, changes: Mapping[str, Any]) -> SessionTree:
@@ -758,7 +760,8 @@ def with_changes(tree: SessionTree, changes: Mapping[str, Any]) -> SessionTree:
         if not steps or not all(steps):
             found, expected = f"the path {show(dotted)}", "keys joined by dots, such as devices.dx.mass"
             raise SessionError(tree.source, None, "", found, expected)
-        tree = replaced(tree, steps, tree.source, _BEGUN_BY_OVERRIDES, partial(plain_value, value, tree=tree))
+        begun = _BEGUN_BY_OVERRIDES | parts_to_begin(tree)
+        tree = replaced(tree, steps, tree.source, begun, partial(plain_value, value, tree=tree))
     return tree
 
 
@@ -768,6 +771,7 @@ def _session_of(tree: SessionTree, folder: Path) -> Session:
     Raises:
         SessionError: see :func:`load_session`.
     """
+    tree = with_device_files(tree, folder)
     problems: list[Problem] = []
     session: Session | None = None
     try:

@@ -84,8 +84,13 @@ class SessionTree:
         return (), self.places[()]
 
 
-def read_tree(path: Path) -> SessionTree:
-    """Read a session file.
+def read_tree(path: Path, kind: str = "session file", first: str = "session: NAME") -> SessionTree:
+    """Read a session file, or another file of keys and values.
+
+    Args:
+        path: the file.
+        kind: what it is, for messages.
+        first: how it begins, for messages.
 
     Raises:
         SessionError: the file cannot be read, is too large, is not UTF-8 or is not acceptable YAML.
@@ -95,18 +100,18 @@ def read_tree(path: Path) -> SessionTree:
         content = read_regular(path, MAX_FILE_BYTES)
     except (OSError, ValueError) as error:  # ValueError: a path with a zero byte in it
         reason = getattr(error, "strerror", None) or str(error)
-        raise SessionError(source, None, "", f"{reason.lower()}", "a session file that can be read") from None
+        raise SessionError(source, None, "", f"{reason.lower()}", f"a {kind} that can be read") from None
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         found = f"the byte 0x{content[error.start]:02x}, which is not UTF-8"
         raise SessionError(source, line, "", found, "a text file in UTF-8") from None
-    return parse_tree(text, source)
+    return parse_tree(text, source, first)
 
 
-def parse_tree(text: str, source: str) -> SessionTree:
-    """Turn the text of a session into plain data; errors name it by ``source``.
+def parse_tree(text: str, source: str, first: str = "session: NAME") -> SessionTree:
+    """Turn the text of a session into plain data; errors name it by ``source``, and how it has to begin.
 
     Raises:
         SessionError: the text is not acceptable YAML, or not a mapping.
@@ -118,7 +123,7 @@ def parse_tree(text: str, source: str) -> SessionTree:
     if not isinstance(data, dict):
         line = 1 if node is None else _line(node)
         found = "an empty file" if data is None else f"{show(data)} at the top"
-        raise SessionError(source, line, "", found, "keys and values, beginning with 'session: NAME'")
+        raise SessionError(source, line, "", found, f"keys and values, beginning with '{first}'")
     return SessionTree(source, data, {(): SourcePlace(source, 1), **builder.places})
 
 

@@ -53,6 +53,11 @@ class CouplingNode:
         self._resumes = False  # whether the session ran before this process, whose first tick may be behind or ahead
         self._nothing: Floats = [0.0] * len(bundle.common.ports)  # takes the values of links that only shake hands
 
+    @property
+    def by_itself(self) -> tuple[str, ...]:
+        """Nothing: it is no device."""
+        return ()
+
     def establish(self, links: Mapping[str, Link]) -> None:
         """Shake hands with the block's devices and with the environment, which receives D_V."""
         bundle, common, limits = self._bundle, self._common, self._bundle.limits

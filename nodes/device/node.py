@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from manyhands.nodes.device.drivers import Driver
+from manyhands.nodes.device.plugin import PluginDriver
 from manyhands.nodes.device.telemetry import DeviceTelemetry
 from manyhands.nodes.device.tick import tick_of
 from manyhands.nodes.joins import establish
@@ -86,6 +87,12 @@ class DeviceNode:
         self._zero: Floats = [0.0] * len(common.ports)
         self._life: Life | None = None  # until the loop begins
         self._epoch = Instant(0)
+
+    @property
+    def by_itself(self) -> tuple[str, ...]:
+        """What its device does by itself, as the driver of another package states; a sentence each."""
+        driver = self.device.driver
+        return driver.by_itself if isinstance(driver, PluginDriver) else ()
 
     def establish(self, links: Mapping[str, Link]) -> None:
         """Shake hands with the couplings that hold this device's ports."""

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 from manyhands.nodes.kernel.driver_statement import NO_DELAY, DeviceTiming
 from manyhands.nodes.kernel.inertia import Inertia
+from manyhands.protocol.limits import MAX_BY_ITSELF, MAX_SENTENCE
 
 __all__ = ["NO_DELAY", "ROUNDING", "AxisMap", "DeviceSpecification", "DeviceTiming", "promises_too_much"]
 """With what a driver of another package takes from here beside its specification."""
@@ -43,7 +44,7 @@ class DeviceSpecification:
         step: the encoder's step on each axis, m; None where it is not known. A session that counts on friction may
             state no smaller one.
         by_itself: what the device does inside the loop by itself, and cannot be switched off or was left on: a
-            sentence each, as "compensates gravity by a force of its own". It is stated beside the certificate.
+            sentence each, as "compensates gravity by a force of its own". They are stated beside the certificate.
         hardware: whether forces act on a real mechanism, in real time. A simulated counterpart states False: it moves
             by the instants of the calls, and also takes part under the simulated clock.
 
@@ -76,6 +77,10 @@ class DeviceSpecification:
                 raise ValueError(f"{what}: found {values!r:.60}; expected {expected}")
         if len(self.axes) != m or len(set(self.axes)) != m:
             raise ValueError(f"axes: found {self.axes!r:.60}; expected {m} names, each once")
+        fit = all(0 < len(one) <= MAX_SENTENCE and one.isprintable() for one in self.by_itself)
+        if isinstance(self.by_itself, str) or len(self.by_itself) > MAX_BY_ITSELF or not fit:
+            expected = f"at most {MAX_BY_ITSELF} sentences, each printable and of at most {MAX_SENTENCE} characters"
+            raise ValueError(f"by_itself: found {self.by_itself!r:.60}; expected {expected}")
 
 
 @dataclass(frozen=True)

@@ -198,6 +198,11 @@ class EnvironmentNode:
         covered = from_seconds(bundle.longest_tau or bundle.common.period)
         self._late = LateArrivals(len(bundle.common.peers), self._period, allowance(self._period, covered))
 
+    @property
+    def by_itself(self) -> tuple[str, ...]:
+        """Nothing: it is no device."""
+        return ()
+
     def establish(self, links: Mapping[str, Link]) -> None:
         """Shake hands with every coupling, and close the algebraic loop with their D_V.
 

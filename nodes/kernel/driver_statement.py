@@ -8,6 +8,7 @@ tau, and the variation of a is a part of the period tolerance.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from manyhands.protocol.plain import Added
@@ -61,6 +62,7 @@ class DriverWord:
         step: of its encoder by axis, likewise, m; None where none is stated.
         friction: what it burns at least, by axis, likewise, N; None where none is stated.
         torques: whether its motors hold joint torques from tick to tick, in place of the force.
+        by_itself: what the session states that the device does by itself; its driver may state more.
     """
 
     factory: str
@@ -69,6 +71,7 @@ class DriverWord:
     step: Added[tuple[float, ...] | None] = None
     friction: Added[tuple[float, ...] | None] = None
     torques: Added[bool] = False
+    by_itself: Added[tuple[str, ...]] = ()
 
     def believed(self, measured: bool) -> tuple[str, ...]:
         """Everything that rests on the driver's word; ``measured`` is whether it measures the force that it exerts."""
@@ -93,6 +96,11 @@ class DriverWord:
         """What rests on the driver's word; ``measured`` is whether it measures the force that it exerts."""
         *most, last = self.believed(measured)
         return f"{device} rests on the word of its driver {self.factory}: {', '.join(most)}, and {last}"
+
+
+def outside(device: str, by_itself: Sequence[str]) -> str:
+    """What a device does by itself, beside what is certified, as a sentence; empty for nothing."""
+    return f"{device} does by itself, outside the certificate: {'; '.join(by_itself)}" if by_itself else ""
 
 
 NO_DELAY = DeviceTiming()

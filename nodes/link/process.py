@@ -48,6 +48,11 @@ EXIT_REFUSED = 4
 class Node(Protocol):
     """The part of a node that depends on its role."""
 
+    @property
+    def by_itself(self) -> tuple[str, ...]:
+        """Of a device, what it does by itself; empty for the others."""
+        ...
+
     def establish(self, links: Mapping[str, Link]) -> None:
         """Shake hands with every peer on ``links``, a link for each peer that is present."""
         ...
@@ -242,7 +247,7 @@ def _converse(members: Sequence[HostedNode], life: Life, remote: bool, engage: E
     clock = RealtimeClock()
     ahead = leader.control.clock_offset(clock, life) if remote else 0
     for member in members:
-        member.control.ready()
+        member.control.ready(member.node.by_itself)
     start, *_ = [member.control.start(life) for member in members]
     if remote:
         start = Start(start.epoch - ahead, start.ticks, start.tick)

@@ -132,9 +132,9 @@ class ControlLine:
         endpoints = self._await(Connect, life).endpoints
         return {peer: self._reached(endpoint) for peer, endpoint in endpoints.items()}
 
-    def ready(self) -> None:
-        """Report that every link is established."""
-        self._send(Ready())
+    def ready(self, by_itself: tuple[str, ...] = ()) -> None:
+        """Report that every link is established, and what a device does by itself, a sentence each."""
+        self._send(Ready(by_itself))
 
     def start(self, life: Life) -> Start:
         """Wait for the start: first tick, number of ticks, epoch; raises as :meth:`peers_endpoints`.

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Final
 
-from manyhands.nodes.kernel.driver_statement import DriverWord
+from manyhands.nodes.kernel.driver_statement import DriverWord, outside
 from manyhands.nodes.monitor.causes import BEFORE, Causes
 from manyhands.nodes.monitor.given import WINDOW, GivenForce
 from manyhands.nodes.monitor.health import (
@@ -206,6 +206,7 @@ class HealthModel:
 
     Attributes:
         now: the session's time, s: that of the latest tick that any node has reported.
+        by_itself: by device, what it does by itself, as its session and its driver state.
     """
 
     def __init__(self, terms: Terms) -> None:
@@ -221,6 +222,7 @@ class HealthModel:
         self._stated: set[Promise] = set()  # of which only a device's telemetry says that they are made
         self._given = {name: _Given() for name in terms.wall}
         self._put_in = dict.fromkeys(terms.drivers, 0.0)  # by the users of these devices at least, J
+        self.by_itself = {name: word.by_itself for name, word in terms.drivers.items() if word.by_itself}
         self._measure: set[str] = set()  # devices whose driver measures the force that they exert
         self._causes = Causes()
         self._told: dict[str, float] = {}  # by node, the time of its latest message, s
@@ -235,6 +237,13 @@ class HealthModel:
             self._given[node] = _Given()
         if self._terms.roles.get(node) is Role.ENVIRONMENT:
             self._causes.forget()
+
+    def hear(self, node: str, by_itself: tuple[str, ...]) -> None:
+        """``node`` is a device whose driver has stated what it does by itself; of other nodes nothing changes."""
+        if node in self._terms.drivers:
+            found = tuple(dict.fromkeys((*self._terms.drivers[node].by_itself, *by_itself)))
+            self.by_itself.pop(node, None)  # another process of a device may state less
+            self.by_itself |= {node: found} if found else {}
 
     def take(self, node: str, tick: int, figures: Figures) -> None:
         """Take in the figures of a node's telemetry; unknown nodes and figures that make no sense change nothing.
@@ -341,7 +350,7 @@ class HealthModel:
         """The row of what cannot be judged of a device with a driver of another package."""
         cost: dict[str, float] = {}
         if promise is Promise.DRIVER:
-            remark = self._terms.drivers[device].sentence(device, device in self._measure)
+            remark = self._beside(self._terms.drivers[device].sentence(device, device in self._measure), device)
         elif promise is Promise.PASSIVITY:
             put_in = self._put_in[device]
             cost = {"J": put_in} if put_in > 0.0 else {}
@@ -360,9 +369,12 @@ class HealthModel:
             cost["s"] = cost.get("s", 0.0) + self.now - entry.since
         cost = {unit: value for unit, value in cost.items() if value > 0.0}
         until = entry.last if entry.until is None and quiet else entry.until
-        return PromiseStatus(
-            promise.value, entry.state.value, (party,), entry.since, until, cost, remark or entry.remark
-        )
+        remark = self._beside(remark or entry.remark, party) if promise is Promise.DRIVER else remark or entry.remark
+        return PromiseStatus(promise.value, entry.state.value, (party,), entry.since, until, cost, remark)
+
+    def _beside(self, remark: str, device: str) -> str:
+        """A remark about a driver, with what its device does by itself."""
+        return "; ".join(text for text in (remark, outside(device, self.by_itself.get(device, ()))) if text)
 
     def _time(self, node: str, tick: int) -> float:
         return session_tick(tick, self._terms.rates.get(node, 1.0)) * self._terms.period

@@ -112,6 +112,7 @@ OTHER_SCHEMAS: Final[Mapping[str, tuple[str, str]]] = {
             "states": {"type": "object", "properties": {}, "additionalProperties": _TEXT},
             **dict.fromkeys(("silent", "notices", "incidents", "faults"), _TEXTS),
             "promises": {"type": "array", "items": _PROMISE},
+            "by_itself": {"type": "object", "properties": {}, "additionalProperties": _TEXTS},
         },
     ),
     **SCENE_SCHEMAS,

@@ -86,6 +86,8 @@ def link_hellos(draw: st.DrawFn) -> LinkHello:
     return LinkHello(PROTOCOL_VERSION, certificate, session, name, draw(roles), ports, feedthrough)
 
 
+deeds = st.lists(names, max_size=limits.MAX_BY_ITSELF).map(tuple)
+
 MESSAGES: dict[type[Any], st.SearchStrategy[Message]] = {
     LinkHello: link_hellos(),
     NodeHello: st.builds(
@@ -94,7 +96,7 @@ MESSAGES: dict[type[Any], st.SearchStrategy[Message]] = {
     Welcome: st.just(Welcome()),
     Refusal: st.builds(Refusal, st.sampled_from(RefusalCode), texts),
     Connect: st.builds(Connect, endpoints),
-    Ready: st.just(Ready()),
+    Ready: st.builds(Ready, deeds),
     Start: st.builds(Start, counts, counts, counts),
     Stop: st.builds(Stop, texts),
     Sample: st.builds(Sample, counts, counts, values),
@@ -120,6 +122,7 @@ MESSAGES: dict[type[Any], st.SearchStrategy[Message]] = {
         st.lists(names, max_size=3).map(tuple),
         *[st.lists(texts, max_size=3).map(tuple)] * 3,
         st.lists(statuses, max_size=3).map(tuple),
+        st.dictionaries(names, deeds, max_size=3),
     ),
     Wave: st.builds(Wave, counts, st.lists(finite, min_size=1, max_size=limits.MAX_PORTS).map(tuple), finite),
     PathKey: st.builds(

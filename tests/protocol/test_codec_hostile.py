@@ -65,7 +65,7 @@ VALID: list[Message] = [
     Welcome(),
     Refusal("certificate", "no"),
     Connect({"cx": "ipc:///tmp/s/cx"}),
-    Ready(),
+    Ready(("compensates gravity",)),
     Start(10**15, 10_000),
     Stop("done"),
     Probe(10**15),

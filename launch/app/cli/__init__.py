@@ -73,6 +73,8 @@ GROUPS: Final[Mapping[str, Mapping[str, ListedCommand]]] = {
     },
     "Machine": {
         "doctor": ListedCommand("doctor", "Report what this machine permits, and how fast it is."),
+        "devices": ListedCommand("devices", "Show which devices are plugged in, and what is missing."),
+        "probe": ListedCommand("check", "Read a device, push it gently, and say what happened."),
         "check-driver": ListedCommand("check", "Try a driver of your own, and name what is wrong."),
         "check-model": ListedCommand("check", "Try a model of your own, and name what is wrong."),
     },

@@ -1,29 +1,33 @@
-"""The commands that try the code of other packages: check-driver, check-model."""
+"""The commands that try the code of other packages, and a device behind a driver: check-driver, check-model, probe."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Self
 
 import typer
 from pydantic_core import PydanticCustomError
 
 from manyhands.launch.app.cli.common import Json, end, err, errors, out, refuse
-from manyhands.launch.conformance.driver import Bench, Push, checked_apart, clock_for
+from manyhands.launch.conformance.answers import Explained, Question, ask_device, called
+from manyhands.launch.conformance.driver import Bench, NeverReturned, Push, checked_apart, clock_for, run_apart
 from manyhands.launch.conformance.driver import check_driver as try_driver
 from manyhands.launch.conformance.judgement import Judgement, broken, print_judgements
 from manyhands.launch.conformance.model import check_model as try_model
 from manyhands.launch.files import EXIT_FAILED, EXIT_OK
-from manyhands.launch.look.display import say
+from manyhands.launch.look.display import say, status
 from manyhands.launch.output import print_json
 from manyhands.launch.session.fields import problems_of
 from manyhands.launch.session.foreign import factory_of, plain_parameters
 from manyhands.launch.session.limits import MAX_DOF, MAX_STIFFNESS
 from manyhands.launch.session.yaml import parse_tree
-from manyhands.nodes.device.plugin import PluginDriver, made_driver
+from manyhands.nodes.device.plugin import DriverFailure, PluginDriver, made_driver
 from manyhands.nodes.device.specification import AxisMap, DeviceSpecification
 from manyhands.nodes.environment.model import PROXY, REACT, make_model
+from manyhands.nodes.kernel.driver_statement import outside
 from manyhands.nodes.kernel.factory import DRIVERS, ENGINES, MODELS, FactoryError, FactoryName, published
 from manyhands.protocol.clock import RealtimeClock
 
@@ -38,16 +42,23 @@ Parameters = Annotated[
 Period = Annotated[float, typer.Option("--period", metavar="S", help="The length of a tick, in s.")]
 
 
+Driver = Annotated[str, typer.Argument(metavar="DRIVER", help="package.module:factory, or a published short name.")]
+Dof = Annotated[int, typer.Option("--dof", metavar="N", help="The number of axes.")]
+Force = Annotated[float, typer.Option("--force", metavar="N", help="The greatest push, in N.")]
+Travel = Annotated[
+    float, typer.Option("--travel", metavar="M", help="A push ends once the device has moved so far, in m.")
+]
+Yes = Annotated[bool, typer.Option("--yes", help="Do not ask before a push of hardware.")]
+
+
 @commands.command(name="check-driver", epilog="Example: manyhands check-driver my_joystick:make --dof 2 --no-push")
 def check_driver(
-    driver: Annotated[str, typer.Argument(metavar="DRIVER", help="package.module:factory, or a published short name.")],
-    dof: Annotated[int, typer.Option("--dof", metavar="N", help="The number of axes.")] = 1,
+    driver: Driver,
+    dof: Dof = 1,
     parameters: Parameters = "{}",
     period: Period = 0.001,
-    force: Annotated[float, typer.Option("--force", metavar="N", help="The greatest push, in N.")] = 0.5,
-    travel: Annotated[
-        float, typer.Option("--travel", metavar="M", help="A push ends once the device has moved so far, in m.")
-    ] = 0.01,
+    force: Force = 0.5,
+    travel: Travel = 0.01,
     push: Annotated[
         bool,
         typer.Option(
@@ -56,7 +67,7 @@ def check_driver(
             "is judged. The keys for the session file are what the driver states, with a push and without.",
         ),
     ] = True,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before a push of hardware.")] = False,
+    yes: Yes = False,
     as_json: Json = False,
 ) -> None:
     """Try a driver: read the device, push it a little on each axis, fall silent, and name what is wrong.
@@ -66,15 +77,8 @@ def check_driver(
     something is.
     """
     with errors():
-        for option, value, most in (("--force", force, 1000.0), ("--travel", travel, 1.0), ("--period", period, 0.1)):
-            if not 0.0 < value <= most:
-                refuse(f"{option}: found {value:g}; expected a number greater than 0 and at most {most:g}")
-        ports = _ports("device", dof)
-        name = _factory(driver, DRIVERS, parameters)
-        made, stated = made_driver(name, ports, period)
-        if len(stated.force) != dof:
-            made.close()
-            raise FactoryError(f"the driver {name.factory}: found {len(stated.force)} axes; expected --dof {dof}")
+        _require_in_range({"--force": (force, 1000.0), "--travel": (travel, 1.0), "--period": (period, 0.1)})
+        name, plugin, stated = _made(driver, dof, parameters, period)
         if (
             push
             and stated.moved_by_force
@@ -84,12 +88,106 @@ def check_driver(
         ):
             say(err, "no force is exerted")
             push = False
-        own = AxisMap(tuple(range(dof)), (1.0,) * dof)
-        plugin = PluginDriver(name.factory, made, own, stated, period)
         bench = Bench(plugin, period, clock_for(stated, RealtimeClock()))
         pushes = Push(force, travel) if push else None
         found = checked_apart(bench, lambda: list(try_driver(bench, stated, pushes)))
-        _end(found, {"driver": name.factory}, as_json, f"for the session file: {_keys(stated)}")
+        if stated.by_itself and not as_json:
+            say(out, outside("the device", stated.by_itself))
+        own_words = {"by_itself": list(stated.by_itself)} if stated.by_itself else {}
+        _end(found, {"driver": name, **own_words}, as_json, f"for the session file: {_keys(stated)}")
+
+
+@commands.command(epilog="Example: manyhands probe serial-board --parameters '{port: /dev/ttyACM0}'")
+def probe(
+    driver: Driver,
+    dof: Dof = 1,
+    parameters: Parameters = "{}",
+    period: Period = 0.001,
+    seconds: Annotated[float, typer.Option("--seconds", metavar="S", help="How long the device is read, in s.")] = 5.0,
+    force: Force = 0.5,
+    travel: Travel = 0.01,
+    push: Annotated[bool, typer.Option("--push/--no-push", help="Push after the reading; else only read.")] = True,
+    yes: Yes = False,
+    as_json: Json = False,
+) -> None:
+    """Show what a device reads, push it gently, and say in words what it answered.
+
+    Move the device by hand while it is read, to see that each axis counts. Then let it stand free: after a question
+    each axis is pushed both ways. An axis that does not answer is explained. A rotational axis has N·m and mrad. Exit
+    code 0: every axis that was pushed moved in the direction of the force. 1: one did not.
+    """
+    with errors():
+        _require_in_range({"--force": (force, 1000.0), "--travel": (travel, 1.0), "--period": (period, 0.1)})
+        _require_in_range({"--seconds": (seconds, 3600.0)})
+        name, plugin, stated = _made(driver, dof, parameters, period)
+        bench = Bench(plugin, period, clock_for(stated, RealtimeClock()))
+        question = Question()
+        if yes or not (push and stated.moved_by_force and stated.hardware):
+            question.answer(push)
+        pushes, ticks = Push(force, travel) if push else None, max(1, round(seconds / period))
+        live = _Live(bench, stated.axes, question, lambda: _agreed(min(force, *stated.force), travel))
+        with live:
+            try:
+                found = run_apart(bench, lambda: ask_device(bench, stated, ticks, pushes, question), look=live.look)
+            except NeverReturned as error:
+                raise DriverFailure(f"the driver {name}: {error}", raised=False) from error
+        if as_json:
+            reads = [{"axis": one.axis, "low": one.low, "high": one.high} for one in found.reads]
+            print_json({"driver": name, "reads": reads, "answers": [one.as_plain() for one in found.answers]})
+        else:
+            for sentence in _sentences(found, stated, push):
+                say(out, sentence)
+        end(EXIT_OK if all(answer.right for answer in found.answers) else EXIT_FAILED)
+
+
+def _sentences(found: Explained, stated: DeviceSpecification, push: bool) -> Iterator[str]:
+    """What was found, as sentences."""
+    moved = {answer.axis for answer in found.answers if answer.moved}
+    for one in found.reads:
+        yield one.sentence(one.axis in moved)
+    for answer in found.answers:
+        yield from answer.sentences()
+    if found.answers and found.answers[-1].wrong and len(found.answers) < len(stated.axes):
+        yield "the axes after it were not pushed"
+    if push and not stated.moved_by_force:
+        yield "nothing was pushed: the driver states that no force moves its device (moved_by_force=False)"
+    elif not found.answers:
+        yield "no force was exerted"
+    if stated.by_itself:
+        yield outside("the device", stated.by_itself)
+
+
+class _Live:
+    """Shows what a device reads on a terminal, and asks the question when it is time."""
+
+    def __init__(
+        self,
+        bench: Bench,
+        axes: tuple[str, ...],
+        question: Question,
+        agreed: Callable[[], bool],
+    ) -> None:
+        self._bench, self._axes, self._question, self._agreed = bench, axes, question, agreed
+        self._shown = ExitStack()
+        self._tell: Callable[[str], None] = lambda _text: None
+
+    def __enter__(self) -> Self:
+        self._tell = self._shown.enter_context(status(err, "reading"))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._shown.close()
+
+    def look(self) -> None:
+        """Show the newest sample, and ask the question once."""
+        if self._bench.samples.x:
+            places = zip(self._axes, self._bench.samples.x[-1], strict=True)
+            self._tell("  ".join(f"{called(axis)} {1e3 * x:+9.3f} mm" for axis, x in places))
+        question = self._question
+        if question.asked.is_set() and not question.answered.is_set():
+            self._shown.close()  # so that nothing is drawn over the question
+            self._tell = lambda _text: None
+            question.answer(self._agreed())
 
 
 @commands.command(name="check-model", epilog="Example: manyhands check-model my_world:make --ports 2 --level 0.2")
@@ -118,9 +216,7 @@ def check_model(
     nothing is broken. 1: something is.
     """
     with errors():
-        for option, value, most in (("--reach", reach, 10.0), ("--period", period, 0.1)):
-            if not 0.0 < value <= most:
-                refuse(f"{option}: found {value:g}; expected a number greater than 0 and at most {most:g}")
+        _require_in_range({"--reach": (reach, 10.0), "--period": (period, 0.1)})
         names = _ports("port", int(ports)) if ports.isdecimal() else tuple(ports.split(","))
         name = _factory(model, ENGINES if model in published(ENGINES) else MODELS, parameters)
         if stiffness is not None and not 0.0 < stiffness <= MAX_STIFFNESS:
@@ -140,7 +236,7 @@ def check_model(
         _end(found, {"model": name.factory}, as_json)
 
 
-def _end(found: list[Judgement], what: dict[str, str], as_json: bool, advice: str = "") -> None:
+def _end(found: list[Judgement], what: dict[str, Any], as_json: bool, advice: str = "") -> None:
     """Print what was found, and ``advice`` where nothing is broken, and end the command."""
     if as_json:
         print_json({**what, "findings": [finding.as_plain() for finding in found]})
@@ -149,6 +245,29 @@ def _end(found: list[Judgement], what: dict[str, str], as_json: bool, advice: st
         if advice and not broken(found):
             say(out, advice)
     end(EXIT_FAILED if broken(found) else EXIT_OK)
+
+
+def _require_in_range(options: Mapping[str, tuple[float, float]]) -> None:
+    """End the command unless each option's value is greater than 0, and at most the number beside it."""
+    for option, (value, most) in options.items():
+        if not 0.0 < value <= most:
+            refuse(f"{option}: found {value:g}; expected a number greater than 0 and at most {most:g}")
+
+
+def _made(driver: str, dof: int, parameters: str, period: float) -> tuple[str, PluginDriver, DeviceSpecification]:
+    """The factory's name, the driver with its own axes, and what it states.
+
+    Raises:
+        FactoryError: it cannot be made, or has another number of axes.
+    """
+    ports = _ports("device", dof)
+    name = _factory(driver, DRIVERS, parameters)
+    made, stated = made_driver(name, ports, period)
+    if len(stated.force) != dof:
+        made.close()
+        raise FactoryError(f"the driver {name.factory}: found {len(stated.force)} axes; expected --dof {dof}")
+    own = AxisMap(tuple(range(dof)), (1.0,) * dof)
+    return name.factory, PluginDriver(name.factory, made, own, stated, period), stated
 
 
 def _ports(name: str, number: int) -> tuple[str, ...]:

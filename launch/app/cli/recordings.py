@@ -37,6 +37,7 @@ from manyhands.launch.recordings.run import FORMATS, RecordedRun, chosen, missin
 from manyhands.launch.recordings.run import export as write
 from manyhands.launch.run.outcome import joules
 from manyhands.launch.run.processes import Interrupt
+from manyhands.nodes.kernel.driver_statement import outside
 from manyhands.protocol.channels import TOPICS
 from manyhands.protocol.clock import RealtimeClock
 
@@ -161,6 +162,8 @@ def _print(found: Info, damages: list[Damage]) -> None:
         say(out, f"missing of {device}: {ticks} ticks: {listed}{', …' if len(gaps) > _GAPS_SHOWN else ''}")
     for device, least in found.accounts.items():
         say(out, f"least interface account of {device}: {joules(least)}")
+    for device, by_itself in found.by_itself.items():
+        say(out, outside(device, by_itself))
     if found.cut is not None:
         say(out, f"incomplete: {found.cut}")
     for damage in damages:

@@ -285,3 +285,20 @@ def test_the_schema_is_the_same_text_in_every_process() -> None:
         for seed in "12"
     }
     assert len(texts) == 1
+
+
+@pytest.mark.parametrize(
+    ("device", "accepted"),
+    [
+        ({"from": "omega.3", "osp": 0.5}, True),
+        ({"from": "./my-stick.yaml"}, True),
+        ({"from": "omega.33", "osp": 0.5}, False),
+        ({"from": 3, "osp": 0.5}, False),
+        ({"from": "omega.3", "ops": 0.5}, False),
+        ({"osp": 0.5}, False),
+    ],
+)
+def test_a_device_may_have_its_keys_from_a_file(device: dict[str, object], accepted: bool) -> None:
+    """An editor does not read the file: what may be missing in the session is left to the reader."""
+    data = {**read_tree(ROOT / "launch/sessions/example1.yaml").data, "devices": {"dx": device, "dy": device}}
+    assert (problem(data) is None) == accepted

@@ -171,6 +171,11 @@ def test_maps_that_are_none(axes: tuple[int, ...], signs: tuple[float, ...], sca
         ({"step": (0.0,)}, "step: found"),
         ({"axes": ("x", "y")}, "axes: found"),
         ({"force": ()}, "force: found"),
+        ({"by_itself": "one sentence"}, "by_itself: found"),
+        ({"by_itself": ("",)}, "by_itself: found"),
+        ({"by_itself": ("two\nlines",)}, "by_itself: found"),
+        ({"by_itself": ("x" * 201,)}, "by_itself: found"),
+        ({"by_itself": ("holds itself up",) * 9}, "by_itself: found"),
     ],
 )
 def test_specifications_that_are_none(stated: dict[str, Any], found: str) -> None:

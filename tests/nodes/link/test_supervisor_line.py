@@ -165,8 +165,8 @@ def test_a_conversation_from_hello_to_the_last_word() -> None:
     assert heard() == NodeHello(PROTOCOL_VERSION, "c", "s", "dx", Role.DEVICE, 4321, {"cx": "ipc:///s/dx-cx"})
     say(Welcome(), Connect({"cx": "ipc:///s/cx-dx"}))
     assert one.peers_endpoints(life) == {"cx": "ipc:///s/cx-dx"}  # type: ignore[arg-type]
-    one.ready()
-    assert heard() == Ready()
+    one.ready(("holds itself up",))
+    assert heard() == Ready(("holds itself up",))
     for far in (Start(2**63 - 1, 5), Start(0, 5, 2**63 - 1), Start(0, 2**63 - 1)):  # it ended in a traceback
         say(far)
         with pytest.raises(Refused, match="expected at most"):
@@ -345,6 +345,8 @@ class Test_a_guest_that_waits_to_be_let_in:
 
 class OfTwoNodes:
     """A node of a process of two, which has no peers."""
+
+    by_itself = ()
 
     def establish(self, links: Mapping[str, Link]) -> None:
         assert not links

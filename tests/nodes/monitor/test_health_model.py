@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from manyhands.nodes.kernel.driver_statement import DriverWord
 from manyhands.nodes.monitor.health import (
     Health,
     PromiseState,
@@ -25,7 +26,7 @@ from manyhands.nodes.monitor.health_model import HOLD, HealthModel, Terms
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.promises import Promise
 from manyhands.protocol.codec import decode, encode
-from manyhands.protocol.limits import MAX_CONTROL_BYTES
+from manyhands.protocol.limits import MAX_BY_ITSELF, MAX_CONTROL_BYTES, MAX_SENTENCE
 from manyhands.protocol.messages import Condition, Figures, PromiseStatus, Role
 
 from ...support.figures import as_figures, drawn_figures
@@ -485,3 +486,35 @@ def test_a_speed_below_which_a_certificate_holds_is_promised_by_the_device_that_
     row = next(row for row in health.rows() if row.promise == "proved speed" and row.who)
     assert (row.state, row.who, dict(row.cost)) == (state, (device,), {"times": 3.0})
     assert row.remark == f"{device} moved at up to 0.135 m/s on an axis"
+
+
+def test_what_a_device_does_by_itself_is_said_with_its_drivers_word() -> None:
+    """In the row that is not judged, in the one that is broken, and no more once another process states nothing."""
+    deed = "dx does by itself, outside the certificate: compensates gravity by a force of its own; gates forces"
+    found = HealthModel(replace(TERMS, drivers={"dx": DriverWord("a.b:C")}))
+    found.hear("dx", ("compensates gravity by a force of its own", "gates forces"))
+    found.hear("cx", ("is no device",))
+    assert found.by_itself == {"dx": ("compensates gravity by a force of its own", "gates forces")}
+
+    def remark() -> str:
+        [row] = [row for row in found.rows() if row.promise == Promise.DRIVER]
+        return row.remark
+
+    assert remark().startswith("dx rests on the word of its driver a.b:C: ")
+    assert remark().endswith("; " + deed)
+    found.take("dx", 100, as_figures({"untrue": 3.0, "untrue_most": 2.0}))
+    assert remark().startswith("dx: by its own measurement")
+    assert remark().endswith("; " + deed)
+    found.hear("dx", ())
+    assert deed not in remark()
+
+
+FACTORY = "a.b:" + "C" * 200
+LONG = tuple(f"{i}{'x' * (MAX_SENTENCE - 1)}" for i in range(MAX_BY_ITSELF))
+
+
+def test_a_remark_has_room_for_all_that_may_be_said() -> None:
+    found = HealthModel(replace(TERMS, drivers={"dx": DriverWord(FACTORY, 1.0, 1.0, (1.0,), (1.0,), True, LONG)}))
+    found.hear("dx", tuple(f"{i}{'y' * (MAX_SENTENCE - 1)}" for i in range(MAX_BY_ITSELF)))
+    assert len(found.by_itself["dx"]) == 2 * MAX_BY_ITSELF
+    encode(Condition("running", 0.0, {}, promises=found.rows(), by_itself=found.by_itself))

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 
 import pytest
 
 from manyhands.launch.conformance.driver import Bench, SuiteStopped, check_driver, checked_apart
 from manyhands.launch.conformance.judgement import Judgement
 from manyhands.nodes.device.plugin import PluginDriver
-from manyhands.nodes.device.specification import AxisMap
+from manyhands.nodes.device.specification import AxisMap, DeviceSpecification
 from manyhands.protocol.clock import SimulatedClock
 
 from ....support.commands import manyhands_command
@@ -60,9 +61,55 @@ def test_nothing_is_asked_about_hardware_that_no_force_moves() -> None:
     assert "not judged  wrong sign: skipped: the driver states that no force moves its device" in done.stdout
 
 
+@pytest.mark.alone  # likewise
+def test_what_a_device_does_by_itself_is_said() -> None:
+    done = manyhands_command("check-driver", f"{__name__}:Braking", "--no-push")
+    assert "the device does by itself, outside the certificate: brakes above 1 m/s" in done.stdout
+    assert json.loads(manyhands_command("check-driver", f"{__name__}:Braking", "--no-push", "--json").stdout)[
+        "by_itself"
+    ] == ["brakes above 1 m/s"]
+
+
+class Braking(Counterpart):
+    def specification(self) -> DeviceSpecification:
+        return replace(super().specification(), by_itself=("brakes above 1 m/s",))
+
+
+class TestProbe:
+    def test_a_counterpart_answers(self) -> None:
+        done = manyhands_command("probe", f"{__name__}:Braking", "--seconds", "0.1")
+        assert done.exit_code == 0, done.output
+        read, answered, deed = done.stdout.splitlines()
+        assert read == "axis 0 stayed at 0.000 mm until it was pushed"
+        assert answered.startswith("axis 0 answered +0.5 N by moving +3.")
+        assert deed == "the device does by itself, outside the certificate: brakes above 1 m/s"
+
+    def test_one_that_is_wrong_ends_with_1(self) -> None:
+        done = manyhands_command("probe", f"{MADE}SwappedAxes", "--dof", "2", "--seconds", "0.1")
+        assert done.exit_code == 1
+        assert done.stdout.splitlines()[-1] == "the axes after it were not pushed"
+        plain = json.loads(manyhands_command("probe", f"{MADE}WrongSign", "--seconds", "0.1", "--json").stdout)
+        assert [(answer["axis"], answer["right"]) for answer in plain["answers"]] == [("axis 0", False)]
+        assert plain["reads"] == [{"axis": "axis 0", "low": 0.0, "high": 0.0}]
+
+    def test_nothing_is_pushed_where_that_is_not_wanted_or_moves_nothing(self) -> None:
+        done = manyhands_command("probe", f"{MADE}Raising", "--no-push", "--seconds", "0.1")  # raises at a force
+        assert (done.exit_code, done.stdout.splitlines()[-1]) == (0, "no force was exerted")
+        done = manyhands_command("probe", f"{MADE}MovesByItself", "--seconds", "0.1")
+        assert done.exit_code == 0
+        assert "the driver states that no force moves its device" in done.stdout
+
+    def test_a_driver_that_fails_ends_with_1_and_is_named(self) -> None:
+        done = manyhands_command("probe", f"{MADE}Raising", "--seconds", "0.1")
+        assert done.exit_code == 1
+        assert "failed in apply: found OSError: no such device" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "found"),
     [
+        (["probe", f"{MADE}Counterpart", "--seconds", "0"], "--seconds: found 0; expected a number greater than 0"),
+        (["probe", f"{MADE}Counterpart", "--dof", "33"], "found 33 axes or ports; expected 1 to 32"),
         (["check-driver", "nowhere.at_all:f"], "the driver nowhere.at_all:f cannot be made"),
         (["check-driver", "no name"], "DRIVER: found 'no name'; expected package.module:factory"),
         (["check-driver", f"{MADE}Counterpart", "--parameters", "[1]"], "--parameters: found a list of 1; expected a"),
