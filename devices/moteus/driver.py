@@ -84,6 +84,8 @@ class Moteus(MotorAxis):
         self._coming, self._text = b"", b""
         self._mode, self._fault, self._numbers = -1, 0, dict[int, float]()
         self._voltage = self._temperature = math.nan
+        self._counted: int | None = None  # its milliseconds
+        self._anew = False  # whether they have begun anew
         self._stopped = Instant(0)  # when it was stopped last
         self._broken = self._refused = self._limited = 0
         self._port.write(b"\ncan on\n")  # of a converter that has not begun; any other says ERR
@@ -100,6 +102,7 @@ class Moteus(MotorAxis):
         end, due = Instant(self._clock.now() + GREETING), self._clock.now()
         while (now := self._clock.now()) < end:
             if now >= due:
+                self._questions.forget()
                 self._send(payload)
                 self._ask()
                 due = Instant(now + AGAIN)
@@ -207,13 +210,12 @@ class Moteus(MotorAxis):
     # --- the loop
 
     def _send(self, payload: bytes, answered: bool = False) -> bool:
-        source = FIRST_SOURCE
+        source = FIRST_SOURCE + self._source
         if answered:
-            self._source = (self._source + 1) % SOURCES
-            source += self._source
-            if source in self._questions:  # sixteen questions ago: it will not be answered
-                self._questions.answer(source)
+            if source in self._questions:  # sixteen are open: an answer must not be taken for that to a newer one
+                return False
             self._questions.ask(source, self._clock.now())
+            self._source = (self._source + 1) % SOURCES
         return self._port.write(command(can_id(source, self._id, answered), payload, self._sealed))
 
     def _ask(self) -> None:
@@ -265,10 +267,18 @@ class Moteus(MotorAxis):
             self._mode, self._fault = int(numbers[Register.MODE]), int(numbers.get(Register.FAULT, 0))
             self._voltage = numbers.get(Register.VOLTAGE, math.nan)
             self._temperature = numbers.get(Register.TEMPERATURE, math.nan)
+            counted = int(numbers.get(Register.MILLISECONDS, 0))
+            if self._counted is not None and (counted - self._counted) % (1 << 32) >= 1 << 31:
+                self._anew = True
+            self._counted = counted
             self._take(TURN * numbers[Register.POSITION], asked)
 
     def _check(self) -> None:
         mode = self._mode
+        if self._anew:
+            raise MotorError(
+                f"{self._port.path}: found that the moteus has started anew; expected one that goes on: see its supply"
+            )
         if mode == Mode.POSITION:
             self._rearming = None
             self._limited += self._fault in _LIMITED
@@ -287,8 +297,8 @@ class Moteus(MotorAxis):
             self._tripped()
             return
         raise MotorError(
-            f"{self._port.path}: found the moteus in mode {mode}; expected {Mode.POSITION.value}: it has started anew, "
-            "or another program commands it; see its supply, and end the other program"
+            f"{self._port.path}: found the moteus in mode {mode}; expected {Mode.POSITION.value}: another program "
+            "commands it; end that program"
         )
 
     def _faulty(self) -> MotorError:

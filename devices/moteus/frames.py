@@ -33,6 +33,7 @@ class Register(IntEnum):
     VOLTAGE = 0x00D
     TEMPERATURE = 0x00E
     FAULT = 0x00F
+    MILLISECONDS = 0x070
 
 
 class Mode(IntEnum):
@@ -47,8 +48,9 @@ class Mode(IntEnum):
     TIMEOUT = 11
 
 
-QUERY: Final = bytes([0x11, 0x00, 0x1F, 0x01, 0x13, 0x0D])
-"""Read mode as int8, position, velocity and torque as float, and voltage, temperature and fault as int8."""
+QUERY: Final = bytes([0x11, 0x00, 0x1F, 0x01, 0x13, 0x0D, 0x19, 0x70])
+"""Read mode as int8, position, velocity and torque as float, voltage, temperature and fault as int8, and the counter of
+milliseconds as int32: it begins anew with a controller that has lost its power, and with it what it was told."""
 
 VERSIONS: Final = bytes([0x1A, 0x81, 0x02])
 """Read the versions of firmware and register map, 0x101 and 0x102, as int32."""

@@ -32,8 +32,10 @@ PASSTHROUGH: Final = 1
 STATUS_WITHIN: Final = from_seconds(0.05)
 """A status as old as this is asked for in place of the angle, for of two answers at a time one may be discarded."""
 
-_ANSWER: Final = from_seconds(0.1)
-_TRIES: Final = 10
+_ANSWER: Final = from_seconds(0.2)
+_TRIES: Final = 5
+_GREETINGS: Final = 3
+_ALL: Final = 1000
 
 REMEDIES: Final[Mapping[Error, str]] = {
     Error.DC_BUS_UNDER_VOLTAGE: "see its supply and cables",
@@ -81,36 +83,46 @@ class ODrive(MotorAxis):
     # --- the start
 
     def _greet(self) -> None:
-        version = self._number("fw_version_major"), self._number("fw_version_minor")
-        if None in version:
+        found: tuple[float | None, float | None] = None, None
+        for _ in range(_GREETINGS):
+            major = self._number("fw_version_major")
+            found = major, None if major is None else self._number("fw_version_minor")
+            if found == FIRMWARE:
+                return
+            self._came(_ALL)  # what another program had asked for may still have come
+        if found[0] is None:
             raise MotorError(
-                f"{self._port.path}: found no answer of an ODrive within {seconds(GREETING):g} s; expected one: see "
-                "that it has power, that its port speaks ASCII (config.usb_cdc_protocol, config.uart0_protocol), and "
-                "that no other program has it"
+                f"{self._port.path}: found no answer of an ODrive; expected one: see that it has power, that its port "
+                "speaks ASCII (config.usb_cdc_protocol, config.uart0_protocol), and that no other program has it"
             )
-        if version != FIRMWARE:
-            text = ".".join(f"{one:g}" for one in version if one is not None)
-            raise MotorError(
-                f"{self._port.path}: found an ODrive of firmware {text}; expected "
-                f"{FIRMWARE[0]}.{FIRMWARE[1]}: other versions have other properties; update it in the maker's GUI"
-            )
+        text = ".".join("?" if one is None else f"{one:g}" for one in found)
+        raise MotorError(
+            f"{self._port.path}: found an ODrive of firmware {text}; expected {FIRMWARE[0]}.{FIRMWARE[1]}: other "
+            "versions have other properties; update it in the maker's GUI"
+        )
 
-    def _answer(self, question: str, patience: float = 1.0) -> Answer | None:
-        """What is answered to a question; None for silence."""
-        for _ in range(max(1, int(_TRIES * patience))):
+    def _answer(self, question: str, tries: int = _TRIES) -> Answer | None:
+        """What is answered to a question; None for silence. Answers to its repetitions are waited for as well."""
+        for again in range(tries):
             self._answers.clear()
             self._port.write(command(question))
-            end = Instant(self._clock.now() + _ANSWER)
-            while self._clock.now() < end:
-                self._port.wait(_ANSWER)
-                self._hear()
-                if self._answers:
-                    return self._answers[0]
+            if self._came(1):
+                found = self._answers[0]
+                self._came(1 + again)
+                return found
         return None
+
+    def _came(self, number: int) -> bool:
+        """Wait until so many answers have come."""
+        end = Instant(self._clock.now() + _ANSWER)
+        while len(self._answers) < number and self._clock.now() < end:
+            self._port.wait(_ANSWER)
+            self._hear()
+        return len(self._answers) >= number
 
     def _number(self, name: str) -> float | None:
         """A property, or None where there is none of this name; nothing is asked meanwhile."""
-        given = self._answer(f"r {name}", patience=2.0)
+        given = self._answer(f"r {name}")
         return given.numbers[0] if given is not None and len(given.numbers) == 1 else None
 
     def _required(self, name: str) -> float:

@@ -45,6 +45,7 @@ class FakeMoteus(Controller):
         self.mode, self.code, self.ready = 0, 0, 0.0
         self.wanted: dict[int, float] = {}
         self.said = b""
+        self.powered = time.monotonic()
 
     def expire(self) -> None:
         self.mode = 11
@@ -147,7 +148,7 @@ class FakeMoteus(Controller):
         found = {
             0x000: self.mode, 0x001: self.turns, 0x002: self.scale * self.speed / (2.0 * math.pi), 0x003: self.torque,
             0x00D: 2.0 * self.volts if form == "<b" else self.volts, 0x00E: 31, 0x00F: self.code,
-            0x101: 0x010000, 0x102: self.map,
+            0x070: 1e3 * (time.monotonic() - self.powered), 0x101: 0x010000, 0x102: self.map,
         }[register]  # fmt: skip
         return found if form == "<f" else int(found)
 

@@ -1,6 +1,7 @@
 """A fake ODrive of firmware 0.6 behind its ASCII port: the maker's manual, written down a second time.
 
-An answer that would begin before the last one has left is discarded, as the manual says. The watchdog disarms the axis
+With ``discards`` an answer that would begin before the last one has left is discarded, as the manual says; a fake that is
+given its turn late would do so more often than an ODrive does. The watchdog disarms the axis
 with its error as the reason; a reason stays until ``sc``, and an axis with active errors cannot be armed.
 """
 
@@ -81,7 +82,7 @@ class FakeODrive(Controller):
         if said is None:
             return
         now = time.monotonic()
-        if now < self.busy and self.settings.get("discards", True):
+        if now < self.busy and self.settings.get("discards"):
             self.counts["bad"] += 1
             return
         self.busy = now + self.rotor.latency
