@@ -1,10 +1,13 @@
 """What the drivers of one motor axis share: a controller behind a serial port that answers when it is asked, N·m, rad.
 
-**When a displacement is asked for.** A controller does not send by itself, and nothing in a loop may wait. So
-:meth:`MotorAxis.sample` returns the answer to the question of the tick before, and asks the next one. With a period T,
-and trips from S to R (:func:`manyhands.devices.starting.trips`), that displacement is at most T old, counted from its
-question. By R - S at most one question is longer on its way than another: so much the age varies, and so much more is
-stated for ticks that begin late. An answer that takes longer than a period comes in a later tick.
+**Why a sample waits for its answer.** A controller does not send by itself. An answer to the question of the tick
+before would be a period old, and a certificate covers no delay beyond the period. A thread that asks all the time has
+answers of up to two trips, and takes the interpreter from the loop at that rate. So :meth:`MotorAxis.sample` asks, and
+waits one trip in ``select``: a few tenths of a millisecond. It never waits longer than for the age that is stated.
+
+Trips from S to R are measured (:func:`manyhands.devices.starting.trips`). The way of an answer back and that of the
+next torque are at most S + (R - S) + (R - S) together, on whichever of them a trip is longer. Half of it is stated as
+the age of a sample, and half as the delay of a torque; only the sum counts for a certificate. The age varies by R - S.
 
 **Lags that belong to the delay.** A current loop of bandwidth w answers like a first-order lag, whose phase is never
 beyond that of a delay of 1/w. A critically damped tracking loop of natural frequency w, through which both controllers
@@ -158,7 +161,7 @@ class MotorAxis(DeviceDriver):
             MotorError: no such controller answers, or it cannot be used.
             PortError: the port cannot be opened.
         """
-        self._given = given = _checked(parameters, self.KNOWN, period)
+        self._given = given = _checked(parameters, self.KNOWN)
         if len(ports) != 1:
             raise ValueError(f"found a device of {len(ports)} axes; expected dof: 1, for a motor has one")
         self._clock = clock or RealtimeClock()
@@ -171,7 +174,8 @@ class MotorAxis(DeviceDriver):
         self._rearming: Instant | None = None  # since when, after the watchdog had ended a torque
         self._unsent = self._old = self._trips = 0
         self._oldest = 0.0  # s
-        self._patience = LONGEST
+        self._sampled = Instant(0)
+        self._longest = self._patience = LONGEST
         self._port = SerialPort(given["port"], given["baud"], end=b"\n")
         try:
             self._found = self._begin()
@@ -239,15 +243,14 @@ class MotorAxis(DeviceDriver):
         """The timing as the session gives it, or as it is measured; both are rounded up."""
         found, given = self._found, self._given
         shortest, longest = trips(self._trip)
-        varies = longest - shortest  # by so much at most a question is longer on its way than another
-        soonest, latest = (period * math.ceil(trip / period) for trip in (shortest, longest))
-        age, delay = given["sample_age"], given["actuation_delay"]
+        half, age, delay = longest - shortest / 2.0, given["sample_age"], given["actuation_delay"]
         if delay is None:
-            delay = up(longest + found.motor_lag)
+            delay = up(half + found.motor_lag)
         if age is None:
-            age = up(latest + varies + found.sensor_lag)
-        self._patience = from_seconds(latest + longest)
-        return DeviceTiming(age, min(age, up(latest - soonest + varies)), delay)
+            age = up(half + found.sensor_lag)
+        self._longest = from_seconds(max(longest, age - found.sensor_lag))
+        self._patience = from_seconds(period + longest)
+        return DeviceTiming(age, min(age, up(longest - shortest)), delay)
 
     def _trip(self) -> Duration:
         """From a question to its answer."""
@@ -282,18 +285,21 @@ class MotorAxis(DeviceDriver):
         )
 
     def sample(self, tick: int, at: Instant) -> Sequence[float]:
-        """The angle that was asked for a tick ago, rad; asks for the next one.
-
-        A loop that had paused for longer than ``silence``, as before its first tick, waits once for a new answer.
-        """
+        """The angle that is measured now, rad: asks for it, and waits for the answer as long as is stated."""
+        began = self._clock.now()
         self._hear()
-        now = self._clock.now()
-        open_since = self._questions.oldest
-        if open_since is None and now - self._asked > self._silence:
+        if began - self._sampled > self._silence:  # as before the first tick
             self._rearming = None
             self._renew()
-            now = self._clock.now()
-        elif open_since is not None and now - open_since > self._silence:
+        else:
+            self._ask()
+            end = Instant(began + self._longest)
+            while self._asked < began and (now := self._clock.now()) < end:
+                self._port.wait(Duration(end - now))
+                self._hear()
+        self._sampled = now = self._clock.now()
+        open_since = self._questions.oldest
+        if open_since is not None and now - open_since > self._silence:
             raise MotorError(
                 f"{self._port.path}: found no answer for {1e-6 * (now - open_since):.3g} ms; expected one within "
                 f"{1e-6 * self._silence:g} ms: see that the controller has power and is plugged in"
@@ -302,7 +308,6 @@ class MotorAxis(DeviceDriver):
         age = seconds(Duration(now - self._asked)) + self._found.sensor_lag
         self._oldest = max(self._oldest, age)
         self._old += age > self._timing.sample_age
-        self._ask()
         return (self._x,)
 
     def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> None:
@@ -374,7 +379,7 @@ class MotorAxis(DeviceDriver):
         return False
 
 
-def _checked(parameters: Mapping[str, Any], known: Mapping[str, object], period: float) -> dict[str, Any]:
+def _checked(parameters: Mapping[str, Any], known: Mapping[str, object]) -> dict[str, Any]:
     """The parameters, with what holds where one is not given."""
     given = checked(parameters, known, ("silence", "sample_age", "actuation_delay"))
     for name, unit in (
@@ -387,9 +392,4 @@ def _checked(parameters: Mapping[str, Any], known: Mapping[str, object], period:
             raise ValueError(f"parameters.{name}: found {value!r:.40}; expected a number of {unit} greater than 0")
     if not number(given["zero"]) or not math.isfinite(given["zero"]):
         raise ValueError(f"parameters.zero: found {given['zero']!r:.40}; expected an angle in rad")
-    if given["sample_age"] is not None and given["sample_age"] < period:
-        raise ValueError(
-            f"parameters.sample_age: found {given['sample_age']:g} s; expected at least the period, {period:g} s, for "
-            "an angle is asked for a tick ahead"
-        )
     return given

@@ -29,9 +29,6 @@ CLOSED_LOOP: Final = 8
 TORQUE_CONTROL: Final = 1
 PASSTHROUGH: Final = 1
 
-STATUS_WITHIN: Final = from_seconds(0.05)
-"""A status as old as this is asked for in place of the angle, for of two answers at a time one may be discarded."""
-
 _ANSWER: Final = from_seconds(0.2)
 _TRIES: Final = 5
 _GREETINGS: Final = 3
@@ -68,7 +65,6 @@ class ODrive(MotorAxis):
         self._state, self._reason = IDLE, 0
         self._lost = False  # whether it is not armed, and has told no reason since
         self._outdated = False  # whether the status that is still to come was asked for before it was armed again
-        self._status_at = Instant(0)  # 0 before the loop begins
         self._watchdog = math.nan  # s, as it was set last
         self._digits = 6  # of the angle, behind the point
         self._starting = True
@@ -215,10 +211,8 @@ class ODrive(MotorAxis):
 
     def _ask(self) -> None:
         now = self._clock.now()
-        if self._status_at and now - self._status_at > STATUS_WITHIN and Form.WHOLE not in self._questions:
-            self._port.write(self._status(now))
         # two forms in turn, so that a late answer is not taken for one to the newest question
-        elif Form.PAIR not in self._questions:
+        if Form.PAIR not in self._questions:
             self._questions.ask(Form.PAIR, now)
             self._port.write(command(f"f {self._axis}"))
         elif Form.FRACTION not in self._questions:
@@ -231,7 +225,7 @@ class ODrive(MotorAxis):
         return command(f"r {self._of}{self._whole}")
 
     def idle(self, due: Instant) -> None:
-        """Ask for the axis' status once the answer about its angle is there."""
+        """Ask for the axis' status, where nothing else was asked: of two answers at a time one may be discarded."""
         self._hear()
         if not len(self._questions):
             self._port.write(self._status(self._clock.now()))
@@ -278,7 +272,6 @@ class ODrive(MotorAxis):
         elif given.form is not Form.WHOLE:
             self._take(TURN * given.numbers[0], asked)
         else:
-            self._status_at = self._clock.now()
             if self._outdated:
                 self._outdated = False
             elif self._whole == "current_state":
@@ -322,7 +315,6 @@ class ODrive(MotorAxis):
             self._state = int(self._required(f"{self._of}current_state"))
         finally:
             self._starting = False
-        self._status_at = self._clock.now()
         self._lost = not self._reason and self._state != CLOSED_LOOP
         super()._renew()
 

@@ -40,7 +40,11 @@ ENGINES: Final = "manyhands.engines"
 """The group of the entry points that name physics engines."""
 
 SHIPPED: Final[Mapping[str, Mapping[str, str]]] = {
-    DRIVERS: {"serial-board": "manyhands.devices.serial_board:SerialBoard"},
+    DRIVERS: {
+        "serial-board": "manyhands.devices.serial_board:SerialBoard",
+        "moteus": "manyhands.devices.moteus:Moteus",
+        "odrive": "manyhands.devices.odrive:ODrive",
+    },
     ENGINES: {"mujoco": "manyhands.nodes.environment.mujoco:MujocoEngine"},
 }
 """The factories of this package under short names, by group: its own code, of which no run warns."""

@@ -1,8 +1,8 @@
 """A fake ODrive of firmware 0.6 behind its ASCII port: the maker's manual, written down a second time.
 
-With ``discards`` an answer that would begin before the last one has left is discarded, as the manual says; a fake that is
-given its turn late would do so more often than an ODrive does. The watchdog disarms the axis
-with its error as the reason; a reason stays until ``sc``, and an axis with active errors cannot be armed.
+With ``discards`` an answer that would begin before the last one has left is discarded, as the manual says; a fake that
+is given its turn late would do so more often than an ODrive does. The watchdog disarms the axis with its error as the
+reason. A reason stays until ``sc``, and an axis with active errors cannot be armed.
 """
 
 from __future__ import annotations
