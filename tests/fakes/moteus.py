@@ -53,6 +53,9 @@ class FakeMoteus(Controller):
         if self.conf["servo.timeout_mode"] == 0:
             self.torque = 0.0
 
+    def told(self) -> int:
+        return int(self.wanted.get(0, 0))
+
     def fault(self, code: int) -> None:
         self.mode, self.code, self.torque, self.expires = 1, code, 0.0, math.inf
         if code == 40:
@@ -161,6 +164,7 @@ class FakeMoteus(Controller):
     def write(self, written: dict[int, float]) -> None:
         mode = written.get(0)
         if mode == 0:
+            self.wanted = written
             self.mode, self.code, self.torque, self.expires = 0, 0, 0.0, math.inf
         elif mode == 10 and self.mode not in (1, 11):
             self.wanted = written
@@ -169,8 +173,8 @@ class FakeMoteus(Controller):
             self.prepare()
             if self.mode == 10:
                 self.drive()
-            lives = written.get(0x27, 0.0) or 0.1
-            self.expires = math.inf if math.isnan(lives) else time.monotonic() + lives
+            self.lives = written.get(0x27, 0.0) or 0.1
+            self.expires = math.inf if math.isnan(self.lives) else time.monotonic() + self.lives
 
     def drive(self) -> None:
         """A torque with gains would be another one: then it is none, so that a test sees it."""

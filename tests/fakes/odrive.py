@@ -60,6 +60,9 @@ class FakeODrive(Controller):
         self.disarm(WATCHDOG)
         self.active |= WATCHDOG
 
+    def told(self) -> int:
+        return self.wholes["axis0.requested_state"]
+
     def disarm(self, reason: int) -> None:
         self.torque = 0.0
         if self.state == 8:
@@ -115,8 +118,8 @@ class FakeODrive(Controller):
         return None
 
     def feed(self) -> None:
-        on, timeout = self.wholes["axis0.config.enable_watchdog"], self.floats["axis0.config.watchdog_timeout"]
-        self.expires = time.monotonic() + timeout if on else math.inf
+        on, self.lives = self.wholes["axis0.config.enable_watchdog"], self.floats["axis0.config.watchdog_timeout"]
+        self.expires = time.monotonic() + self.lives if on else math.inf
         self.active &= ~WATCHDOG
 
     def drive(self) -> None:

@@ -12,7 +12,8 @@ alone. Orders, a line each:
     reset        begin anew, as after a brown-out
     fault CODE   the controller's own protection takes the motor's power, with this code of its maker
     scale K      from now on all angles are K times what they are, as of a firmware with another unit
-    ask          answer on standard output, as JSON: the angle (rad), the torque that acts (N·m), and counts
+    ask          answer on standard output, as JSON: the angle (rad), the torque that acts (N·m), the watchdog's time
+                 (s), the state that it was told to be in, and counts
 """
 
 from __future__ import annotations
@@ -57,6 +58,7 @@ class Controller(ABC):
         self.fd, self.rotor, self.settings = fd, rotor, settings
         self.angle = self.speed = self.torque = 0.0  # rad, rad/s, N·m
         self.expires = math.inf  # when the watchdog ends the torque
+        self.lives = 0.0  # its time as it was set last, s
         self.began = self.at = time.monotonic()
         self.scale = 1.0
         self.counts: dict[str, int] = {"lines": 0, "bad": 0, "expired": 0}
@@ -77,6 +79,10 @@ class Controller(ABC):
     @abstractmethod
     def expire(self) -> None:
         """The watchdog has run out."""
+
+    @abstractmethod
+    def told(self) -> int:
+        """The state that the host has told it to be in last, in the maker's numbers."""
 
     @abstractmethod
     def fault(self, code: int) -> None:
@@ -137,7 +143,14 @@ class Controller(ABC):
         elif word == "scale":
             self.scale = float(rest)
         elif word == "ask":
-            sys.stdout.write(json.dumps({"angle": self.angle, "torque": self.torque, **self.counts}) + "\n")
+            found = {
+                "angle": self.angle,
+                "torque": self.torque,
+                "lives": self.lives,
+                "told": self.told(),
+                **self.counts,
+            }
+            sys.stdout.write(json.dumps(found) + "\n")
             sys.stdout.flush()
         else:
             raise SystemExit(f"unknown order {line!r}")
@@ -189,7 +202,7 @@ class FakeMotor:
         self.process.stdin.flush()
 
     def asked(self) -> dict[str, float]:
-        """Its angle (rad), the torque that acts (N·m), and its counts, of this instant."""
+        """Its angle (rad), the torque that acts (N·m), its watchdog (s), state and counts, of this instant."""
         self.order("ask")
         assert self.process.stdout is not None
         found: dict[str, float] = json.loads(self.process.stdout.readline())
