@@ -41,6 +41,9 @@ from manyhands.devices.moteus.frames import (
 from manyhands.devices.motor_axis import AGAIN, GREETING, LONGEST, PARAMETERS, TURN, Found, MotorAxis, MotorError
 from manyhands.protocol.clock import Instant, seconds
 
+TRIES: Final = 3
+"""How often a line for the console is sent until it is answered."""
+
 FLOAT: Final = 2.0**-24
 """Relative; half of a step of the floats in which a controller sends its turns."""
 
@@ -120,17 +123,18 @@ class Moteus(MotorAxis):
             )
         raise MotorError(f"{self._port.path}: found the moteus in mode {self._mode}; expected {mode.value} on command")
 
-    def _awaited(self, payload: bytes) -> None:
-        """Ask something else than the angle, and wait for what is said."""
+    def _awaited(self, payload: bytes) -> bool:
+        """Ask something else than the angle, and wait a while; whether it was answered."""
+        self._questions.forget()
         self._send(payload, answered=True)
         end = Instant(self._clock.now() + AGAIN)
         while len(self._questions) and self._clock.now() < end:
             self._port.wait(AGAIN)
             self._hear()
-        self._questions.forget()
+        return not len(self._questions)
 
     def _versions(self) -> None:
-        for _ in range(10):  # on a bus that loses a frame
+        for _ in range(10 * TRIES):  # on a bus that loses a frame
             self._awaited(VERSIONS)
             version = self._numbers.get(MAP_VERSION)
             if version == REGISTER_MAP:
@@ -145,12 +149,22 @@ class Moteus(MotorAxis):
 
     def _said(self, line: str) -> str:
         """The console's answer to a line."""
-        self._text = b""
-        self._send(diagnostic(line.encode() + b"\n"))
-        end = Instant(self._clock.now() + GREETING)
-        while b"\n" not in self._text and self._clock.now() < end:
-            self._awaited(DIAGNOSTIC_POLL)
-        return self._text.decode("ascii", "replace").strip()
+        for _ in range(TRIES):
+            end = Instant(self._clock.now() + GREETING)
+            while self._polled() and self._clock.now() < end:
+                self._text = b""  # of an earlier line, which came late
+            self._send(diagnostic(line.encode() + b"\n"))
+            while b"\n" not in self._text and self._clock.now() < end:
+                self._polled()
+            if b"\n" in self._text:
+                break
+        said, self._text = self._text, b""
+        return said.decode("ascii", "replace").strip()
+
+    def _polled(self) -> bool:
+        """Ask for what the console has said; whether more may come."""
+        before = len(self._text)
+        return not self._awaited(DIAGNOSTIC_POLL) or len(self._text) > before
 
     def _setting(self, name: str) -> float:
         """A number of its configuration."""
@@ -254,10 +268,10 @@ class Moteus(MotorAxis):
             return
         _, source, payload = frame
         asked = self._questions.answer(source)
-        if asked is None:
-            return
         if (said := console(payload)) is not None:
-            self._text += said
+            self._text += said  # a late answer has it as well, and the controller has forgotten it
+            return
+        if asked is None:
             return
         if (numbers := registers(payload)) is None:
             self._broken += 1
