@@ -111,7 +111,9 @@ def test_a_short_name_is_replaced_by_the_factory_that_is_published(
     monkeypatch.setattr(importlib.metadata, "entry_points", installed)
     assert loaded(tmp_path, tree(driver="falcon")).devices["d"].driver == "novint.driver:Falcon"
     for unknown, meant in (("falcn", "did you mean 'falcon'?"), ("odd", "manyhands.drivers")):
-        with pytest.raises(SessionError, match="one of simulated, trace, browser, serial-board, moteus, odrive, falcon") as caught:
+        with pytest.raises(
+            SessionError, match="one of simulated, trace, browser, serial-board, moteus, odrive, falcon"
+        ) as caught:
             loaded(tmp_path, tree(driver=unknown))
         assert meant in str(caught.value)
 
