@@ -26,12 +26,13 @@ class PortError(OSError):
 class SerialPort:
     """An open port, which no other program opens meanwhile."""
 
-    def __init__(self, path: str, baud: int) -> None:
+    def __init__(self, path: str, baud: int, end: bytes = b"\0") -> None:
         """Open it raw: eight bits, no parity, no flow control.
 
         Args:
             path: of the device, as ``/dev/ttyACM0``.
             baud: bits a second; a board behind USB ignores it.
+            end: what ends a frame on this port, and so what is left of one that was sent in part.
 
         Raises:
             PortError: there is none, it may not be opened, or another program has it.
@@ -40,7 +41,7 @@ class SerialPort:
         speed = getattr(termios, f"B{baud}", None)
         if speed is None:
             raise ValueError(f"baud: found {baud}; expected a rate that termios knows, as 115200, 921600 or 2000000")
-        self.path = path
+        self.path, self._end = path, end
         self._torn = False  # whether the last frame was sent in part
         try:
             self._fd = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -84,7 +85,7 @@ class SerialPort:
         Raises:
             PortError: the board was unplugged.
         """
-        whole = b"\0" + frame if self._torn else frame  # the zero ends what is left of the last one
+        whole = self._end + frame if self._torn else frame  # which ends what is left of the last one
         try:
             sent = os.write(self._fd, whole)
         except BlockingIOError:

@@ -4,9 +4,9 @@
       stick: {dof: 2, driver: serial-board, parameters: {port: /dev/ttyACM0}, osp: ..., limits: {...}}
 
 At the start it greets the board, reads from its answer what it can do, and measures the way of a force to the board and
-of the state that answers it back, :data:`TRIPS` times. From the longest trip R and the board's own period P it states
-its timing: a displacement is at most P + R/2 old, and a force acts after at most R/2. Only the sum of both counts for a
-certificate.
+of the state that answers it back (:func:`manyhands.devices.starting.trips`). From the longest trip R and the board's
+own period P it states its timing: a displacement is at most P + R/2 old, and a force acts after at most R/2. Only the
+sum of both counts for a certificate.
 
 The board ends every force by itself, at an instant of its own clock that the frame names
 (:mod:`manyhands.devices.serial_board.conversation`). So a frame that a stalled port delivers late is no force.
@@ -14,7 +14,6 @@ The board ends every force by itself, at an instant of its own clock that the fr
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -22,6 +21,7 @@ from typing import Any, Final
 from manyhands.devices.serial_board.conversation import Arrived, Conversation
 from manyhands.devices.serial_board.frames import VERSION, About, Feature, Status, force, hello
 from manyhands.devices.serial_port import PortError, SerialPort
+from manyhands.devices.starting import checked, trips, up
 from manyhands.nodes.device.plugin import DeviceDriver
 from manyhands.nodes.device.specification import DeviceSpecification, DeviceTiming
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds, seconds
@@ -30,12 +30,6 @@ GREETING: Final = from_seconds(2.0)
 """How long a board may take to answer; one that starts when its port is opened needs a second and more."""
 
 HELLO_EVERY: Final = from_seconds(0.1)
-
-TRIPS: Final = 200
-"""Exchanges of which the longest counts."""
-
-ROUND: Final = 5e-5
-"""s; the timing that is stated is rounded up to multiples of it, so that it is the same at the next start."""
 
 PARAMETERS: Final[Mapping[str, object]] = {
     "port": "",
@@ -77,7 +71,7 @@ class SerialBoard(DeviceDriver):
             BoardError: no board of this protocol answers, or it has another number of axes.
             PortError: the port cannot be opened.
         """
-        given = _checked(parameters)
+        given = checked(parameters, PARAMETERS, ("silence", "sample_age", "actuation_delay"))
         self._clock = clock or RealtimeClock()
         self._silence = from_seconds(given["silence"])
         self._nonce = int.from_bytes(os.urandom(4), "little")
@@ -126,14 +120,13 @@ class SerialBoard(DeviceDriver):
 
     def _timed(self, given: Mapping[str, Any]) -> DeviceTiming:
         """The timing as the session gives it, or as it is measured; both are rounded up."""
-        trips = sorted(seconds(self._trip()) for _ in range(TRIPS))
-        shortest, longest = trips[0], trips[-1]
+        shortest, longest = trips(self._trip)
         age, delay = given["sample_age"], given["actuation_delay"]
-        measured_age = _up(self._about.period + longest / 2.0)
+        measured_age = up(self._about.period + longest / 2.0)
         if age is None:
-            jitter = min(measured_age, _up(self._about.period + (longest - shortest) / 2.0))
-            return DeviceTiming(measured_age, jitter, _up(longest / 2.0) if delay is None else delay)
-        return DeviceTiming(age, None, _up(longest / 2.0) if delay is None else delay)
+            jitter = min(measured_age, up(self._about.period + (longest - shortest) / 2.0))
+            return DeviceTiming(measured_age, jitter, up(longest / 2.0) if delay is None else delay)
+        return DeviceTiming(age, None, up(longest / 2.0) if delay is None else delay)
 
     def _trip(self) -> Duration:
         """From a force of zero to the state that answers it."""
@@ -242,30 +235,6 @@ class SerialBoard(DeviceDriver):
                 f"{self._port.path}: found the board {_said(status)}; expected one that is ready and obeys"
             )
         return newest
-
-
-def _checked(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """The parameters, with what holds where one is not given."""
-    for name in parameters:
-        if name not in PARAMETERS:
-            raise ValueError(f"parameters: found {name!r:.40}; expected {', '.join(PARAMETERS)}")
-    given = {**PARAMETERS, **parameters}
-    if not isinstance(given["port"], str) or not given["port"]:
-        raise ValueError("parameters.port: found none; expected the board's serial port, as /dev/ttyACM0")
-    if not isinstance(given["baud"], int):
-        raise ValueError(f"parameters.baud: found {given['baud']!r:.40}; expected bits a second")
-    for name in ("silence", "sample_age", "actuation_delay"):
-        value = given[name]
-        if value is None and PARAMETERS[name] is None:
-            continue
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < 1.0:
-            raise ValueError(f"parameters.{name}: found {value!r:.40}; expected a time in s, below 1")
-    return given
-
-
-def _up(time: float) -> float:
-    """A time rounded up to a multiple of :data:`ROUND`, s."""
-    return round(ROUND * math.ceil(time / ROUND - 1e-9), 9)
 
 
 def _names(rotations: Sequence[bool]) -> tuple[str, ...]:

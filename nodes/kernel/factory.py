@@ -44,6 +44,8 @@ SHIPPED: Final[Mapping[str, Mapping[str, str]]] = {
         "evdev-wheel": "manyhands.devices.evdev:EvdevWheel",
         "force-dimension": "manyhands.devices.force_dimension:ForceDimension",
         "haply-inverse3": "manyhands.devices.haply:HaplyInverse3",
+        "moteus": "manyhands.devices.moteus:Moteus",
+        "odrive": "manyhands.devices.odrive:ODrive",
         "serial-board": "manyhands.devices.serial_board:SerialBoard",
     },
     ENGINES: {"mujoco": "manyhands.nodes.environment.mujoco:MujocoEngine"},

@@ -17,9 +17,9 @@ from typing import Any
 import pytest
 
 from manyhands.devices.serial_board import BoardError, SerialBoard
-from manyhands.devices.serial_board.driver import ROUND
 from manyhands.devices.serial_board.frames import Feature, sealed
 from manyhands.devices.serial_port import PortError
+from manyhands.devices.starting import ROUND
 from manyhands.protocol.clock import Instant
 
 from ...fakes.board import Axis, FakeBoard, fake_board

@@ -1,0 +1,59 @@
+"""What drivers behind a serial port do at their start: check what a session gives them, and measure trips."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
+
+from manyhands.protocol.clock import Duration, seconds
+
+TRIPS: Final = 200
+"""Exchanges of which the longest counts."""
+
+ROUND: Final = 5e-5
+"""s; the timing that is stated is rounded up to multiples of it, so that it is the same at the next start."""
+
+
+def checked(parameters: Mapping[str, Any], known: Mapping[str, object], times: Sequence[str]) -> dict[str, Any]:
+    """The parameters of a session, with what holds where one is not given.
+
+    Args:
+        parameters: as the session gives them.
+        known: every parameter of the driver, ``port`` and ``baud`` among them, and what holds where it is not given.
+        times: those that are times in s; one of None may stay so.
+
+    Raises:
+        ValueError: one is not known, there is no port, or a value is none of its kind.
+    """
+    for name in parameters:
+        if name not in known:
+            raise ValueError(f"parameters: found {name!r:.40}; expected {', '.join(known)}")
+    given = {**known, **parameters}
+    if not isinstance(given["port"], str) or not given["port"]:
+        raise ValueError("parameters.port: found none; expected the device's serial port, as /dev/ttyACM0")
+    if not isinstance(given["baud"], int):
+        raise ValueError(f"parameters.baud: found {given['baud']!r:.40}; expected bits a second")
+    for name in times:
+        value = given[name]
+        if value is None and known[name] is None:
+            continue
+        if not number(value) or not 0.0 < value < 1.0:
+            raise ValueError(f"parameters.{name}: found {value!r:.40}; expected a time in s, below 1")
+    return given
+
+
+def number(value: object) -> bool:
+    """Whether it is a number, and no truth value."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def trips(trip: Callable[[], Duration]) -> tuple[float, float]:
+    """The shortest and the longest of :data:`TRIPS` exchanges with the device, s; ``trip`` does one, ns."""
+    of_each = sorted(seconds(trip()) for _ in range(TRIPS))
+    return of_each[0], of_each[-1]
+
+
+def up(time: float) -> float:
+    """A time rounded up to a multiple of :data:`ROUND`, s."""
+    return round(ROUND * math.ceil(time / ROUND - 1e-9), 9)

@@ -1,0 +1,248 @@
+"""A fake motor controller's body: a rotor, a watchdog, latency, and a pseudo-terminal; orders come on standard input.
+
+    J w' = t - b w - friction + k (r(time) - angle),   r(time) = amplitude sin(2 pi frequency time)
+
+It runs in a process of its own and in real time (``python -m tests.fakes.moteus FD JSON``), with the standard library
+alone. Orders, a line each:
+
+    stall MS     neither read nor send for so long, as a busy bus does; what came meanwhile is read afterwards
+    mute         send nothing any more; go on reading
+    drop N       leave out the next N answers
+    noise        send a line that is none
+    reset        begin anew, as after a brown-out
+    fault CODE   the controller's own protection takes the motor's power, with this code of its maker
+    scale K      from now on all angles are K times what they are, as of a firmware with another unit
+    ask          answer on standard output, as JSON: the angle (rad), the torque that acts (N·m), the watchdog's time
+                 (s), the state that it was told to be in, and counts
+"""
+
+from __future__ import annotations
+
+import heapq
+import json
+import math
+import os
+import select
+import subprocess
+import sys
+import time
+import tty
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+STEP = 1e-4  # s, of the motion
+
+
+@dataclass(frozen=True)
+class Rotor:
+    """Inertia (kg·m²), damping (N·m·s), dry friction (N·m), encoder's counts a turn, the hand (N·m/rad, rad, Hz)."""
+
+    J: float = 2e-4
+    b: float = 2e-3
+    c: float = 0.0
+    counts: int = 16384
+    k: float = 0.0
+    amplitude: float = 0.0
+    frequency: float = 0.0
+    latency: float = 2e-4  # s, from a question's arrival to its answer
+
+
+class Controller(ABC):
+    """What every fake controller does; one maker's protocol is a subclass."""
+
+    def __init__(self, fd: int, rotor: Rotor, **settings: Any) -> None:
+        self.fd, self.rotor, self.settings = fd, rotor, settings
+        self.angle = self.speed = self.torque = 0.0  # rad, rad/s, N·m
+        self.expires = math.inf  # when the watchdog ends the torque
+        self.lives = 0.0  # its time as it was set last, s
+        self.began = self.at = time.monotonic()
+        self.scale = 1.0
+        self.counts: dict[str, int] = {"lines": 0, "bad": 0, "expired": 0}
+        self._stalled, self._mute, self._drop = 0.0, False, 0
+        self._leaving: list[tuple[float, int, bytes]] = []
+        self._sent = 0
+        self._coming = b""
+        self.begin()
+
+    @abstractmethod
+    def begin(self) -> None:
+        """The state after power has come."""
+
+    @abstractmethod
+    def line(self, text: bytes) -> None:
+        """Take a line of the host."""
+
+    @abstractmethod
+    def expire(self) -> None:
+        """The watchdog has run out."""
+
+    @abstractmethod
+    def told(self) -> int:
+        """The state that the host has told it to be in last, in the maker's numbers."""
+
+    @abstractmethod
+    def fault(self, code: int) -> None:
+        """The controller protects itself."""
+
+    @property
+    def turns(self) -> float:
+        """The angle as its encoder has it, turns."""
+        turns = self.angle / (2.0 * math.pi)
+        return self.scale * math.floor(turns * self.rotor.counts + 0.5) / self.rotor.counts
+
+    def answer(self, text: bytes) -> None:
+        """Send a line once the latency is over."""
+        if self._mute:
+            return
+        if self._drop:
+            self._drop -= 1
+            return
+        self._sent += 1
+        heapq.heappush(self._leaving, (time.monotonic() + self.rotor.latency, self._sent, text))
+
+    def advance(self, to: float) -> None:
+        """Move the rotor up to an instant; the watchdog ends the torque in between."""
+        while self.at < to:
+            if self.at >= self.expires:
+                self.expires = math.inf
+                self.counts["expired"] += 1
+                self.expire()
+            end = min(to, self.at + STEP, max(self.expires, self.at + 1e-9))
+            self._move(end - self.at)
+            self.at = end
+
+    def _move(self, dt: float) -> None:
+        of = self.rotor
+        goal = of.amplitude * math.sin(2.0 * math.pi * of.frequency * (self.at - self.began))
+        drive = self.torque + of.k * (goal - self.angle)
+        speed = (self.speed + dt * drive / of.J) / (1.0 + dt * of.b / of.J + dt * dt * of.k / of.J)
+        most = dt * of.c / of.J
+        self.speed = speed - most if speed > most else speed + most if speed < -most else 0.0
+        self.angle += dt * self.speed
+
+    def order(self, line: str) -> None:
+        """Follow an order of the test."""
+        word, _, rest = line.partition(" ")
+        if word == "stall":
+            self._stalled = time.monotonic() + 1e-3 * float(rest)
+        elif word == "mute":
+            self._mute = True
+        elif word == "drop":
+            self._drop = int(rest)
+        elif word == "noise":
+            os.write(self.fd, b"\x80noise\r\n")
+        elif word == "reset":
+            self.torque, self.expires = 0.0, math.inf
+            self.begin()
+        elif word == "fault":
+            self.fault(int(rest, 0))
+        elif word == "scale":
+            self.scale = float(rest)
+        elif word == "ask":
+            found = {
+                "angle": self.angle,
+                "torque": self.torque,
+                "lives": self.lives,
+                "told": self.told(),
+                **self.counts,
+            }
+            sys.stdout.write(json.dumps(found) + "\n")
+            sys.stdout.flush()
+        else:
+            raise SystemExit(f"unknown order {line!r}")
+
+    def run(self) -> None:
+        """Until standard input ends."""
+        os.set_blocking(self.fd, False)
+        orders = b""
+        while True:
+            now = time.monotonic()
+            stalled = now < self._stalled
+            due = self._stalled if stalled else self._leaving[0][0] if self._leaving else math.inf
+            wait = max(0.0, min(due - now, 1e-3))
+            ready, _, _ = select.select([0] if stalled else [0, self.fd], [], [], wait)
+            self.advance(time.monotonic())
+            if 0 in ready:
+                if not (data := os.read(0, 4096)):
+                    return
+                *lines, orders = (orders + data).split(b"\n")
+                for line in lines:
+                    self.order(line.decode())
+            if self.fd in ready and time.monotonic() >= self._stalled:
+                with suppress(OSError):
+                    self._coming += os.read(self.fd, 65536)
+                *lines, self._coming = self._coming.split(b"\n")
+                for line in lines:
+                    self.counts["lines"] += 1
+                    self.line(line)
+            while self._leaving and self._leaving[0][0] <= time.monotonic() and time.monotonic() >= self._stalled:
+                with suppress(BlockingIOError):
+                    os.write(self.fd, heapq.heappop(self._leaving)[2])
+
+
+class FakeMotor:
+    """A running controller.
+
+    Attributes:
+        path: of its port.
+        process: that it runs in.
+    """
+
+    def __init__(self, path: str, process: subprocess.Popen[str]) -> None:
+        self.path, self.process = path, process
+
+    def order(self, line: str) -> None:
+        """Give an order, as above."""
+        assert self.process.stdin is not None
+        self.process.stdin.write(line + "\n")
+        self.process.stdin.flush()
+
+    def asked(self) -> dict[str, float]:
+        """Its angle (rad), the torque that acts (N·m), its watchdog (s), state and counts, of this instant."""
+        self.order("ask")
+        assert self.process.stdout is not None
+        found: dict[str, float] = json.loads(self.process.stdout.readline())
+        return found
+
+    def unplug(self) -> None:
+        """End it: its port is gone."""
+        self.process.kill()
+        self.process.wait()
+
+
+@contextmanager
+def fake_motor(kind: str, rotor: Rotor, settings: dict[str, Any], link: Path | None = None) -> Iterator[FakeMotor]:
+    """A controller of this kind that runs meanwhile; ``link`` is made to lead to its port."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    path = os.ttyname(slave)
+    try:
+        process = subprocess.Popen(
+            [sys.executable, "-m", f"tests.fakes.{kind}", str(master), json.dumps([asdict(rotor), settings])],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, pass_fds=(master,), cwd=Path(__file__).parents[2],
+        )  # fmt: skip
+    finally:
+        os.close(master)
+    if link is not None:
+        link.unlink(missing_ok=True)
+        link.symlink_to(path)
+    try:
+        yield FakeMotor(path, process)
+    finally:
+        os.close(slave)
+        process.kill()
+        process.wait()
+        for stream in (process.stdin, process.stdout):
+            if stream is not None:
+                with suppress(BrokenPipeError):
+                    stream.close()
+
+
+def serve(kind: type[Controller]) -> None:
+    """The process of a fake."""
+    rotor, settings = json.loads(sys.argv[2])
+    kind(int(sys.argv[1]), Rotor(**rotor), **settings).run()
