@@ -199,7 +199,8 @@ def test_an_unplugged_controller_is_named_and_closing_it_is_quiet(kind: Kind) ->
         assert one.path in failing(driver)
 
 
-def test_closing_takes_the_power_from_the_motor(kind: Kind) -> None:
+def test_closing_takes_the_power_from_the_motor(kind: Kind, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("manyhands.devices.serial_port.DRAINING", PATIENCE)  # until the fake has its turn
     of, fake = kind
     stopped = {Moteus: 0, ODrive: 1}[of]
     with fake() as one:
