@@ -20,7 +20,7 @@ from manyhands.launch.run.states import Incidents, SessionPhase
 from manyhands.launch.session import Session
 from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes.monitor.given import GivenForce, percent
-from manyhands.nodes.monitor.health import condensed, missed
+from manyhands.nodes.monitor.health import PromiseState, condensed, missed
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.figures import Figure, Unit
 from manyhands.nodes.rows.lateness import lateness_by_coupling
@@ -64,6 +64,15 @@ class Progress:
     by_itself: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     __repr__ = brief_repr
+
+    @property
+    def without_force(self) -> tuple[str, ...]:
+        """The devices that have been given too little of the force asked in the last seconds: their walls are gone.
+
+        What counts as too little, and over which time, has :mod:`manyhands.nodes.monitor.given`.
+        """
+        lasting = [row for row in self.promises if row.promise == Promise.GIVEN and row.until is None]
+        return tuple(sorted({name for row in lasting if row.state == PromiseState.BROKEN for name in row.who}))
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import re
@@ -16,14 +17,14 @@ from rich.console import Console
 
 from manyhands.launch.app.design_report import print_report
 from manyhands.launch.plan.prepare import prepare
-from manyhands.launch.run.outcome import lateness_entry, lateness_sentence, node_entry, run_report, save_json
-from manyhands.launch.run.states import Incidents
+from manyhands.launch.run.outcome import Progress, lateness_entry, lateness_sentence, node_entry, run_report, save_json
+from manyhands.launch.run.states import Incidents, SessionPhase
 from manyhands.launch.session import load_session
 from manyhands.nodes.monitor.given import FIGURES
 from manyhands.nodes.rows import figures as names
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_COUNT
-from manyhands.protocol.messages import Figures, Report, Role
+from manyhands.protocol.messages import Figures, PromiseStatus, Report, Role
 
 from ...support.simulated_recordings import SESSIONS
 
@@ -272,6 +273,15 @@ def test_a_node_without_a_report_has_a_row_and_nothing_is_claimed_of_it() -> Non
     print_report(Console(file=shown, width=200), made)
     assert re.search("silent .* no report ", shown.getvalue())
     assert "no account fell below 0 of those reported, and no figures came from silent, bound -5 mJ" in shown.getvalue()
+
+
+def test_a_study_can_ask_whose_wall_is_gone() -> None:
+    def now(*rows: PromiseStatus) -> tuple[str, ...]:
+        return Progress(SessionPhase.RUNNING, {}, {}, {}, 1.0, (), {}, promises=rows).without_force
+
+    gone = PromiseStatus("force given", "broken", ("dx", "dy"), since=1.0)
+    assert now(gone, PromiseStatus("pace", "broken", ("dz",))) == ("dx", "dy")
+    assert now(dataclasses.replace(gone, until=2.0), PromiseStatus("force given", "kept")) == ()
 
 
 def test_a_run_that_had_no_tick_claims_no_promise() -> None:
