@@ -191,8 +191,8 @@ class Processes:
         if name not in self._logged:
             return ""
         with (self._directory / f"{name}.log").open("rb") as log:
-            log.seek(self._logged[name])
-            said = log.read().decode(errors="replace").strip()
+            log.seek(max(self._logged[name], log.seek(0, os.SEEK_END) - _LOG_SHOWN))  # it may be of any size
+            said = log.read(_LOG_SHOWN).decode(errors="replace").strip()
         return said.rpartition("\n")[2][:_LOG_SHOWN]
 
 
