@@ -27,7 +27,7 @@ excluded by the class and the bounds alone.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from typing import Final
@@ -39,10 +39,20 @@ from scipy.optimize import linprog
 Array = NDArray[np.float64]
 
 HALF: Final = 0.015
-"""s; velocities are means over twice that."""
+"""s; noise is what is beyond a cubic over twice that."""
 
-WINDOW: Final = 0.6
-"""Of the shortest way's half, that the window takes to each side."""
+PARTS: Final = (0.03, 0.06, 0.1)
+"""Of the time of a way: velocities are means over twice that, within :data:`SHORTEST` and :data:`LONGEST`, s. Over the
+longer ones errors of displacements matter less, and how the velocity changes more."""
+
+SHORTEST: Final = 0.01
+LONGEST: Final = 0.06
+
+WINDOW: Final = (-0.92, -0.4, 0.4, 0.92)
+"""Where the window begins, is full, falls and ends, by half of a way: its slopes are where the tip is slow."""
+
+SIDE: Final = (-0.2, 0.45, 0.55, 0.92)
+"""Likewise that to the right, for the mass: from where the tip is fast to where it is slow."""
 
 RATIO: Final = 1.3
 """By which the speeds of Stribeck's law in one set differ at most."""
@@ -50,7 +60,17 @@ RATIO: Final = 1.3
 SURE: Final = 1.3
 """By which what was seen of noise, and of the change of a velocity within :data:`HALF`, is enlarged."""
 
+UNEVEN: Final = 0.1
+"""Of the inertia's change from side to side, how far it may be from a straight line within the window."""
+
+ASKEW: Final = 0.005
+"""Of what is burned on a way, by which both directions may differ more at one speed than at another."""
+
+BENT: Final = 0.5
+"""Of its correction, that a velocity may still be off by."""
+
 _ROUNDING: Final = 1e-12  # of a pair's work, J/J
+_SEEN: Final = 65  # places of a window at which both ways are compared
 _PLACES: Final = 24  # narrow windows, for friction that changes with the place
 
 
@@ -109,12 +129,14 @@ class Way:
         level: of its speed.
         forward: whether s grows.
         P: work under the window, J.
-        V: integral psi v v^T dt, m^2/s * m.
-        Q: that of inertia, m^2/s^2.
+        V: integral psi v v^T dt, m^2/s; Q is that of inertia, m^2/s^2.
         R: integral psi |ds|, m.
         slow: the least speed where the window is open, m/s; ``fast`` the greatest.
-        error: bound of the error of P, J; ``speed_error`` that of v, m/s; ``aside`` the mean way aside by way ahead.
+        P_error: bound of the error of P, J; for B and M not negative <B, V> and <M, Q> are off by at most
+            ``V_error`` tr B and ``Q_error`` tr M.
+        aside: the mean way aside by the way ahead.
         squares: v_u^2 over the places of the window, m^2/s^2.
+        speed_error: bound of the error of v_u, m/s.
     """
 
     level: int
@@ -125,15 +147,26 @@ class Way:
     R: float
     slow: float
     fast: float
-    error: float
-    speed_error: float
+    P_error: float
+    V_error: float
+    Q_error: float
     aside: Array
     squares: Array
+    speed_error: float
 
 
 @dataclass(frozen=True)
 class Pair:
-    """A way there and one back, which is one equation (see the module)."""
+    """A way there and one back, which is one equation (see the module).
+
+    Attributes:
+        level, D, V, Q, R, slow, fast, D_error, V_error, Q_error, aside: those of both ways, as of :class:`Way`.
+        tilted: as Q, for an inertia that grows from -1 to 1 over the window, m^2/s^2.
+        apart: as Q, for one that changes by at most 1 in any way.
+        odd: half of the difference of both works, J, with ``odd_V`` and ``odd_Q`` likewise.
+        slowest: over the places of the window, the least speed of both ways, m/s; ``fastest`` the greatest.
+        psi: the window over these places.
+    """
 
     level: int
     D: float
@@ -142,14 +175,18 @@ class Pair:
     R: float
     slow: float
     fast: float
-    error: float
-    speed_error: float
+    D_error: float
+    V_error: float
+    Q_error: float
     aside: Array
+    tilted: float
     apart: float
-    """Half of the mean of |v_u^2 there - v_u^2 back|, times the integral of |psi'|: what M(x) may do, m^2/s^2."""
     odd: float
-    """Half of the difference of both works, J; ``odd_Q`` that of the inertia's integrals, m^2/s^2."""
+    odd_V: float
     odd_Q: float
+    slowest: Array
+    fastest: Array
+    psi: Array
 
 
 @dataclass(frozen=True)
@@ -225,133 +262,186 @@ def encoder_step(x: Array) -> float | None:
 
 
 def noise_of(motion: Motion, u: Array, step: float) -> float:
-    """A bound of the error of a displacement along u, m: half a step, or what a slow motion shows beyond a smooth one."""
-    n = 2 * round(HALF / 2.0 / float(np.median(np.diff(motion.sampled)))) + 1
-    worst = 0.5 * step
+    """A bound of the error of a displacement along u, m: half a step, or what is beyond a cubic over :data:`HALF`."""
+    n = max(3, round(HALF / 2.0 / float(np.median(np.diff(motion.sampled)))))
+    powers = np.vander(np.arange(-n, n + 1) / n, 4)
+    weights = np.linalg.pinv(powers)[-1]  # of the fit's value in the middle
+    worst = 0.0
     for axis in np.flatnonzero(u):
-        x = motion.x[:, axis]
-        smooth = np.convolve(x, np.ones(n) / n, "valid")
-        inner = slice(n // 2, len(x) - n // 2)
-        speed = np.abs(np.gradient(smooth))
-        ahead = speed > 0.5 * np.median(speed)  # turning round bends the motion itself
-        worst = max(worst, SURE * float(np.max(np.abs(x[inner] - smooth)[ahead], initial=0.0)))
-    return worst
+        x = motion.x[motion.turns[0] :, axis]
+        fit = np.convolve(x, weights[::-1], "valid")
+        worst = max(worst, float(np.max(np.abs(x[n : len(x) - n] - fit))))
+    return max(0.5 * step, SURE * worst)
 
 
 @dataclass(frozen=True)
 class _Window:
-    """psi(s) = cos^2(pi (s - middle)/(2 half)), up to ``half`` to each side."""
+    """psi(s): 0 up to ``begins``, up to 1 at ``full``, 1 up to ``falls``, and 0 from ``ends`` on, by halves of a cosine."""
 
-    middle: float
-    half: float
+    begins: float
+    full: float
+    falls: float
+    ends: float
 
     def at(self, s: Array) -> Array:
-        z = np.clip((s - self.middle) / self.half, -1.0, 1.0)
-        return np.asarray(np.cos(0.5 * np.pi * z) ** 2)
+        up = np.clip((s - self.begins) / (self.full - self.begins), 0.0, 1.0)
+        down = np.clip((self.ends - s) / (self.ends - self.falls), 0.0, 1.0)
+        return np.asarray(np.sin(0.5 * np.pi * up) ** 2 * np.sin(0.5 * np.pi * down) ** 2)
 
     def integral(self, s: Array) -> Array:
-        z = np.clip((s - self.middle) / self.half, -1.0, 1.0)
-        return np.asarray(0.5 * self.half * (z + np.sin(np.pi * z) / np.pi))
+        def ramp(z: Array) -> Array:  # the integral of sin^2(pi z/2), and 1 beyond 1
+            inside = np.clip(z, 0.0, 1.0)
+            return np.asarray(0.5 * (inside - np.sin(np.pi * inside) / np.pi) + np.maximum(z - 1.0, 0.0))
+
+        rise, fall = self.full - self.begins, self.ends - self.falls
+        up, down = rise * ramp((s - self.begins) / rise), fall * ramp((self.ends - s) / fall)
+        whole = 0.5 * rise + self.falls - self.full + 0.5 * fall
+        return np.where(s < self.falls, up, whole - down)
+
+    @property
+    def steepest(self) -> float:
+        """The greatest |psi'|, 1/m."""
+        return 0.5 * np.pi / min(self.full - self.begins, self.ends - self.falls)
+
+    def places(self) -> Array:
+        return np.linspace(self.begins, self.ends, _SEEN)
 
 
 @dataclass(frozen=True)
 class _Run:
-    """A motion along a line, by the instants at which its forces changed."""
+    """A motion along a line, by the instants at which its forces changed: s, v and f along it; y and w in all axes."""
 
     motion: Motion
     u: Array
     t: Array
-    s: Array
     y: Array
+    w: Array
+    s: Array
     v: Array
+    f: Array
     bend: Array
-    along: Array
-    f_along: Array
+    n: int
+    half: float
 
 
-def _run_of(motion: Motion, u: Array, doubt: Doubt) -> _Run:
-    """Displacements and velocities at the instants of the forces, as far as age and delay are known."""
+def _run_of(motion: Motion, u: Array, doubt: Doubt, part: float) -> _Run:
+    """Displacements and velocities at the instants of the forces, as far as age and delay are known.
+
+    Velocities are means over twice this part of a way.
+    """
     late = 0.5 * (doubt.latency[0] + doubt.latency[1])
-    t = motion.applied
+    t, length = motion.applied, u / np.sqrt(u @ u)
     y = np.column_stack([np.interp(t + late, motion.sampled, x) for x in motion.x.T])
-    n = max(1, round(HALF / float(np.median(np.diff(t)))))
+    stroke = float(np.median(np.diff(t[list(motion.turns)])))  # from one turn to the next, s
+    half = min(LONGEST, max(SHORTEST, part * stroke))
+    n = max(1, round(half / float(np.median(np.diff(t)))))
 
-    def velocity(n: int) -> Array:
+    def mean_velocity(n: int) -> Array:
         first, last = np.maximum(np.arange(len(t)) - n, 0), np.minimum(np.arange(len(t)) + n, len(t) - 1)
         return np.asarray((y[last] - y[first]) / (t[last] - t[first])[:, None])
 
-    v = velocity(n)
-    length = u / np.sqrt(u @ u)
-    # a mean over twice the time bends four times as much: a third of the difference is the error of the shorter one
-    bend = np.abs((velocity(2 * n) - v) @ length) / 3.0
-    return _Run(motion, length, t, y @ length, y, v, bend, v @ length, motion.f @ length)
+    # a mean over twice the time is off four times as much: a third of the difference corrects the shorter one
+    bend = (mean_velocity(n) - mean_velocity(2 * n)) / 3.0
+    w = mean_velocity(n) + bend
+    return _Run(motion, length, t, y, w, y @ length, w @ length, motion.f @ length, np.abs(bend @ length), n, half)
 
 
-def _ways(run: _Run, window: _Window, doubt: Doubt) -> list[Way | None]:
-    """The ways between two turns; None for one that does not cross the window, or stops in it."""
-    turns = run.motion.turns
-    return [_way(run, slice(a, b + 1), window, doubt) for a, b in zip(turns, turns[1:], strict=False)]
+def _ways(runs: Sequence[_Run], window: _Window, doubt: Doubt) -> Iterator[Way | None]:
+    """The ways between two turns; None for one that does not cross the window, or stops in it.
+
+    Of the same motion with several means of velocity, each way is told with the least bound of an error.
+    """
+    turns = runs[0].motion.turns
+    for a, b in zip(turns, turns[1:], strict=False):
+        told = [way for run in runs if (way := _way(run, slice(a, b + 1), window, doubt)) is not None]
+        yield min(told, key=lambda way: way.Q_error, default=None)
 
 
 def _way(run: _Run, part: slice, window: _Window, doubt: Doubt) -> Way | None:
-    s, t, v, along = run.s[part], run.t[part], run.v[part], run.along[part]
-    gap = np.diff(t)
+    s, t, v, w, u = run.s[part], run.t[part], run.v[part], run.w[part], run.u
     sign = 1.0 if s[-1] > s[0] else -1.0
-    if min(sign * (s[-1] - window.middle), sign * (window.middle - s[0])) < window.half + 2.0 * doubt.delta:
+    first, last = (s[0], s[-1]) if sign > 0.0 else (s[-1], s[0])
+    if min(window.begins - first, last - window.ends) < 2.0 * doubt.delta:
         return None
-    middle = 0.5 * (s[1:] + s[:-1])
-    psi, Psi = window.at(middle), window.integral(s)
-    steps = np.diff(Psi)
+    gap, psi, Psi = np.diff(t), window.at(s), window.integral(s)
     opened = psi > 1e-6
-    speeds = sign * 0.5 * (along[1:] + along[:-1])
-    speed_error = doubt.delta / HALF
-    fast = float(speeds[opened].max())
-    speed_error += SURE * float(np.max(run.bend[part][:-1][opened])) + fast * doubt.jitter / (2.0 * HALF)
-    slow = float(speeds[opened].min()) - speed_error
+    fast, bend = float(np.max(sign * v[opened])), BENT * run.bend[part]
+    off = doubt.delta + 0.5 * np.abs(v) * doubt.jitter  # of a displacement, beside a constant age
+    speed_error = 5.0 / 3.0 * float(np.max(off)) / run.half + float(np.max(bend[opened]))  # of v: with what the correction adds
+    slow = float(np.min(sign * v[opened])) - speed_error
     if slow <= 0.0 or float(gap.max()) > HALF:
         return None
-    f, ahead = run.f_along[part][:-1], run.u
+    R = float(np.abs(Psi[-1] - Psi[0]))
+
+    def error(weights: Array) -> float:
+        """Bound of the error of sum weights v: by parts, since v is a difference of displacements."""
+        n, span = run.n, 2.0 * run.half
+        padded, around = np.pad(weights, 2 * n), np.pad(off, 2 * n, mode="edge")
+        once = np.abs(padded[2 * n :] - padded[: -2 * n]) @ around[n:-n] / span
+        twice = np.abs(padded[4 * n :] - padded[: -4 * n]) @ off / (2.0 * span)
+        return float(4.0 / 3.0 * once + twice / 3.0 + np.abs(weights) @ bend)
+
+    # over the window, not over time: exact in the place, and one factor v
+    over, slopes = _centred(Psi), _centred(psi)
+    V = float(over @ v) * np.outer(u, u)
+    V_error = error(over) + float(np.abs(np.diff(v)) @ (psi * off)[1:])
+    beside = w - np.outer(v, u)
+    weights = psi * _centred(t)
+    cross = np.einsum("k,ki,k->i", weights, beside, v)
+    V = V + np.outer(u, cross) + np.outer(cross, u) + np.einsum("k,ki,kj->ij", weights, beside, beside)
+    Q = -0.5 * np.einsum("k,ki,kj->ij", slopes, w, w)
+    Q_error = error(slopes * v) + speed_error**2 + 0.5 * window.steepest * float(np.abs(np.diff(v**2)) @ (opened * off)[1:])
+    order = np.argsort(s)
+    squares = np.interp(window.places(), s[order], v[order] ** 2)
+    P, P_error = _work(run, part, window, doubt)
+    more = 1.0 if len(u) == 1 else 2.0
+    return Way(
+        run.motion.level, sign > 0.0, P, V, Q, R, slow, fast + speed_error, P_error, more * V_error, more * Q_error,
+        weights @ beside / R, squares, speed_error,
+    )  # fmt: skip
+
+
+def _centred(values: Array) -> Array:
+    """Half the difference of both neighbours; their sum is that of all differences."""
+    return np.gradient(values) if len(values) > 1 else np.zeros_like(values)
+
+
+def _work(run: _Run, part: slice, window: _Window, doubt: Doubt) -> tuple[float, float]:
+    """The work of the motors under the window, J, and a bound of its error.
+
+    A force acts from its instant to the next one's. Summed by parts, an error of a displacement counts as much as the
+    force changes there.
+    """
+    s, v, u, f = run.s[part], run.v[part], run.u, run.f[part][:-1]
+    gap = np.diff(run.t[part])
+    psi = window.at(0.5 * (s[1:] + s[:-1]))
     dy = np.diff(run.y[part], axis=0)
-    aside = dy - np.outer(dy @ ahead, ahead)
-    F_aside = run.motion.f[part][:-1] - np.outer(f, ahead)
-    P = float(f @ steps + np.sum(psi[:, None] * F_aside * aside))
+    F_beside = run.motion.f[part][:-1] - np.outer(f, u)
+    P = float(f @ np.diff(window.integral(s)) + np.sum(psi[:, None] * F_beside * dy))
     if run.motion.extra is not None:
         P += float(psi @ run.motion.extra[part][:-1])
-    # summed by parts: an error of a displacement counts where the force changes
     jumps = np.linalg.norm(np.diff(run.motion.f[part][:-1], axis=0), axis=1)
-    at = window.at(s[1:-1])
     unknown = 0.5 * (doubt.latency[1] - doubt.latency[0])
-    between = float(gap.max()) ** 2 / 8.0 * float(np.max(np.abs(np.diff(along) / gap)))  # interpolated
-    error = float(jumps @ (at * (doubt.delta + between + np.abs(along[1:-1]) * unknown)))
-    error += _ROUNDING * abs(P)
-    velocities = 0.5 * (v[1:] + v[:-1])
-    weights = psi * gap
-    V = np.einsum("k,ki,kj->ij", weights, velocities, velocities)
-    # the part along the line has one factor exactly, by Psi
-    V += np.outer(ahead, ahead) * float(steps @ (sign * speeds) - weights @ speeds**2)
-    slopes = np.diff(window.at(s))
-    Q = -0.5 * np.einsum("k,ki,kj->ij", slopes, velocities, velocities)
-    beside = velocities - np.outer(velocities @ ahead, ahead)
-    R = float(np.abs(Psi[-1] - Psi[0]))
-    places = np.linspace(window.middle - window.half, window.middle + window.half, 65)
-    order = np.argsort(s)
-    squares = np.interp(places, s[order], along[order] ** 2)
-    went = (weights @ beside) / R
-    return Way(run.motion.level, sign > 0.0, P, V, Q, R, slow, fast + speed_error, error, speed_error, went, squares)
+    between = float(gap.max()) ** 2 / 8.0 * float(np.max(np.abs(np.diff(v) / gap)))  # interpolated
+    off = doubt.delta + between + np.abs(v[1:-1]) * unknown
+    return P, float(jumps @ (window.at(s[1:-1]) * off)) + _ROUNDING * abs(P)
 
 
-def _pairs(ways: Iterable[Way | None]) -> list[Pair]:
+def _pairs(run: Sequence[_Run], window: _Window, doubt: Doubt) -> list[Pair]:
     """One pair of each way there with the next one back."""
-    found, before = [], None
-    for way in ways:
+    found: list[Pair] = []
+    before: Way | None = None
+    places = window.places()
+    psi = window.at(places)
+    slope, tilt = np.gradient(psi), np.linspace(-1.0, 1.0, _SEEN)
+    for way in _ways(run, window, doubt):
         if way is None or before is None or way.forward == before.forward:
             before = way
             continue
         there, back = (before, way) if before.forward else (way, before)
-        differ = np.abs(there.squares - back.squares)
-        # psi rises over the first half of the places and falls over the second: |psi'| has the integral 2
-        shape = np.abs(np.sin(np.linspace(-np.pi, np.pi, len(differ))))
-        apart = 0.5 * float(differ @ shape / shape.sum())
+        differ = -0.25 * (there.squares - back.squares)
+        off = max(there.speed_error, back.speed_error)
+        speeds = np.sqrt(np.stack([there.squares, back.squares]))
         found.append(
             Pair(
                 way.level,
@@ -361,12 +451,18 @@ def _pairs(ways: Iterable[Way | None]) -> list[Pair]:
                 0.5 * (there.R + back.R),
                 min(there.slow, back.slow),
                 max(there.fast, back.fast),
-                0.5 * (there.error + back.error),
-                max(there.speed_error, back.speed_error),
+                0.5 * (there.P_error + back.P_error),
+                0.5 * (there.V_error + back.V_error),
+                0.5 * (there.Q_error + back.Q_error),
                 0.5 * (there.aside - back.aside),
-                apart,
+                float(differ @ (tilt * slope)),
+                float(np.abs(differ) @ np.abs(slope)),
                 0.5 * (there.P - back.P),
+                0.5 * float(np.trace(there.V) - np.trace(back.V)),
                 0.5 * float(np.trace(there.Q) - np.trace(back.Q)),
+                np.maximum(speeds.min(axis=0) - off, 0.0),
+                speeds.max(axis=0) + off,
+                psi,
             )
         )
         before = None
@@ -384,8 +480,8 @@ def measured_line(motions: Sequence[Motion], u: Array, doubt: Doubt) -> Line:
     Raises:
         TooLittle: at fewer than two levels the device went to and fro without a stop.
     """
-    runs = [_run_of(motion, u, doubt) for motion in motions]
-    ends = [run.s[list(run.motion.turns)] for run in runs]
+    runs = [[_run_of(motion, u, doubt, part) for part in PARTS] for motion in motions]
+    ends = [run[0].s[list(run[0].motion.turns)] for run in runs]
     low = max(float(np.median(e[e < np.mean(e)])) for e in ends)
     high = min(float(np.median(e[e > np.mean(e)])) for e in ends)
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
@@ -395,58 +491,54 @@ def measured_line(motions: Sequence[Motion], u: Array, doubt: Doubt) -> Line:
             "what a displacement may be off by: something holds the device, or the force is too small for its friction"
         )
 
-    def pairs(window: _Window, of: Sequence[_Run]) -> list[Pair]:
-        return [pair for run in of for pair in _pairs(_ways(run, window, doubt))]
+    def pairs(window: Sequence[float], of: Sequence[list[_Run]]) -> list[Pair]:
+        found = _Window(*(middle + half * place for place in window))
+        return [pair for run in of for pair in _pairs(run, found, doubt)]
 
-    main = pairs(_Window(middle, WINDOW * half), runs)
-    if len({pair.level for pair in main}) < 2:
+    main = pairs(WINDOW, runs)
+    levels = {pair.level for pair in main}
+    if len(levels) < 2:
         raise TooLittle(
-            f"found ways without a stop at {len({pair.level for pair in main})} of {len(motions)} speeds; expected two or "
-            "more: give more force, more travel, or a greater speed"
+            f"found ways without a stop at {len(levels)} of {len(motions)} speeds; expected two or more: give more "
+            "force, more travel, or a greater speed"
         )
-    aside = [pairs(_Window(middle + way * 0.65 * half, 0.3 * half), runs) for way in (-1.0, 1.0)]
-    slowest = min(pair.level for pair in main)
-    places = []
-    wide = WINDOW * half / _PLACES * 2.0
-    for place in np.linspace(-1.0, 1.0, _PLACES + 1):
-        window = _Window(middle + place * (WINDOW * half - wide), wide)
-        for pair in pairs(window, [run for run in runs if run.motion.level == slowest])[:2]:
-            places.append((pair.D / pair.R, pair.error / pair.R))
+    aside = pairs([-place for place in reversed(SIDE)], runs), pairs(SIDE, runs)
+    slowest, places, wide = min(levels), [], 2.0 * WINDOW[3] / _PLACES
+    for place in np.linspace(WINDOW[0] + wide, WINDOW[3] - wide, _PLACES):
+        narrow = [place - wide, place - 0.01 * wide, place + 0.01 * wide, place + wide]
+        for pair in pairs(narrow, [run[:1] for run in runs if run[0].motion.level == slowest])[:2]:
+            places.append((pair.D / pair.R, pair.D_error / pair.R))
     return Line(u, tuple(main), (tuple(aside[0]), tuple(aside[1])), tuple(places))
 
 
 # --- from ways to sets
 
 
-def mass_interval(line: Line) -> Interval:
-    """u^T M u for u of length 1, by where a way speeds up and slows down; it also covers how it changes on the way.
+def mass_interval(line: Line) -> tuple[Interval, float]:
+    """u^T M u for u of length 1, by where a way speeds up and slows down, and how much it changes on the way, kg.
+
+    Half of the difference of both ways' work is G + <M, Q'>, with G of the conservative forces, the same at every speed.
 
     Raises:
         TooLittle: no way speeds up or slows down.
     """
-    found = []
+    damping, found = _greatest(line)[0], []
     for side in line.sides:
         rows, limits = [], []
         for pair in side:
-            # b and c are nearly the same both ways, and cancel: what is left of them is in the error
-            slack = pair.error + 0.02 * abs(pair.D)
-            slack += pair.speed_error * pair.fast * _mass_guess(side)
-            rows += [[1.0, pair.odd_Q], [-1.0, -pair.odd_Q]]
-            limits += [pair.odd + slack, -pair.odd + slack]
+            slack = pair.D_error + damping * (abs(pair.odd_V) + pair.V_error) + ASKEW * abs(pair.D)
+            for sign in (1.0, -1.0):
+                rows.append([sign, sign * pair.odd_Q - pair.Q_error])
+                limits.append(sign * pair.odd + slack)
         if rows:
-            found += _range(np.array([0.0, 1.0]), np.array(rows), np.array(limits), 1)
-    if not found:
-        raise TooLittle("found no way that speeds up; expected some: give more travel, or a greater speed")
-    low, high = min(found), max(found)
-    if not np.isfinite(high):
+            found.append(_range(np.array([0.0, 1.0]), np.array(rows), np.array(limits), 1))
+    if not all(found):
+        raise NotOfThisClass("found no mass that agrees with how it speeds up; expected one: a hand, a cable or a filter")
+    if not found or not np.isfinite(found).all():
         raise TooLittle("found no bound of the moving mass; expected ways at different speeds: give a greater speed")
-    return Interval(max(0.0, 0.95 * low), 1.05 * high)
-
-
-def _mass_guess(side: Sequence[Pair]) -> float:
-    Q, P = np.array([pair.odd_Q for pair in side]), np.array([pair.odd for pair in side])
-    spread = Q - Q.mean()
-    return abs(float(spread @ P / max(float(spread @ spread), 1e-30)))
+    middles = [0.5 * (low + high) for low, high in found]
+    low, high = min(one[0] for one in found), max(one[1] for one in found)
+    return Interval(max(0.0, low), high), max(middles) - min(middles)
 
 
 def _range(c: Array, A: Array, b: Array, free: int, extra: Array | None = None) -> list[float]:
@@ -494,33 +586,25 @@ class _Set:
 
 def _greatest(line: Line) -> tuple[float, float]:
     """Above what u^T B u can be (N*s/m), and what dry friction can (N), by all that was burned."""
-    damping = min((pair.D + pair.error) / max(float(np.trace(pair.V)) - pair.R * pair.speed_error, 1e-30)
-                  for pair in line.pairs)  # fmt: skip
-    return max(damping, 0.0), max(max((pair.D + pair.error) / pair.R for pair in line.pairs), 0.0)
+    damping = min((pair.D + pair.D_error) / max(float(np.trace(pair.V)) - pair.V_error, 1e-30) for pair in line.pairs)
+    return max(damping, 0.0), max(0.0, *((pair.D + pair.D_error) / pair.R for pair in line.pairs))
 
 
-def _constraints(lines: Sequence[Line], mass: Sequence[Interval]) -> _Set:
+def _constraints(lines: Sequence[Line], mass: Sequence[Interval], changes: Sequence[float]) -> _Set:
     m = len(lines[0].u)
     found = _Set(m, lines, mass)
-    most = [_greatest(line) for line in lines]
-    # the greatest eigenvalue is at most the trace, which the axes' lines bound
-    trace = sum(damping for damping, _ in most[:m])
-    drag = sum(friction for _, friction in most[:m])
-    triangle, first = len(found.places), found.free
-    heaviest = sum(interval.high for interval in mass[:m])
-    for number, (line, pair) in enumerate((lines[i], pair) for i, pair in found.of_pairs):
-        at = mass[next(i for i, other in enumerate(lines) if other is line)]
-        straight = np.mean([other.aside for other in line.pairs], axis=0)
-        error = pair.error + trace * pair.R * pair.speed_error * (1.0 if m == 1 else 2.0)
-        # inertia: where both ways differ, M(x) may; and the velocity's error
-        error += (at.high - at.low) * pair.apart + heaviest * 2.0 * pair.speed_error**2
-        error += heaviest * pair.speed_error * (pair.fast - pair.slow)
-        error += drag * pair.R * float(np.linalg.norm(pair.aside - straight))
-        row = found.empty()
-        row[:triangle], row[triangle:first] = found.column(pair.V), found.column(pair.Q)
-        row[first + number] = pair.R
-        found.add(row, pair.D + error)
-        found.add(-row, -pair.D + error)
+    drag = sum(_greatest(line)[1] for line in lines[:m])
+    triangle, first, eye = len(found.places), found.free, found.column(np.eye(m))
+    for number, (at, pair) in enumerate(found.of_pairs):
+        straight = np.mean([other.aside for other in lines[at].pairs], axis=0)
+        error = pair.D_error + drag * pair.R * float(np.linalg.norm(pair.aside - straight))
+        error += changes[at] * (SURE * abs(pair.tilted) + UNEVEN * pair.apart)
+        for sign in (1.0, -1.0):  # both traces are not negative
+            row = found.empty()
+            row[:triangle] = sign * found.column(pair.V) - pair.V_error * eye
+            row[triangle:first] = sign * found.column(pair.Q) - pair.Q_error * eye
+            row[first + number] = sign * pair.R
+            found.add(row, sign * pair.D + error)
     for line, interval in zip(lines, mass, strict=True):
         u = line.u / np.sqrt(line.u @ line.u)
         row = found.empty()
@@ -532,7 +616,7 @@ def _constraints(lines: Sequence[Line], mass: Sequence[Interval]) -> _Set:
         found.add(row, 0.0)
     for one, (i, slower) in enumerate(found.of_pairs):  # friction does not grow with the speed
         for other, (j, faster) in enumerate(found.of_pairs):
-            if i == j and faster.slow >= slower.fast:
+            if i == j and bool(np.all(faster.slowest >= slower.fastest)):
                 row = found.empty()
                 row[first + other], row[first + one] = 1.0, -1.0
                 found.add(row, 0.0)
@@ -546,12 +630,19 @@ def _with_stribeck(base: _Set, least: float, most: float) -> tuple[Array, Array]
         level, more = base.free + len(base.of_pairs) + 2 * i, base.free + len(base.of_pairs) + 2 * i + 1
         row = base.empty()
         row[base.free + number], row[level] = 1.0, -1.0
-        row[more] = -np.exp(-((pair.slow / most) ** 2)) if most > 0.0 else 0.0
+        row[more] = -_left(pair.slowest, pair.psi, most)
         other = -row
-        other[more] = np.exp(-((pair.fast / least) ** 2)) if least > 0.0 else 0.0
+        other[more] = _left(pair.fastest, pair.psi, least)
         rows += [row, other]
         limits += [0.0, 0.0]
     return np.array(rows), np.array(limits)
+
+
+def _left(speeds: Array, psi: Array, stribeck: float) -> float:
+    """The window's mean of e^-(v/v_s)^2."""
+    if stribeck == 0.0:
+        return 0.0
+    return float(np.exp(-np.minimum((speeds / stribeck) ** 2, 700.0)) @ psi / psi.sum())
 
 
 def damping_set(lines: Sequence[Line]) -> Identified:
@@ -564,8 +655,9 @@ def damping_set(lines: Sequence[Line]) -> Identified:
         NotOfThisClass: the set is empty.
         TooLittle: a mass is not bounded.
     """
-    mass = [mass_interval(line) for line in lines]
-    base = _constraints(lines, mass)
+    weighed = [mass_interval(line) for line in lines]
+    mass = [interval for interval, _ in weighed]
+    base = _constraints(lines, mass, [change for _, change in weighed])
     A, b = np.array(base.rows), np.array(base.limits)
     units = [line.u / np.sqrt(line.u @ line.u) for line in lines]
 

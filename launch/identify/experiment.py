@@ -46,7 +46,7 @@ BANDWIDTH: Final = 16.0
 DAMPED: Final = 0.6
 """Its damping ratio."""
 
-ROUNDED: Final = 0.9
+ROUNDED: Final = 0.8
 """How sharp the turns are, below 1."""
 
 LEARNS: Final = 0.3

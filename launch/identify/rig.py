@@ -22,8 +22,9 @@ Controller = Callable[[Floats, Floats, float], Floats]
 HOLD = from_seconds(0.02)
 """After that a force ends by itself, though no call follows, ns."""
 
-SPAN = 0.02
-"""s; the velocity that a controller is told is a mean over that."""
+SPAN = 0.01
+"""s; a controller is told the mean place over that, and the velocity between two of them: encoder steps and varying ages
+would make its force restless, and a restless force is a wide interval."""
 
 LOOK_EVERY = 0.02
 """s from one look at the user's key to the next."""
@@ -93,6 +94,7 @@ class Rig:
         self._works = stated.holds_torque and driver.tells_work
         self._span = max(1, round(SPAN / T))
         self._past: list[Floats] = []
+        self._means: list[Floats] = []
         self._last: tuple[Floats, Floats] | None = None  # displacement and force of the tick before
         self._looked = -math.inf
         self.origin = self._sampled()[1]
@@ -116,11 +118,11 @@ class Rig:
                 begin = at if begin is None else begin
                 if at - begin >= duration:
                     return log
-                v = self._velocity(x)
+                place, v = self._smooth(x)
                 self._look(at, x, v, reach)
                 f = [
                     max(-most, min(most, value))
-                    for value, most in zip(control(x, v, at - begin), self.force, strict=True)
+                    for value, most in zip(control(place, v, at - begin), self.force, strict=True)
                 ]
                 log.extra.append(self._extra(x))
                 now = self._now()
@@ -150,6 +152,7 @@ class Rig:
     def here(self) -> Floats:
         """Where the device is now, m; the next motion begins there."""
         self._past.clear()
+        self._means.clear()
         self.origin = self._sampled()[1]
         return self.origin
 
@@ -172,13 +175,19 @@ class Rig:
         before, f = self._last
         return done - sum(F * (b - a) for F, a, b in zip(f, before, x, strict=True))
 
-    def _velocity(self, x: Floats) -> Floats:
-        past = self._past
-        past.append(x)
-        if len(past) > self._span + 1:
-            del past[0]
-        span = max(1, len(past) - 1) * self.T
-        return [(b - a) / span for a, b in zip(past[0], x, strict=True)]
+    def _smooth(self, x: Floats) -> tuple[Floats, Floats]:
+        """The mean place over the last :data:`SPAN`, m, and the velocity from the one before that, m/s."""
+        self._past.append(x)
+        n = min(self._span, len(self._past))
+        now = [sum(values) / n for values in zip(*self._past[-n:], strict=True)]
+        self._means.append(now)
+        before = self._means[0]
+        span = max(1, len(self._means) - 1) * self.T
+        if len(self._past) >= self._span:
+            del self._past[0]
+        if len(self._means) > self._span:
+            del self._means[0]
+        return now, [(b - a) / span for a, b in zip(before, now, strict=True)]
 
     def _look(self, at: float, x: Floats, v: Floats, reach: float) -> None:
         if at - self._looked >= LOOK_EVERY:
