@@ -54,6 +54,9 @@ WINDOW: Final = (-0.92, -0.4, 0.4, 0.92)
 SIDE: Final = (-0.2, 0.45, 0.55, 0.92)
 """Likewise that to the right, for the mass: from where the tip is fast to where it is slow."""
 
+GRID: Final = 12
+"""Parts of each edge of the cube, whose faces are the directions in which the least eigenvalue is sought."""
+
 RATIO: Final = 1.3
 """By which the speeds of Stribeck's law in one set differ at most."""
 
@@ -62,6 +65,9 @@ SURE: Final = 1.3
 
 UNEVEN: Final = 0.1
 """Of the inertia's change from side to side, how far it may be from a straight line within the window."""
+
+ASIDE: Final = 2.0
+"""How much greater than along a line an inertia may be aside of it, for the small motion aside."""
 
 ASKEW: Final = 0.005
 """Of what is burned on a way, by which both directions may differ more at one speed than at another."""
@@ -132,8 +138,8 @@ class Way:
         V: integral psi v v^T dt, m^2/s; Q is that of inertia, m^2/s^2.
         R: integral psi |ds|, m.
         slow: the least speed where the window is open, m/s; ``fast`` the greatest.
-        P_error: bound of the error of P, J; for B and M not negative <B, V> and <M, Q> are off by at most
-            ``V_error`` tr B and ``Q_error`` tr M.
+        P_error: bound of the error of P, J; <B, V> is off by at most ``V_error`` (u^T B u + tr B/2), or without the
+            trace on a single axis; <M, Q> likewise.
         aside: the mean way aside by the way ahead.
         squares: v_u^2 over the places of the window, m^2/s^2.
         speed_error: bound of the error of v_u, m/s.
@@ -164,6 +170,7 @@ class Pair:
         tilted: as Q, for an inertia that grows from -1 to 1 over the window, m^2/s^2.
         apart: as Q, for one that changes by at most 1 in any way.
         odd: half of the difference of both works, J, with ``odd_V`` and ``odd_Q`` likewise.
+        odd_aside: what M may add to the odd work by motion aside, by u^T M u, m^2/s^2.
         slowest: over the places of the window, the least speed of both ways, m/s; ``fastest`` the greatest.
         psi: the window over these places.
     """
@@ -184,6 +191,7 @@ class Pair:
     odd: float
     odd_V: float
     odd_Q: float
+    odd_aside: float
     slowest: Array
     fastest: Array
     psi: Array
@@ -394,9 +402,8 @@ def _way(run: _Run, part: slice, window: _Window, doubt: Doubt) -> Way | None:
     order = np.argsort(s)
     squares = np.interp(window.places(), s[order], v[order] ** 2)
     P, P_error = _work(run, part, window, doubt)
-    more = 1.0 if len(u) == 1 else 2.0
     return Way(
-        run.motion.level, sign > 0.0, P, V, Q, R, slow, fast + speed_error, P_error, more * V_error, more * Q_error,
+        run.motion.level, sign > 0.0, P, V, Q, R, slow, fast + speed_error, P_error, V_error, Q_error,
         weights @ beside / R, squares, speed_error,
     )  # fmt: skip
 
@@ -459,7 +466,8 @@ def _pairs(run: Sequence[_Run], window: _Window, doubt: Doubt) -> list[Pair]:
                 float(np.abs(differ) @ np.abs(slope)),
                 0.5 * (there.P - back.P),
                 0.5 * float(np.trace(there.V) - np.trace(back.V)),
-                0.5 * float(np.trace(there.Q) - np.trace(back.Q)),
+                0.5 * float(run[0].u @ (there.Q - back.Q) @ run[0].u),
+                float(np.linalg.norm((there.Q - back.Q) @ run[0].u - run[0].u * (run[0].u @ (there.Q - back.Q) @ run[0].u))),
                 np.maximum(speeds.min(axis=0) - off, 0.0),
                 speeds.max(axis=0) + off,
                 psi,
@@ -523,12 +531,13 @@ def mass_interval(line: Line) -> tuple[Interval, float]:
         TooLittle: no way speeds up or slows down.
     """
     damping, found = _greatest(line)[0], []
+    more = 1.0 if len(line.u) == 1 else 2.0
     for side in line.sides:
         rows, limits = [], []
         for pair in side:
             slack = pair.D_error + damping * (abs(pair.odd_V) + pair.V_error) + ASKEW * abs(pair.D)
             for sign in (1.0, -1.0):
-                rows.append([sign, sign * pair.odd_Q - pair.Q_error])
+                rows.append([sign, sign * pair.odd_Q - more * pair.Q_error - ASIDE * pair.odd_aside])
                 limits.append(sign * pair.odd + slack)
         if rows:
             found.append(_range(np.array([0.0, 1.0]), np.array(rows), np.array(limits), 1))
@@ -594,15 +603,18 @@ def _constraints(lines: Sequence[Line], mass: Sequence[Interval], changes: Seque
     m = len(lines[0].u)
     found = _Set(m, lines, mass)
     drag = sum(_greatest(line)[1] for line in lines[:m])
-    triangle, first, eye = len(found.places), found.free, found.column(np.eye(m))
+    triangle, first = len(found.places), found.free
     for number, (at, pair) in enumerate(found.of_pairs):
         straight = np.mean([other.aside for other in lines[at].pairs], axis=0)
         error = pair.D_error + drag * pair.R * float(np.linalg.norm(pair.aside - straight))
         error += changes[at] * (SURE * abs(pair.tilted) + UNEVEN * pair.apart)
-        for sign in (1.0, -1.0):  # both traces are not negative
+        u = lines[at].u / np.sqrt(lines[at].u @ lines[at].u)
+        # an error e of v counts with 2 v^T B e: as much along the line, and at most half of tr B as much aside
+        off = found.column(np.outer(u, u) + (0.0 if m == 1 else 0.5) * np.eye(m))
+        for sign in (1.0, -1.0):
             row = found.empty()
-            row[:triangle] = sign * found.column(pair.V) - pair.V_error * eye
-            row[triangle:first] = sign * found.column(pair.Q) - pair.Q_error * eye
+            row[:triangle] = sign * found.column(pair.V) - pair.V_error * off
+            row[triangle:first] = sign * found.column(pair.Q) - pair.Q_error * off
             row[first + number] = sign * pair.R
             found.add(row, sign * pair.D + error)
     for line, interval in zip(lines, mass, strict=True):
@@ -684,8 +696,9 @@ def damping_set(lines: Sequence[Line]) -> Identified:
         row[base.free + len(base.of_pairs) + 2 * number] = 1.0
         levels = [end for one in sets for end in _range(row, *one, base.free)]
         friction.append(_least_friction(line, levels))
+    least, damping = max(0.0, _least_eigenvalue(base, A, b)), min(interval.high for interval in by_line)
     return Identified(
-        _least_eigenvalue(by_line, len(lines[0].u)),
+        Interval(min(least, damping), damping),
         tuple(by_line),
         tuple(friction),
         _by_axis(friction, [line.u for line in lines]),
@@ -717,21 +730,28 @@ def _least_friction(line: Line, levels: Sequence[float]) -> Interval:
     return Interval(max(0.0, low - dip - aside * high), high * (1.0 + aside))
 
 
-def _least_eigenvalue(by_line: Sequence[Interval], m: int) -> Interval:
-    """The least eigenvalue of all B with these u^T B u on :func:`lines`: by Weyl, over the entries' intervals."""
-    if m == 1:
-        return by_line[0]
-    middle = [0.5 * (one.low + one.high) for one in by_line]
-    off = [0.5 * (one.high - one.low) for one in by_line]
-    B, E = np.diag(middle[:m]), np.diag(off[:m])
-    diagonals = [u for u in lines(m)[m:]]
-    for i in range(m):
-        for j in range(i + 1, m):
-            # q(u) = m (u/|u|)^T B (u/|u|): the products u_i u_j pick B_ij out of their sum
-            B[i, j] = B[j, i] = sum(u[i] * u[j] * m * q for u, q in zip(diagonals, middle[m:], strict=True)) / 2.0**m
-            E[i, j] = E[j, i] = sum(m * q for q in off[m:]) / 2.0**m
-    least, spread = float(np.linalg.eigvalsh(B)[0]), float(np.linalg.eigvalsh(E)[-1])
-    return Interval(max(0.0, least - spread), min(least + spread, *(one.high for one in by_line)))
+def _least_eigenvalue(base: _Set, A: Array, b: Array) -> float:
+    """Below all eigenvalues of all B of the set: by w^T B w in directions w all over the sphere.
+
+    With the least eigenvalue's direction at most a from some w, it is at least (w^T B w - sin^2 a tr B)/cos^2 a.
+    """
+    m = base.m
+    row = base.empty()
+    row[: len(base.places)] = base.column(np.eye(m))
+    trace = _range(row, A, b, base.free)[1]
+    if m == 1 or not np.isfinite(trace):
+        return _range(row, A, b, base.free)[0] if m == 1 else 0.0
+    least = np.inf
+    edge = np.linspace(-1.0, 1.0, GRID + 1)
+    for axis in range(m):
+        for others in product(edge, repeat=m - 1):
+            w = np.insert(np.array(others), axis, 1.0)
+            row = base.empty()
+            row[: len(base.places)] = base.column(np.outer(w, w) / (w @ w))
+            least = min(least, *_range(row, A, b, base.free))
+    # from the faces of a cube to the sphere nothing grows: half of a cell's diagonal is the greatest angle
+    square = np.sin(np.sqrt(m - 1) / GRID) ** 2
+    return float((least - square * trace) / (1.0 - square))
 
 
 def _by_axis(friction: Sequence[Interval], directions: Sequence[Array]) -> tuple[float, ...]:

@@ -8,14 +8,15 @@ motion began, the speed, the device's own workspace, and ticks that came late. A
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from manyhands.nodes.device.plugin import PluginDriver
 from manyhands.nodes.device.specification import DeviceSpecification
+from manyhands.nodes.kernel.arithmetic import Floats, minus, plus
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds, seconds
 
-Floats = list[float]
 Controller = Callable[[Floats, Floats, float], Floats]
 """Displacement (m), velocity (m/s) and time since the run began (s) -> force (N)."""
 
@@ -93,8 +94,9 @@ class Rig:
         self.force = [min(safety.force, limit) for limit in stated.force]
         self._works = stated.holds_torque and driver.tells_work
         self._span = max(1, round(SPAN / T))
-        self._past: list[Floats] = []
-        self._means: list[Floats] = []
+        self._past: deque[Floats] = deque()
+        self._means: deque[Floats] = deque()
+        self._sum: Floats = []
         self._last: tuple[Floats, Floats] | None = None  # displacement and force of the tick before
         self._looked = -math.inf
         self.origin = self._sampled()[1]
@@ -177,16 +179,17 @@ class Rig:
 
     def _smooth(self, x: Floats) -> tuple[Floats, Floats]:
         """The mean place over the last :data:`SPAN`, m, and the velocity from the one before that, m/s."""
-        self._past.append(x)
-        n = min(self._span, len(self._past))
-        now = [sum(values) / n for values in zip(*self._past[-n:], strict=True)]
-        self._means.append(now)
-        before = self._means[0]
-        span = max(1, len(self._means) - 1) * self.T
-        if len(self._past) >= self._span:
-            del self._past[0]
-        if len(self._means) > self._span:
-            del self._means[0]
+        past, means = self._past, self._means
+        if not past:
+            self._sum = [0.0] * len(x)
+        past.append(x)
+        self._sum = plus(self._sum, x)
+        if len(past) > self._span:
+            self._sum = minus(self._sum, past.popleft())
+        now = [total / len(past) for total in self._sum]
+        means.append(now)
+        span = max(1, len(means) - 1) * self.T
+        before = means.popleft() if len(means) > self._span else means[0]
         return now, [(b - a) / span for a, b in zip(before, now, strict=True)]
 
     def _look(self, at: float, x: Floats, v: Floats, reach: float) -> None:
