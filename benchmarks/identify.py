@@ -140,11 +140,11 @@ def summary(every: list[Outcome]) -> tuple[list[str], bool]:
         if not group:
             continue
         ends = np.array([one.damping[0] / one.truth[0] for one in group])
-        dry = np.array([one.friction[0] / one.truth[1] for one in group if one.truth[1] > 0.0])
+        dry = np.array([one.friction[0] / one.truth[1] for one in group if one.truth[1] > 0.0] or [0.0])
         lines.append(
             f"  {name}: {len(group)}; lower end / truth of the damping: median {np.median(ends):.2f}, quartiles "
-            f"{np.quantile(ends, 0.25):.2f} and {np.quantile(ends, 0.75):.2f}, nothing for {np.sum(ends == 0.0)}; of the "
-            f"friction: median {np.median(dry):.2f}"
+            f"{np.quantile(ends, 0.25):.2f} and {np.quantile(ends, 0.75):.2f}, nothing for {np.sum(ends == 0.0)}; of "
+            f"the friction: median {np.median(dry):.2f}"
         )
     lines += [f"  FALSE: {one}" for one in false]
     lines += [f"  missed: {one}" for one in told if not one.covered]

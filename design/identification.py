@@ -29,7 +29,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import product
+from itertools import pairwise, product
 from typing import Final
 
 import numpy as np
@@ -284,7 +284,7 @@ def noise_of(motion: Motion, u: Array, step: float) -> float:
 
 @dataclass(frozen=True)
 class _Window:
-    """psi(s): 0 up to ``begins``, up to 1 at ``full``, 1 up to ``falls``, and 0 from ``ends`` on, by halves of a cosine."""
+    """psi(s): 0 up to ``begins``, 1 from ``full`` to ``falls``, 0 from ``ends`` on, and halves of a cosine between."""
 
     begins: float
     full: float
@@ -343,6 +343,7 @@ def _run_of(motion: Motion, u: Array, doubt: Doubt, part: float) -> _Run:
     stroke = float(np.median(np.diff(t[list(motion.turns)])))  # from one turn to the next, s
     half = min(LONGEST, max(SHORTEST, part * stroke))
     n = max(1, round(half / float(np.median(np.diff(t)))))
+    half = 0.5 * float(np.min(t[2 * n :] - t[: -2 * n], initial=2.0 * half))  # late ticks are followed by short ones
 
     def mean_velocity(n: int) -> Array:
         first, last = np.maximum(np.arange(len(t)) - n, 0), np.minimum(np.arange(len(t)) + n, len(t) - 1)
@@ -360,7 +361,7 @@ def _ways(runs: Sequence[_Run], window: _Window, doubt: Doubt) -> Iterator[Way |
     Of the same motion with several means of velocity, each way is told with the least bound of an error.
     """
     turns = runs[0].motion.turns
-    for a, b in zip(turns, turns[1:], strict=False):
+    for a, b in pairwise(turns):
         told = [way for run in runs if (way := _way(run, slice(a, b + 1), window, doubt)) is not None]
         yield min(told, key=lambda way: way.Q_error, default=None)
 
@@ -375,7 +376,9 @@ def _way(run: _Run, part: slice, window: _Window, doubt: Doubt) -> Way | None:
     opened = psi > 1e-6
     fast, bend = float(np.max(sign * v[opened])), BENT * run.bend[part]
     off = doubt.delta + 0.5 * np.abs(v) * doubt.jitter  # of a displacement, beside a constant age
-    speed_error = 5.0 / 3.0 * float(np.max(off)) / run.half + float(np.max(bend[opened]))  # of v: with what the correction adds
+    speed_error = 5.0 / 3.0 * float(np.max(off)) / run.half + float(
+        np.max(bend[opened])
+    )  # of v: with what the correction adds
     slow = float(np.min(sign * v[opened])) - speed_error
     if slow <= 0.0 or float(gap.max()) > HALF:
         return None
@@ -398,7 +401,9 @@ def _way(run: _Run, part: slice, window: _Window, doubt: Doubt) -> Way | None:
     cross = np.einsum("k,ki,k->i", weights, beside, v)
     V = V + np.outer(u, cross) + np.outer(cross, u) + np.einsum("k,ki,kj->ij", weights, beside, beside)
     Q = -0.5 * np.einsum("k,ki,kj->ij", slopes, w, w)
-    Q_error = error(slopes * v) + speed_error**2 + 0.5 * window.steepest * float(np.abs(np.diff(v**2)) @ (opened * off)[1:])
+    Q_error = (
+        error(slopes * v) + speed_error**2 + 0.5 * window.steepest * float(np.abs(np.diff(v**2)) @ (opened * off)[1:])
+    )
     order = np.argsort(s)
     squares = np.interp(window.places(), s[order], v[order] ** 2)
     P, P_error = _work(run, part, window, doubt)
@@ -467,7 +472,11 @@ def _pairs(run: Sequence[_Run], window: _Window, doubt: Doubt) -> list[Pair]:
                 0.5 * (there.P - back.P),
                 0.5 * float(np.trace(there.V) - np.trace(back.V)),
                 0.5 * float(run[0].u @ (there.Q - back.Q) @ run[0].u),
-                float(np.linalg.norm((there.Q - back.Q) @ run[0].u - run[0].u * (run[0].u @ (there.Q - back.Q) @ run[0].u))),
+                float(
+                    np.linalg.norm(
+                        (there.Q - back.Q) @ run[0].u - run[0].u * (run[0].u @ (there.Q - back.Q) @ run[0].u)
+                    )
+                ),
                 np.maximum(speeds.min(axis=0) - off, 0.0),
                 speeds.max(axis=0) + off,
                 psi,
@@ -495,8 +504,9 @@ def measured_line(motions: Sequence[Motion], u: Array, doubt: Doubt) -> Line:
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     if half < 20.0 * doubt.delta:
         raise TooLittle(
-            f"found ways of {1e3 * half:.3g} mm to each side; expected more than {2e4 * doubt.delta:.3g} mm, twenty times "
-            "what a displacement may be off by: something holds the device, or the force is too small for its friction"
+            f"found ways of {1e3 * half:.3g} mm to each side; expected more than {2e4 * doubt.delta:.3g} mm, "
+            "twenty times what a displacement may be off by: something holds the device, or the force is too small for "
+            "its friction"
         )
 
     def pairs(window: Sequence[float], of: Sequence[list[_Run]]) -> list[Pair]:
@@ -525,7 +535,7 @@ def measured_line(motions: Sequence[Motion], u: Array, doubt: Doubt) -> Line:
 def mass_interval(line: Line) -> tuple[Interval, float]:
     """u^T M u for u of length 1, by where a way speeds up and slows down, and how much it changes on the way, kg.
 
-    Half of the difference of both ways' work is G + <M, Q'>, with G of the conservative forces, the same at every speed.
+    Half of the difference of both ways' work is G + <M, Q'>; G is of conservative forces, the same at every speed.
 
     Raises:
         TooLittle: no way speeds up or slows down.
@@ -542,7 +552,9 @@ def mass_interval(line: Line) -> tuple[Interval, float]:
         if rows:
             found.append(_range(np.array([0.0, 1.0]), np.array(rows), np.array(limits), 1))
     if not all(found):
-        raise NotOfThisClass("found no mass that agrees with how it speeds up; expected one: a hand, a cable or a filter")
+        raise NotOfThisClass(
+            "found no mass that agrees with how it speeds up; expected one: a hand, a cable or a filter"
+        )
     if not found or not np.isfinite(found).all():
         raise TooLittle("found no bound of the moving mass; expected ways at different speeds: give a greater speed")
     middles = [0.5 * (low + high) for low, high in found]
@@ -755,7 +767,7 @@ def _least_eigenvalue(base: _Set, A: Array, b: Array) -> float:
 
 
 def _by_axis(friction: Sequence[Interval], directions: Sequence[Array]) -> tuple[float, ...]:
-    """c with sum c_i |v_i| <= N(v) in all directions, where N is a norm: by its convexity between the lines."""
+    """The c with sum c_i |v_i| <= N(v) in all directions, where N is a norm: by its convexity between the lines."""
     m = len(directions[0])
     if m == 1:
         return (friction[0].low,)

@@ -30,7 +30,8 @@ from manyhands.design.identification import (
     measured_line,
     noise_of,
 )
-from manyhands.launch.identify.rig import Floats, Log, Rig
+from manyhands.launch.identify.rig import Aborted, Log, Rig
+from manyhands.nodes.kernel.arithmetic import Floats
 
 Array = NDArray[np.float64]
 
@@ -54,6 +55,9 @@ LEARNS: Final = 0.3
 
 BEYOND: Final = 1.6
 """Of the wanted travel, at which a motion is aborted."""
+
+DRAGGED: Final = 2.0
+"""s, in which the device is pulled to another pose."""
 
 FIRST_MASS: Final = 0.15
 """kg, before anything is known."""
@@ -177,6 +181,51 @@ def experiment(rig: Rig, tell: Told = lambda _text: None) -> AtPose:
             motions.append(_motion(log, level, servo))
         runs.append((u, motions))
     return evaluated(tuple(origin), runs, rig)
+
+
+def drag(rig: Rig, to: Sequence[float]) -> None:
+    """Pull the device to another place (m) with the servo's spring and damper, in :data:`DRAGGED` s, and hold it there.
+
+    Raises:
+        Aborted: as :meth:`Rig.run`; or it did not come near.
+    """
+    begin = rig.here()
+    way = [b - a for a, b in zip(begin, to, strict=True)]
+    mass = FIRST_MASS if rig.stated.mass is None else min(rig.stated.mass)
+    stiffness, damping = mass * BANDWIDTH**2, 2.0 * DAMPED * mass * BANDWIDTH
+    bias = [0.0] * len(way)
+
+    def pull(x: Floats, v: Floats, t: float) -> Floats:
+        part = min(1.0, t / DRAGGED)
+        part *= part * (3.0 - 2.0 * part)
+        lacks = [a + part * whole - b for a, whole, b in zip(begin, way, x, strict=True)]
+        for axis, lack in enumerate(lacks):
+            bias[axis] += stiffness / LEARNS * rig.T * lack
+        return [stiffness * lack - damping * w + held for lack, w, held in zip(lacks, v, bias, strict=True)]
+
+    rig.run(pull, 1.5 * DRAGGED, max(map(abs, way)) + rig.safety.travel)
+    off = max(abs(a - b) for a, b in zip(rig.here(), to, strict=True))
+    if off > rig.safety.travel:
+        raise Aborted(
+            f"the device is {1e3 * off:.3g} mm off its next pose; expected it nearer: give more force, or fewer poses"
+        )
+
+
+def poses(start: Sequence[float], rig: Rig, number: int) -> list[list[float]]:
+    """So many places to measure at, on a diagonal of the workspace through the start; the first is the start itself, m.
+
+    Raises:
+        ValueError: there is no room for more than one.
+    """
+    room = [most - abs(x) - BEYOND * rig.safety.travel for most, x in zip(rig.stated.displacement, start, strict=True)]
+    far = min(*room, 2.0 * rig.safety.travel)
+    if number > 1 and far < 0.5 * rig.safety.travel:
+        raise ValueError(
+            f"--poses: found {number}, and {1e3 * max(far, 0.0):.3g} mm of room beside the first; expected 1, or less "
+            "travel"
+        )
+    ways = [0.0, *(part for pair in range(1, number) for part in (1.0 / pair, -1.0 / pair))]
+    return [[x + far * part for x in start] for part in ways[:number]]
 
 
 def _warmed(rig: Rig, servo: _Servo, tell: Told, name: str) -> float:

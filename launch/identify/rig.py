@@ -24,8 +24,8 @@ HOLD = from_seconds(0.02)
 """After that a force ends by itself, though no call follows, ns."""
 
 SPAN = 0.01
-"""s; a controller is told the mean place over that, and the velocity between two of them: encoder steps and varying ages
-would make its force restless, and a restless force is a wide interval."""
+"""s; a controller is told the mean place over that, and the velocity between two of them: encoder steps and varying
+ages would make its force restless, and a restless force is a wide interval."""
 
 LOOK_EVERY = 0.02
 """s from one look at the user's key to the next."""
@@ -66,6 +66,7 @@ class Rig:
 
     Attributes:
         origin: where the present motion began, m.
+        stop: whether the user wants an end; asked every :data:`LOOK_EVERY`.
     """
 
     def __init__(
@@ -88,14 +89,14 @@ class Rig:
             stop: whether the user wants an end.
         """
         self.T, self.safety, self.stated = T, safety, stated
-        self._driver, self._clock, self._stop = driver, clock, stop
+        self._driver, self._clock, self.stop = driver, clock, stop
         self._epoch, self._slot, self._tick = clock.now(), 0, 0
         self._period = from_seconds(T)
         self.force = [min(safety.force, limit) for limit in stated.force]
         self._works = stated.holds_torque and driver.tells_work
         self._span = max(1, round(SPAN / T))
         self._past: deque[Floats] = deque()
-        self._means: deque[Floats] = deque()
+        self._means: deque[tuple[float, Floats]] = deque()
         self._sum: Floats = []
         self._last: tuple[Floats, Floats] | None = None  # displacement and force of the tick before
         self._looked = -math.inf
@@ -120,7 +121,7 @@ class Rig:
                 begin = at if begin is None else begin
                 if at - begin >= duration:
                     return log
-                place, v = self._smooth(x)
+                place, v = self._smooth(at, x)
                 self._look(at, x, v, reach)
                 f = [
                     max(-most, min(most, value))
@@ -177,7 +178,7 @@ class Rig:
         before, f = self._last
         return done - sum(F * (b - a) for F, a, b in zip(f, before, x, strict=True))
 
-    def _smooth(self, x: Floats) -> tuple[Floats, Floats]:
+    def _smooth(self, at: float, x: Floats) -> tuple[Floats, Floats]:
         """The mean place over the last :data:`SPAN`, m, and the velocity from the one before that, m/s."""
         past, means = self._past, self._means
         if not past:
@@ -187,22 +188,22 @@ class Rig:
         if len(past) > self._span:
             self._sum = minus(self._sum, past.popleft())
         now = [total / len(past) for total in self._sum]
-        means.append(now)
-        span = max(1, len(means) - 1) * self.T
-        before = means.popleft() if len(means) > self._span else means[0]
+        means.append((at, now))
+        begin, before = means.popleft() if len(means) > self._span else means[0]
+        span = max(self.T, at - begin)  # of the clock: a tick may come late
         return now, [(b - a) / span for a, b in zip(before, now, strict=True)]
 
     def _look(self, at: float, x: Floats, v: Floats, reach: float) -> None:
         if at - self._looked >= LOOK_EVERY:
             self._looked = at
-            if self._stop():
+            if self.stop():
                 raise Aborted("stopped by a key; no force is exerted")
         names, stated = self.stated.axes, self.stated
         for axis, (place, begin, speed) in enumerate(zip(x, self.origin, v, strict=True)):
             if abs(place - begin) > reach:
                 raise Aborted(
-                    f"axis {names[axis]} moved by {1e3 * (place - begin):.3g} mm; expected at most {1e3 * reach:.3g} mm: "
-                    "somebody pushed it, or its force is wrong (manyhands check-driver)"
+                    f"axis {names[axis]} moved by {1e3 * (place - begin):.3g} mm; expected at most {1e3 * reach:.3g} mm"
+                    ": somebody pushed it, or its force is wrong (manyhands check-driver)"
                 )
             if abs(place) > stated.displacement[axis]:
                 raise Aborted(
@@ -217,5 +218,3 @@ class Rig:
 
     def _now(self) -> Instant:
         return Instant(self._clock.now() - self._epoch)
-
-

@@ -74,6 +74,7 @@ GROUPS: Final[Mapping[str, Mapping[str, ListedCommand]]] = {
     "Machine": {
         "doctor": ListedCommand("doctor", "Report what this machine permits, and how fast it is."),
         "check-driver": ListedCommand("check", "Try a driver of your own, and name what is wrong."),
+        "identify": ListedCommand("identify", "Measure the damping and friction of your device."),
         "check-model": ListedCommand("check", "Try a model of your own, and name what is wrong."),
     },
 }

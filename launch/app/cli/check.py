@@ -69,8 +69,8 @@ def check_driver(
         for option, value, most in (("--force", force, 1000.0), ("--travel", travel, 1.0), ("--period", period, 0.1)):
             if not 0.0 < value <= most:
                 refuse(f"{option}: found {value:g}; expected a number greater than 0 and at most {most:g}")
-        ports = _ports("device", dof)
-        name = _factory(driver, DRIVERS, parameters)
+        ports = ports_of("device", dof)
+        name = named_factory(driver, DRIVERS, parameters)
         made, stated = made_driver(name, ports, period)
         if len(stated.force) != dof:
             made.close()
@@ -121,8 +121,8 @@ def check_model(
         for option, value, most in (("--reach", reach, 10.0), ("--period", period, 0.1)):
             if not 0.0 < value <= most:
                 refuse(f"{option}: found {value:g}; expected a number greater than 0 and at most {most:g}")
-        names = _ports("port", int(ports)) if ports.isdecimal() else tuple(ports.split(","))
-        name = _factory(model, ENGINES if model in published(ENGINES) else MODELS, parameters)
+        names = ports_of("port", int(ports)) if ports.isdecimal() else tuple(ports.split(","))
+        name = named_factory(model, ENGINES if model in published(ENGINES) else MODELS, parameters)
         if stiffness is not None and not 0.0 < stiffness <= MAX_STIFFNESS:
             refuse(f"--stiffness: found {stiffness:g}; expected a number greater than 0 and at most {MAX_STIFFNESS:g}")
         method = REACT if stiffness is None else PROXY
@@ -151,13 +151,14 @@ def _end(found: list[Judgement], what: dict[str, str], as_json: bool, advice: st
     end(EXIT_FAILED if broken(found) else EXIT_OK)
 
 
-def _ports(name: str, number: int) -> tuple[str, ...]:
+def ports_of(name: str, number: int) -> tuple[str, ...]:
+    """The ports of a device or a model with so many axes; ends the command where there are too many."""
     if not 1 <= number <= MAX_DOF:
         refuse(f"found {number} axes or ports; expected 1 to {MAX_DOF}")
     return (name,) if number == 1 else tuple(f"{name}.{axis}" for axis in range(number))
 
 
-def _factory(name: str, group: str, parameters: str) -> FactoryName:
+def named_factory(name: str, group: str, parameters: str) -> FactoryName:
     """The factory that the user names; its module is looked for in the current folder as well."""
     place = "--parameters"
     try:
