@@ -233,7 +233,7 @@ class Identified:
     Attributes:
         damping: the least eigenvalue of B, N*s/m: ``low`` is what an ``osp`` on all axes may be.
         by_line: u^T B u by line, for u of length 1.
-        friction: by line, the level c of dry friction at speed where the place makes it least, N.
+        friction: by line, the levels c of dry friction at speed, over all places, N.
         by_axis: c_i by axis with sum c_i |v_i| <= N(x, v) for all v, N.
         mass: u^T M u by line.
         stribeck: whether only friction that falls with the speed agrees with the data.
@@ -730,16 +730,17 @@ def _stribeck_speeds(lines: Sequence[Line]) -> list[tuple[float, float]]:
 
 
 def _least_friction(line: Line, levels: Sequence[float]) -> Interval:
-    """The level of the window's mean, less what the place takes from it at least."""
+    """The level of the window's mean, less what the place may take from it, and up to what it may add."""
     if not levels:
         return Interval(0.0, _greatest(line)[1])
-    dip = 0.0
+    dip = rise = 0.0
     if line.places:
         mean = float(np.mean([level for level, _ in line.places]))
         dip = max(0.0, *(SURE * (mean - level) + error for level, error in line.places))
+        rise = max(0.0, *(SURE * (level - mean) + error for level, error in line.places))
     aside = float(np.linalg.norm(np.mean([pair.aside for pair in line.pairs], axis=0)))
     low, high = min(levels), max(levels)
-    return Interval(max(0.0, low - dip - aside * high), high * (1.0 + aside))
+    return Interval(max(0.0, low - dip - aside * high), (high + rise) * (1.0 + aside))
 
 
 def _least_eigenvalue(base: _Set, A: Array, b: Array) -> float:

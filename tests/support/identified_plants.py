@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -256,3 +257,10 @@ class WorkingDriver(PlantDriver):
         assert isinstance(self.plant, Arm)
         since, self._worked = self.plant.work - self._worked, self.plant.work
         return since
+
+
+def slide(ports: Sequence[str], period: float, parameters: Mapping[str, Any]) -> PlantDriver:
+    """A counterpart for commands: a slide with the given b and c, which may claim to be hardware."""
+    driver = PlantDriver(Slide(m=0.2, b=parameters.get("b", 0.5), c=parameters.get("c", 0.1)), step=5e-6)
+    driver.stated = replace(driver.stated, hardware=bool(parameters.get("hardware", False)))
+    return driver
