@@ -31,7 +31,7 @@ from manyhands.design.identification import (
     noise_of,
 )
 from manyhands.launch.identify.rig import Aborted, Log, Rig
-from manyhands.nodes.kernel.arithmetic import Floats
+from manyhands.nodes.kernel.arithmetic import Floats, dot
 
 Array = NDArray[np.float64]
 
@@ -43,6 +43,9 @@ WARM: Final = ((0.3, 3), (0.8, 3))
 
 BANDWIDTH: Final = 16.0
 """rad/s, of the virtual spring with the mass."""
+
+ACROSS: Final = 28.0
+"""rad/s, likewise aside of the line: motion aside is what several axes are least certain of."""
 
 DAMPED: Final = 0.6
 """Its damping ratio."""
@@ -111,19 +114,25 @@ class _Servo:
         # d/dt of cos/root, with ROUNDED in both
         push = scale * self.omega**2 * sin * (cos * cos / root**3 - 1.0 / root)
         stiffness, damping = self.mass * BANDWIDTH**2, 2.0 * DAMPED * self.mass * BANDWIDTH
+        guide = self.mass * (ACROSS**2 - BANDWIDTH**2), 2.0 * DAMPED * self.mass * (ACROSS - BANDWIDTH)
         ease = max(-1.0, min(1.0, speed / (0.1 * scale * self.omega)))
         ahead = self.mass * push + self.friction * ease
-        behind = 0.0
-        f = []
-        for u, a, b, w, bias in zip(self.u, self.origin, x, v, self.bias, strict=True):
-            lack = a + u * want - b
-            behind += u * lack
-            f.append(stiffness * lack + damping * (u * speed - w) + u * ahead + bias)
+        lacks = [a + u * want - b for u, a, b in zip(self.u, self.origin, x, strict=True)]
+        behind, along = dot(self.u, lacks), dot(self.u, v)
+        f = [
+            stiffness * lack
+            + damping * (u * speed - w)
+            + guide[0] * (lack - u * behind)  # aside of the line
+            - guide[1] * (w - u * along)
+            + u * ahead
+            + bias
+            for u, lack, w, bias in zip(self.u, lacks, v, self.bias, strict=True)
+        ]
         if self.learning:
             rate = stiffness / LEARNS * self.T
             self.friction = max(0.0, min(self.most, self.friction + rate * behind * ease))
-            for axis, (u, a, b) in enumerate(zip(self.u, self.origin, x, strict=True)):
-                learned = self.bias[axis] + 0.5 * rate * (a + u * want - b)
+            for axis, lack in enumerate(lacks):
+                learned = self.bias[axis] + 0.5 * rate * lack
                 self.bias[axis] = max(-self.most, min(self.most, learned))
         return f
 
