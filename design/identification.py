@@ -434,7 +434,9 @@ def _work(run: _Run, part: slice, window: _Window, doubt: Doubt) -> tuple[float,
         P += float(psi @ run.motion.extra[part][:-1])
     jumps = np.linalg.norm(np.diff(run.motion.f[part][:-1], axis=0), axis=1)
     unknown = 0.5 * (doubt.latency[1] - doubt.latency[0])
-    between = float(gap.max()) ** 2 / 8.0 * float(np.max(np.abs(np.diff(v) / gap)))  # interpolated
+    n, t = min(run.n, len(v) // 4), run.t[part]
+    pull = SURE * float(np.max(np.abs(v[2 * n :] - v[: -2 * n]) / (t[2 * n :] - t[: -2 * n])))
+    between = np.maximum(gap[1:], gap[:-1]) ** 2 / 8.0 * pull  # a place between two samples is interpolated
     off = doubt.delta + between + np.abs(v[1:-1]) * unknown
     return P, float(jumps @ (window.at(s[1:-1]) * off)) + _ROUNDING * abs(P)
 

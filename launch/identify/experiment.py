@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 LEVELS: Final = ((0.12, 3), (0.25, 4), (0.5, 5), (1.0, 7))
 """Of the greatest speed, and how many times to and fro."""
 
-WARM: Final = ((0.3, 3), (0.8, 3))
+WARM: Final = ((0.2, 3), (0.4, 3), (0.8, 3))
 """Likewise, of the strokes in which the servo learns."""
 
 BANDWIDTH: Final = 16.0
@@ -137,8 +137,8 @@ class _Servo:
         return f
 
     def turns(self, times: Array) -> tuple[int, ...]:
-        """Of these times since it began, the ticks at which the wanted place turns round."""
-        half = np.floor(self.omega * (times - times[0]) / math.pi + 0.5)
+        """Of these times of the wanted motion, s, the ticks at which it turns round."""
+        half = np.floor(self.omega * times / math.pi + 0.5)
         return tuple(int(tick) + 1 for tick in np.flatnonzero(np.diff(half)))
 
 
@@ -262,7 +262,7 @@ def _motion(log: Log, level: int, servo: _Servo) -> Motion:
     # a tick's work beyond f^T dx is told with the sample that ends the step
     extra = np.append(log.extra[1:], 0.0)
     return Motion(
-        sampled, np.array(log.x), np.array(log.applied), np.array(log.f), level, servo.turns(sampled),
+        sampled, np.array(log.x), np.array(log.applied), np.array(log.f), level, servo.turns(np.array(log.phase)),
         extra if np.any(extra) else None,
     )  # fmt: skip
 

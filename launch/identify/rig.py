@@ -27,6 +27,9 @@ SPAN = 0.01
 """s; a controller is told the mean place over that, and the velocity between two of them: encoder steps and varying
 ages would make its force restless, and a restless force is a wide interval."""
 
+MOST_TICKS = 2.5
+"""Periods by which the wanted motion goes on in a tick at most."""
+
 LOOK_EVERY = 0.02
 """s from one look at the user's key to the next."""
 
@@ -52,8 +55,9 @@ class Safety:
 
 @dataclass
 class Log:
-    """What happened in a run, by tick."""
+    """What happened in a run, by tick; ``phase`` is the time of the wanted motion, s."""
 
+    phase: list[float] = field(default_factory=list)
     sampled: list[float] = field(default_factory=list)
     x: list[Floats] = field(default_factory=list)
     applied: list[float] = field(default_factory=list)
@@ -107,30 +111,33 @@ class Rig:
 
         Args:
             control: the controller.
-            duration: s.
+            duration: of the wanted motion, s.
             reach: the greatest way from :attr:`origin` on any axis, m; beyond that the motion is aborted.
 
         Raises:
             Aborted: the user, the device or a bound ended it.
             DriverFailure: the driver failed.
         """
-        log, begin = Log(), None
+        log, phase, before = Log(), 0.0, None
         try:
             while True:
                 at, x = self._sampled()
-                begin = at if begin is None else begin
-                if at - begin >= duration:
+                # after a tick that came late the wanted motion goes on where it was, and not where it would be
+                phase += 0.0 if before is None else min(at - before, MOST_TICKS * self.T)
+                before = at
+                if phase >= duration:
                     return log
                 place, v = self._smooth(at, x)
                 self._look(at, x, v, reach)
                 f = [
                     max(-most, min(most, value))
-                    for value, most in zip(control(place, v, at - begin), self.force, strict=True)
+                    for value, most in zip(control(place, v, phase), self.force, strict=True)
                 ]
                 log.extra.append(self._extra(x))
                 now = self._now()
                 self._driver.apply(f, now, Instant(now + HOLD))
                 self._last = x, f
+                log.phase.append(phase)
                 log.sampled.append(at)
                 log.x.append(x)
                 log.applied.append(seconds(Duration(now)))
