@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test test-long test-rest guests lint types imports pytest campaign attack heavy limits worlds fuzz fuzz-board firmware datagrams wan far-user scenes world-peers encoder friction mechanisms flood loop watched soak users linked-users chaos faults lateness inertia honest hostile blamed device-faults remote pictures page benchmark curve figures docs docs-pictures clean
+.PHONY: demo test test-long test-rest guests lint types imports pytest campaign attack heavy limits worlds fuzz fuzz-board firmware datagrams wan far-user scenes world-peers encoder friction mechanisms identify flood loop watched soak users linked-users chaos faults lateness inertia honest hostile blamed device-faults remote pictures page benchmark curve figures docs docs-pictures clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -30,8 +30,8 @@ SPREAD  := --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 # collecting the other files would take twenty seconds; looked up where it is used alone
 ALONE    = $(shell grep -rl --include='test_*.py' 'mark\.alone' tests)
 # matrices of ten rows: more threads in BLAS only wait for each other, and for the other test process
-pytest test-long test-rest campaign attack worlds scenes world-peers mechanisms: export OMP_NUM_THREADS = 1
-pytest test-long test-rest campaign attack worlds scenes world-peers mechanisms: export OPENBLAS_NUM_THREADS = 1
+pytest test-long test-rest campaign attack worlds scenes world-peers mechanisms identify: export OMP_NUM_THREADS = 1
+pytest test-long test-rest campaign attack worlds scenes world-peers mechanisms identify: export OPENBLAS_NUM_THREADS = 1
 # where it is set, every process of every session that a test starts would compile the product and the tests anew
 pytest test-long test-rest campaign attack: export PYTHONDONTWRITEBYTECODE =
 pytest: $(VENV)/.installed
@@ -137,6 +137,12 @@ encoder: $(VENV)/.installed
 # exits 1 if an account is below its bound, or anything is enforced below that speed at covered delays: 10 minutes
 friction: $(VENV)/.installed
 	$(BIN)/python -m benchmarks.friction --seed $(SEED)
+
+# random devices of known damping, friction and linkages, identified in simulated time: no lower end may be above the truth;
+# a quarter of an hour
+DEVICES ?= 200
+identify: $(VENV)/.installed
+	$(BIN)/python -m benchmarks.identify --devices $(DEVICES) --seed $(SEED)
 
 # what held torques, encoder steps and dry friction do to a certified stiffness: a minute and a half
 mechanisms: $(VENV)/.installed

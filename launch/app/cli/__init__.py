@@ -76,6 +76,7 @@ GROUPS: Final[Mapping[str, Mapping[str, ListedCommand]]] = {
         "devices": ListedCommand("devices", "Show which devices are plugged in, and what is missing."),
         "probe": ListedCommand("check", "Read a device, push it gently, and say what happened."),
         "check-driver": ListedCommand("check", "Try a driver of your own, and name what is wrong."),
+        "identify": ListedCommand("identify", "Measure the damping and friction of your device."),
         "check-model": ListedCommand("check", "Try a model of your own, and name what is wrong."),
     },
 }

@@ -77,7 +77,7 @@ def check_driver(
     something is.
     """
     with errors():
-        _require_in_range({"--force": (force, 1000.0), "--travel": (travel, 1.0), "--period": (period, 0.1)})
+        require_in_range({"--force": (force, 1000.0), "--travel": (travel, 1.0), "--period": (period, 0.1)})
         name, plugin, stated = _made(driver, dof, parameters, period)
         if (
             push
@@ -117,8 +117,8 @@ def probe(
     code 0: every axis that was pushed moved in the direction of the force. 1: one did not.
     """
     with errors():
-        _require_in_range({"--force": (force, 1000.0), "--travel": (travel, 1.0), "--period": (period, 0.1)})
-        _require_in_range({"--seconds": (seconds, 3600.0)})
+        require_in_range({"--force": (force, 1000.0), "--travel": (travel, 1.0), "--period": (period, 0.1)})
+        require_in_range({"--seconds": (seconds, 3600.0)})
         name, plugin, stated = _made(driver, dof, parameters, period)
         bench = Bench(plugin, period, clock_for(stated, RealtimeClock()))
         question = Question()
@@ -216,9 +216,9 @@ def check_model(
     nothing is broken. 1: something is.
     """
     with errors():
-        _require_in_range({"--reach": (reach, 10.0), "--period": (period, 0.1)})
-        names = _ports("port", int(ports)) if ports.isdecimal() else tuple(ports.split(","))
-        name = _factory(model, ENGINES if model in published(ENGINES) else MODELS, parameters)
+        require_in_range({"--reach": (reach, 10.0), "--period": (period, 0.1)})
+        names = ports_of("port", int(ports)) if ports.isdecimal() else tuple(ports.split(","))
+        name = named_factory(model, ENGINES if model in published(ENGINES) else MODELS, parameters)
         if stiffness is not None and not 0.0 < stiffness <= MAX_STIFFNESS:
             refuse(f"--stiffness: found {stiffness:g}; expected a number greater than 0 and at most {MAX_STIFFNESS:g}")
         method = REACT if stiffness is None else PROXY
@@ -247,7 +247,7 @@ def _end(found: list[Judgement], what: dict[str, Any], as_json: bool, advice: st
     end(EXIT_FAILED if broken(found) else EXIT_OK)
 
 
-def _require_in_range(options: Mapping[str, tuple[float, float]]) -> None:
+def require_in_range(options: Mapping[str, tuple[float, float]]) -> None:
     """End the command unless each option's value is greater than 0, and at most the number beside it."""
     for option, (value, most) in options.items():
         if not 0.0 < value <= most:
@@ -260,8 +260,8 @@ def _made(driver: str, dof: int, parameters: str, period: float) -> tuple[str, P
     Raises:
         FactoryError: it cannot be made, or has another number of axes.
     """
-    ports = _ports("device", dof)
-    name = _factory(driver, DRIVERS, parameters)
+    ports = ports_of("device", dof)
+    name = named_factory(driver, DRIVERS, parameters)
     made, stated = made_driver(name, ports, period)
     if len(stated.force) != dof:
         made.close()
@@ -270,13 +270,14 @@ def _made(driver: str, dof: int, parameters: str, period: float) -> tuple[str, P
     return name.factory, PluginDriver(name.factory, made, own, stated, period), stated
 
 
-def _ports(name: str, number: int) -> tuple[str, ...]:
+def ports_of(name: str, number: int) -> tuple[str, ...]:
+    """The ports of a device or a model with so many axes; ends the command where there are too many."""
     if not 1 <= number <= MAX_DOF:
         refuse(f"found {number} axes or ports; expected 1 to {MAX_DOF}")
     return (name,) if number == 1 else tuple(f"{name}.{axis}" for axis in range(number))
 
 
-def _factory(name: str, group: str, parameters: str) -> FactoryName:
+def named_factory(name: str, group: str, parameters: str) -> FactoryName:
     """The factory that the user names; its module is looked for in the current folder as well."""
     place = "--parameters"
     try:

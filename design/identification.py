@@ -1,0 +1,782 @@
+"""The damping and the dry friction of a device that motion at several speeds allows: sets, not estimates.
+
+**The class.** A tip x moves by inertia M(x), forces F of its motors, any conservative force, and what it burns,
+
+    burned power = v^T B v + N(x, v),
+
+with B constant near a pose, and N dry friction: N(x, a v) = |a| N(x, v), but for a level that does not grow with the
+speed (Coulomb's and Stribeck's laws are of this kind; the level may change with the place and the direction).
+
+**The equation.** The tip goes to and fro on one line, s = u^T x, at several speeds. psi(s) >= 0 is a smooth window that
+ends inside the line, Psi its integral and R = integral psi ds. The work of the motors under the window on a way there
+and one back, half of it each,
+
+    D = 1/2 sum of both ways of integral psi(s) F^T dx = c R + <B, V> + <M, Q>,
+    V = 1/2 sum integral psi v v^T dt,        Q = -1/2 * 1/2 sum integral v v^T dpsi/dt dt,
+
+where c is the window's mean of N(x, u). All conservative forces cancel, for both ways have the same window; so does the
+dependence of M on the place, as far as both are equally fast. Nothing is differentiated twice
+(docs/decisions/0053-identification.md has the derivation and each bound of an error).
+
+**The set.** Each pair of ways is one equation, with a bound of its error from the step of the encoder, noise, the delay
+that is not known, and the velocity. For B, M and one c a pair, those are linear inequalities (:func:`damping_set`). Dry
+friction that does not grow with the speed orders the c. So a linear program has the greatest and the least of any
+entry: set membership [Milanese1991]_. What is above a lower end is not known to be there, and what is below it is
+excluded by the class and the bounds alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise, product
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+
+Array = NDArray[np.float64]
+
+HALF: Final = 0.015
+"""s; noise is what is beyond a cubic over twice that."""
+
+PARTS: Final = (0.03, 0.06, 0.1)
+"""Of the time of a way: velocities are means over twice that, within :data:`SHORTEST` and :data:`LONGEST`, s. Over the
+longer ones errors of displacements matter less, and how the velocity changes more."""
+
+SHORTEST: Final = 0.01
+LONGEST: Final = 0.06
+
+WINDOW: Final = (-0.92, -0.4, 0.4, 0.92)
+"""Where the window begins, is full, falls and ends, by half of a way: its slopes are where the tip is slow."""
+
+SIDE: Final = (-0.2, 0.45, 0.55, 0.92)
+"""Likewise that to the right, for the mass: from where the tip is fast to where it is slow."""
+
+GRID: Final = 12
+"""Parts of each edge of the cube, whose faces are the directions in which the least eigenvalue is sought."""
+
+RATIO: Final = 1.3
+"""By which the speeds of Stribeck's law in one set differ at most."""
+
+SURE: Final = 1.3
+"""By which what was seen of noise, and of the change of a velocity within :data:`HALF`, is enlarged."""
+
+UNEVEN: Final = 0.1
+"""Of the inertia's change from side to side, how far it may be from a straight line within the window."""
+
+ASIDE: Final = 2.0
+"""How much greater than along a line an inertia may be aside of it, for the small motion aside."""
+
+ASKEW: Final = 0.005
+"""Of what is burned on a way, by which both directions may differ more at one speed than at another."""
+
+BENT: Final = 0.5
+"""Of its correction, that a velocity may still be off by."""
+
+_ROUNDING: Final = 1e-12  # of a pair's work, J/J
+_SEEN: Final = 65  # places of a window at which both ways are compared
+_PLACES: Final = 24  # narrow windows, for friction that changes with the place
+
+
+class NotOfThisClass(ValueError):
+    """No parameters agree with what was measured: the device is not of the class, or a stated bound is false."""
+
+
+class TooLittle(ValueError):
+    """What was measured does not bound the parameters: the device hardly moved, or stuck."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What was measured in one run to and fro along a line.
+
+    Attributes:
+        sampled: instants of the calls that returned displacements, s.
+        x: displacements, ticks x axes, m.
+        applied: instants at which forces were given, s.
+        f: these forces, held until the next, N.
+        level: the number of its speed; greater for a faster one.
+        turns: indices of ticks at which the wanted motion turns round.
+        extra: by tick, work of the motors beyond f^T dx, J: what torques that are held add.
+    """
+
+    sampled: Array
+    x: Array
+    applied: Array
+    f: Array
+    level: int
+    turns: tuple[int, ...]
+    extra: Array | None = None
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """Bounds of what is not known of the measurement.
+
+    Attributes:
+        delta: of the error of a displacement, m.
+        latency: of the time from the instant of a displacement, by age and delay together, to that of its force: the
+            least and the greatest, s.
+        jitter: by how much the age of samples varies, s.
+    """
+
+    delta: float
+    latency: tuple[float, float] = (0.0, 0.0)
+    jitter: float = 0.0
+
+
+@dataclass(frozen=True)
+class Way:
+    """One way under a window.
+
+    Attributes:
+        level: of its speed.
+        forward: whether s grows.
+        P: work under the window, J.
+        V: integral psi v v^T dt, m^2/s; Q is that of inertia, m^2/s^2.
+        R: integral psi |ds|, m.
+        slow: the least speed where the window is open, m/s; ``fast`` the greatest.
+        P_error: bound of the error of P, J; <B, V> is off by at most ``V_error`` (u^T B u + tr B/2), or without the
+            trace on a single axis; <M, Q> likewise.
+        aside: the mean way aside by the way ahead.
+        squares: v_u^2 over the places of the window, m^2/s^2.
+        speed_error: bound of the error of v_u, m/s.
+    """
+
+    level: int
+    forward: bool
+    P: float
+    V: Array
+    Q: Array
+    R: float
+    slow: float
+    fast: float
+    P_error: float
+    V_error: float
+    Q_error: float
+    aside: Array
+    squares: Array
+    speed_error: float
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A way there and one back, which is one equation (see the module).
+
+    Attributes:
+        level, D, V, Q, R, slow, fast, D_error, V_error, Q_error, aside: those of both ways, as of :class:`Way`.
+        tilted: as Q, for an inertia that grows from -1 to 1 over the window, m^2/s^2.
+        apart: as Q, for one that changes by at most 1 in any way.
+        odd: half of the difference of both works, J, with ``odd_V`` and ``odd_Q`` likewise.
+        odd_aside: what M may add to the odd work by motion aside, by u^T M u, m^2/s^2.
+        slowest: over the places of the window, the least speed of both ways, m/s; ``fastest`` the greatest.
+        psi: the window over these places.
+    """
+
+    level: int
+    D: float
+    V: Array
+    Q: Array
+    R: float
+    slow: float
+    fast: float
+    D_error: float
+    V_error: float
+    Q_error: float
+    aside: Array
+    tilted: float
+    apart: float
+    odd: float
+    odd_V: float
+    odd_Q: float
+    odd_aside: float
+    slowest: Array
+    fastest: Array
+    psi: Array
+
+
+@dataclass(frozen=True)
+class Line:
+    """What was measured along one line.
+
+    Attributes:
+        u: its direction, not normalised: +-1 and 0.
+        pairs: under the window in the middle.
+        sides: under a window to the left and to the right of it.
+        places: by narrow window of the slowest level, the burned work by its R, N, and the bound of its error.
+    """
+
+    u: Array
+    pairs: tuple[Pair, ...]
+    sides: tuple[tuple[Pair, ...], tuple[Pair, ...]]
+    places: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Interval:
+    """From the least to the greatest value."""
+
+    low: float
+    high: float
+
+    def holds(self, value: float) -> bool:
+        """Whether the value is in it."""
+        return self.low <= value <= self.high
+
+
+@dataclass(frozen=True)
+class Identified:
+    """What the set allows near one pose.
+
+    Attributes:
+        damping: the least eigenvalue of B, N*s/m: ``low`` is what an ``osp`` on all axes may be.
+        by_line: u^T B u by line, for u of length 1.
+        friction: by line, the levels c of dry friction at speed, over all places, N.
+        by_axis: c_i by axis with sum c_i |v_i| <= N(x, v) for all v, N.
+        mass: u^T M u by line.
+        stribeck: whether only friction that falls with the speed agrees with the data.
+    """
+
+    damping: Interval
+    by_line: tuple[Interval, ...]
+    friction: tuple[Interval, ...]
+    by_axis: tuple[float, ...]
+    mass: tuple[Interval, ...]
+    stribeck: bool
+
+
+def lines(m: int) -> list[Array]:
+    """The lines that determine B, and bound dry friction in all directions: axes and full diagonals, as +-1 and 0."""
+    axes = list(np.eye(m))
+    return axes if m == 1 else axes + [np.array([1.0, *signs]) for signs in product((1.0, -1.0), repeat=m - 1)]
+
+
+# --- from samples to ways
+
+
+def encoder_step(x: Array) -> float | None:
+    """The step of which all differences of these displacements (m) are multiples; None where there is none."""
+    jumps = np.abs(np.diff(np.unique(x)))
+    jumps = jumps[jumps > 1e-12]
+    if len(jumps) < 10:
+        return None
+    step = float(jumps.min())
+    for _ in range(3):  # the smallest difference is rounded: refine by all of them
+        counts = np.round(jumps / step)
+        step = float(jumps @ counts / (counts @ counts))
+    return step if float(np.max(np.abs(jumps / step - np.round(jumps / step)))) < 1e-3 else None
+
+
+def noise_of(motion: Motion, u: Array, step: float) -> float:
+    """A bound of the error of a displacement along u, m: half a step, or what is beyond a cubic over :data:`HALF`."""
+    n = max(3, round(HALF / 2.0 / float(np.median(np.diff(motion.sampled)))))
+    powers = np.vander(np.arange(-n, n + 1) / n, 4)
+    weights = np.linalg.pinv(powers)[-1]  # of the fit's value in the middle
+    worst = 0.0
+    for axis in np.flatnonzero(u):
+        x = motion.x[motion.turns[0] :, axis]
+        fit = np.convolve(x, weights[::-1], "valid")
+        worst = max(worst, float(np.max(np.abs(x[n : len(x) - n] - fit))))
+    return max(0.5 * step, SURE * worst)
+
+
+@dataclass(frozen=True)
+class _Window:
+    """psi(s): 0 up to ``begins``, 1 from ``full`` to ``falls``, 0 from ``ends`` on, and halves of a cosine between."""
+
+    begins: float
+    full: float
+    falls: float
+    ends: float
+
+    def at(self, s: Array) -> Array:
+        up = np.clip((s - self.begins) / (self.full - self.begins), 0.0, 1.0)
+        down = np.clip((self.ends - s) / (self.ends - self.falls), 0.0, 1.0)
+        return np.asarray(np.sin(0.5 * np.pi * up) ** 2 * np.sin(0.5 * np.pi * down) ** 2)
+
+    def integral(self, s: Array) -> Array:
+        def ramp(z: Array) -> Array:  # the integral of sin^2(pi z/2), and 1 beyond 1
+            inside = np.clip(z, 0.0, 1.0)
+            return np.asarray(0.5 * (inside - np.sin(np.pi * inside) / np.pi) + np.maximum(z - 1.0, 0.0))
+
+        rise, fall = self.full - self.begins, self.ends - self.falls
+        up, down = rise * ramp((s - self.begins) / rise), fall * ramp((self.ends - s) / fall)
+        whole = 0.5 * rise + self.falls - self.full + 0.5 * fall
+        return np.where(s < self.falls, up, whole - down)
+
+    @property
+    def steepest(self) -> float:
+        """The greatest |psi'|, 1/m."""
+        return 0.5 * np.pi / min(self.full - self.begins, self.ends - self.falls)
+
+    def places(self) -> Array:
+        return np.linspace(self.begins, self.ends, _SEEN)
+
+
+@dataclass(frozen=True)
+class _Run:
+    """A motion along a line, by the instants at which its forces changed: s, v and f along it; y and w in all axes."""
+
+    motion: Motion
+    u: Array
+    t: Array
+    y: Array
+    w: Array
+    s: Array
+    v: Array
+    f: Array
+    bend: Array
+    n: int
+    half: float
+
+
+def _run_of(motion: Motion, u: Array, doubt: Doubt, part: float) -> _Run:
+    """Displacements and velocities at the instants of the forces, as far as age and delay are known.
+
+    Velocities are means over twice this part of a way.
+    """
+    late = 0.5 * (doubt.latency[0] + doubt.latency[1])
+    t, length = motion.applied, u / np.sqrt(u @ u)
+    y = np.column_stack([np.interp(t + late, motion.sampled, x) for x in motion.x.T])
+    stroke = float(np.median(np.diff(t[list(motion.turns)])))  # from one turn to the next, s
+    half = min(LONGEST, max(SHORTEST, part * stroke))
+    n = max(1, round(half / float(np.median(np.diff(t)))))
+    half = 0.5 * float(np.min(t[2 * n :] - t[: -2 * n], initial=2.0 * half))  # late ticks are followed by short ones
+
+    def mean_velocity(n: int) -> Array:
+        first, last = np.maximum(np.arange(len(t)) - n, 0), np.minimum(np.arange(len(t)) + n, len(t) - 1)
+        return np.asarray((y[last] - y[first]) / (t[last] - t[first])[:, None])
+
+    # a mean over twice the time is off four times as much: a third of the difference corrects the shorter one
+    bend = (mean_velocity(n) - mean_velocity(2 * n)) / 3.0
+    w = mean_velocity(n) + bend
+    return _Run(motion, length, t, y, w, y @ length, w @ length, motion.f @ length, np.abs(bend @ length), n, half)
+
+
+def _ways(runs: Sequence[_Run], window: _Window, doubt: Doubt) -> Iterator[Way | None]:
+    """The ways between two turns; None for one that does not cross the window, or stops in it.
+
+    Of the same motion with several means of velocity, each way is told with the least bound of an error.
+    """
+    turns = runs[0].motion.turns
+    for a, b in pairwise(turns):
+        told = [way for run in runs if (way := _way(run, slice(a, b + 1), window, doubt)) is not None]
+        yield min(told, key=lambda way: way.Q_error, default=None)
+
+
+def _way(run: _Run, part: slice, window: _Window, doubt: Doubt) -> Way | None:
+    s, t, v, w, u = run.s[part], run.t[part], run.v[part], run.w[part], run.u
+    sign = 1.0 if s[-1] > s[0] else -1.0
+    first, last = (s[0], s[-1]) if sign > 0.0 else (s[-1], s[0])
+    if min(window.begins - first, last - window.ends) < 2.0 * doubt.delta:
+        return None
+    gap, psi, Psi = np.diff(t), window.at(s), window.integral(s)
+    opened = psi > 1e-6
+    fast, bend = float(np.max(sign * v[opened])), BENT * run.bend[part]
+    off = doubt.delta + 0.5 * np.abs(v) * doubt.jitter  # of a displacement, beside a constant age
+    speed_error = 5.0 / 3.0 * float(np.max(off)) / run.half + float(
+        np.max(bend[opened])
+    )  # of v: with what the correction adds
+    slow = float(np.min(sign * v[opened])) - speed_error
+    if slow <= 0.0 or float(gap.max()) > HALF:
+        return None
+    R = float(np.abs(Psi[-1] - Psi[0]))
+
+    def error(weights: Array) -> float:
+        """Bound of the error of sum weights v: by parts, since v is a difference of displacements."""
+        n, span = run.n, 2.0 * run.half
+        padded, around = np.pad(weights, 2 * n), np.pad(off, 2 * n, mode="edge")
+        once = np.abs(padded[2 * n :] - padded[: -2 * n]) @ around[n:-n] / span
+        twice = np.abs(padded[4 * n :] - padded[: -4 * n]) @ off / (2.0 * span)
+        return float(4.0 / 3.0 * once + twice / 3.0 + np.abs(weights) @ bend)
+
+    # over the window, not over time: exact in the place, and one factor v
+    over, slopes = _centred(Psi), _centred(psi)
+    V = float(over @ v) * np.outer(u, u)
+    V_error = error(over) + float(np.abs(np.diff(v)) @ (psi * off)[1:])
+    beside = w - np.outer(v, u)
+    weights = psi * _centred(t)
+    cross = np.einsum("k,ki,k->i", weights, beside, v)
+    V = V + np.outer(u, cross) + np.outer(cross, u) + np.einsum("k,ki,kj->ij", weights, beside, beside)
+    Q = -0.5 * np.einsum("k,ki,kj->ij", slopes, w, w)
+    Q_error = (
+        error(slopes * v) + speed_error**2 + 0.5 * window.steepest * float(np.abs(np.diff(v**2)) @ (opened * off)[1:])
+    )
+    order = np.argsort(s)
+    squares = np.interp(window.places(), s[order], v[order] ** 2)
+    P, P_error = _work(run, part, window, doubt)
+    return Way(
+        run.motion.level, sign > 0.0, P, V, Q, R, slow, fast + speed_error, P_error, V_error, Q_error,
+        weights @ beside / R, squares, speed_error,
+    )  # fmt: skip
+
+
+def _centred(values: Array) -> Array:
+    """Half the difference of both neighbours; their sum is that of all differences."""
+    return np.gradient(values) if len(values) > 1 else np.zeros_like(values)
+
+
+def _work(run: _Run, part: slice, window: _Window, doubt: Doubt) -> tuple[float, float]:
+    """The work of the motors under the window, J, and a bound of its error.
+
+    A force acts from its instant to the next one's. Summed by parts, an error of a displacement counts as much as the
+    force changes there.
+    """
+    s, v, u, f = run.s[part], run.v[part], run.u, run.f[part][:-1]
+    gap = np.diff(run.t[part])
+    psi = window.at(0.5 * (s[1:] + s[:-1]))
+    dy = np.diff(run.y[part], axis=0)
+    F_beside = run.motion.f[part][:-1] - np.outer(f, u)
+    P = float(f @ np.diff(window.integral(s)) + np.sum(psi[:, None] * F_beside * dy))
+    if run.motion.extra is not None:
+        P += float(psi @ run.motion.extra[part][:-1])
+    jumps = np.linalg.norm(np.diff(run.motion.f[part][:-1], axis=0), axis=1)
+    unknown = 0.5 * (doubt.latency[1] - doubt.latency[0])
+    n, t = min(run.n, len(v) // 4), run.t[part]
+    pull = SURE * float(np.max(np.abs(v[2 * n :] - v[: -2 * n]) / (t[2 * n :] - t[: -2 * n])))
+    between = np.maximum(gap[1:], gap[:-1]) ** 2 / 8.0 * pull  # a place between two samples is interpolated
+    off = doubt.delta + between + np.abs(v[1:-1]) * unknown
+    return P, float(jumps @ (window.at(s[1:-1]) * off)) + _ROUNDING * abs(P)
+
+
+def _pairs(run: Sequence[_Run], window: _Window, doubt: Doubt) -> list[Pair]:
+    """One pair of each way there with the next one back."""
+    found: list[Pair] = []
+    before: Way | None = None
+    places = window.places()
+    psi = window.at(places)
+    slope, tilt = np.gradient(psi), np.linspace(-1.0, 1.0, _SEEN)
+    for way in _ways(run, window, doubt):
+        if way is None or before is None or way.forward == before.forward:
+            before = way
+            continue
+        there, back = (before, way) if before.forward else (way, before)
+        differ = -0.25 * (there.squares - back.squares)
+        off = max(there.speed_error, back.speed_error)
+        speeds = np.sqrt(np.stack([there.squares, back.squares]))
+        found.append(
+            Pair(
+                way.level,
+                0.5 * (there.P + back.P),
+                0.5 * (there.V + back.V),
+                0.5 * (there.Q + back.Q),
+                0.5 * (there.R + back.R),
+                min(there.slow, back.slow),
+                max(there.fast, back.fast),
+                0.5 * (there.P_error + back.P_error),
+                0.5 * (there.V_error + back.V_error),
+                0.5 * (there.Q_error + back.Q_error),
+                0.5 * (there.aside - back.aside),
+                float(differ @ (tilt * slope)),
+                float(np.abs(differ) @ np.abs(slope)),
+                0.5 * (there.P - back.P),
+                0.5 * float(np.trace(there.V) - np.trace(back.V)),
+                0.5 * float(run[0].u @ (there.Q - back.Q) @ run[0].u),
+                float(
+                    np.linalg.norm(
+                        (there.Q - back.Q) @ run[0].u - run[0].u * (run[0].u @ (there.Q - back.Q) @ run[0].u)
+                    )
+                ),
+                np.maximum(speeds.min(axis=0) - off, 0.0),
+                speeds.max(axis=0) + off,
+                psi,
+            )
+        )
+        before = None
+    return found
+
+
+def measured_line(motions: Sequence[Motion], u: Array, doubt: Doubt) -> Line:
+    """The pairs of ways along a line.
+
+    Args:
+        motions: along it, at several levels of speed.
+        u: its direction, as :func:`lines` has it.
+        doubt: what is not known of the measurement.
+
+    Raises:
+        TooLittle: at fewer than two levels the device went to and fro without a stop.
+    """
+    runs = [[_run_of(motion, u, doubt, part) for part in PARTS] for motion in motions]
+    ends = [run[0].s[list(run[0].motion.turns)] for run in runs]
+    low = max(float(np.median(e[e < np.mean(e)])) for e in ends)
+    high = min(float(np.median(e[e > np.mean(e)])) for e in ends)
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    if half < 20.0 * doubt.delta:
+        raise TooLittle(
+            f"found ways of {1e3 * half:.3g} mm to each side; expected more than {2e4 * doubt.delta:.3g} mm, "
+            "twenty times what a displacement may be off by: something holds the device, or the force is too small for "
+            "its friction"
+        )
+
+    def pairs(window: Sequence[float], of: Sequence[list[_Run]]) -> list[Pair]:
+        found = _Window(*(middle + half * place for place in window))
+        return [pair for run in of for pair in _pairs(run, found, doubt)]
+
+    main = pairs(WINDOW, runs)
+    levels = {pair.level for pair in main}
+    if len(levels) < 2:
+        raise TooLittle(
+            f"found ways without a stop at {len(levels)} of {len(motions)} speeds; expected two or more: give more "
+            "force, more travel, or a greater speed"
+        )
+    aside = pairs([-place for place in reversed(SIDE)], runs), pairs(SIDE, runs)
+    slowest, places, wide = min(levels), [], 2.0 * WINDOW[3] / _PLACES
+    for place in np.linspace(WINDOW[0] + wide, WINDOW[3] - wide, _PLACES):
+        narrow = [place - wide, place - 0.01 * wide, place + 0.01 * wide, place + wide]
+        for pair in pairs(narrow, [run[:1] for run in runs if run[0].motion.level == slowest])[:2]:
+            places.append((pair.D / pair.R, pair.D_error / pair.R))
+    return Line(u, tuple(main), (tuple(aside[0]), tuple(aside[1])), tuple(places))
+
+
+# --- from ways to sets
+
+
+def mass_interval(line: Line) -> tuple[Interval, float]:
+    """u^T M u for u of length 1, by where a way speeds up and slows down, and how much it changes on the way, kg.
+
+    Half of the difference of both ways' work is G + <M, Q'>; G is of conservative forces, the same at every speed.
+
+    Raises:
+        TooLittle: no way speeds up or slows down.
+    """
+    damping, found = _greatest(line)[0], []
+    more = 1.0 if len(line.u) == 1 else 2.0
+    for side in line.sides:
+        rows, limits = [], []
+        for pair in side:
+            slack = pair.D_error + damping * (abs(pair.odd_V) + pair.V_error) + ASKEW * abs(pair.D)
+            for sign in (1.0, -1.0):
+                rows.append([sign, sign * pair.odd_Q - more * pair.Q_error - ASIDE * pair.odd_aside])
+                limits.append(sign * pair.odd + slack)
+        if rows:
+            found.append(_range(np.array([0.0, 1.0]), np.array(rows), np.array(limits), 1))
+    if not all(found):
+        raise NotOfThisClass(
+            "found no mass that agrees with how it speeds up; expected one: a hand, a cable or a filter"
+        )
+    if not found or not np.isfinite(found).all():
+        raise TooLittle("found no bound of the moving mass; expected ways at different speeds: give a greater speed")
+    middles = [0.5 * (low + high) for low, high in found]
+    low, high = min(one[0] for one in found), max(one[1] for one in found)
+    return Interval(max(0.0, low), high), max(middles) - min(middles)
+
+
+def _range(c: Array, A: Array, b: Array, free: int, extra: Array | None = None) -> list[float]:
+    """The least and the greatest c^T z for A z <= b, with the first ``free`` entries of z of any sign; [] if empty."""
+    bounds = [(None, None) if i < free else (0.0, None) for i in range(len(c))]
+    ends = []
+    scale = float(np.max(np.abs(b), initial=1e-12))
+    for sign in (1.0, -1.0):
+        answer = linprog(sign * c, A_ub=A / scale, b_ub=b / scale, bounds=bounds, method="highs")
+        if answer.status == 2:
+            return []
+        ends.append(sign * float(answer.fun) if answer.status == 0 else -sign * np.inf)
+    return ends
+
+
+@dataclass
+class _Set:
+    """Linear inequalities on z = (B by its upper triangle, M likewise, c by pair, and by line c and what rest adds)."""
+
+    m: int
+    lines: Sequence[Line]
+    mass: Sequence[Interval]
+    rows: list[Array] = field(default_factory=list)
+    limits: list[float] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.places = [(i, j) for i in range(self.m) for j in range(i, self.m)]
+        self.of_pairs = [(number, pair) for number, line in enumerate(self.lines) for pair in line.pairs]
+        self.free = 2 * len(self.places)
+        self.size = self.free + len(self.of_pairs) + 2 * len(self.lines)
+
+    def column(self, matrix: Array) -> Array:
+        """<B, matrix> as a row over the upper triangle."""
+        return np.array([matrix[i, j] if i == j else matrix[i, j] + matrix[j, i] for i, j in self.places])
+
+    def add(self, row: Array, limit: float) -> None:
+        """row^T z <= limit."""
+        self.rows.append(row)
+        self.limits.append(limit)
+
+    def empty(self) -> Array:
+        """A row of zeros."""
+        return np.zeros(self.size)
+
+
+def _greatest(line: Line) -> tuple[float, float]:
+    """Above what u^T B u can be (N*s/m), and what dry friction can (N), by all that was burned."""
+    damping = min((pair.D + pair.D_error) / max(float(np.trace(pair.V)) - pair.V_error, 1e-30) for pair in line.pairs)
+    return max(damping, 0.0), max(0.0, *((pair.D + pair.D_error) / pair.R for pair in line.pairs))
+
+
+def _constraints(lines: Sequence[Line], mass: Sequence[Interval], changes: Sequence[float]) -> _Set:
+    m = len(lines[0].u)
+    found = _Set(m, lines, mass)
+    drag = sum(_greatest(line)[1] for line in lines[:m])
+    triangle, first = len(found.places), found.free
+    for number, (at, pair) in enumerate(found.of_pairs):
+        straight = np.mean([other.aside for other in lines[at].pairs], axis=0)
+        error = pair.D_error + drag * pair.R * float(np.linalg.norm(pair.aside - straight))
+        error += changes[at] * (SURE * abs(pair.tilted) + UNEVEN * pair.apart)
+        u = lines[at].u / np.sqrt(lines[at].u @ lines[at].u)
+        # an error e of v counts with 2 v^T B e: as much along the line, and at most half of tr B as much aside
+        off = found.column(np.outer(u, u) + (0.0 if m == 1 else 0.5) * np.eye(m))
+        for sign in (1.0, -1.0):
+            row = found.empty()
+            row[:triangle] = sign * found.column(pair.V) - pair.V_error * off
+            row[triangle:first] = sign * found.column(pair.Q) - pair.Q_error * off
+            row[first + number] = sign * pair.R
+            found.add(row, sign * pair.D + error)
+    for line, interval in zip(lines, mass, strict=True):
+        u = line.u / np.sqrt(line.u @ line.u)
+        row = found.empty()
+        row[triangle:first] = found.column(np.outer(u, u))
+        found.add(row, interval.high)
+        found.add(-row, -interval.low)
+        row = found.empty()
+        row[:triangle] = -found.column(np.outer(u, u))  # B is at least 0
+        found.add(row, 0.0)
+    for one, (i, slower) in enumerate(found.of_pairs):  # friction does not grow with the speed
+        for other, (j, faster) in enumerate(found.of_pairs):
+            if i == j and bool(np.all(faster.slowest >= slower.fastest)):
+                row = found.empty()
+                row[first + other], row[first + one] = 1.0, -1.0
+                found.add(row, 0.0)
+    return found
+
+
+def _with_stribeck(base: _Set, least: float, most: float) -> tuple[Array, Array]:
+    """The set where each line has c + more e^-(v/v_s)^2 with a v_s of this range, m/s; 0 is no such part."""
+    rows, limits = list(base.rows), list(base.limits)
+    for number, (i, pair) in enumerate(base.of_pairs):
+        level, more = base.free + len(base.of_pairs) + 2 * i, base.free + len(base.of_pairs) + 2 * i + 1
+        row = base.empty()
+        row[base.free + number], row[level] = 1.0, -1.0
+        row[more] = -_left(pair.slowest, pair.psi, most)
+        other = -row
+        other[more] = _left(pair.fastest, pair.psi, least)
+        rows += [row, other]
+        limits += [0.0, 0.0]
+    return np.array(rows), np.array(limits)
+
+
+def _left(speeds: Array, psi: Array, stribeck: float) -> float:
+    """The window's mean of e^-(v/v_s)^2."""
+    if stribeck == 0.0:
+        return 0.0
+    return float(np.exp(-np.minimum((speeds / stribeck) ** 2, 700.0)) @ psi / psi.sum())
+
+
+def damping_set(lines: Sequence[Line]) -> Identified:
+    """All that the class and what was measured allow.
+
+    Args:
+        lines: those of :func:`lines`, in their order, near one pose.
+
+    Raises:
+        NotOfThisClass: the set is empty.
+        TooLittle: a mass is not bounded.
+    """
+    weighed = [mass_interval(line) for line in lines]
+    mass = [interval for interval, _ in weighed]
+    base = _constraints(lines, mass, [change for _, change in weighed])
+    A, b = np.array(base.rows), np.array(base.limits)
+    units = [line.u / np.sqrt(line.u @ line.u) for line in lines]
+
+    def objective(u: Array) -> Array:
+        row = base.empty()
+        row[: len(base.places)] = base.column(np.outer(u, u))
+        return row
+
+    lows = [_range(objective(u), A, b, base.free) for u in units]
+    if not all(lows):
+        raise NotOfThisClass(
+            "found no damping, mass and friction that agree with what was measured; expected a device that burns "
+            "b v^2 and dry friction which does not grow with the speed: something else acts on it (a hand, a cable, a "
+            "filter or a force of its own), or its driver's sample_age, actuation_delay or step is too small"
+        )
+    sets = [_with_stribeck(base, *ends) for ends in _stribeck_speeds(lines)]
+    coulomb = bool(_range(objective(units[0]), *sets[0], base.free))
+    by_line, friction = [], []
+    for number, (line, u, low) in enumerate(zip(lines, units, lows, strict=True)):
+        ends = [end for one in sets for end in _range(objective(u), *one, base.free)]
+        high = max(ends, default=low[1])
+        by_line.append(Interval(max(0.0, low[0]), max(high, low[0])))
+        row = base.empty()
+        row[base.free + len(base.of_pairs) + 2 * number] = 1.0
+        levels = [end for one in sets for end in _range(row, *one, base.free)]
+        friction.append(_least_friction(line, levels))
+    least, damping = max(0.0, _least_eigenvalue(base, A, b)), min(interval.high for interval in by_line)
+    return Identified(
+        Interval(min(least, damping), damping),
+        tuple(by_line),
+        tuple(friction),
+        _by_axis(friction, [line.u for line in lines]),
+        tuple(mass),
+        not coulomb,
+    )
+
+
+def _stribeck_speeds(lines: Sequence[Line]) -> list[tuple[float, float]]:
+    """Ranges of Stribeck's speed: none that is seen, and on to half of the greatest speed, m/s."""
+    slowest = min(pair.slow for line in lines for pair in line.pairs)
+    fastest = min(max(pair.slow for pair in line.pairs) for line in lines)
+    edges = [slowest / 4.0]
+    while edges[-1] < fastest / 2.0:
+        edges.append(edges[-1] * RATIO)
+    return [(0.0, 0.0), *zip([0.0, *edges], edges, strict=False)]
+
+
+def _least_friction(line: Line, levels: Sequence[float]) -> Interval:
+    """The level of the window's mean, less what the place may take from it, and up to what it may add."""
+    if not levels:
+        return Interval(0.0, _greatest(line)[1])
+    dip = rise = 0.0
+    if line.places:
+        mean = float(np.mean([level for level, _ in line.places]))
+        dip = max(0.0, *(SURE * (mean - level) + error for level, error in line.places))
+        rise = max(0.0, *(SURE * (level - mean) + error for level, error in line.places))
+    aside = float(np.linalg.norm(np.mean([pair.aside for pair in line.pairs], axis=0)))
+    low, high = min(levels), max(levels)
+    return Interval(max(0.0, low - dip - aside * high), (high + rise) * (1.0 + aside))
+
+
+def _least_eigenvalue(base: _Set, A: Array, b: Array) -> float:
+    """Below all eigenvalues of all B of the set: by w^T B w in directions w all over the sphere.
+
+    With the least eigenvalue's direction at most a from some w, it is at least (w^T B w - sin^2 a tr B)/cos^2 a.
+    """
+    m = base.m
+    row = base.empty()
+    row[: len(base.places)] = base.column(np.eye(m))
+    trace = _range(row, A, b, base.free)[1]
+    if m == 1 or not np.isfinite(trace):
+        return _range(row, A, b, base.free)[0] if m == 1 else 0.0
+    least = np.inf
+    edge = np.linspace(-1.0, 1.0, GRID + 1)
+    for axis in range(m):
+        for others in product(edge, repeat=m - 1):
+            w = np.insert(np.array(others), axis, 1.0)
+            row = base.empty()
+            row[: len(base.places)] = base.column(np.outer(w, w) / (w @ w))
+            least = min(least, *_range(row, A, b, base.free))
+    # from the faces of a cube to the sphere nothing grows: half of a cell's diagonal is the greatest angle
+    square = np.sin(np.sqrt(m - 1) / GRID) ** 2
+    return float((least - square * trace) / (1.0 - square))
+
+
+def _by_axis(friction: Sequence[Interval], directions: Sequence[Array]) -> tuple[float, ...]:
+    """The c with sum c_i |v_i| <= N(v) in all directions, where N is a norm: by its convexity between the lines."""
+    m = len(directions[0])
+    if m == 1:
+        return (friction[0].low,)
+    whole = min(np.sqrt(m) * one.low for one in friction[m:])
+    others = sum(one.high for one in friction[:m])
+    found = []
+    for axis in range(m):
+        found.append(max(0.0, min(friction[axis].low, whole - (others - friction[axis].high))))
+    return tuple(found)

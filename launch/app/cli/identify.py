@@ -1,0 +1,203 @@
+"""The command that measures a device: identify."""
+
+from __future__ import annotations
+
+import sys
+from datetime import date
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+
+from manyhands.launch.app.cli.check import Parameters, Period, named_factory, ports_of, require_in_range
+from manyhands.launch.app.cli.common import Json, end, err, errors, out, refuse, require_folder
+from manyhands.launch.files import EXIT_FAILED
+from manyhands.launch.look.display import say, titled_table
+from manyhands.launch.output import print_json
+from manyhands.nodes.device.plugin import PluginDriver, made_driver
+from manyhands.nodes.device.specification import AxisMap, DeviceSpecification
+from manyhands.nodes.kernel.factory import DRIVERS, FactoryError
+from manyhands.protocol.clock import RealtimeClock, SimulatedClock
+
+if TYPE_CHECKING:
+    from manyhands.launch.identify.device_file import Statement
+    from manyhands.launch.identify.experiment import AtPose
+    from manyhands.launch.identify.rig import Safety
+
+commands = typer.Typer()
+
+MOST_AXES = 3
+"""The lines that determine the damping of more are too many."""
+
+_EXAMPLE = "Example: manyhands identify serial-board --parameters '{port: /dev/ttyACM0}' -o stick.device.yaml"
+
+
+@commands.command(name="identify", epilog=_EXAMPLE)
+def identify(
+    driver: Annotated[str, typer.Argument(metavar="DRIVER", help="package.module:factory, or a published short name.")],
+    dof: Annotated[int, typer.Option("--dof", metavar="N", help="The number of axes, 1 to 3.")] = 1,
+    parameters: Parameters = "{}",
+    period: Period = 0.001,
+    force: Annotated[float, typer.Option("--force", metavar="N", help="The greatest force, in N.")] = 2.0,
+    travel: Annotated[float, typer.Option("--travel", metavar="M", help="How far to each side, in m.")] = 0.03,
+    speed: Annotated[float, typer.Option("--speed", metavar="M/S", help="The greatest wanted speed.")] = 0.25,
+    poses: Annotated[
+        int, typer.Option("--poses", metavar="N", help="At how many places; the least of all counts.")
+    ] = 1,
+    delay: Annotated[
+        float, typer.Option("--delay", metavar="S", help="The loop's own delay, for the stiffness that follows.")
+    ] = 0.0,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FILE", help="Write a device file (YAML).")
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a device file that exists.")] = False,
+    plot: Annotated[Path | None, typer.Option("--plot", metavar="FOLDER", help="Draw what was measured.")] = None,
+    name: Annotated[str | None, typer.Option("--name", help="The device's name in the file.")] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before real hardware moves.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Measure a device: the least damping and the least dry friction that its motion allows.
+
+    The device moves to and fro along lines through its place, at four speeds, held by weak virtual springs. Let it
+    stand free: nobody holds it. Any key ends the motion, and so does all that is out of its bounds. What is printed
+    holds for a class of devices and for the driver's own statements; docs/identify.md has both. Exit code 0: an osp can
+    be stated. 1: none can, or the motion ended early.
+    """
+    with errors("design", *(("plot",) if plot is not None else ())):
+        from manyhands.design.identification import NotOfThisClass, TooLittle
+        from manyhands.launch.identify.device_file import device_file, require_new, statement, write_device_file
+        from manyhands.launch.identify.rig import Aborted, Safety
+
+        bounds = {"--force": (force, 100.0), "--travel": (travel, 1.0), "--speed": (speed, 10.0)}
+        require_in_range({**bounds, "--period": (period, 0.1)})
+        if not 1 <= dof <= MOST_AXES:
+            refuse(f"--dof: found {dof}; expected 1 to {MOST_AXES}")
+        if not 1 <= poses <= 9:
+            refuse(f"--poses: found {poses}; expected 1 to 9")
+        require_folder(plot)
+        if output is not None:
+            require_new(output, overwrite)
+        factory = named_factory(driver, DRIVERS, parameters)
+        made, stated = made_driver(factory, ports_of("device", dof), period)
+        if len(stated.force) != dof or not stated.moved_by_force:
+            made.close()
+            found = f"{len(stated.force)} axes" if stated.moved_by_force else "a device that no force moves"
+            raise FactoryError(f"the driver {factory.factory}: found {found}; expected --dof {dof}, moved by forces")
+        plugin = PluginDriver(factory.factory, made, AxisMap(tuple(range(dof)), (1.0,) * dof), stated, period)
+        safety = Safety(force, travel, speed)
+        try:
+            measured = _measured(plugin, stated, period, safety, poses, yes)
+        except (Aborted, NotOfThisClass, TooLittle, ValueError) as error:
+            say(err, f"error: {error}")
+            end(EXIT_FAILED)
+        finally:
+            plugin.close()
+        said = statement(measured, stated)
+        content = device_file(
+            name or driver, driver, dict(factory.parameters), stated, said, date.today().isoformat()
+        )  # fmt: skip
+        if as_json:
+            print_json(content)
+        else:
+            _print(said, stated)
+            say(out, _advice(said, stated, period, delay))
+        if output is not None:
+            write_device_file(output, content)
+            say(err, f"{output}: written")
+        if plot is not None:
+            from manyhands.launch.app.identify_plots import plot_poses
+
+            for path in plot_poses(plot, said.poses, stated.axes):
+                say(err, f"{path}: written")
+        end(0 if said.osp is not None else EXIT_FAILED)
+
+
+def _measured(
+    plugin: PluginDriver, stated: DeviceSpecification, period: float, safety: Safety, number: int, yes: bool
+) -> list[AtPose]:
+    """What was found at each pose, each after a question where somebody can answer."""
+    from manyhands.launch.identify.experiment import drag, experiment, poses
+    from manyhands.launch.identify.keyboard import any_key
+    from manyhands.launch.identify.rig import Aborted, Rig
+
+    ask = stated.hardware and not yes
+    if ask and not sys.stdin.isatty():
+        raise Aborted("this moves real hardware, and there is no terminal to ask at: give --yes")
+    found = []
+    clock = RealtimeClock() if stated.hardware else SimulatedClock()
+    rig = Rig(plugin, stated, period, clock, safety)
+    wanted = [] if ask else poses(rig.origin, rig, number)
+    for pose in range(number):
+        if ask:
+            _asked(pose, number, safety)
+        with any_key() as rig.stop:
+            if pose and not ask:
+                drag(rig, wanted[pose])
+            found.append(experiment(rig, partial(_tell, f"pose {pose + 1} of {number}")))
+    return found
+
+
+def _tell(where: str, text: str) -> None:
+    say(err, f"{where}: {text}")
+
+
+def _asked(pose: int, number: int, safety: Safety) -> None:
+    """Ask the user to bring the device to a pose and let go."""
+    from manyhands.launch.identify.rig import Aborted
+
+    place = "Bring the device" if pose == 0 else "Bring it to another place and posture"
+    say(
+        err,
+        f"pose {pose + 1} of {number}: it will move by ±{1e3 * safety.travel:g} mm with up to {safety.force:g} N and "
+        f"{safety.speed:g} m/s; any key ends that. {place if pose else place + ' to a first pose'}, let go of it, and "
+        "press Enter (or q and Enter to stop)",
+    )
+    if sys.stdin.readline().strip().lower() not in ("", "y", "yes"):
+        raise Aborted("stopped; no force was exerted")
+
+
+def _print(said: Statement, stated: DeviceSpecification) -> None:
+    """A row for each pose and line."""
+    from manyhands.launch.identify.experiment import line_names
+
+    table = titled_table(
+        "What motion allows: from … to", ("pose", "line"), ("damping N·s/m", "dry friction N", "mass kg")
+    )
+    for number, one in enumerate(said.poses, start=1):
+        for at, line in enumerate(line_names(stated.axes)):
+            of = (one.found.by_line[at], one.found.friction[at], one.found.mass[at])
+            table.add_row(str(number), line, *(f"{interval.low:.3g} … {interval.high:.3g}" for interval in of))
+        if len(stated.axes) > 1:
+            least = one.found.damping
+            table.add_row(str(number), "least of all", f"{least.low:.3g} … {least.high:.3g}", "", "")
+    out.print(table)
+    if any(one.found.stribeck for one in said.poses):
+        say(out, "dry friction falls with the speed (Stribeck), or damping grows faster than it: see docs/identify.md")
+
+
+def _advice(said: Statement, stated: DeviceSpecification, period: float, delay: float) -> str:
+    """Which osp may be stated, and what follows."""
+    from manyhands.design.budget import stiffest
+
+    if said.osp is None:
+        return (
+            "no osp can be stated: the least damping that the motion allows is 0; give more travel or speed, or let "
+            "the driver state a smaller age_jitter and step, where they are smaller"
+        )
+    tau = delay + stated.timing.latency
+    keys = f"osp: {said.osp:g}"
+    if said.friction is not None and said.step is not None:
+        keys += f", friction: [{', '.join(f'{value:g}' for value in said.friction)}]"
+    text = f"for the session file: {keys}"
+    if tau > period:
+        return (
+            f"{text}; its delay of {1e3 * tau:.3g} ms is longer than the period: nothing can be certified at that rate"
+        )
+    rho = min(1.0, stated.timing.jitter / period)
+    limit = stiffest(said.osp * np.eye(len(stated.force)), period, tau, period_tolerance=rho)
+    return (
+        f"{text}; a coupling of up to {limit.certified:.4g} N/m follows, at a period of {1e3 * period:g} ms and a "
+        f"delay of {1e3 * tau:.3g} ms"
+    )

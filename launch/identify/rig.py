@@ -1,0 +1,227 @@
+"""A driver in a loop of its own that moves its device within bounds, and lets go whatever happens (:class:`Rig`).
+
+Every tick looks at what could be wrong before it exerts anything: the user's key, the way from the place where the
+motion began, the speed, the device's own workspace, and ticks that came late. A force ends by itself after
+:data:`HOLD`. However a run ends, the driver is released, and the rig's ``close`` closes it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from manyhands.nodes.device.plugin import PluginDriver
+from manyhands.nodes.device.specification import DeviceSpecification
+from manyhands.nodes.kernel.arithmetic import Floats, minus, plus
+from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds, seconds
+
+Controller = Callable[[Floats, Floats, float], Floats]
+"""Displacement (m), velocity (m/s) and time since the run began (s) -> force (N)."""
+
+HOLD = from_seconds(0.02)
+"""After that a force ends by itself, though no call follows, ns."""
+
+SPAN = 0.01
+"""s; a controller is told the mean place over that, and the velocity between two of them: encoder steps and varying
+ages would make its force restless, and a restless force is a wide interval."""
+
+MOST_TICKS = 2.5
+"""Periods by which the wanted motion goes on in a tick at most."""
+
+LOOK_EVERY = 0.02
+"""s from one look at the user's key to the next."""
+
+
+class Aborted(Exception):
+    """The motion ended early; the message says why, and the device was released."""
+
+
+@dataclass(frozen=True)
+class Safety:
+    """How the device may be moved.
+
+    Attributes:
+        force: the greatest on each axis, N.
+        travel: the greatest wanted way from the place where the motion began, m.
+        speed: the greatest wanted speed along any line, m/s.
+    """
+
+    force: float = 2.0
+    travel: float = 0.03
+    speed: float = 0.25
+
+
+@dataclass
+class Log:
+    """What happened in a run, by tick; ``phase`` is the time of the wanted motion, s."""
+
+    phase: list[float] = field(default_factory=list)
+    sampled: list[float] = field(default_factory=list)
+    x: list[Floats] = field(default_factory=list)
+    applied: list[float] = field(default_factory=list)
+    f: list[Floats] = field(default_factory=list)
+    extra: list[float] = field(default_factory=list)
+
+
+class Rig:
+    """A driver, moved tick by tick.
+
+    Attributes:
+        origin: where the present motion began, m.
+        stop: whether the user wants an end; asked every :data:`LOOK_EVERY`.
+    """
+
+    def __init__(
+        self,
+        driver: PluginDriver,
+        stated: DeviceSpecification,
+        T: float,
+        clock: Clock,
+        safety: Safety,
+        stop: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Begin at the clock's present instant.
+
+        Args:
+            driver: the driver.
+            stated: what it states.
+            T: period, s.
+            clock: paces the ticks.
+            safety: how the device may be moved.
+            stop: whether the user wants an end.
+        """
+        self.T, self.safety, self.stated = T, safety, stated
+        self._driver, self._clock, self.stop = driver, clock, stop
+        self._epoch, self._slot, self._tick = clock.now(), 0, 0
+        self._period = from_seconds(T)
+        self.force = [min(safety.force, limit) for limit in stated.force]
+        self._works = stated.holds_torque and driver.tells_work
+        self._span = max(1, round(SPAN / T))
+        self._past: deque[Floats] = deque()
+        self._means: deque[tuple[float, Floats]] = deque()
+        self._sum: Floats = []
+        self._last: tuple[Floats, Floats] | None = None  # displacement and force of the tick before
+        self._looked = -math.inf
+        self.origin = self._sampled()[1]
+
+    def run(self, control: Controller, duration: float, reach: float) -> Log:
+        """Exert what ``control`` says for so long.
+
+        Args:
+            control: the controller.
+            duration: of the wanted motion, s.
+            reach: the greatest way from :attr:`origin` on any axis, m; beyond that the motion is aborted.
+
+        Raises:
+            Aborted: the user, the device or a bound ended it.
+            DriverFailure: the driver failed.
+        """
+        log, phase, before = Log(), 0.0, None
+        try:
+            while True:
+                at, x = self._sampled()
+                # after a tick that came late the wanted motion goes on where it was, and not where it would be
+                phase += 0.0 if before is None else min(at - before, MOST_TICKS * self.T)
+                before = at
+                if phase >= duration:
+                    return log
+                place, v = self._smooth(at, x)
+                self._look(at, x, v, reach)
+                f = [
+                    max(-most, min(most, value))
+                    for value, most in zip(control(place, v, phase), self.force, strict=True)
+                ]
+                log.extra.append(self._extra(x))
+                now = self._now()
+                self._driver.apply(f, now, Instant(now + HOLD))
+                self._last = x, f
+                log.phase.append(phase)
+                log.sampled.append(at)
+                log.x.append(x)
+                log.applied.append(seconds(Duration(now)))
+                log.f.append(f)
+                self._driver.exerted(f)
+                self._driver.idle(Instant(self._slot * self._period))
+        finally:
+            self._last = None
+            self.release()
+
+    def release(self) -> None:
+        """Exert no force."""
+        self._driver.release(self._now())
+
+    def close(self) -> None:
+        """Release and close the driver."""
+        try:
+            self.release()
+        finally:
+            self._driver.close()
+
+    def here(self) -> Floats:
+        """Where the device is now, m; the next motion begins there."""
+        self._past.clear()
+        self._means.clear()
+        self.origin = self._sampled()[1]
+        return self.origin
+
+    def _sampled(self) -> tuple[float, Floats]:
+        self._clock.sleep_until(Instant(self._epoch + self._slot * self._period))
+        at = self._now()
+        x = list(self._driver.sample(self._tick, at))
+        self._tick += 1
+        # a tick that came late is not made up for
+        self._slot = max(self._slot + 1, -((self._epoch - self._clock.now()) // self._period))
+        return seconds(Duration(at)), x
+
+    def _extra(self, x: Floats) -> float:
+        """The work of the motors since the last sample beyond f^T dx, J."""
+        if not self._works:
+            return 0.0
+        done = self._driver.work()
+        if self._last is None or done is None:
+            return 0.0
+        before, f = self._last
+        return done - sum(F * (b - a) for F, a, b in zip(f, before, x, strict=True))
+
+    def _smooth(self, at: float, x: Floats) -> tuple[Floats, Floats]:
+        """The mean place over the last :data:`SPAN`, m, and the velocity from the one before that, m/s."""
+        past, means = self._past, self._means
+        if not past:
+            self._sum = [0.0] * len(x)
+        past.append(x)
+        self._sum = plus(self._sum, x)
+        if len(past) > self._span:
+            self._sum = minus(self._sum, past.popleft())
+        now = [total / len(past) for total in self._sum]
+        means.append((at, now))
+        begin, before = means.popleft() if len(means) > self._span else means[0]
+        span = max(self.T, at - begin)  # of the clock: a tick may come late
+        return now, [(b - a) / span for a, b in zip(before, now, strict=True)]
+
+    def _look(self, at: float, x: Floats, v: Floats, reach: float) -> None:
+        if at - self._looked >= LOOK_EVERY:
+            self._looked = at
+            if self.stop():
+                raise Aborted("stopped by a key; no force is exerted")
+        names, stated = self.stated.axes, self.stated
+        for axis, (place, begin, speed) in enumerate(zip(x, self.origin, v, strict=True)):
+            if abs(place - begin) > reach:
+                raise Aborted(
+                    f"axis {names[axis]} moved by {1e3 * (place - begin):.3g} mm; expected at most {1e3 * reach:.3g} mm"
+                    ": somebody pushed it, or its force is wrong (manyhands check-driver)"
+                )
+            if abs(place) > stated.displacement[axis]:
+                raise Aborted(
+                    f"axis {names[axis]} is at {place:.4g} m; expected within ±{stated.displacement[axis]:g} m, the "
+                    "device's own limit: begin nearer to the middle, or give less travel"
+                )
+            if abs(speed) > stated.speed[axis]:
+                raise Aborted(
+                    f"axis {names[axis]} moves at {speed:.3g} m/s; expected at most {stated.speed[axis]:g} m/s, the "
+                    "device's own limit: give a smaller speed"
+                )
+
+    def _now(self) -> Instant:
+        return Instant(self._clock.now() - self._epoch)

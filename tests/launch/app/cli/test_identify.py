@@ -1,0 +1,69 @@
+"""identify as a command: what it prints and writes, its exit codes, and when hardware is moved."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+
+from ....support.commands import manyhands_command
+
+SLIDE = "tests.support.identified_plants:slide"
+
+pytestmark = pytest.mark.usefixtures("own_interrupt")
+
+
+def test_it_ends_with_the_osp_and_the_stiffness_that_follows_and_writes_both(tmp_path: Path) -> None:
+    file = tmp_path / "slide.device.yaml"
+    options = ("--period", 0.002, "--travel", 0.02, "-o", file, "--plot", tmp_path, "--name", "slide")
+    done = manyhands_command("identify", SLIDE, *options)
+    assert done.exit_code == 0, done.output
+    assert "damping N·s/m" in done.stdout
+    read = yaml.safe_load(file.read_text())
+    osp = read["keys"]["osp"]
+    assert 0.4 < osp <= 0.5
+    assert read["device"] == "slide"
+    assert done.stdout.splitlines()[-1].startswith(f"for the session file: osp: {osp:g}, friction: [")
+    # K = b/(T/2), with no delay
+    assert f"up to {osp / 0.001:.4g} N/m follows" in done.stdout
+    assert (tmp_path / "identify-1.png").stat().st_size > 1000
+    again = manyhands_command("identify", SLIDE, "-o", file)
+    assert again.exit_code == 2
+    assert "--overwrite" in again.output
+
+
+def test_json_has_the_device_file() -> None:
+    options = ("--period", 0.002, "--travel", 0.02, "--parameters", "{c: 0.3}", "--json")
+    done = manyhands_command("identify", SLIDE, *options)
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["keys"]["driver"] == SLIDE
+
+
+def test_hardware_is_not_moved_without_a_terminal_to_ask_at() -> None:
+    done = manyhands_command("identify", SLIDE, "--parameters", "{hardware: true}")
+    assert done.exit_code == 1
+    assert "no terminal to ask at: give --yes" in done.output
+
+
+def test_something_that_gives_energy_is_refused() -> None:
+    options = ("--period", 0.002, "--travel", 0.02, "--parameters", "{b: -0.05, c: 0.0}")
+    done = manyhands_command("identify", SLIDE, *options)
+    assert done.exit_code == 1, done.output
+    assert "osp:" not in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--travel", 0), "--travel: found 0; expected a number greater than 0"),
+        (("--dof", 4), "--dof: found 4; expected 1 to 3"),
+        (("--poses", 10), "--poses: found 10"),
+        (("--dof", 2), "found 1 axes; expected --dof 2"),
+    ],
+)
+def test_bad_options_are_refused(options: tuple[object, ...], said: str) -> None:
+    done = manyhands_command("identify", SLIDE, *options)
+    assert done.exit_code == 2
+    assert said in done.output

@@ -1,0 +1,169 @@
+"""The experiment on random devices of known damping, in simulated time, and how it ends when something is wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from benchmarks.identify import identified, random_driver, summary
+from manyhands.design.identification import Identified, NotOfThisClass
+from manyhands.launch.files import TargetError
+from manyhands.launch.identify.device_file import above, below, device_file, require_new, statement, write_device_file
+from manyhands.launch.identify.experiment import AtPose, drag, experiment, poses
+from manyhands.launch.identify.rig import Aborted, Rig, Safety
+from manyhands.nodes.device.plugin import PluginDriver
+from manyhands.nodes.device.specification import AxisMap, DeviceSpecification, DeviceTiming
+from manyhands.protocol.clock import SimulatedClock
+
+from ...support.cases import WIDE
+from ...support.identified_plants import PlantDriver, Slide
+
+T = 2e-3
+QUICK = Safety(force=3.0, travel=0.025)
+
+
+def rig_of(driver: PlantDriver, safety: Safety = QUICK) -> Rig:
+    m = driver.plant.axes
+    plugin = PluginDriver("counterpart", driver, AxisMap(tuple(range(m)), (1.0,) * m), driver.stated, T)
+    return Rig(plugin, driver.stated, T, SimulatedClock(), safety)
+
+
+def found(driver: PlantDriver) -> AtPose:
+    return experiment(rig_of(driver))
+
+
+def test_no_lower_end_is_above_the_truth() -> None:
+    numbers = [number for number in range(200 if WIDE else 14) if number % 10 or WIDE]
+    lines, holds = summary([identified(number, seed=7) for number in numbers])
+    assert holds, "\n".join(lines)
+
+
+def test_the_devices_are_the_same_for_a_seed() -> None:
+    first, second = (random_driver(3, 7)[0].plant for _ in range(2))
+    assert first == second
+
+
+def test_what_a_good_encoder_allows_is_tight() -> None:
+    damping = found(PlantDriver(Slide(m=0.2, b=0.3, c=0.1), step=5e-6)).found.damping
+    assert 0.27 < damping.low <= 0.3 <= damping.high < 0.4
+
+
+def lied(driver: PlantDriver, **stated: Any) -> PlantDriver:
+    driver.stated = replace(driver.stated, **stated)
+    return driver
+
+
+def test_a_delay_that_the_driver_denies_makes_a_false_answer_or_none() -> None:
+    """So the delay is used: a planted fault in the driver's statement is a fault in the answer."""
+    truth = 0.05
+    driver = PlantDriver(Slide(m=0.5, b=truth, c=0.02), step=1e-6, delay=0.006)
+    try:
+        identified: Identified | None = found(lied(driver, timing=DeviceTiming())).found
+    except (NotOfThisClass, Aborted):
+        identified = None
+    assert identified is None or not identified.damping.holds(truth)
+    assert found(PlantDriver(Slide(m=0.5, b=truth, c=0.02), step=1e-6, delay=0.006)).found.damping.low <= truth
+
+
+# --- it ends
+
+
+def test_a_key_ends_it_and_the_device_is_released() -> None:
+    driver = PlantDriver(Slide())
+    rig = rig_of(driver)
+    looks = iter(range(1000))
+    rig.stop = lambda: next(looks) > 20
+    with pytest.raises(Aborted, match="stopped by a key"):
+        experiment(rig)
+    assert driver.released
+
+
+class Pushed(Slide):
+    """Somebody takes it away after a second."""
+
+    count = 0
+
+    def step(self, h: float) -> None:
+        self.count += 1
+        self.g = 8.0 if self.count * h > 1.0 else 0.0
+        super().step(h)
+
+
+def test_a_device_that_is_pushed_away_ends_it() -> None:
+    driver = PlantDriver(Pushed(), h=5e-4)
+    with pytest.raises(Aborted, match=r"expected at most|device's own limit"):
+        found(driver)
+    assert driver.released
+
+
+def test_the_device_s_own_limits_end_it() -> None:
+    small = DeviceSpecification((5.0,), (0.005,), (2.0,), hardware=False)
+    driver = PlantDriver(Slide(), stated=small)
+    with pytest.raises(Aborted, match="the device's own limit: begin nearer to the middle"):
+        found(driver)
+    assert driver.released
+
+
+def test_no_force_is_greater_than_what_was_allowed() -> None:
+    driver = PlantDriver(Slide(m=0.5, b=0.3, c=0.3))
+    experiment(rig_of(driver, Safety(force=1.0, travel=0.02)))
+    assert max(abs(f[0]) for f in driver.applied) <= 1.0
+
+
+def test_a_failing_driver_is_released() -> None:
+    class Failing(PlantDriver):
+        def sample(self, tick: int, at: Any) -> Any:
+            if tick > 500:
+                raise OSError("unplugged")
+            return super().sample(tick, at)
+
+    driver = Failing(Slide())
+    with pytest.raises(ValueError, match="unplugged"):
+        found(driver)
+    assert driver.released
+
+
+# --- poses and the file
+
+
+def test_it_is_dragged_from_pose_to_pose() -> None:
+    driver = PlantDriver(Slide(c=0.05))
+    rig = rig_of(driver)
+    wanted = poses(rig.origin, rig, 3)
+    assert [place[0] for place in wanted] == pytest.approx([0.0, 0.05, -0.05])
+    drag(rig, wanted[1])
+    assert driver.plant.place()[0] == pytest.approx(0.05, abs=0.01)
+
+
+def test_there_may_be_no_room_for_poses() -> None:
+    small = DeviceSpecification((5.0,), (0.045,), (2.0,), hardware=False)
+    rig = rig_of(PlantDriver(Slide(), stated=small))
+    with pytest.raises(ValueError, match="--poses: found 2"):
+        poses(rig.origin, rig, 2)
+
+
+@pytest.mark.parametrize(("value", "low", "high"), [(0.123456, 0.123, 0.124), (0.5, 0.5, 0.5), (1234.5, 1230, 1240)])
+def test_numbers_are_rounded_to_the_safe_side(value: float, low: float, high: float) -> None:
+    assert (below(value), above(value)) == (low, high)
+
+
+def test_the_file_has_a_source_for_each_key_and_is_not_replaced(tmp_path: Path) -> None:
+    driver = PlantDriver(Slide(m=0.2, b=0.3, c=0.1), step=5e-6, age=0.0002, delay=0.0001, jitter=0.0)
+    said = statement([found(driver)], driver.stated)
+    assert 0.0 < (said.osp or 0.0) <= 0.3
+    assert 0.0 < (said.mass or 0.0) <= 0.2
+    path = tmp_path / "slide.device.yaml"
+    write_device_file(path, device_file("slide", "some:driver", {"port": "x"}, driver.stated, said, "2026-11-27"))
+    read = yaml.safe_load(path.read_text())
+    assert list(read) == ["device", "keys", "sources", "by_itself", "identification"]
+    assert read["sources"].keys() == read["keys"].keys()
+    assert read["keys"]["osp"] == said.osp
+    assert read["keys"]["limits"] == {"force": 5.0, "displacement": 0.2, "speed": 2.0}
+    assert read["keys"]["sample_age"] == 0.0002
+    with pytest.raises(TargetError, match="--overwrite"):
+        require_new(path, force=False)
+    require_new(path, force=True)
