@@ -21,6 +21,7 @@ class OwnDevice:
         osp: what it surely damps, N·s/m.
         rate: of the loop, Hz.
         delay: from a sample to the force that answers it, beyond any that ends within the tick, s; None for any.
+        jitter: by how much the age of its samples varies at most, s: two of them may be so much further apart.
         friction: its least dry friction, N.
         step: of its encoder, m.
         speed: below which it is to hold that friction damps, m/s; None for several.
@@ -32,6 +33,7 @@ class OwnDevice:
     osp: float
     rate: float = 1000.0
     delay: float | None = None
+    jitter: float = 0.0
     friction: float = 0.0
     step: float = 0.0
     speed: float | None = None
@@ -57,6 +59,8 @@ def session_of(own: OwnDevice) -> Session:
     design: dict[str, Any] = {"coupling": "spring-damper"}
     if own.delay is not None:
         design["tau"] = own.delay
+    if own.jitter:
+        design["period_tolerance"] = own.jitter * own.rate
     return Session.from_dict(
         {
             "session": "your-device",

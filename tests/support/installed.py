@@ -27,6 +27,7 @@ NEEDED = {
     "design": "design",
     "verify": "design",
     "budget": "design",
+    "identify": "design",
     "sweep": "design",
     "graph": "design",
     "simulate": "design",

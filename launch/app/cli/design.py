@@ -24,6 +24,7 @@ from manyhands.launch.app.cli.common import (
     require_folder,
     session_files,
     session_keys,
+    time_of,
 )
 from manyhands.launch.app.design_report import run_budget, run_own_budget, run_verify
 from manyhands.launch.app.own_device import OwnDevice
@@ -123,8 +124,11 @@ def budget(
     osp: Annotated[float | None, typer.Option(metavar="N·s/m", help="What the device surely damps.")] = None,
     rate: Annotated[float, typer.Option(metavar="HZ", help="Of the loop.")] = OwnDevice.rate,
     delay: Annotated[
-        float | None, typer.Option(metavar="S", help="From a sample to the force that answers it; else several.")
-    ] = OwnDevice.delay,
+        str | None, typer.Option(metavar="TIME", help="From a sample to the force that answers it; else several.")
+    ] = None,
+    jitter: Annotated[
+        str | None, typer.Option(metavar="TIME", help="By how much the age of a sample varies at most.")
+    ] = None,
     friction: Annotated[float, typer.Option(metavar="N", help="Its least dry friction.")] = OwnDevice.friction,
     step: Annotated[float, typer.Option(metavar="M", help="Of its encoder.")] = OwnDevice.step,
     speed: Annotated[
@@ -158,7 +162,9 @@ def budget(
             from manyhands.launch.look.figures import require_picture
 
             require_picture(picture)
-        own = None if osp is None else OwnDevice(osp, rate, delay, friction, step, speed, kappa, force, fastest)
+        late = None if delay is None else time_of("--delay", delay)
+        varies = 0.0 if jitter is None else time_of("--jitter", jitter)
+        own = None if osp is None else OwnDevice(osp, rate, late, varies, friction, step, speed, kappa, force, fastest)
         if session is None and own is not None and not overrides:
             _require_device(own)
             end(run_own_budget(own, out, err, picture, as_json))
@@ -178,6 +184,7 @@ def _require_device(own: OwnDevice) -> None:
         ("--osp", own.osp, True),
         ("--rate", own.rate, True),
         ("--delay", own.delay, False),
+        ("--jitter", own.jitter, False),
         ("--friction", own.friction, False),
         ("--step", own.step, False),
         ("--speed", own.speed, True),
@@ -187,8 +194,9 @@ def _require_device(own: OwnDevice) -> None:
     ):
         if value is not None and not (0.0 < value < math.inf or (value == 0.0 and not least)):
             refuse(f"{option}: found {value:g}; expected a number " + ("greater than 0" if least else "of 0 or more"))
-    if own.delay is not None and own.delay > 1.0 / own.rate:
-        refuse(f"--delay: found {own.delay:g} s; expected at most a period, {1.0 / own.rate:g} s")
+    for option, time in (("--delay", own.delay), ("--jitter", own.jitter)):
+        if time is not None and time > 1.0 / own.rate:
+            refuse(f"{option}: found {time:g} s; expected at most a period, {1.0 / own.rate:g} s")
     if own.speed is not None and not own.friction:
         refuse("--speed: found a device without dry friction; expected --friction, which damps below a speed")
 

@@ -197,6 +197,8 @@ def test_a_device_without_a_session_gets_what_the_laws_say() -> None:
     assert certified(plain, 0.0) == pytest.approx(100.0)
     assert certified(plain, 1e-3) == pytest.approx(25.0)
     assert certified(fast, 1e-4) == pytest.approx(0.05 / (0.125e-3 + 1.5e-4))
+    varying = own("--jitter", "0.5ms")  # of docs/drivers.md: b/(1.5 T/2 + 3 tau/2), for periods up to 1.5 T
+    assert certified(varying, 1e-3) == pytest.approx(0.05 / (0.75e-3 + 1.5e-3))
     geared = own("--kappa", "10", "--force", "3", "--fastest", "0.5")
     assert 30.0 < 100.0 - certified(geared, 0.0) < 40.0  # K_geo = kappa F_max is 30 N/m, and a little for the way
 
