@@ -12,7 +12,7 @@ import numpy as np
 import typer
 
 from manyhands.launch.app.cli.check import Parameters, Period, named_factory, ports_of, require_in_range
-from manyhands.launch.app.cli.common import Json, end, err, errors, out, refuse, require_folder
+from manyhands.launch.app.cli.common import Json, end, err, errors, out, refuse, require_folder, time_of
 from manyhands.launch.files import EXIT_FAILED
 from manyhands.launch.look.display import say, titled_table
 from manyhands.launch.output import print_json
@@ -47,14 +47,14 @@ def identify(
         int, typer.Option("--poses", metavar="N", help="At how many places; the least of all counts.")
     ] = 1,
     delay: Annotated[
-        float, typer.Option("--delay", metavar="S", help="The loop's own delay, for the stiffness that follows.")
-    ] = 0.0,
+        str, typer.Option("--delay", metavar="TIME", help="The loop's own delay, for the stiffness that follows.")
+    ] = "0",
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="FILE", help="Write a device file (YAML).")
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a device file that exists.")] = False,
-    plot: Annotated[Path | None, typer.Option("--plot", metavar="FOLDER", help="Draw what was measured.")] = None,
-    name: Annotated[str | None, typer.Option("--name", help="The device's name in the file.")] = None,
+    plot: Annotated[Path | None, typer.Option("--plot", metavar="DIR", help="Draw what was measured.")] = None,
+    name: Annotated[str | None, typer.Option("--name", metavar="NAME", help="The device's name in the file.")] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask before real hardware moves.")] = False,
     as_json: Json = False,
 ) -> None:
@@ -71,6 +71,7 @@ def identify(
         from manyhands.launch.identify.rig import Aborted, Safety
 
         bounds = {"--force": (force, 100.0), "--travel": (travel, 1.0), "--speed": (speed, 10.0)}
+        time_of("--delay", delay)  # before anything moves
         require_in_range({**bounds, "--period": (period, 0.1)})
         if not 1 <= dof <= MOST_AXES:
             refuse(f"--dof: found {dof}; expected 1 to {MOST_AXES}")
@@ -102,7 +103,7 @@ def identify(
             print_json(content)
         else:
             _print(said, stated)
-            say(out, _advice(said, stated, period, delay))
+            say(out, _advice(said, stated, period, time_of("--delay", delay)))
         if output is not None:
             write_device_file(output, content)
             say(err, f"{output}: written")
