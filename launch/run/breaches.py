@@ -246,6 +246,7 @@ class BreachPolicy:
         ladder: CertifiedLadder | None,
         rungs: Mapping[str, int],
         may_colocate: bool = False,
+        no_ladder: str = "",
     ) -> None:
         """Begin without any telemetry.
 
@@ -256,7 +257,9 @@ class BreachPolicy:
             ladder: softer couplings; None where there are none.
             rungs: the rung that each coupling was changed to; the caller, which carries out decisions, updates it.
             may_colocate: whether the couplings, now in processes of their own, could be in their devices'.
+            no_ladder: why there are no softer couplings, where none could be designed.
         """
+        self._no_ladder = no_ladder or "no softer coupling was designed beforehand (design.ladder)"
         self._at_most = _AT_MOST.format(" or colocate=true" if may_colocate else "")
         self._policy, self._chains, self._covered = policy, chains, covered
         self._ladder, self._rungs = ladder, rungs
@@ -475,7 +478,7 @@ class BreachPolicy:
             return ""
         if self._ladder is None:  # above a whole period there is nothing to design, nor are there rungs for wave links
             linked = not any(self._covered[name].in_tick for name in self._named[Breach.DELAY])
-            return "" if whole or linked else "; no softer coupling was designed beforehand (design.ladder)"
+            return "" if whole or linked else f"; {self._no_ladder}"
         if not self._softened:
             return ""
         most = self._ladder.taus[-1]
@@ -554,6 +557,7 @@ class Assumptions:
             prepared.ladder,
             rungs,
             not (elsewhere or graph.carriers or session.shared_couplings),
+            prepared.notes[0] if prepared.ladder is None and prepared.notes else "",
         )
         self._couplings = [name for name, role in graph.nodes.items() if role is Role.COUPLING]
         self._policy.take_waits(0, {})  # from tick 0 on, the environment reports which couplings were late

@@ -249,6 +249,23 @@ class Threefold(Counterpart):
         return super().exerted() if self.measures else None
 
 
+class Slightly(Counterpart):
+    """Exerts a tenth more than it was given."""
+
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Sequence[float] | None:
+        return super().apply([1.1 * force for force in f], at, until)
+
+    def exerted(self) -> Sequence[float] | None:
+        return None
+
+
+class Unstepped(Counterpart):
+    """Does not state the step of its encoder."""
+
+    def specification(self) -> DeviceSpecification:
+        return replace(super().specification(), step=None)
+
+
 class Tenth(Threefold):
     """A tenth more than it is given."""
 

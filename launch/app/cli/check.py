@@ -15,7 +15,7 @@ from manyhands.launch.app.cli.common import Json, end, err, errors, out, refuse
 from manyhands.launch.conformance.answers import Explained, Question, ask_device, called
 from manyhands.launch.conformance.driver import Bench, NeverReturned, Push, checked_apart, clock_for, run_apart
 from manyhands.launch.conformance.driver import check_driver as try_driver
-from manyhands.launch.conformance.judgement import Judgement, broken, print_judgements
+from manyhands.launch.conformance.judgement import Conformance, Judgement, broken, print_judgements
 from manyhands.launch.conformance.model import check_model as try_model
 from manyhands.launch.files import EXIT_FAILED, EXIT_OK
 from manyhands.launch.look.display import say, status
@@ -79,13 +79,11 @@ def check_driver(
     with errors():
         require_in_range({"--force": (force, 1000.0), "--travel": (travel, 1.0), "--period": (period, 0.1)})
         name, plugin, stated = _made(driver, dof, parameters, period)
-        if (
-            push
-            and stated.moved_by_force
-            and stated.hardware
-            and not yes
-            and not _agreed(min(force, *stated.force), travel)
-        ):
+        asked = push and stated.moved_by_force and stated.hardware and not yes
+        if asked and not sys.stdin.isatty():
+            plugin.close()
+            refuse("found real hardware to push, and no terminal to ask at; expected --yes, or --no-push to read alone")
+        if asked and not _agreed(min(force, *stated.force), travel):
             say(err, "no force is exerted")
             push = False
         bench = Bench(plugin, period, clock_for(stated, RealtimeClock()))
@@ -94,7 +92,9 @@ def check_driver(
         if stated.by_itself and not as_json:
             say(out, outside("the device", stated.by_itself))
         own_words = {"by_itself": list(stated.by_itself)} if stated.by_itself else {}
-        _end(found, {"driver": name, **own_words}, as_json, f"for the session file: {_keys(stated)}")
+        latency = stated.timing.latency
+        slower = f"; its period is at least {latency:g} s, the age and delay together" if latency > period else ""
+        _end(found, {"driver": name, **own_words}, as_json, f"for the session file: {_keys(stated)}{slower}")
 
 
 @commands.command(epilog="Example: manyhands probe serial-board --parameters '{port: /dev/ttyACM0}'")
@@ -242,6 +242,9 @@ def _end(found: list[Judgement], what: dict[str, Any], as_json: bool, advice: st
         print_json({**what, "findings": [finding.as_plain() for finding in found]})
     else:
         print_judgements(out, found)
+        unjudged = sum(finding.verdict is Conformance.OPEN for finding in found)
+        if unjudged:
+            say(out, f"{len(found) - unjudged} of {len(found)} checks were judged")
         if advice and not broken(found):
             say(out, advice)
     end(EXIT_FAILED if broken(found) else EXIT_OK)
@@ -309,4 +312,9 @@ def _keys(stated: DeviceSpecification) -> str:
         keys += [f"sample_age: {timing.sample_age:g}", f"age_jitter: {timing.jitter:g}"]
     if timing.actuation_delay:
         keys.append(f"actuation_delay: {timing.actuation_delay:g}")
+    for key, values in (("mass", stated.mass), ("step", stated.step)):
+        if values is not None:
+            keys.append(f"{key}: [{', '.join(f'{value:g}' for value in values)}]")
+    if stated.holds_torque:
+        keys.append("held: torque")
     return ", ".join(keys)

@@ -56,6 +56,21 @@ def test_a_good_driver_keeps_everything(axes: int, damping: float) -> None:
     assert {STALE, SIGN, UNIT, RELEASE, SILENCE, EXCEPTION, BLOCKING, SWAPPED} <= {finding.check for finding in found}
 
 
+@pytest.mark.parametrize("friction", [0.01, 0.05, 0.15])
+@pytest.mark.parametrize("damping", [0.1, 1.5])
+def test_dry_friction_of_a_counterpart_is_no_wrong_force(friction: float, damping: float) -> None:
+    found = findings(drivers.Counterpart, 1, friction=friction, damping=damping)
+    assert {finding.verdict for finding in found} == {Conformance.KEPT}, found
+    assert "wrong force" in broken(findings(drivers.Slightly, 1, friction=friction, damping=damping))
+
+
+def test_the_first_step_of_a_coarse_encoder_is_waited_for() -> None:
+    """0.2 kg take sqrt(2 m q/f) = 20 ms to move by 0.5 mm at 0.5 N; without the step that is an old sample."""
+    coarse = {"step": 5e-4, "damping": 0.05, "push": Push(0.5, 0.2)}
+    assert broken(findings(drivers.Counterpart, 1, **coarse)) == []
+    assert broken(findings(drivers.Unstepped, 1, **coarse)) == [STALE]
+
+
 @pytest.mark.parametrize("damping", [0.0, 1.5, 10.0])
 @pytest.mark.parametrize(
     "timing", [{}, {"age": 2e-4, "delay": 1e-4, "timing": {"sample_age": 2e-4, "actuation_delay": 1e-4}}]

@@ -252,6 +252,14 @@ class Test_softening:
         assert "; no softer coupling was designed beforehand (design.ladder); " in m.notices[Cause.DELAY]
         assert [m.tell("dx", 90) for _ in range(10)] == [[]] * 10
 
+    def test_without_a_ladder_that_cannot_be_the_notice_says_why(self) -> None:
+        why = "no rungs: dry friction covers what the steps of encoders add"
+        m = Measured(Policy.SOFTEN)
+        covered = dict.fromkeys(CHAINS, Covered(100e-6, 1e-3))
+        m.policy = BreachPolicy(Policy.SOFTEN, CHAINS, covered, None, m.rungs, no_ladder=why)
+        assert self.broken(m, "dx", 200.0, 200.0) == {}
+        assert f"; {why}; " in m.notices[Cause.DELAY]
+
     def test_a_device_that_does_not_tell_its_longest_delay(self) -> None:
         m = Measured(Policy.SOFTEN, Rungs())
         m.policy.judge("dx", 100, Figures())

@@ -29,7 +29,8 @@ def test_a_good_driver_ends_with_the_keys_for_the_session_file() -> None:
     assert done.exit_code == 0, done.output
     assert done.stdout.splitlines()[-1] == (
         "for the session file: dof: 2, limits: {force: [8, 8], displacement: [0.2, 0.2], speed: [2, 2]}, "
-        "sample_age: 0.002, age_jitter: 0.001, actuation_delay: 0.003"
+        "sample_age: 0.002, age_jitter: 0.001, actuation_delay: 0.003, mass: [0.2, 0.2]; its period is at least "
+        "0.005 s, the age and delay together"
     )
 
 
@@ -48,10 +49,12 @@ def test_a_broken_driver_ends_with_1_and_is_named() -> None:
 def test_hardware_is_not_pushed_without_an_answer() -> None:
     """Here nobody is at a terminal."""
     done = manyhands_command("check-driver", f"{MADE}Raising", "--parameters", "{hardware: true}")  # raises at a force
-    assert "this pushes real hardware with 0.5 N, up to 10 mm at a time; nobody may hold it" in done.stderr
-    assert "no force is exerted" in done.stderr
-    assert "not judged  wrong sign: nothing was pushed" in done.stdout
-    assert "exception" not in done.stdout
+    assert (done.exit_code, done.stdout) == (2, "")
+    assert "found real hardware to push, and no terminal to ask at; expected --yes, or --no-push" in done.stderr
+    read = manyhands_command("check-driver", f"{MADE}Raising", "--parameters", "{hardware: true}", "--no-push")
+    assert "not judged  wrong sign: nothing was pushed" in read.stdout
+    assert "exception" not in read.stdout
+    assert "5 of 10 checks were judged" in read.stdout
 
 
 @pytest.mark.alone  # likewise
