@@ -109,6 +109,7 @@ class Cause(StrEnum):
     DELAY = "delay"
     PERIOD = "period"
     WAITS = "waits"
+    BEGINNING = "beginning"
 
 
 class Remedy(StrEnum):
@@ -563,6 +564,8 @@ class Assumptions:
         self._policy.take_waits(0, {})  # from tick 0 on, the environment reports which couplings were late
         self.notices: dict[Cause, str] = {}
         self.waited_for: list[str] = []
+        self._to_begin = {*devices}
+        self._away: list[str] = []  # devices that began elsewhere than in 0, and what follows, in words
 
     def forget(self, node: str) -> None:
         """``node`` has a new process, which counts from 0."""
@@ -574,6 +577,9 @@ class Assumptions:
         if node == ENVIRONMENT:
             decisions = self._policy.take_waits(telemetry.tick, self._late_ticks(telemetry))
         else:
+            if node in self._to_begin:
+                self._to_begin.discard(node)
+                self._note_beginning(node, telemetry)
             tau = telemetry.traces.get(names.TAU, _NO_TAU)
             decisions = self._policy.judge(node, telemetry.tick, telemetry.figures, (tau.ravel() * 1e-6).tolist())
         for decision in decisions:
@@ -582,6 +588,20 @@ class Assumptions:
             else:
                 deeds.append(decision)
         return deeds
+
+    def _note_beginning(self, device: str, telemetry: Telemetry) -> None:
+        """Note a device that began far from 0: most of the way there was taken for what lateness may have put in."""
+        x, offset = telemetry.traces.get(names.DISPLACEMENT), telemetry.figures.get(names.INTERFACE_OFFSET, 0.0)
+        if x is None or not 0 < telemetry.tick == len(x):
+            return
+        away = float(np.abs(x[0]).max())
+        if away > NEAR and offset > away / 2.0:
+            self._away.append(f"{device} {away:.3g} m (its tool {offset:.3g} m behind)")
+            self.notices[Cause.BEGINNING] = (
+                f"a device began away from 0, where the world expects it: {', '.join(self._away)}; it gets a part of "
+                "the force until its tool has come after it. Take the zero of its driver at the start, or bring the "
+                "device to 0 before the run"
+            )
 
     def _late_ticks(self, telemetry: Telemetry) -> dict[str, list[int]]:
         """The ticks in which each coupling was late; a notice names those that nobody waits for since."""
@@ -619,6 +639,10 @@ _NO_PERIODS: Final[Mapping[str, float]] = MappingProxyType({})
 QUIET: Final = 10.0
 """Seconds between two incidents of the same party: a user that returns by a ramp may be beyond its limits again at
 once."""
+
+
+NEAR: Final = 1e-3
+"""m; nearer to 0 a device may begin without a word: the reserve for lateness pays for that, or for most of it."""
 
 
 STAYS: Final = 1.0

@@ -524,7 +524,9 @@ class Supervisor:
 
     def _promises(self) -> tuple[PromiseStatus, ...]:
         """How each promise stands, with the notices about them."""
-        return self._health.rows({_ABOUT[cause]: text for cause, text in self._assumptions.notices.items()})
+        return self._health.rows(
+            {_ABOUT[cause]: text for cause, text in self._assumptions.notices.items() if cause in _ABOUT}
+        )
 
     def _notices(self, promises: Iterable[PromiseStatus]) -> tuple[str, ...]:
         """The sentences about broken assumptions: forces that were cut and a slow session have theirs in their rows."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -636,6 +637,25 @@ class Test_notices_of_a_run:
             assumptions.check("dx", Telemetry(tick, Figures({names.TAU_BREACHES: late}), {}))
         (text,) = [text for text in assumptions.notices.values() if "doctor compares them" in text]
         assert ("colocate=true" in text) is advised
+
+    @pytest.mark.parametrize(
+        ("first", "offset", "tick", "told"),
+        [(0.05, 0.04, 3, True), (0.05, 0.01, 3, False), (0.0005, 0.0005, 3, False), (0.05, 0.04, 103, False)],
+    )
+    def test_a_device_that_begins_away_from_zero_is_told_once(
+        self, first: float, offset: float, tick: int, told: bool, prepared: Prepared
+    ) -> None:
+        assumptions = Assumptions(prepared, prepared.graph, REALTIME, {})
+        x = np.array([[first], [0.0], [0.0]])
+        figures = Figures({names.INTERFACE_OFFSET: offset})
+        assumptions.check("dx", Telemetry(tick, figures, {names.DISPLACEMENT: x}))
+        assert bool(assumptions.notices) is told
+        if told:
+            (text,) = assumptions.notices.values()
+            assert "0, where the world expects it: dx 0.05 m (its tool 0.04 m behind); it gets a part of" in text
+        assumptions.notices.clear()
+        assumptions.check("dx", Telemetry(3, figures, {names.DISPLACEMENT: x}))
+        assert assumptions.notices == {}
 
     def test_name_all_couplings_that_were_waited_for_often(self, prepared: Prepared) -> None:
         assumptions = Assumptions(prepared, prepared.graph, REALTIME, {})
