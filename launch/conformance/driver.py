@@ -25,6 +25,7 @@ moves its device.
   was given, within :data:`manyhands.nodes.device.plugin.PART` of its stated limit, in every tick.
 - *wrong work*: where the driver tells the work of its motors, that is f^T dx over a push and the rest after it, within
   :data:`WORK_GAIN`, asked in every :data:`SELDOM`-th tick and, on the way back, in every one.
+- *estimate*: the damping and friction of that fit with friction, in words; it judges nothing.
 - *no release*: after ``release`` less than :data:`LEFT` of a is left.
 - *force kept on silence*: a force that was applied until an instant ends there, though no call follows.
 
@@ -62,6 +63,7 @@ UNIT: Final = "wrong unit"
 FORCE: Final = "wrong force"
 WORK: Final = "wrong work"
 RELEASE: Final = "no release"
+ESTIMATE: Final = "estimate"
 SILENCE: Final = "force kept on silence"
 CLOSE: Final = "close"
 
@@ -524,10 +526,11 @@ def _judged(pushed: _Pushed, T: float, stated: DeviceSpecification) -> Iterator[
         yield Judgement(SIGN, Conformance.BROKEN, f"{text}; expected a motion along the force")
         return
     yield Judgement(SIGN, Conformance.KEPT, f"it moves along a push {of}")
-    delay, mass, fits = _answer(times - times[0], places[:, axis], force, T)
+    plain, dry = (_answer(times - times[0], places[:, axis], force, T, dry) for dry in (False, True))
     latency = stated.timing.latency
-    if fits and delay > latency + GRACE * T:  # dry friction brakes at the end of a push, which looks as if it came late
-        delay, mass, fits = _answer(times - times[0], places[:, axis], force, T, dry=True)
+    # dry friction brakes at the end of a push, which looks as if it came late
+    fit = dry if plain.good and plain.delay > latency + GRACE * T else plain
+    delay, mass, fits = fit.delay, fit.mass, fit.good
     unseen = _unseen(pushed, mass if fits else pushed.force / float(a[axis]), stated)
     if fits and delay > latency + unseen + GRACE * T:
         also = f", and {1e3 * unseen:.3g} ms until it has moved by the stated step" if unseen else ""
@@ -557,14 +560,24 @@ def _judged(pushed: _Pushed, T: float, stated: DeviceSpecification) -> Iterator[
     if fits and stated.mass is not None and not stated.hardware:
         gain = stated.mass[axis] / mass
         if abs(gain - 1.0) > GAIN:  # a counterpart with dry friction seems to weigh more than it does
-            _, dry_mass, dry_fits = _answer(times - times[0], places[:, axis], force, T, dry=True)
-            gain = stated.mass[axis] / dry_mass if dry_fits else gain
+            gain = stated.mass[axis] / dry.mass if dry.good else gain
         if abs(gain - 1.0) > GAIN:
             found = f"{gain:.3g} times the force that was given, by the motion of {stated.mass[axis]:g} kg {of}"
             yield Judgement(FORCE, Conformance.BROKEN, f"found {found}; expected it within {GAIN:.0%}")
             return
         yield Judgement(FORCE, Conformance.KEPT, f"{gain:.3g} times the force that was given, {of}")
+    if dry.good:
+        yield _estimate(dry, of, T, latency)
     yield Judgement(RELEASE, Conformance.KEPT, f"released, {max(0.0, left):.0%} of a push {of} is left")
+
+
+def _estimate(fit: _Fit, of: str, T: float, latency: float) -> Judgement:
+    """What the device seems to burn, and what that is worth: b/(T/2 + 3 tau/2), :mod:`manyhands.design.budget`."""
+    text = f"it seems to damp {max(0.0, fit.damping):.2g} N·s/m, and {max(0.0, fit.friction):.2g} N, {of}"
+    if fit.damping > 0.0:
+        worth = fit.damping / (T / 2.0 + 1.5 * latency)
+        text += f", worth {worth:.3g} N/m in this period and with its own delay alone"
+    return Judgement(ESTIMATE, Conformance.KEPT, f"{text}: an estimate, and no osp, which manyhands identify measures")
 
 
 def _unseen(pushed: _Pushed, mass: float, stated: DeviceSpecification) -> float:
@@ -594,13 +607,29 @@ def _held(x: Array, T: float, stated: DeviceSpecification) -> str:
     return f"found {found}; expected a new one at every call, or a sample_age as long as that"
 
 
-def _answer(t: Array, x: Array, force: Array, T: float, dry: bool = False) -> tuple[float, float, bool]:
-    """Delay (s) and mass (kg) of the best fit, and whether it fits: the rest is a twentieth of the motion at most.
+@dataclass(frozen=True)
+class _Fit:
+    """How a device answers a push, by the best fit.
 
-    With ``dry`` friction against the motion is fitted as well, whose double integral is another column.
+    Attributes:
+        delay: L, s.
+        mass: m, kg; infinite where the push moves nothing.
+        damping: b, N s/m; negative where the fit says so.
+        friction: c, N; 0 where none was fitted.
+        good: whether the rest is a twentieth of the motion at most.
     """
+
+    delay: float
+    mass: float
+    damping: float
+    friction: float
+    good: bool
+
+
+def _answer(t: Array, x: Array, force: Array, T: float, dry: bool = False) -> _Fit:
+    """The best fit; with ``dry`` friction against the motion is fitted as well, by its double integral."""
     held = np.concatenate([[0.0], np.cumsum((x[1:] + x[:-1]) / 2.0 * np.diff(t))])
-    best, delay, mobility = np.inf, 0.0, np.nan
+    best, delay, found = np.inf, 0.0, np.zeros(1)
     scale = float(np.std(x))
     fine = T / 4.0
     grid = np.arange(t[0], t[-1] + fine, fine)
@@ -616,8 +645,10 @@ def _answer(t: Array, x: Array, force: Array, T: float, dry: bool = False) -> tu
         fit = np.linalg.lstsq(A, x, rcond=None)[0]
         size = float(np.sqrt(np.mean((x - A @ fit) ** 2)))
         if size < best:
-            best, delay, mobility = size, step * fine, float(fit[-1])
-    return delay, 1.0 / mobility if mobility > 0.0 else np.inf, best <= 0.05 * scale
+            best, delay, found = size, step * fine, fit
+    mass = 1.0 / float(found[-1]) if found[-1] > 0.0 else np.inf
+    friction = -mass * float(found[4]) if dry else 0.0
+    return _Fit(delay, mass, -mass * float(found[3]), friction, best <= 0.05 * scale)
 
 
 def _silence(pushed: _Pushed, silence: tuple[Stretch, Stretch], T: float, stated: DeviceSpecification) -> Judgement:

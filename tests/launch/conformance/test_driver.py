@@ -64,6 +64,21 @@ def test_dry_friction_of_a_counterpart_is_no_wrong_force(friction: float, dampin
     assert "wrong force" in broken(findings(drivers.Slightly, 1, friction=friction, damping=damping))
 
 
+@pytest.mark.parametrize("friction", [0.0, 0.05, 0.15])
+@pytest.mark.parametrize("damping", [0.05, 0.4, 1.5])
+@pytest.mark.parametrize("step", [0.0, 5e-5])
+def test_damping_and_friction_are_estimated_and_called_no_osp(step: float, damping: float, friction: float) -> None:
+    """Within 0.04 N·s/m or a tenth, and 0.01 N: what was seen at this push of 0.5 N with steps of 50 µm."""
+    own = {"mass": 0.15, "damping": damping, "friction": friction, "step": step, "push": Push(0.5, 0.05)}
+    (text,) = [one.text for one in findings(drivers.Counterpart, 1, **own) if one.check == "estimate"]
+    b, c = map(float, re.findall(r"damp (\S+) N·s/m, and (\S+) N,", text)[0])
+    assert b == pytest.approx(damping, rel=0.1, abs=0.04)
+    assert c == pytest.approx(friction, abs=0.012)
+    worth = float(re.findall(r"worth (\S+) N/m", text)[0])
+    assert worth == pytest.approx(2.0 * b / T, rel=0.15, abs=20.0)  # b is printed with two digits
+    assert "an estimate, and no osp" in text
+
+
 def test_the_first_step_of_a_coarse_encoder_is_waited_for() -> None:
     """0.2 kg take sqrt(2 m q/f) = 20 ms to move by 0.5 mm at 0.5 N; without the step that is an old sample."""
     coarse = {"step": 5e-4, "damping": 0.05, "push": Push(0.5, 0.2)}
