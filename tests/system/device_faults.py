@@ -55,7 +55,8 @@ from manyhands.protocol.messages import PromiseStatus
 
 from ..fakes.far_side import FarSide, Record
 from ..support.commands import manyhands_command
-from .device_rows import KILL, LASTS, ROWS, Row
+from .device_row import KILL, LASTS, Row
+from .device_rows import ROWS
 
 TESTED, ITS_COUPLING = "tested", "ctested"
 INNOCENT, INNOCENTS = "innocent", ("innocent", "cinnocent", "environment")
