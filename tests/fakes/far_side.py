@@ -64,7 +64,11 @@ class Record:
             ended = next((begin for begin, f in self.motors if begin > at and not any(f)), None)
         if ended is None:
             return None
-        return ended - at, sum(max(0, min(end, ended) - max(begin, at)) for begin, end in self.stretches())
+        return ended - at, self.without_turn(at, ended)
+
+    def without_turn(self, since: float, until: float) -> int:
+        """For how much of the time between two instants the fake had no turn, ns."""
+        return int(sum(max(0, min(end, until) - max(begin, since)) for begin, end in self.stretches()))
 
     def stretches(self) -> list[tuple[int, int]]:
         """``busy``, without what these times have in common."""

@@ -55,10 +55,14 @@ class Row:
         faults: by name.
         parameters: for the driver, beside those of the fake.
         stiffness: of the world's springs at its first axis, N/m or N m/rad.
+        ground: of the innocent's spring to the ground, N/m; ``stiffness`` where it is not given.
         felt: the force on an axis from which on the device counts as felt, N or N m.
         design: of the session.
         precision: the relative precision in which its motors are given a force.
         scale: the fake's force for one of the session's, on every axis.
+        way: for how long a force may be under way, s, where the device counts its time from its arrival.
+        disarms: whether its motors are free once a force has ended by itself, until they are armed again: then the
+            session says that forces it gives meanwhile are not exerted (the promise *driver's word*).
     """
 
     opened: Callable[[Path], AbstractContextManager[FarSide]]
@@ -67,7 +71,10 @@ class Row:
     faults: Mapping[str, Fault]
     parameters: Mapping[str, Any] = field(default_factory=dict)
     stiffness: float = 80.0
+    ground: float | None = None
     felt: float = 0.05
     design: Mapping[str, Any] = field(default_factory=dict)
     precision: float = 1e-6
     scale: float = 1.0
+    way: float = 0.0
+    disarms: bool = False
