@@ -2,7 +2,7 @@
 
 A :class:`FarSide` is the fake behind its wire, as the campaign sees it:
 
-- ``order``: gives it orders, a line each; what a fault orders is in the table of tests/system/device_rows.py;
+- ``order``: gives it orders, a line each; what a fault orders is in its row (tests/system/device_rows.py);
 - ``mark``: has it note a number in its record, at the instant of the call, before the orders that are given with it;
 - ``force``: what its motors exert at this instant;
 - ``record``: what it has noted since it was made (:class:`Record`), by the realtime clock of this machine

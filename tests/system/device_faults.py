@@ -362,7 +362,8 @@ def _judge_report(row: Row, stage: Stage, report: Mapping[str, Any], recorded: R
     for name in (TESTED, ITS_COUPLING, *INNOCENTS):
         wanted, more = (dying, stalls) if name in (TESTED, ITS_COUPLING) else (0, 0)
         if not wanted <= restarts.get(name, -1) <= wanted + more:
-            found.wrong.append(f"back: found {restarts.get(name)} restarts of {name}; expected {wanted}")
+            ends = [one for one in stage.incidents if re.search(rf"\b{name}\b.* (failed|ended|killed)", one)]
+            found.wrong.append(f"back: found {restarts.get(name)} restarts of {name}; expected {wanted}: {ends}")
     for name, node in nodes.items():
         for account in ("ledger", "interface"):
             if account in node and node[account]["margin"] < PROMISE and name != TESTED:

@@ -1,7 +1,7 @@
 """The devices of the campaign of faults, a row each (tests/system/device_faults.py); their fakes: tests/fakes/.
 
-A new driver is a function that opens its fake as a :class:`~tests.fakes.far_side.FarSide`, its keys of a session, and
-its faults.
+A new driver is a file ``device_row_NAME.py`` and a line below. The file has a function that opens its fake as a
+:class:`~tests.fakes.far_side.FarSide`, its keys of a session, and its faults (device_row.py).
 """
 
 from __future__ import annotations
