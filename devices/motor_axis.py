@@ -170,7 +170,7 @@ class MotorAxis(DeviceDriver):
         self._questions = Questions()
         self._x = 0.0  # rad, of the newest answer
         self._asked = Instant(0)  # when it was asked for
-        self._held = 0.0  # the last torque, N·m
+        self._held = 0.0  # the torque that was asked for last, N·m
         self._rearming: Instant | None = None  # since when, after the watchdog had ended a torque
         self._unsent = self._old = self._trips = 0
         self._oldest = 0.0  # s
@@ -352,13 +352,17 @@ class MotorAxis(DeviceDriver):
         self._x, self._asked = x - self._given["zero"], asked
 
     def _give(self, torque: float, lives: Duration) -> None:
-        """Send a torque, unless the controller has not heard from us for too long: it would hear this one late."""
+        """Send a torque, unless the controller has not heard from us for too long: it would hear this one late.
+
+        An axis that is disarmed is sent none: it would exert that as soon as it is armed again, at an instant that
+        nobody knows.
+        """
         open_since = self._questions.oldest
         if open_since is not None and self._clock.now() - open_since > self._patience:
             self._unsent += 1
             return
         self._held = max(-self._most, min(self._most, torque))
-        self._unsent += not self._exert(self._held, seconds(lives))
+        self._unsent += not self._exert(self._held if self._armed else 0.0, seconds(lives))
 
     def _tripped(self) -> bool:
         """The axis is disarmed by its watchdog: whether this is news.

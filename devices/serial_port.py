@@ -98,8 +98,8 @@ class SerialPort:
     def close(self) -> None:
         """Close it; a second call does nothing.
 
-        What was sent last is given :data:`DRAINING` to leave: it is the release. Then it is thrown away, for the kernel
-        would wait half a minute for a line that does not move.
+        What was sent last is given :data:`DRAINING` to leave: it is the release. What is left then is thrown away, for
+        the kernel would wait half a minute for a line that does not move.
         """
         if self._fd < 0:
             return
@@ -107,7 +107,8 @@ class SerialPort:
             end = time.monotonic() + DRAINING
             while self._queued() and time.monotonic() < end:
                 time.sleep(1e-3)  # the kernel tells nobody when its queue is empty
-            termios.tcflush(self._fd, termios.TCOFLUSH)
+            if self._queued():  # a pseudo-terminal has no queue, and would throw away what is on its way
+                termios.tcflush(self._fd, termios.TCOFLUSH)
         os.close(self._fd)
         self._fd = -1
 

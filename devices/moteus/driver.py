@@ -106,6 +106,8 @@ class Moteus(MotorAxis):
         while (now := self._clock.now()) < end:
             if now >= due:
                 self._questions.forget()
+                if self._mode == Mode.TIMEOUT and mode != Mode.STOPPED:  # a pause: it leaves this mode by a stop alone
+                    self._send(STOP)
                 self._send(payload)
                 self._ask()
                 due = Instant(now + AGAIN)

@@ -304,8 +304,9 @@ class ODrive(MotorAxis):
         """The lines that arm an axis which its watchdog had disarmed; what was asked before tells nothing any more."""
         self._reason, self._state, self._lost = 0, IDLE, False
         self._outdated = Form.WHOLE in self._questions
-        # feeding first, for a watchdog that is still expired would be the next error at once
-        return command(f"u {self._axis}") + command("sc") + command(f"w {self._of}requested_state {CLOSED_LOOP}")
+        # feeding first, for a watchdog that is still expired would be the next error at once; and by no torque, for the
+        # last one would act again
+        return command(f"c {self._axis} 0") + command("sc") + command(f"w {self._of}requested_state {CLOSED_LOOP}")
 
     def _renew(self) -> None:
         """Ask for the status as well: the watchdog may have disarmed an axis that nobody fed."""

@@ -678,7 +678,8 @@ class UserIncidents:
     def forget(self, node: str) -> None:
         """``node`` has a new process, which counts from 0."""
         self._counts.pop(node, None)
-        self._of_itself.pop(node, None)
+        if node not in self._awaiting:  # what its last process did is still to be told
+            self._of_itself.pop(node, None)
         if node in self._worlds:
             self._causes.forget()
             self._frozen, self._reported = {}, set()

@@ -6,6 +6,7 @@ Nothing here judges how fast the machine is: what is awaited comes in the end, o
 from __future__ import annotations
 
 import math
+import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing, contextmanager
@@ -154,6 +155,24 @@ def test_a_torque_ends_by_itself_and_the_axis_comes_back(kind: Kind) -> None:
         assert driver.figures()["watchdog_trips"] > trips
 
 
+def test_an_axis_that_is_said_to_exert_nothing_exerts_nothing(kind: Kind) -> None:
+    """Also while it is armed again, which takes its time: a torque that was sent before would act by itself then."""
+    of, fake = kind
+    with fake() as one, opened(of, one) as driver:
+        until(lambda: (turned(driver, 0.02), one.asked()["torque"])[1] == pytest.approx(0.02))
+        expired, claims = one.asked()["expired"], 0
+        until(lambda: one.asked()["expired"] > expired)
+        while claims == 0 or driver.exerted() is not None:
+            driver.sample(0, Instant(0))
+            driver.apply([0.02], Instant(0), Instant(100 * MS))
+            claimed = driver.exerted()
+            time.sleep(0.02)
+            if claimed is not None:
+                claims += 1
+                assert one.asked()["torque"] == 0.0
+            driver.idle(Instant(0))
+
+
 def test_an_end_that_comes_nearer_is_obeyed(kind: Kind) -> None:
     """The account may end a force sooner: the second call of a tick has the same torque and less time."""
     of, fake = kind
@@ -199,14 +218,16 @@ def test_an_unplugged_controller_is_named_and_closing_it_is_quiet(kind: Kind) ->
         assert one.path in failing(driver)
 
 
-def test_closing_takes_the_power_from_the_motor(kind: Kind, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("manyhands.devices.serial_port.DRAINING", PATIENCE)  # until the fake has its turn
+def test_closing_takes_the_power_from_the_motor(kind: Kind) -> None:
+    """Also where the controller hears of it after the port was closed."""
     of, fake = kind
     stopped = {Moteus: 0, ODrive: 1}[of]
     with fake() as one:
         with opened(of, one) as driver:
             until(lambda: (turned(driver, 0.02), one.asked()["torque"])[1] == pytest.approx(0.02))
             assert one.asked()["told"] not in (0, stopped)
+            one.process.send_signal(signal.SIGSTOP)
+        one.process.send_signal(signal.SIGCONT)
         until(lambda: one.asked()["told"] == stopped)
         assert one.asked()["torque"] == 0.0
         driver.close()  # a second call does nothing

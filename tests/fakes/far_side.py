@@ -2,7 +2,7 @@
 
 A :class:`FarSide` is the fake behind its wire, as the campaign sees it:
 
-- ``order``: gives it orders, a line each; what a fault orders is in the table of tests/system/device_rows.py;
+- ``order``: gives it orders, a line each; what a fault orders is in its row (tests/system/device_rows.py);
 - ``mark``: has it note a number in its record, at the instant of the call, before the orders that are given with it;
 - ``force``: what its motors exert at this instant;
 - ``record``: what it has noted since it was made (:class:`Record`), by the realtime clock of this machine
@@ -64,7 +64,11 @@ class Record:
             ended = next((begin for begin, f in self.motors if begin > at and not any(f)), None)
         if ended is None:
             return None
-        return ended - at, sum(max(0, min(end, ended) - max(begin, at)) for begin, end in self.stretches())
+        return ended - at, self.without_turn(at, ended)
+
+    def without_turn(self, since: float, until: float) -> int:
+        """For how much of the time between two instants the fake had no turn, ns."""
+        return int(sum(max(0, min(end, until) - max(begin, since)) for begin, end in self.stretches()))
 
     def stretches(self) -> list[tuple[int, int]]:
         """``busy``, without what these times have in common."""

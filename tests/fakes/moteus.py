@@ -35,13 +35,15 @@ FORMATS = ("<b", "<h", "<i", "<f")
 
 
 class FakeMoteus(Controller):
-    """``settings``: id, map (version of the register map), volts, uart (checksums), conf (settings of its own)."""
+    """``settings``: id, map (version of the register map), volts, uart (checksums), conf (settings of its own), and
+    lapses (how often its watchdog runs out at once, as after a pause of the host)."""
 
     def begin(self) -> None:
         given = self.settings
         self.id, self.map, self.volts = given.get("id", 1), given.get("map", 5), given.get("volts", 24.0)
         self.uart = given.get("uart", False)
         self.conf = {**SETTINGS, **given.get("conf", {})}
+        self.lapses = given.get("lapses", 0)
         self.mode, self.code, self.ready = 0, 0, 0.0
         self.wanted: dict[int, float] = {}
         self.said = b""
@@ -147,7 +149,7 @@ class FakeMoteus(Controller):
         return bytes([register]) if register < 0x80 else bytes([register & 0x7F | 0x80, register >> 7])
 
     def read(self, register: int, form: str) -> float:
-        self.prepare()
+        self.wake()
         found = {
             0x000: self.mode, 0x001: self.turns, 0x002: self.scale * self.speed / (2.0 * math.pi), 0x003: self.torque,
             0x00D: 2.0 * self.volts if form == "<b" else self.volts, 0x00E: 31, 0x00F: self.code,
@@ -155,9 +157,9 @@ class FakeMoteus(Controller):
         }[register]  # fmt: skip
         return found if form == "<f" else int(found)
 
-    def prepare(self) -> None:
+    def wake(self) -> None:
         if self.mode in (2, 3, 4):
-            self.mode = 10 if time.monotonic() >= self.ready else 3
+            self.mode = 10 if self.at >= self.ready else 3
             if self.mode == 10:
                 self.drive()
 
@@ -168,13 +170,20 @@ class FakeMoteus(Controller):
             self.mode, self.code, self.torque, self.expires = 0, 0, 0.0, math.inf
         elif mode == 10 and self.mode not in (1, 11):
             self.wanted = written
+            if self.held:
+                self.fault(self.held)
+                return
+            if self.lapses:
+                self.lapses -= 1
+                self.expire()
+                return
             if self.mode == 0:
-                self.mode, self.ready = 2, time.monotonic() + PREPARING
-            self.prepare()
+                self.mode, self.ready = 2, self.at + PREPARING
+            self.wake()
             if self.mode == 10:
                 self.drive()
             self.lives = written.get(0x27, 0.0) or 0.1
-            self.expires = math.inf if math.isnan(self.lives) else time.monotonic() + self.lives
+            self.expires = math.inf if math.isnan(self.lives) else self.at + self.lives
 
     def drive(self) -> None:
         """A torque with gains would be another one: then it is none, so that a test sees it."""

@@ -54,7 +54,7 @@ class FakeODrive(Controller):
             (self.wholes if name in self.wholes else self.floats)[name] = value
         self.state, self.reason, self.active = 1, 0, 0
         self.busy = 0.0  # until an answer has left
-        self.ready = 0.0
+        self.ready, self.arming = 0.0, False
 
     def expire(self) -> None:
         self.disarm(WATCHDOG)
@@ -112,15 +112,20 @@ class FakeODrive(Controller):
             self.feed()
             self.drive()
         elif command == "sc":
-            self.active = self.reason = 0
+            self.active, self.reason = self.held, 0
         else:
             return "unknown command"
         return None
 
     def feed(self) -> None:
         on, self.lives = self.wholes["axis0.config.enable_watchdog"], self.floats["axis0.config.watchdog_timeout"]
-        self.expires = time.monotonic() + self.lives if on else math.inf
+        self.expires = self.at + self.lives if on else math.inf
         self.active &= ~WATCHDOG
+
+    def wake(self) -> None:
+        if self.arming and self.current() == 8:
+            self.arming = False
+            self.drive()
 
     def drive(self) -> None:
         """A torque that is limited by the speed would be another one: then it is none, so that a test sees it."""
@@ -131,7 +136,7 @@ class FakeODrive(Controller):
         self.torque = wanted if self.current() == 8 and pure and unlimited else 0.0
 
     def current(self) -> int:
-        if self.state == 8 and time.monotonic() < self.ready:
+        if self.state == 8 and self.at < self.ready:
             return 1
         return self.state
 
@@ -155,7 +160,7 @@ class FakeODrive(Controller):
             return "invalid property"
         if name == "axis0.requested_state":
             if value == 8 and not self.active and not self.settings.get("uncalibrated"):
-                self.state, self.reason, self.ready = 8, 0, time.monotonic() + ARMING
+                self.state, self.reason, self.ready, self.arming = 8, 0, self.at + ARMING, True
             elif value == 8:
                 self.reason = self.active
             else:

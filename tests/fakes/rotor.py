@@ -6,12 +6,21 @@ It runs in a process of its own and in real time (``python -m tests.fakes.moteus
 alone. Orders, a line each:
 
     stall MS     neither read nor send for so long, as a busy bus does; what came meanwhile is read afterwards
-    mute         send nothing any more; go on reading
+    mute, speak  send nothing any more, but go on reading; and send again
     drop N       leave out the next N answers
     noise        send a line that is none
     reset        begin anew, as after a brown-out
     fault CODE   the controller's own protection takes the motor's power, with this code of its maker
+    hold CODE    likewise, and again whenever the host would drive the motor, as while somebody holds the stop
+    free         the cause of such a fault is gone
+    unplug       the line is gone, and what was on it; the motor keeps its power
+    plug PATH    a new line, whose port PATH leads to
+    forever      from now on a torque is held until the next one: a firmware without a watchdog
     scale K      from now on all angles are K times what they are, as of a firmware with another unit
+    note WORDS   nothing but a line of the log
+    log PATH     from now on write down what happens, a line each, with its instant (CLOCK_MONOTONIC, ns):
+                 "o AT ORDER", "m AT TORQUE" (of the motor, N·m), "r AT LINE" (what was heard), "b AT NS" (this process
+                 had no turn for so long)
     ask          answer on standard output, as JSON: the angle (rad), the torque that acts (N·m), the watchdog's time
                  (s), the state that it was told to be in, and counts
 """
@@ -35,6 +44,7 @@ from pathlib import Path
 from typing import Any
 
 STEP = 1e-4  # s, of the motion
+LATE = 1e-3  # s, from which on a turn that comes late is written down
 
 
 @dataclass(frozen=True)
@@ -62,7 +72,13 @@ class Controller(ABC):
         self.began = self.at = time.monotonic()
         self.scale = 1.0
         self.counts: dict[str, int] = {"lines": 0, "bad": 0, "expired": 0}
-        self._stalled, self._mute, self._drop = 0.0, False, 0
+        self.held = 0  # the code of the fault that comes again
+        self._stalled, self._mute, self._drop, self._forever = 0.0, False, 0, False
+        self._port: Path | None = None  # that leads to its line, once it was plugged in by an order
+        self._far_end = -1  # an end that stays open: without one a line hangs up when its reader goes
+        self._log: Path | None = None
+        self._lines: list[str] = []  # of the log, which are still to be written
+        self._noted = 0.0  # the torque that was written down last
         self._leaving: list[tuple[float, int, bytes]] = []
         self._sent = 0
         self._coming = b""
@@ -88,6 +104,10 @@ class Controller(ABC):
     def fault(self, code: int) -> None:
         """The controller protects itself."""
 
+    @abstractmethod
+    def wake(self) -> None:
+        """Exert the torque that waits for it, once the axis has become ready."""
+
     @property
     def turns(self) -> float:
         """The angle as its encoder has it, turns."""
@@ -107,10 +127,12 @@ class Controller(ABC):
     def advance(self, to: float) -> None:
         """Move the rotor up to an instant; the watchdog ends the torque in between."""
         while self.at < to:
-            if self.at >= self.expires:
+            if self.at >= self.expires and not self._forever:
                 self.expires = math.inf
                 self.counts["expired"] += 1
                 self.expire()
+            self.wake()
+            self._note_torque()
             end = min(to, self.at + STEP, max(self.expires, self.at + 1e-9))
             self._move(end - self.at)
             self.at = end
@@ -124,13 +146,41 @@ class Controller(ABC):
         self.speed = speed - most if speed > most else speed + most if speed < -most else 0.0
         self.angle += dt * self.speed
 
+    def note(self, kind: str, words: object, at: float | None = None) -> None:
+        """Write a line of the log, of this instant unless another is given."""
+        if self._log is not None:
+            self._lines.append(f"{kind} {1e9 * (self.at if at is None else at):.0f} {words}\n")
+
+    def _note_torque(self) -> None:
+        if self.torque != self._noted:
+            self._noted = self.torque
+            self.note("m", repr(self.torque))
+
+    def _unplug(self) -> None:
+        if self._port is not None:
+            self._port.unlink(missing_ok=True)
+        for fd in (self.fd, self._far_end):
+            if fd >= 0:
+                os.close(fd)
+        self.fd = self._far_end = -1
+        self._leaving, self._coming = [], b""
+
+    def _plug(self, port: Path) -> None:
+        self._unplug()
+        self.fd, self._far_end = os.openpty()
+        tty.setraw(self._far_end)
+        os.set_blocking(self.fd, False)
+        port.symlink_to(os.ttyname(self._far_end))
+        self._port = port
+
     def order(self, line: str) -> None:
         """Follow an order of the test."""
+        self.note("o", line)
         word, _, rest = line.partition(" ")
         if word == "stall":
             self._stalled = time.monotonic() + 1e-3 * float(rest)
-        elif word == "mute":
-            self._mute = True
+        elif word in ("mute", "speak"):
+            self._mute = word == "mute"
         elif word == "drop":
             self._drop = int(rest)
         elif word == "noise":
@@ -140,9 +190,27 @@ class Controller(ABC):
             self.begin()
         elif word == "fault":
             self.fault(int(rest, 0))
+        elif word == "hold":
+            self.held = int(rest, 0)
+            self.fault(self.held)
+        elif word == "free":
+            self.held = 0
+        elif word == "unplug":
+            self._unplug()
+        elif word == "plug":
+            self._plug(Path(rest))
+        elif word == "forever":
+            self._forever = True
         elif word == "scale":
             self.scale = float(rest)
+        elif word == "log":
+            self._log = Path(rest)
+            self.note("m", repr(self.torque))
         elif word == "ask":
+            if self._log is not None:
+                with self._log.open("a") as log:
+                    log.writelines(self._lines)
+                self._lines.clear()
             found = {
                 "angle": self.angle,
                 "torque": self.torque,
@@ -152,8 +220,9 @@ class Controller(ABC):
             }
             sys.stdout.write(json.dumps(found) + "\n")
             sys.stdout.flush()
-        else:
+        elif word != "note":
             raise SystemExit(f"unknown order {line!r}")
+        self._note_torque()
 
     def run(self) -> None:
         """Until standard input ends."""
@@ -164,8 +233,9 @@ class Controller(ABC):
             stalled = now < self._stalled
             due = self._stalled if stalled else self._leaving[0][0] if self._leaving else math.inf
             wait = max(0.0, min(due - now, 1e-3))
-            ready, _, _ = select.select([0] if stalled else [0, self.fd], [], [], wait)
-            self.advance(time.monotonic())
+            ready, _, _ = select.select([0] if stalled or self.fd < 0 else [0, self.fd], [], [], wait)
+            woken = time.monotonic()
+            self.advance(woken)
             if 0 in ready:
                 if not (data := os.read(0, 4096)):
                     return
@@ -173,15 +243,23 @@ class Controller(ABC):
                 for line in lines:
                     self.order(line.decode())
             if self.fd in ready and time.monotonic() >= self._stalled:
-                with suppress(OSError):
-                    self._coming += os.read(self.fd, 65536)
-                *lines, self._coming = self._coming.split(b"\n")
-                for line in lines:
-                    self.counts["lines"] += 1
-                    self.line(line)
+                self._read()
             while self._leaving and self._leaving[0][0] <= time.monotonic() and time.monotonic() >= self._stalled:
                 with suppress(BlockingIOError):
                     os.write(self.fd, heapq.heappop(self._leaving)[2])
+            begun, ended = min(woken, now + wait), time.monotonic()
+            if ended > begun + LATE:
+                self.note("b", f"{1e9 * (ended - begun):.0f}", ended)
+
+    def _read(self) -> None:
+        with suppress(OSError):
+            self._coming += os.read(self.fd, 65536)
+        *lines, self._coming = self._coming.split(b"\n")
+        for line in lines:
+            self.counts["lines"] += 1
+            self.note("r", line.decode("ascii", "replace"))
+            self.line(line)
+            self._note_torque()
 
 
 class FakeMotor:

@@ -55,7 +55,8 @@ from manyhands.protocol.messages import PromiseStatus
 
 from ..fakes.far_side import FarSide, Record
 from ..support.commands import manyhands_command
-from .device_rows import KILL, LASTS, ROWS, Row
+from .device_row import KILL, LASTS, Row
+from .device_rows import ROWS
 
 TESTED, ITS_COUPLING = "tested", "ctested"
 INNOCENT, INNOCENTS = "innocent", ("innocent", "cinnocent", "environment")
@@ -128,7 +129,7 @@ def session_of(row: Row, far: FarSide, changes: Mapping[str, Any]) -> dict[str, 
             "links": [
                 *({"between": [f"{TESTED}.{axis}", "ground"], "stiffness": k} for axis in axes),
                 {"between": [first, f"{INNOCENT}.0"], "stiffness": k / 2},
-                {"between": [f"{INNOCENT}.0", "ground"], "stiffness": k},
+                {"between": [f"{INNOCENT}.0", "ground"], "stiffness": row.ground or k},
             ],
         },
         "design": dict(row.design),
@@ -323,12 +324,17 @@ def _judge_given(row: Row, recorded: RecordedRun, record: Record, found: Found) 
         found.wrong.append("given: found no force of the recording on its motors; expected them")
         return
     tick_0 = float(np.median(once))
-    lasting = LASTS * row.period * 1e9
+    lasting, way = LASTS * row.period * 1e9, row.way * 1e9
     wanted = np.flatnonzero(np.diff(sampled) > 1.5e9 * row.period)
     gaps = [(sampled[i], sampled[i + 1]) for i in wanted]
     strange, stale = [], []
     for (begin, end, force), of in zip(exerted, matches, strict=True):
-        if any(end <= tick_0 + sampled[i] + lasting + SLACK for i in of if applied[i] <= end - tick_0 + SLACK):
+        sent = [i for i in of if applied[i] <= end - tick_0 + SLACK]
+        if any(end <= tick_0 + sampled[i] + lasting + SLACK for i in sent):
+            continue
+        if row.way and any(
+            end - record.without_turn(tick_0 + applied[i], begin) <= tick_0 + sampled[i] + lasting + way for i in sent
+        ):
             continue
         if _in_a_gap(begin - tick_0, sampled, gaps, lasting):
             found.unseen += 1
@@ -356,7 +362,8 @@ def _judge_report(row: Row, stage: Stage, report: Mapping[str, Any], recorded: R
     for name in (TESTED, ITS_COUPLING, *INNOCENTS):
         wanted, more = (dying, stalls) if name in (TESTED, ITS_COUPLING) else (0, 0)
         if not wanted <= restarts.get(name, -1) <= wanted + more:
-            found.wrong.append(f"back: found {restarts.get(name)} restarts of {name}; expected {wanted}")
+            ends = [one for one in stage.incidents if re.search(rf"\b{name}\b.* (failed|ended|killed)", one)]
+            found.wrong.append(f"back: found {restarts.get(name)} restarts of {name}; expected {wanted}: {ends}")
     for name, node in nodes.items():
         for account in ("ledger", "interface"):
             if account in node and node[account]["margin"] < PROMISE and name != TESTED:
@@ -371,7 +378,7 @@ def _judge_report(row: Row, stage: Stage, report: Mapping[str, Any], recorded: R
                 found.late += 1
             else:
                 found.wrong.append(f"others: found {status}; expected nobody but {TESTED}")
-        if status.promise == Promise.DRIVER and status.state == "broken":
+        if status.promise == Promise.DRIVER and status.state == "broken" and not row.disarms:
             found.wrong.append(f"given: found the driver's word broken: {status.remark}")
     happened = Counter(
         (event.kind, event.peer or node)

@@ -1,85 +1,25 @@
 """The devices of the campaign of faults, a row each (tests/system/device_faults.py); their fakes: tests/fakes/.
 
-A new driver is a function that opens its fake as a :class:`~tests.fakes.far_side.FarSide`, its keys of a session, and
-its faults.
+A new driver is a file ``device_row_NAME.py`` and a line below. The file has a function that opens its fake as a
+:class:`~tests.fakes.far_side.FarSide`, its keys of a session, and its faults (device_row.py).
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from manyhands.devices.serial_board.frames import opened
 from manyhands.launch.run.breaches import QUIET
-from manyhands.nodes.kernel.timeouts import STALE_TICKS
 
 from ..fakes.board import Axis, FakeBoard, fake_board
 from ..fakes.far_side import FarSide, Force, Given, Record
-
-KILL: Final = "KILL"
-"""In place of an order: the process of the device's driver is killed, which then cannot let go."""
-
-LASTS: Final = STALE_TICKS + 1
-"""Periods from a sample on for which its force is held at the longest (nodes/device/interface.py, ``interface_of``)."""
-
-
-@dataclass(frozen=True)
-class Fault:
-    """A fault of a device.
-
-    Attributes:
-        orders: to the fake, or :data:`KILL`.
-        within: the time in which its motors exert no force, s, by what the device's page and the driver state.
-        said: what an incident says of it, a pattern; empty where the device's process has nothing to say.
-        dies: whether the device's process ends; a new one takes its place.
-        then: orders that end the fault, once it was said.
-        after: what is said before these orders, a pattern; empty where ``said`` is all.
-        lasts: for how long it is let be where nothing is said, s.
-        apart: for how long the session says nothing of another one, s.
-    """
-
-    orders: Sequence[str]
-    within: float
-    said: str = ""
-    dies: bool = True
-    then: Sequence[str] = ()
-    after: str = ""
-    lasts: float = 0.1
-    apart: float = 0.0
-
-
-@dataclass(frozen=True)
-class Row:
-    """A device of the campaign.
-
-    Attributes:
-        opened: gives the fake, with files of its own in a folder; ``force`` of it is N or N m.
-        keys: of the session's device, without ``parameters``.
-        period: of the session, s.
-        faults: by name.
-        parameters: for the driver, beside those of the fake.
-        stiffness: of the world's springs at its first axis, N/m or N m/rad.
-        felt: the force on an axis from which on the device counts as felt, N or N m.
-        design: of the session.
-        precision: the relative precision in which its motors are given a force.
-        scale: the fake's force for one of the session's, on every axis.
-    """
-
-    opened: Callable[[Path], AbstractContextManager[FarSide]]
-    keys: Mapping[str, Any]
-    period: float
-    faults: Mapping[str, Fault]
-    parameters: Mapping[str, Any] = field(default_factory=dict)
-    stiffness: float = 80.0
-    felt: float = 0.05
-    design: Mapping[str, Any] = field(default_factory=dict)
-    precision: float = 1e-6
-    scale: float = 1.0
-
+from .device_row import KILL, LASTS, Fault, Row
+from .device_row_moteus import MOTEUS
+from .device_row_odrive import ODRIVE
 
 # --- the serial board
 
@@ -229,5 +169,9 @@ SERIAL_BOARD: Final = Row(
     },
 )
 
-ROWS: Final[Mapping[str, Row]] = {"serial-board": SERIAL_BOARD}
+ROWS: Final[Mapping[str, Row]] = {
+    "serial-board": SERIAL_BOARD,
+    "moteus": MOTEUS,
+    "odrive": ODRIVE,
+}
 """By the driver's name."""

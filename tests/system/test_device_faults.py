@@ -10,21 +10,32 @@ import pytest
 from ..fakes.far_side import Given, Record
 from ..support.cases import WIDE
 from .device_faults import drawn, run
+from .device_row_moteus import MoteusWire
+from .device_row_odrive import ODriveWire
 from .device_rows import ROWS, BoardWire
 
 pytestmark = pytest.mark.usefixtures("own_interrupt")
 
-FEW = {"serial-board": ["process killed", "stalled for 30 ms", "unplugged"]}
+FEW = {
+    "serial-board": ["process killed", "stalled for 30 ms", "unplugged"],
+    "moteus": ["stalled for 30 ms", "under voltage"],
+    "odrive": ["stalled for 30 ms", "first frames lost"],
+}
 """By device, the faults of the ordinary tests; `make device-faults` has all."""
+
+ALWAYS = "serial-board"
+"""The device that `make test` tries, and `make test-long` more widely; the others' few are in `make test-long`."""
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("device", ROWS)
+@pytest.mark.parametrize(
+    "device", [pytest.param(device, marks=[] if device == ALWAYS else pytest.mark.long) for device in ROWS]
+)
 def test_a_device_that_fails_exerts_nothing_and_comes_back_and_nobody_else_feels_it(
     device: str, tmp_path: Path
 ) -> None:
     row = ROWS[device]
-    names = drawn(row, 2 * len(row.faults), Random(1)) if WIDE else FEW[device]
+    names = drawn(row, 2 * len(row.faults), Random(1)) if WIDE and device == ALWAYS else FEW[device]
     found = run(row, names, 1, tmp_path)
     assert found.wrong == []
     assert sum(map(len, found.zero.values())) == len(names)
@@ -81,6 +92,14 @@ def test_a_board_without_a_watchdog_is_found(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("device", ["moteus", "odrive"])
+def test_a_motor_controller_without_a_watchdog_is_found(device: str, tmp_path: Path) -> None:
+    found = "\n".join(run(ROWS[device], ["process killed"], 1, tmp_path, orders=["forever"], patience=3.0).wrong)
+    assert "process killed 0: zero: found a force" in found
+    assert "wire: found" in found
+
+
+@pytest.mark.long
 def test_a_driver_that_swallows_its_error_is_found(tmp_path: Path) -> None:
     found = planted(tmp_path, "mute", SWALLOWS)
     assert "mute 0: named: found []" in found
@@ -116,3 +135,19 @@ def test_the_wire_is_read_across_the_wrap_of_the_boards_clock() -> None:
     wire.take(sent[:5], 1_100_000)
     wire.take(sent[5:] + force(2, 2**32 - 1, [0.25, 0.0]), 1_200_000)
     assert wire.given == [Given(1_200_000, 3_000_000, (0.5, -5.0)), Given(1_200_000, 1_499_000, (0.25, 0.0))]
+
+
+def test_the_torques_on_a_moteus_wire_are_read() -> None:
+    from manyhands.devices.moteus.frames import QUERY, can_id, command, torque
+
+    wire = MoteusWire()
+    for payload, at in ((torque(0.25, 0.5, 0.0625), 1000), (QUERY, 2000), (torque(-0.75, 0.5, 0.125), 3000)):
+        wire.take(command(can_id(0x70, 1, False), payload).decode(), at)
+    assert wire.given == [Given(1000, 62_501_000, (0.25,)), Given(3000, 125_003_000, (-0.5,))]
+
+
+def test_the_torques_on_an_odrive_wire_are_read() -> None:
+    wire = ODriveWire()
+    for at, line in enumerate(("c 0 0.1 *1", "w axis0.config.watchdog_timeout 0.0625 *2", "f 0 *3", "c 0 -0.25 *4")):
+        wire.take(line, at)
+    assert wire.given == [Given(0, 0, (0.1,)), Given(3, 62_500_003, (-0.25,))]

@@ -58,6 +58,11 @@ def test_another_id_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
         assert len(driver.sample(0, Instant(0))) == 1
 
 
+def test_a_pause_at_the_start_does_no_harm() -> None:
+    with fake_moteus(lapses=2) as one, opened(one) as driver:
+        assert len(driver.sample(0, Instant(0))) == 1
+
+
 def test_a_uart_has_checksums_and_a_spoilt_line_is_dropped() -> None:
     with fake_moteus(uart=True) as one, opened(one) as driver:
         driver.apply([0.1], Instant(0), Instant(90 * MS))

@@ -233,6 +233,15 @@ class TestSentences:
         (sentence,) = incidents.receive("environment", self.told(late, moved={"cx/cy": 9.0}))
         assert sentence.endswith("it had received 6 J from others, 6 J of it from cx (dx)")
 
+    def test_nobody_is_named_for_such_a_jump_of_a_device_whose_process_ends(self) -> None:
+        """The environment's word may come when the device has a new process already."""
+        incidents = self.incidents()
+        incidents.receive("dy", self.told(100, let_go=1.0, quicker=1.0))
+        incidents.forget("dy")
+        (sentence,) = incidents.receive("environment", self.told(100, moved={"cx/cy": 3.0}))
+        assert "it moved further in a tick" in sentence
+        assert "cx" not in sentence
+
     def test_a_party_beyond_its_budget_is_reported_not_too_often(self) -> None:
         incidents = self.incidents()
         (sentence,) = incidents.receive("environment", self.told(100, stops={"cx": 1.0}, given={"cx": 1.25}))

@@ -1,0 +1,80 @@
+"""What a row of the campaign of faults has (tests/system/device_faults.py): :class:`Row`, with its :class:`Fault`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from manyhands.nodes.kernel.timeouts import STALE_TICKS
+
+from ..fakes.far_side import FarSide
+
+KILL: Final = "KILL"
+"""In place of an order: the process of the device's driver is killed, which then cannot let go."""
+
+LASTS: Final = STALE_TICKS + 1
+"""Periods from a sample on for which its force is held at the longest (nodes/device/interface.py, ``interface_of``)."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault of a device.
+
+    Attributes:
+        orders: to the fake, or :data:`KILL`.
+        within: the time in which its motors exert no force, s, by what the device's page and the driver state.
+        said: what an incident says of it, a pattern; empty where the device's process has nothing to say.
+        dies: whether the device's process ends; a new one takes its place.
+        then: orders that end the fault, once it was said.
+        after: what is said before these orders, a pattern; empty where ``said`` is all.
+        lasts: for how long it is let be where nothing is said, s.
+        apart: for how long the session says nothing of another one, s.
+    """
+
+    orders: Sequence[str]
+    within: float
+    said: str = ""
+    dies: bool = True
+    then: Sequence[str] = ()
+    after: str = ""
+    lasts: float = 0.1
+    apart: float = 0.0
+
+
+@dataclass(frozen=True)
+class Row:
+    """A device of the campaign.
+
+    Attributes:
+        opened: gives the fake, with files of its own in a folder; ``force`` of it is N or N m.
+        keys: of the session's device, without ``parameters``.
+        period: of the session, s.
+        faults: by name.
+        parameters: for the driver, beside those of the fake.
+        stiffness: of the world's springs at its first axis, N/m or N m/rad.
+        ground: of the innocent's spring to the ground, N/m; ``stiffness`` where it is not given.
+        felt: the force on an axis from which on the device counts as felt, N or N m.
+        design: of the session.
+        precision: the relative precision in which its motors are given a force.
+        scale: the fake's force for one of the session's, on every axis.
+        way: for how long a force may be under way, s, where the device counts its time from its arrival.
+        disarms: whether its motors are free once a force has ended by itself, until they are armed again: then the
+            session says that forces it gives meanwhile are not exerted (the promise *driver's word*).
+    """
+
+    opened: Callable[[Path], AbstractContextManager[FarSide]]
+    keys: Mapping[str, Any]
+    period: float
+    faults: Mapping[str, Fault]
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    stiffness: float = 80.0
+    ground: float | None = None
+    felt: float = 0.05
+    design: Mapping[str, Any] = field(default_factory=dict)
+    precision: float = 1e-6
+    scale: float = 1.0
+    way: float = 0.0
+    disarms: bool = False
