@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import struct
 import sys
 import time
@@ -54,6 +55,7 @@ DEFAULTS: dict[str, Any] = {
 }
 LINK = 0.15  # m, both
 HOME = (0.0, -0.15, 0.15)
+PRIORITY = 20  # above any node's
 DT = 5e-4  # s, the longest step: one that a busy machine can follow
 STOP = 0.1  # m from home; there it has springs, before the arm is stretched
 
@@ -401,6 +403,8 @@ async def main(given: dict[str, Any]) -> None:
         await asyncio.start_server(partial(service.talk, events=events), "localhost", port)
         for events, port in ((False, given.get("port", 0)), (True, given.get("events", 0)))
     ]
+    with suppress(PermissionError):  # an arm and its firmware have processors of their own
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     tell(" ".join(str(server.sockets[0].getsockname()[1]) for server in servers))
     reader = asyncio.StreamReader()
     await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
