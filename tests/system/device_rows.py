@@ -18,6 +18,7 @@ from manyhands.launch.run.breaches import QUIET
 from ..fakes.board import Axis, FakeBoard, fake_board
 from ..fakes.far_side import FarSide, Force, Given, Record
 from .device_row import KILL, LASTS, Fault, Row
+from .device_row_haply import HAPLY
 
 # --- the serial board
 
@@ -167,5 +168,8 @@ SERIAL_BOARD: Final = Row(
     },
 )
 
-ROWS: Final[Mapping[str, Row]] = {"serial-board": SERIAL_BOARD}
+ROWS: Final[Mapping[str, Row]] = {
+    "serial-board": SERIAL_BOARD,
+    "haply-inverse3": HAPLY,
+}
 """By the driver's name."""
