@@ -199,6 +199,6 @@ def asked(port: int, path: str, body: dict[str, Any] | None = None, timeout: flo
 
 def _absent(where: str, error: OSError) -> HaplyError:
     return HaplyError(
-        f"{where}: found no service ({error.strerror or error}); expected Haply's Inverse Service: open the Haply Hub, or "
-        "start haply-inverse-service, and see that the port is right"
+        f"{where}: found no service ({error.strerror or error}); expected Haply's Inverse Service: open the Haply Hub, "
+        "or start haply-inverse-service, and see that the port is right"
     )

@@ -12,8 +12,8 @@ waits for nothing but in one case: after a pause of the loop itself, in which no
 until when. At ``until`` the keeper sends that no force is to be exerted, though the loop is silent. A process that is
 stopped as a whole has no keeper either: then the service's own time counts, which is measured at the start.
 
-The keeper has the real-time priority of the loop, once the loop has one: otherwise a busy machine would end forces late,
-and let samples grow old.
+The keeper has the real-time priority of the loop, once the loop has one: otherwise a busy machine would end forces
+late, and let samples grow old.
 
 **Timing.** With the longest trip R and the shortest r of :data:`TRIPS` messages and their answers, the period P in
 which device and service speak over USB, and the room s for late wake-ups, the lead is R + s. As for a board, the way
@@ -53,6 +53,7 @@ from manyhands.nodes.device.plugin import PART, DeviceDriver
 from manyhands.nodes.device.specification import DeviceSpecification, DeviceTiming
 from manyhands.nodes.kernel.realtime import schedule_as
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds, seconds
+from manyhands.protocol.limits import MAX_SENTENCE
 
 TRIPS: Final = 300
 """Messages of which the longest trip counts."""
@@ -221,7 +222,8 @@ class HaplyInverse3(DeviceDriver):
             raise HaplyError(f"{self._name}: found the basis {basis}; expected XYZ, which this session has asked for")
         for key in self._given["leave"]:
             why[key] = "; it was left so (parameters.leave)"
-        return tuple(f"{OFF[key]} ({key}: {how}{why.get(key, '')})" for key, how in left_on(config).items())
+        sentences = (f"{OFF[key]} ({key}: {how}{why.get(key, '')})" for key, how in left_on(config).items())
+        return tuple(sentence[:MAX_SENTENCE] for sentence in sentences)
 
     def _exchange(self, text: str) -> dict[str, Any]:
         """Send a message, and wait for its answer; returns the device in it."""

@@ -45,8 +45,8 @@ class Record:
         given: the forces that it received; None where it does not tell.
         marks: when each mark was set, ns.
         busy: when the fake itself had no turn, from and to, ns: its machine was busy, and a real device is not.
-        stalls: when it took nothing from the wire, by order, and until it had caught up, ns; for a wire on which nothing
-            says when a force ends.
+        stalls: when it took nothing from the wire, by order, and until it had caught up, ns; for a wire that does not
+            say when a force ends.
     """
 
     motors: Sequence[tuple[int, Force]]

@@ -11,8 +11,9 @@ tip becomes the torques J(q)^T f of the joints as they are when a message has co
 message; with ``"held": "firmware"`` the force itself is held. A device that hears nothing lets go after ``idle``, also
 without a service.
 
-**A log** (order "log PATH") has a line for each of these, with the instant by CLOCK_MONOTONIC, ns: "m AT f..." (the force
-that the motors get, N), "r AT TEXT" (a message that was heard), "o AT ORDER", and "b FROM TO" (this process had no turn).
+**A log** (order "log PATH") has a line for each of these, with the instant by CLOCK_MONOTONIC, ns: "m AT f..." (the
+force that the motors get, N), "r AT TEXT" (a message that was heard), "o AT ORDER", and "b FROM TO" (this process had
+no turn).
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ DEFAULTS: dict[str, Any] = {
 }
 LINK = 0.15  # m, both
 HOME = (0.0, -0.15, 0.15)
-PRIORITY = 20  # above any node's
+PRIORITY = 5  # of SCHED_FIFO: above ordinary processes, and below the loops, which it must not delay
 GRAIN = 1e-3  # s, in which devices move on while a log is written
 DT = 5e-4  # s, the longest step: one that a busy machine can follow
 STOP = 0.1  # m from home; there it has springs, before the arm is stretched
@@ -411,8 +412,9 @@ class Service:
         await self.serve(*self.ports)
 
     async def order(self, line: str) -> str:
-        """Do what a test wants: "status KEY 0|1", "ebrake", "free", "mm", "m", "stall MS", "close", "lose", "find", "rate",
-        "ping", "unasked", "mute", "speak", "first 0|1", "die", "rise", "log PATH", "note TEXT", "ask"."""
+        """Do what a test wants: "status KEY 0|1", "ebrake", "free", "gone", "mm", "m", "stall MS", "close", "lose",
+        "find", "rate", "ping", "unasked", "mute", "speak", "first 0|1", "die", "rise", "log PATH", "note TEXT", "ask".
+        """
         word, *rest = line.split()
         one = next(iter((*self.devices.values(), *self.lost.values())))
         self.note(f"o {time.monotonic_ns()} {line.strip()}")
@@ -487,7 +489,7 @@ async def main(given: dict[str, Any]) -> None:
     loop = asyncio.get_running_loop()
     await service.serve(given.get("port", 0), given.get("events", 0))
     service.ports = [server.sockets[0].getsockname()[1] for server in service.servers]
-    with suppress(PermissionError):  # an arm and its firmware have processors of their own
+    with suppress(PermissionError):  # a device has processors of its own
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     tell(" ".join(map(str, service.ports)))
     reader = asyncio.StreamReader()

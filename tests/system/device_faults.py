@@ -446,8 +446,8 @@ def main() -> int:
                 runs.append(one)
                 print(  # noqa: T201 -- a campaign
                     f"{device}: faults {begin} to {begin + sum(map(len, one.zero.values()))}, {one.restarts} restarts, "
-                    f"{one.forces} forces ({one.unseen} unseen, {one.behind} behind), audit {one.audit}, {one.late} late rows of others, "
-                    f"softened {one.softened} times, "
+                    f"{one.forces} forces ({one.unseen} unseen, {one.behind} behind), audit {one.audit}, "
+                    f"{one.late} late rows of others, softened {one.softened} times, "
                     f"{one.seconds:.0f} s: {'; '.join(one.wrong) or 'sound'}",
                     flush=True,
                 )

@@ -115,7 +115,9 @@ HAPLY: Final = Row(
             after="expected it ready: free its emergency brake",
         ),
         "not ready": Fault(["status ready 0"], AT_ONCE, "found it not ready", then=["status ready 1"]),
-        "without power": Fault(["status power_supply 0"], AT_ONCE, "found it without power", then=["status power_supply 1"]),
+        "without power": Fault(
+            ["status power_supply 0"], AT_ONCE, "found it without power", then=["status power_supply 1"]
+        ),
         "stalled for 30 ms": Fault(["stall 30"], LETS_GO, dies=False),
         "first frame lost": Fault(
             ["first 0", "close"],

@@ -10,21 +10,30 @@ import pytest
 from ..fakes.far_side import Given, Record
 from ..support.cases import WIDE
 from .device_faults import drawn, run
+from .device_row_haply import forces
 from .device_rows import ROWS, BoardWire
 
 pytestmark = pytest.mark.usefixtures("own_interrupt")
 
-FEW = {"serial-board": ["process killed", "stalled for 30 ms", "unplugged"]}
+FEW = {
+    "serial-board": ["process killed", "stalled for 30 ms", "unplugged"],
+    "haply-inverse3": ["stalled for 30 ms", "service killed"],
+}
 """By device, the faults of the ordinary tests; `make device-faults` has all."""
+
+ALWAYS = "serial-board"
+"""The device that `make test` tries, and `make test-long` more widely; the others' few are in `make test-long`."""
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("device", ROWS)
+@pytest.mark.parametrize(
+    "device", [pytest.param(device, marks=[] if device == ALWAYS else pytest.mark.long) for device in ROWS]
+)
 def test_a_device_that_fails_exerts_nothing_and_comes_back_and_nobody_else_feels_it(
     device: str, tmp_path: Path
 ) -> None:
     row = ROWS[device]
-    names = drawn(row, 2 * len(row.faults), Random(1)) if WIDE else FEW[device]
+    names = drawn(row, 2 * len(row.faults), Random(1)) if WIDE and device == ALWAYS else FEW[device]
     found = run(row, names, 1, tmp_path)
     assert found.wrong == []
     assert sum(map(len, found.zero.values())) == len(names)
@@ -95,6 +104,14 @@ def test_a_driver_that_sends_a_stale_force_after_a_stall_is_found(tmp_path: Path
 
 
 # --- the far side's record
+
+
+def test_the_forces_of_a_message_to_an_inverse3_are_read() -> None:
+    from manyhands.devices.haply.service import Speech
+
+    speech = Speech("049D", (3, 5))
+    assert [*forces(speech.force((0.1, -2.0, 1e-9)))] == [(0.1, -2.0, 1e-9)]
+    assert [*forces(speech.hello("org.manyhands:hand"))] == [(0.0, 0.0, 0.0)]
 
 
 def test_the_time_to_zero_is_from_the_mark_to_the_first_instant_without_force() -> None:
