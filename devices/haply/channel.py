@@ -54,10 +54,7 @@ class Channel:
         try:
             self._socket = socket.create_connection(("localhost", port), timeout=PATIENCE)
         except OSError as error:
-            raise HaplyError(
-                f"{self.name}: found no service ({error.strerror or error}); expected Haply's Inverse Service: open "
-                "the Haply Hub, or start haply-inverse-service, and see that the port is right"
-            ) from error
+            raise _absent(self.name, error) from error
         try:
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._protocol.send_request(self._protocol.connect())
@@ -188,6 +185,8 @@ def asked(port: int, path: str, body: dict[str, Any] | None = None, timeout: flo
             line.request("POST", path, json.dumps(body), {"Content-Type": "application/json"})
         answer = line.getresponse()
         found: Any = json.loads(answer.read())
+    except ConnectionRefusedError as error:
+        raise _absent(where, error) from error
     except (OSError, http.client.HTTPException, ValueError) as error:
         raise HaplyError(f"{where}: found {error or type(error).__name__}; expected an answer in JSON") from error
     finally:
@@ -196,3 +195,10 @@ def asked(port: int, path: str, body: dict[str, Any] | None = None, timeout: flo
         why = found.get("error") if isinstance(found, dict) else None
         raise HaplyError(f"{where}: found the refusal {answer.status} {why or answer.reason}; expected it done")
     return found.get("data", found) if isinstance(found, dict) else found
+
+
+def _absent(where: str, error: OSError) -> HaplyError:
+    return HaplyError(
+        f"{where}: found no service ({error.strerror or error}); expected Haply's Inverse Service: open the Haply Hub, "
+        "or start haply-inverse-service, and see that the port is right"
+    )

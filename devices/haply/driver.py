@@ -12,6 +12,9 @@ waits for nothing but in one case: after a pause of the loop itself, in which no
 until when. At ``until`` the keeper sends that no force is to be exerted, though the loop is silent. A process that is
 stopped as a whole has no keeper either: then the service's own time counts, which is measured at the start.
 
+The keeper has the real-time priority of the loop, once the loop has one: otherwise a busy machine would end forces
+late, and let samples grow old.
+
 **Timing.** With the longest trip R and the shortest r of :data:`TRIPS` messages and their answers, the period P in
 which device and service speak over USB, and the room s for late wake-ups, the lead is R + s. As for a board, the way
 there is taken to be half of the trip, and only the sum of both times counts for a certificate:
@@ -48,7 +51,9 @@ from manyhands.devices.haply.service import (
 from manyhands.devices.haply.work import MotorWork, same
 from manyhands.nodes.device.plugin import PART, DeviceDriver
 from manyhands.nodes.device.specification import DeviceSpecification, DeviceTiming
+from manyhands.nodes.kernel.realtime import schedule_as
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds, seconds
+from manyhands.protocol.limits import MAX_SENTENCE
 
 TRIPS: Final = 300
 """Messages of which the longest trip counts."""
@@ -76,6 +81,9 @@ WAITING: Final = 3
 
 IDLE_WITHIN: Final = 0.5
 """s; how long it is waited at the start for the service to let go of a device that is sent nothing."""
+
+LOOKS: Final = 3
+"""How often that is measured at most: on a busy machine the first look may come too late."""
 
 PARAMETERS: Final[Mapping[str, object]] = {
     "device_id": "",
@@ -143,6 +151,8 @@ class HaplyInverse3(DeviceDriver):
         self._events: Channel | None = None
         self._restore: list[str] = []  # what was on, and is to be again
         self.lead = self._half = 0.0  # s, the latter half of the shortest trip
+        self._holds = LONGEST
+        self._loop = threading.get_native_id()
         self._version = version_of(asked(given["port"], "/version"))
         self._channel = Channel(given["port"])
         try:
@@ -153,7 +163,7 @@ class HaplyInverse3(DeviceDriver):
             with suppress(HaplyError):  # without events, states tell what is wrong
                 self._events = Channel(given["events"])
             self._timing = self._timed()
-            self._idle_after = self._idles()
+            self._holds, self._idle_after = self._idles()
             self._keeper = threading.Thread(target=self._keep, name="haply", daemon=True)
             self._keeper.start()
         except BaseException:
@@ -212,7 +222,8 @@ class HaplyInverse3(DeviceDriver):
             raise HaplyError(f"{self._name}: found the basis {basis}; expected XYZ, which this session has asked for")
         for key in self._given["leave"]:
             why[key] = "; it was left so (parameters.leave)"
-        return tuple(f"{OFF[key]} ({key}: {how}{why.get(key, '')})" for key, how in left_on(config).items())
+        sentences = (f"{OFF[key]} ({key}: {how}{why.get(key, '')})" for key, how in left_on(config).items())
+        return tuple(sentence[:MAX_SENTENCE] for sentence in sentences)
 
     def _exchange(self, text: str) -> dict[str, Any]:
         """Send a message, and wait for its answer; returns the device in it."""
@@ -251,19 +262,32 @@ class HaplyInverse3(DeviceDriver):
         age = _up(longest + 2.0 * room + own - self._half)
         return DeviceTiming(age, min(age, _up(own + 2.0 * room + (longest - shortest) / 2.0)), delay)
 
-    def _idles(self) -> float:
-        """After how long without a message the service lets go of the device, s; infinite where that was not seen."""
-        sent, found = time.monotonic(), self._newest
-        if found is None or found[1].idle:
-            return math.inf  # it was idle at a force of zero already
+    def _idles(self) -> tuple[Duration, float]:
+        """How long the service surely holds a force after a message, and after how long it has let go, s.
+
+        The latter is infinite where that was not seen.
+        """
+        holds, idle = LONGEST, math.inf
+        for _ in range(LOOKS):
+            self._exchange(self._speech.force(ZERO))
+            if self._newest is None or self._newest[1].idle:
+                break  # at a force of zero it is idle already
+            holds, idle = self._idle_once()
+            if holds:
+                break
+        return min(holds, LONGEST), idle
+
+    def _idle_once(self) -> tuple[Duration, float]:
+        sent, holds = time.monotonic(), 0.0
         with suppress(HaplyError):
-            while time.monotonic() - sent < IDLE_WITHIN:
+            while (looked := time.monotonic() - sent) < IDLE_WITHIN:
                 now = devices(asked(self._given["port"], "/devices")).get(self._id)
                 state = None if now is None else reading(now)
                 if state is not None and state.idle:
-                    return time.monotonic() - sent
+                    return from_seconds(holds), time.monotonic() - sent
+                holds = looked
                 self._channel.wait(0.005)
-        return math.inf
+        return LONGEST, math.inf
 
     # --- the loop
 
@@ -384,8 +408,8 @@ class HaplyInverse3(DeviceDriver):
             self._gone = f"{self._name}: found a frame without it; expected its state: see its cable and its power"
             return None
         before = f if self._newest is None else self._newest[2]
-        if self._newest is not None and any(before) and sent - self._newest[0] > LONGEST:
-            self._work.gap()  # the service may have let go meanwhile
+        if self._newest is not None and any(before) and self._clock.now() - self._newest[0] > self._holds:
+            self._work.gap()  # the service may have let go: this answer came so long after the force before was sent
         self._newest = sent, now, f
         self._work.take(now, f)
         if now.force is not None and not same(now.force, f) and not same(now.force, before):
@@ -433,10 +457,12 @@ class HaplyInverse3(DeviceDriver):
         """The newest reading, for a sample at ``now``."""
         newest = self._usable()
         limit = max(from_seconds(self._given["silence"]), 2 * self._period)
-        if self._asked_before(now) > limit and not self._outstanding:  # nothing was asked: the loop has paused
+        bound = limit
+        if self._asked_before(now) > 2 * self._period and not self._outstanding:  # nothing was asked: a pause
+            bound = Duration(2 * self._period)
             self._send()
         while (
-            (now := self._clock.now()) and self._asked_before(now) > limit
+            (now := self._clock.now()) and self._asked_before(now) > bound
             and self._outstanding and now - self._outstanding[0][0] <= limit
         ):  # fmt: skip
             self._channel.wait(seconds(self._period))
@@ -486,12 +512,15 @@ class HaplyInverse3(DeviceDriver):
         lead = from_seconds(self.lead)
         try:
             while not self._closing:
+                schedule_as(self._loop)
                 now = self._clock.now()
                 asks = Instant(self._due - lead)
                 asks = Instant(asks - (asks - now) // self._period * self._period) if asks > now else asks
                 if asks <= now:
                     asks = Instant(asks + ((now - asks) // self._period + 1) * self._period)
                 with self._lock:
+                    if self._closing:
+                        break  # close() has called already, and does so once
                     holds = self._force != ZERO
                     self._wakes = min(asks, self._ends) if holds else asks
                     if self._wakes > now:

@@ -23,6 +23,7 @@ process of which a thread has computed for :data:`RUNAWAY_TIME` without waiting 
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
 import resource
@@ -347,6 +348,14 @@ def way_giver() -> Callable[[], None]:
 
 def _go_on() -> None:
     pass
+
+
+def schedule_as(thread: int) -> None:
+    """Give the calling thread the scheduling of another one, such as the loop's, where the kernel permits it."""
+    policy, param = os.sched_getscheduler(thread), os.sched_getparam(thread)
+    if policy != os.sched_getscheduler(0) or param.sched_priority != os.sched_getparam(0).sched_priority:
+        with contextlib.suppress(PermissionError):
+            os.sched_setscheduler(0, policy, param)
 
 
 def may_raise(system: System | None = None) -> bool:

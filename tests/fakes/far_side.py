@@ -45,12 +45,19 @@ class Record:
         given: the forces that it received; None where it does not tell.
         marks: when each mark was set, ns.
         busy: when the fake itself had no turn, from and to, ns: its machine was busy, and a real device is not.
+        stalls: when it took nothing from the wire, by order, and until it had caught up, ns; for a wire that does not
+            say when a force ends.
     """
 
     motors: Sequence[tuple[int, Force]]
     given: Sequence[Given] | None
     marks: Mapping[int, int]
     busy: Sequence[tuple[int, int]]
+    stalls: Sequence[tuple[int, int]] = ()
+
+    def stalled(self, begin: int, end: int) -> bool:
+        """Whether a time meets one of ``stalls``."""
+        return any(since <= end and begin <= until for since, until in self.stalls)
 
     def to_zero(self, mark: int) -> tuple[int, int] | None:
         """How long after a mark the motors exerted no force, ns, and for how much of that the fake had no turn.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -20,8 +20,8 @@ class FakeHaply:
         process: that it runs in.
     """
 
-    def __init__(self, **given: Any) -> None:
-        self._given = given
+    def __init__(self, within: Sequence[str] = (), **given: Any) -> None:
+        self._within, self._given = within, given
         self.port = self.events = 0
         self.start()
 
@@ -29,7 +29,8 @@ class FakeHaply:
         """Start it, on the ports that it had before, if it had any."""
         at = {"port": self.port, "events": self.events} if self.port else {}
         self.process = subprocess.Popen(
-            [sys.executable, str(Path(__file__).with_name("haply_service.py")), json.dumps(self._given | at)],
+            [*self._within, sys.executable, str(Path(__file__).with_name("haply_service.py")),
+             json.dumps(self._given | at)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
         self.port, self.events = map(int, self._line().split())
@@ -62,9 +63,12 @@ class FakeHaply:
 
 
 @contextmanager
-def fake_haply(**given: Any) -> Iterator[FakeHaply]:
-    """A service that runs meanwhile; ``given`` stands in for what DEFAULTS of haply_service.py has."""
-    one = FakeHaply(**given)
+def fake_haply(within: Sequence[str] = (), **given: Any) -> Iterator[FakeHaply]:
+    """A service that runs meanwhile; ``given`` stands in for what DEFAULTS of haply_service.py has.
+
+    ``within`` stands before its command, as :meth:`tests.support.wan.Wan.within` gives it.
+    """
+    one = FakeHaply(within, **given)
     try:
         yield one
     finally:

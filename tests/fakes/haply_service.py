@@ -8,20 +8,27 @@ It prints both ports, and takes orders as lines on standard input (:func:`Servic
 **The plant** is a point of the mass m at the tip of an arm of three joints, which turn about z, and twice about the
 horizontal axis; b (N·s/m) damps the tip, and a hand may hold it by a spring. Joints are seen in steps. A force f on the
 tip becomes the torques J(q)^T f of the joints as they are when a message has come, and these are held until the next
-message; with ``"held": "firmware"`` the force itself is held.
+message; with ``"held": "firmware"`` the force itself is held. A device that hears nothing lets go after ``idle``, also
+without a service.
+
+**A log** (order "log PATH") has a line for each of these, with the instant by CLOCK_MONOTONIC, ns: "m AT f..." (the
+force that the motors get, N), "r AT TEXT" (a message that was heard), "o AT ORDER", and "b FROM TO" (this process had
+no turn).
 """
 
 from __future__ import annotations
 
 import asyncio
 import json
+import os
 import struct
 import sys
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from math import acos, atan2, cos, degrees, hypot, pi, radians, sin
-from typing import Any
+from typing import Any, TextIO
 
 from websockets.exceptions import InvalidState
 from websockets.frames import Frame, Opcode
@@ -54,6 +61,8 @@ DEFAULTS: dict[str, Any] = {
 }
 LINK = 0.15  # m, both
 HOME = (0.0, -0.15, 0.15)
+PRIORITY = 5  # of SCHED_FIFO: above ordinary processes, and below the loops, which it must not delay
+GRAIN = 1e-3  # s, in which devices move on while a log is written
 DT = 5e-4  # s, the longest step: one that a busy machine can follow
 STOP = 0.1  # m from home; there it has springs, before the arm is stretched
 
@@ -80,6 +89,7 @@ class Device:
         self.unit = 1.0
         self.owner: int | None = None  # the session that commands it
         self.most = 0.0
+        self.note: Callable[[str], None] = lambda line: None
 
     def joints(self) -> tuple[float, float, float]:
         x, y, z = self.x
@@ -139,9 +149,14 @@ class Device:
             self.t += dt
 
     def command(self, f: list[float]) -> None:
-        works = self.status["ready"] and self.status["power_supply"]
-        self.force = [self.given["sign"] * (1.0 - self.gate) * value if works else 0.0 for value in f]
+        before = self.force
+        self.force = [self.given["sign"] * (1.0 - self.gate) * value if self.works() else 0.0 for value in f]
         self.torques = self.loads(self.force)
+        if self.force != before:
+            self.note(f"m {time.monotonic_ns()} {' '.join(map(repr, self.force))}")
+
+    def works(self) -> bool:
+        return self.status["ready"] and self.status["power_supply"]
 
     def state(self) -> dict[str, Any]:
         self.advance()
@@ -223,6 +238,12 @@ class Service:
     def __init__(self, given: dict[str, Any]) -> None:
         self.given = given
         self.devices = {name: Device(name, given) for name in given["devices"]}
+        self.lost: dict[str, Device] = {}  # unplugged
+        self.servers: list[asyncio.Server] = []
+        self.ports: list[int] = []
+        self.mute = self.dead = False
+        self.log: TextIO | None = None
+        self.living: asyncio.Task[None] | None = None
         self.sessions: dict[int, tuple[asyncio.StreamWriter, ServerProtocol]] = {}
         self.listeners: list[tuple[asyncio.StreamWriter, ServerProtocol]] = []
         self.profiles: list[str] = []
@@ -259,7 +280,32 @@ class Service:
             device.command(f)
         return self.inventory(session, "force_render_full_state" in asked)
 
+    # --- the log
+
+    def note(self, line: str) -> None:
+        if self.log is not None:
+            self.log.write(line + "\n")
+
+    async def live(self) -> None:
+        """Move all devices on, so that a force ends in time where nobody asks; note when there was no turn for it."""
+        last = time.monotonic_ns()
+        while True:
+            await asyncio.sleep(GRAIN)
+            now = time.monotonic_ns()
+            if now - last > 2e9 * GRAIN:
+                self.note(f"b {last} {now}")
+            last = now
+            for device in (*self.devices.values(), *self.lost.values()):
+                device.advance()
+
     # --- the wire
+
+    async def serve(self, port: int = 0, events: int = 0) -> None:
+        """Listen at both ports."""
+        self.servers = [
+            await asyncio.start_server(partial(self.talk, events=of_events), "localhost", at)
+            for of_events, at in ((False, port), (True, events))
+        ]
 
     async def talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, events: bool) -> None:
         with suppress(OSError, asyncio.IncompleteReadError, InvalidState):
@@ -307,7 +353,7 @@ class Service:
             self.listeners.append((writer, protocol))
         else:
             self.sessions[session] = writer, protocol
-            if self.given["first_frame"]:
+            if self.given["first_frame"] and not self.mute:
                 protocol.send_text(json.dumps(self.inventory(session, True)).encode())
         self.flush(writer, protocol)
         try:
@@ -316,13 +362,18 @@ class Service:
                 for event in protocol.events_received():
                     if isinstance(event, Frame) and event.opcode is Opcode.TEXT and not events:
                         await self.stalled.wait()
-                        protocol.send_text(json.dumps(self.hear(bytes(event.data).decode(), session)).encode())
+                        text = bytes(event.data).decode()
+                        self.note(f"r {time.monotonic_ns()} {text}")
+                        answer = self.hear(text, session)
+                        if not self.mute:
+                            protocol.send_text(json.dumps(answer).encode())
                 self.flush(writer, protocol)
                 if protocol.close_expected():
                     break
         finally:
             self.sessions.pop(session, None)
-            for device in self.devices.values():
+            self.listeners = [one for one in self.listeners if one[0] is not writer]
+            for device in () if self.dead else self.devices.values():
                 if device.owner == session:  # one connection is one session
                     device.advance()
                     device.command([0.0] * 3)
@@ -343,14 +394,36 @@ class Service:
             protocol.send_text(json.dumps(text).encode())
             self.flush(writer, protocol)
 
+    def die(self) -> None:
+        """The service is killed; the devices go on."""
+        self.dead = True
+        for server in self.servers:
+            server.close()
+        for writer, _ in (*self.sessions.values(), *self.listeners):
+            writer.transport.abort()
+        self.listeners = []
+
+    async def rise(self) -> None:
+        """A new service, at the same ports."""
+        self.dead = False
+        for device in self.devices.values():
+            device.gate, device.damping, device.owner = self.given["gain"], 0.0, None
+            device.enabled = dict.fromkeys(device.enabled, True)
+        await self.serve(*self.ports)
+
     async def order(self, line: str) -> str:
-        """Do what a test wants: "status KEY 0|1", "ebrake", "free", "mm", "stall MS", "close", "lose", "rate", "ping",
-        "unasked", "push X Y Z", "ask"."""
+        """Do what a test wants: "status KEY 0|1", "ebrake", "free", "gone", "mm", "m", "stall MS", "close", "lose",
+        "find", "rate", "ping", "unasked", "mute", "speak", "first 0|1", "die", "rise", "log PATH", "note TEXT", "ask".
+        """
         word, *rest = line.split()
-        one = next(iter(self.devices.values()))
+        one = next(iter((*self.devices.values(), *self.lost.values())))
+        self.note(f"o {time.monotonic_ns()} {line.strip()}")
         match word:
             case "status":
                 one.status[rest[0]] = rest[1] == "1"
+                one.advance()
+                if not one.works():
+                    one.command([0.0] * 3)
             case "ebrake" | "free":
                 kind = "ebrake_triggered" if word == "ebrake" else "ebrake_released"
                 self.event("device-safety-triggered", "error", device_id=one.name, safety_type=kind)
@@ -358,10 +431,25 @@ class Service:
                 self.event("device-disconnected", "warning", device_id=one.name)
             case "rate":
                 self.event("session-control-rate-low", "warning", session_id=7)
-            case "mm":
-                one.unit = 1000.0
+            case "mm" | "m":
+                one.unit = 1000.0 if word == "mm" else 1.0
             case "lose":
-                self.devices.pop(one.name)
+                self.lost[one.name] = self.devices.pop(one.name)
+            case "find":
+                self.devices[one.name] = self.lost.pop(one.name)
+            case "mute" | "speak":
+                self.mute = word == "mute"
+            case "first":
+                self.given["first_frame"] = rest[0] == "1"
+            case "die":
+                self.die()
+            case "rise":
+                await self.rise()
+            case "log":
+                self.log = open(rest[0], "w")  # noqa: SIM115 -- until the end
+                for device in self.devices.values():
+                    device.note = self.note
+                self.living = asyncio.get_running_loop().create_task(self.live())
             case "stall":
                 self.stalled.clear()
                 asyncio.get_running_loop().call_later(float(rest[0]) / 1e3, self.stalled.set)
@@ -378,8 +466,10 @@ class Service:
                 for session, (writer, protocol) in self.sessions.items():
                     protocol.send_text(json.dumps(self.inventory(session, False)).encode())
                     self.flush(writer, protocol)
+        if self.log is not None:
+            self.log.flush()
         told = {}
-        for device in self.devices.values():
+        for device in (*self.devices.values(), *self.lost.values()):
             device.advance()
             told[device.name] = {
                 "x": [a - b for a, b in zip(device.x, HOME, strict=True)],
@@ -397,11 +487,11 @@ class Service:
 async def main(given: dict[str, Any]) -> None:
     service = Service(DEFAULTS | given)
     loop = asyncio.get_running_loop()
-    servers = [
-        await asyncio.start_server(partial(service.talk, events=events), "localhost", port)
-        for events, port in ((False, given.get("port", 0)), (True, given.get("events", 0)))
-    ]
-    tell(" ".join(str(server.sockets[0].getsockname()[1]) for server in servers))
+    await service.serve(given.get("port", 0), given.get("events", 0))
+    service.ports = [server.sockets[0].getsockname()[1] for server in service.servers]
+    with suppress(PermissionError):  # a device has processors of its own
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+    tell(" ".join(map(str, service.ports)))
     reader = asyncio.StreamReader()
     await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
     while line := await reader.readline():

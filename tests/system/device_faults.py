@@ -11,7 +11,8 @@ its report:
   turn is added, for a board of its own has every turn;
 - **wire**: what the motors exert was on the wire, and not over by then;
 - **given**: what they exert was given by the session, in a tick whose sample is no older than a force may be. Rows that
-  died with their process cannot tell: what was exerted in such a gap is counted (``unseen``);
+  died with their process cannot tell: what was exerted in such a gap is counted (``unseen``). So is what a stalled
+  service exerted for longer, where a wire does not say when a force ends (``behind``);
 - **named**: an incident says what happened, of this device;
 - **back**: it is felt again after the fault, by itself or once the fault was ended, and its process came back once;
 - **others**: nobody else is named, frozen or lost, and all accounts hold;
@@ -87,6 +88,7 @@ class Found:
         restarts: how often its process came back.
         forces: how many forces the motors exerted.
         unseen: of them, those of which the recording has no row.
+        behind: of them, those that lasted too long since a service stalled, on a wire that says no end.
         late: rows of promises of the innocent that a busy machine breaks.
         softened: how often the innocent's coupling changed its rung.
         audit: the audit's verdict.
@@ -99,6 +101,7 @@ class Found:
     restarts: int = 0
     forces: int = 0
     unseen: int = 0
+    behind: int = 0
     late: int = 0
     softened: int = 0
     audit: str = ""
@@ -338,6 +341,8 @@ def _judge_given(row: Row, recorded: RecordedRun, record: Record, found: Found) 
             continue
         if _in_a_gap(begin - tick_0, sampled, gaps, lasting):
             found.unseen += 1
+        elif len(of) and record.stalled(begin, end):
+            found.behind += 1
         elif len(of):
             stale.append(1e-6 * min(end - tick_0 - sampled[i] - lasting for i in of))
         else:
@@ -447,8 +452,8 @@ def main() -> int:
                 runs.append(one)
                 print(  # noqa: T201 -- a campaign
                     f"{device}: faults {begin} to {begin + sum(map(len, one.zero.values()))}, {one.restarts} restarts, "
-                    f"{one.forces} forces ({one.unseen} unseen), audit {one.audit}, {one.late} late rows of others, "
-                    f"softened {one.softened} times, "
+                    f"{one.forces} forces ({one.unseen} unseen, {one.behind} behind), audit {one.audit}, "
+                    f"{one.late} late rows of others, softened {one.softened} times, "
                     f"{one.seconds:.0f} s: {'; '.join(one.wrong) or 'sound'}",
                     flush=True,
                 )

@@ -20,6 +20,7 @@ from ..fakes.far_side import FarSide, Force, Given, Record
 from .device_row import KILL, LASTS, Fault, Row
 from .device_row_moteus import MOTEUS
 from .device_row_odrive import ODRIVE
+from .device_row_haply import HAPLY
 
 # --- the serial board
 
@@ -173,5 +174,6 @@ ROWS: Final[Mapping[str, Row]] = {
     "serial-board": SERIAL_BOARD,
     "moteus": MOTEUS,
     "odrive": ODRIVE,
+    "haply-inverse3": HAPLY,
 }
 """By the driver's name."""

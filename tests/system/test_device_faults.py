@@ -12,6 +12,7 @@ from ..support.cases import WIDE
 from .device_faults import drawn, run
 from .device_row_moteus import MoteusWire
 from .device_row_odrive import ODriveWire
+from .device_row_haply import forces
 from .device_rows import ROWS, BoardWire
 
 pytestmark = pytest.mark.usefixtures("own_interrupt")
@@ -20,6 +21,7 @@ FEW = {
     "serial-board": ["process killed", "stalled for 30 ms", "unplugged"],
     "moteus": ["stalled for 30 ms", "under voltage"],
     "odrive": ["stalled for 30 ms", "first frames lost"],
+    "haply-inverse3": ["stalled for 30 ms", "service killed"],
 }
 """By device, the faults of the ordinary tests; `make device-faults` has all."""
 
@@ -114,6 +116,14 @@ def test_a_driver_that_sends_a_stale_force_after_a_stall_is_found(tmp_path: Path
 
 
 # --- the far side's record
+
+
+def test_the_forces_of_a_message_to_an_inverse3_are_read() -> None:
+    from manyhands.devices.haply.service import Speech
+
+    speech = Speech("049D", (3, 5))
+    assert [*forces(speech.force((0.1, -2.0, 1e-9)))] == [(0.1, -2.0, 1e-9)]
+    assert [*forces(speech.hello("org.manyhands:hand"))] == [(0.0, 0.0, 0.0)]
 
 
 def test_the_time_to_zero_is_from_the_mark_to_the_first_instant_without_force() -> None:

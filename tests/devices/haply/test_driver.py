@@ -5,6 +5,7 @@ Nothing here judges how fast the machine is: what is awaited comes in the end, o
 
 from __future__ import annotations
 
+import os
 import socket
 import sys
 import threading
@@ -18,6 +19,7 @@ import pytest
 from manyhands.devices.haply import HaplyError, HaplyInverse3
 from manyhands.devices.haply.driver import ROUND
 from manyhands.extras import MissingExtra
+from manyhands.nodes.kernel.realtime import may_raise
 from manyhands.protocol.clock import Instant
 
 from ...fakes.haply import FakeHaply, fake_haply
@@ -244,12 +246,48 @@ def test_the_work_of_a_pause_is_unknown() -> None:
             driver.apply([0.5, 0.0, 0.0], Instant(0), Instant(60_000 * MS))
             until(lambda: one.asked()["idle"])
             time.sleep(0.06)  # longer than a force is held without an end
-            driver.sample(0, Instant(0))  # the answer to that force
-            driver.work()
-            driver.release(Instant(0))
-            until(lambda: driver.exerted() == (0.0, 0.0, 0.0))
-            driver.sample(1, Instant(0))
+            driver.sample(0, Instant(0))  # the answer to that force, and a new state
             assert driver.work() is None
+
+
+def test_the_work_while_the_service_stalls_is_unknown() -> None:
+    """Its device has let go meanwhile, though messages were sent all the time."""
+    with fake_haply(damping=3.0, idle=0.03) as one, opened(one) as driver:
+        loop = Loop(driver)
+        until(lambda: loop.turn([0.5, 0.0, 0.0])[0] > 1e-3)
+        before = loop.unknown
+        one.order("stall 100")
+        for _ in range(200):
+            loop.turn([0.5, 0.0, 0.0])
+        assert loop.unknown > before
+
+
+def test_a_pause_that_is_shorter_than_the_silence_leaves_no_old_state() -> None:
+    with fake_haply(damping=5.0) as one, opened(one, silence=PATIENCE) as driver:
+        loop = Loop(driver)
+        loop.turn()
+        until(lambda: one.asked()["idle"])  # the keeper has stopped, too
+        before = driver.figures()["oldest_ms"]
+        time.sleep(0.5)
+        loop.turn()
+        assert driver.figures()["oldest_ms"] < before + 450.0
+
+
+@pytest.mark.skipif(not may_raise(), reason="this user may have no real-time priority")
+def test_the_keeper_has_the_priority_of_its_loop() -> None:
+    with fake_haply() as one, opened(one) as driver:
+        keeper = next(thread for thread in threading.enumerate() if thread.name == "haply")
+        assert keeper.native_id is not None
+        policy, param = os.sched_getscheduler(0), os.sched_getparam(0)
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+            Loop(driver).turn()
+            until(lambda: os.sched_getscheduler(keeper.native_id or 0) == os.SCHED_FIFO)
+        except PermissionError:
+            pytest.skip("its control group has no real-time share")
+        finally:
+            os.sched_setscheduler(0, policy, param)
+        until(lambda: os.sched_getscheduler(keeper.native_id or 0) == policy)
 
 
 # --- what the device does by itself
@@ -328,7 +366,7 @@ def test_a_service_that_is_of_no_use_is_refused(
 def test_no_service_is_named() -> None:
     with socket.socket() as taken:
         taken.bind(("localhost", 0))  # nobody listens
-        with pytest.raises(HaplyError, match="Connection refused"):
+        with pytest.raises(HaplyError, match=r"found no service \(Connection refused\)"):
             HaplyInverse3(PORTS, 1e-3, {"port": taken.getsockname()[1]})
 
 
