@@ -32,6 +32,7 @@ class Fault:
         after: what is said before these orders, a pattern; empty where ``said`` is all.
         lasts: for how long it is let be where nothing is said, s.
         apart: for how long the session says nothing of another one, s.
+        late: for how long forces may then come late that were under way, s, by what the device's page states.
     """
 
     orders: Sequence[str]
@@ -42,6 +43,7 @@ class Fault:
     after: str = ""
     lasts: float = 0.1
     apart: float = 0.0
+    late: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,7 @@ class Row:
         design: of the session.
         precision: the relative precision in which its motors are given a force.
         scale: the fake's force for one of the session's, on every axis.
+        late: how much later than it was told a device ends a force, s: its stated ``actuation_delay`` at most.
     """
 
     opened: Callable[[Path], AbstractContextManager[FarSide]]
@@ -71,3 +74,4 @@ class Row:
     design: Mapping[str, Any] = field(default_factory=dict)
     precision: float = 1e-6
     scale: float = 1.0
+    late: float = 0.0

@@ -18,6 +18,8 @@ from manyhands.launch.run.breaches import QUIET
 from ..fakes.board import Axis, FakeBoard, fake_board
 from ..fakes.far_side import FarSide, Force, Given, Record
 from .device_row import KILL, LASTS, Fault, Row
+from .device_row_evdev_wheel import EVDEV_WHEEL
+from .device_row_force_dimension import FORCE_DIMENSION
 
 # --- the serial board
 
@@ -167,5 +169,9 @@ SERIAL_BOARD: Final = Row(
     },
 )
 
-ROWS: Final[Mapping[str, Row]] = {"serial-board": SERIAL_BOARD}
+ROWS: Final[Mapping[str, Row]] = {
+    "serial-board": SERIAL_BOARD,
+    "force-dimension": FORCE_DIMENSION,
+    "evdev-wheel": EVDEV_WHEEL,
+}
 """By the driver's name."""

@@ -10,16 +10,23 @@ import pytest
 from ..fakes.far_side import Given, Record
 from ..support.cases import WIDE
 from .device_faults import drawn, run
+from .device_row_evdev_wheel import WheelWire
 from .device_rows import ROWS, BoardWire
 
 pytestmark = pytest.mark.usefixtures("own_interrupt")
 
-FEW = {"serial-board": ["process killed", "stalled for 30 ms", "unplugged"]}
+FEW = {
+    "serial-board": ["process killed", "stalled for 30 ms", "unplugged"],
+    "force-dimension": ["reset, and not calibrated", "process killed"],
+    "evdev-wheel": ["stalled for 30 ms", "process killed"],
+}
 """By device, the faults of the ordinary tests; `make device-faults` has all."""
+
+EACH = [pytest.param(device, marks=[] if device == "serial-board" else pytest.mark.long) for device in ROWS]
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("device", ROWS)
+@pytest.mark.parametrize("device", EACH)
 def test_a_device_that_fails_exerts_nothing_and_comes_back_and_nobody_else_feels_it(
     device: str, tmp_path: Path
 ) -> None:
@@ -68,15 +75,23 @@ class Board(SerialBoard):
 """
 
 
-def planted(tmp_path: Path, fault: str, driver: str = "", *orders: str) -> str:
-    """What the campaign finds wrong with a board's fault, by a driver of this code, and a fake with these orders."""
+def planted(tmp_path: Path, fault: str, driver: str = "", *orders: str, device: str = "serial-board") -> str:
+    """What the campaign finds wrong with a device's fault, by a driver of this code, and a fake with these orders."""
     (tmp_path / "planted.py").write_text(driver)
     changes = {"driver": "planted:Board"} if driver else {}
-    return "\n".join(run(ROWS["serial-board"], [fault], 1, tmp_path, changes, orders, patience=3.0).wrong)
+    return "\n".join(run(ROWS[device], [fault], 1, tmp_path, changes, orders, patience=3.0).wrong)
 
 
-def test_a_board_without_a_watchdog_is_found(tmp_path: Path) -> None:
-    found = planted(tmp_path, "process killed", "", "forever")
+@pytest.mark.parametrize(
+    ("device", "order"),
+    [
+        ("serial-board", "forever"),
+        pytest.param("force-dimension", "deaf 1", marks=pytest.mark.long),
+        pytest.param("evdev-wheel", "endless", marks=pytest.mark.long),
+    ],
+)
+def test_a_device_without_a_watchdog_is_found(device: str, order: str, tmp_path: Path) -> None:
+    found = planted(tmp_path, "process killed", "", order, device=device)
     assert "process killed 0: zero: found a force" in found
 
 
@@ -116,3 +131,21 @@ def test_the_wire_is_read_across_the_wrap_of_the_boards_clock() -> None:
     wire.take(sent[:5], 1_100_000)
     wire.take(sent[5:] + force(2, 2**32 - 1, [0.25, 0.0]), 1_200_000)
     assert wire.given == [Given(1_200_000, 3_000_000, (0.5, -5.0)), Given(1_200_000, 1_499_000, (0.25, 0.0))]
+
+
+def test_the_reports_of_a_wheel_say_until_when_a_torque_lasts() -> None:
+    """A level counts at once, also of a torque that acts; a length counts from the last start."""
+    wire = WheelWire()
+    for at, kind, value in (
+        (1_000_000, "length", 20),
+        (1_500_000, "level", -0x7FFF),
+        (2_000_000, "start", 1),
+        (6_000_000, "level", 0),
+        (9_000_000, "length", 5),
+        (9_500_000, "level", 7),
+    ):
+        wire.take(at, kind, value)
+    assert wire.given == [
+        Given(2_000_000, 22_000_000, (2.0,)),
+        Given(6_000_000, 22_000_000, (0.0,)),
+    ]
