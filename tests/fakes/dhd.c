@@ -47,7 +47,8 @@ typedef struct {
     int64_t now, read_at, set_at, manual; /* manual: of the first device, the time where a test makes it */
     double m, b, c, k, amplitude[3], frequency, most, fastest; /* hand's spring k, motors' N m, threshold m/s */
     double x[3], v[3], t[3], q[3], work, phase;
-    double f[3], noted[3], scale; /* the force that t stood for, and what the log has of it, N; the unit of places, 1/m */
+    double f[3], noted[3]; /* the force that t stood for, and what the log has of it, N */
+    double scale, unit; /* of places and J, 1/m: as ordered, and since the last reading */
     char log[256];
 } device;
 
@@ -247,7 +248,7 @@ static device *enter(int id) {
     device *d = file.all + id;
     if (d->m == 0.0) {
         *d = (device){.present = id == 0, .com = 1, .guard_us = 500, .trip_us = 20, .gravity = 1, .braked = 1,
-                      .m = 0.2, .b = 0.5, .most = 1.0, .fastest = 3.0, .now = now_ns(), .scale = 1.0};
+                      .m = 0.2, .b = 0.5, .most = 1.0, .fastest = 3.0, .now = now_ns(), .scale = 1.0, .unit = 1.0};
         double p[3] = {0.0, 0.0, MIDDLE};
         angles(p, d->q);
     }
@@ -303,7 +304,7 @@ static int obey(device *d, const char *line) {
     else if (sscanf(line, "stuck %d", &n) == 1) d->stuck = n;            /* all readings are of the past */
     else if (sscanf(line, "rotated %d", &n) == 1) d->rotated = n;        /* positions are in a turned frame */
     else if (sscanf(line, "transposed %d", &n) == 1) d->transposed = n;  /* the Jacobian is another one than stated */
-    else if (sscanf(line, "scale %lf", &a) == 1) d->scale = a;           /* places and J have another unit: 1000 for mm */
+    else if (sscanf(line, "scale %lf", &a) == 1) d->scale = a;           /* from the next reading on places and J have another unit */
     else if (sscanf(line, "lying %d", &n) == 1) d->lying = n;            /* torques of the wrong sign */
     else if (sscanf(line, "deaf %d", &n) == 1) d->deaf = n, d->watchdog = n ? 0 : d->watchdog;
     else if (sscanf(line, "most %lf", &a) == 1) d->most = a;             /* N m, of each motor */
@@ -477,7 +478,7 @@ int dhdGetDeltaEncoders(int *enc0, int *enc1, int *enc2, char id) {
     if (!old) {
         if (!(d = exchange(id))) return -1;
         for (int i = 0; i < 3; i++) d->enc[i] = (int)lround(d->q[i] / COUNT);
-        d->read_at = d->now, d->reads++;
+        d->read_at = d->now, d->reads++, d->unit = d->scale;
         sent(d);
     } else if (gone(d)) {
         return fail(COM);
@@ -498,13 +499,13 @@ int dhdDeltaEncoderToPosition(int enc0, int enc1, int enc2, double *px, double *
     if (!expert) return fail(EXPERT);
     if (tip(q, p)) return fail(GEOMETRY);
     to_sdk(p, x);
-    const double scale = file.all[(int)id].scale;
+    const double scale = file.all[(int)id].unit;
     *px = scale * x[0], *py = scale * x[1], *pz = scale * x[2];
     return 0;
 }
 
 int dhdDeltaPositionToEncoder(double px, double py, double pz, int *enc0, int *enc1, int *enc2, char id) {
-    const double scale = file.all[(int)id].scale, x[3] = {px / scale, py / scale, pz / scale};
+    const double scale = file.all[(int)id].unit, x[3] = {px / scale, py / scale, pz / scale};
     double p[3], q[3];
     if (!expert) return fail(EXPERT);
     from_sdk(x, p);
@@ -520,7 +521,7 @@ int dhdDeltaJointAnglesToJacobian(double j0, double j1, double j2, double jcb[3]
     device *d = enter(id);
     if (!d) return fail(INVALID);
     for (int i = 0; i < 3; i++)
-        for (int j = 0; j < 3; j++) jcb[i][j] *= d->scale;
+        for (int j = 0; j < 3; j++) jcb[i][j] *= d->unit;
     for (int i = 0; i < 3 && d->transposed; i++)
         for (int j = 0; j < i; j++) {
             const double other = jcb[i][j];

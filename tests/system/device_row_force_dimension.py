@@ -26,7 +26,7 @@ class DhdFarSide:
     def __init__(self, devices: FakeDevices, folder: Path) -> None:
         self._devices, self._log = devices, folder / "dhd.log"
         self.parameters: Mapping[str, object] = {"library": devices.path}
-        self.order("plant 0.2 1.5 0", "hand 100 0.7", "to 0.012 0.008 -0.01", f"log {self._log}", "note began")
+        self.order("plant 0.2 1.5 0", "hand 100 0.7", "to 0.01 0.007 -0.008", f"log {self._log}", "note began")
 
     def order(self, *lines: str) -> None:
         if lines:
@@ -86,11 +86,11 @@ FORCE_DIMENSION: Final = Row(
         "actuation_delay": 0.0005,
         "step": 0.0001,
         "held": "torque",
-        "linkage": {"kappa": 12},
-        "limits": {"force": 3, "displacement": 0.02, "speed": 0.5},
+        "linkage": {"kappa": 16},
+        "limits": {"force": 3, "displacement": 0.04, "speed": 0.5},
     },
     period=T,
-    parameters={"reach": 0.02, "silence": SILENCE, "sample_age": 0.0005, "actuation_delay": 0.0005},
+    parameters={"reach": 0.04, "silence": SILENCE, "sample_age": 0.0005, "actuation_delay": 0.0005},
     precision=1e-3,  # its motors have 32768 steps of 1 N m
     design={"coupling": "spring-damper", "tau": 0.003, "period_tolerance": 0.5},
     faults={
