@@ -73,12 +73,14 @@ class Way:
         polled: the interval of its reports to the host, s; None where it is at no USB.
         sent: the interval of reports to it, s; None likewise.
         range: from stop to stop that the kernel driver has set, rad; None where it tells none.
+        range_file: where it tells this.
     """
 
     driver: KernelDriver = UNKNOWN
     polled: float | None = None
     sent: float | None = None
     range: float | None = None
+    range_file: Path | None = None
 
 
 def way_to(path: str, root: Path = SYSFS) -> Way:
@@ -89,12 +91,13 @@ def way_to(path: str, root: Path = SYSFS) -> Way:
     hid = hid.resolve()
     driver = hid / "driver"
     name = (driver / "module" if (driver / "module").exists() else driver).resolve().name
-    polled, sent = _endpoint(hid.parent, "in"), _endpoint(hid.parent, "out")
+    polled, sent, turns = _endpoint(hid.parent, "in"), _endpoint(hid.parent, "out"), range_in(hid / "range")
+    file = None if turns is None else hid / "range"
     if polled is None:
-        return Way(KNOWN.get(name, UNKNOWN), range=_range(hid))
+        return Way(KNOWN.get(name, UNKNOWN), range=turns, range_file=file)
     joysticks = _text(root / "module" / "usbhid" / "parameters" / "jspoll")
     least = 1e-3 * int(joysticks) if joysticks.isdigit() else 0.0
-    return Way(KNOWN.get(name, UNKNOWN), max(polled, least), max(sent or CONTROL, least), _range(hid))
+    return Way(KNOWN.get(name, UNKNOWN), max(polled, least), max(sent or CONTROL, least), turns, file)
 
 
 def tick() -> float:
@@ -119,8 +122,9 @@ def _interval(text: str) -> float:
     raise ValueError(f"found the interval {text!r:.20}; expected one in ms or us, as sysfs has them")
 
 
-def _range(hid: Path) -> float | None:
-    degrees = _text(hid / "range")
+def range_in(file: Path) -> float | None:
+    """The range that a kernel driver tells in a file of sysfs, rad; None for none."""
+    degrees = _text(file)
     return math.radians(int(degrees)) if degrees.isdigit() and int(degrees) else None
 
 

@@ -25,7 +25,7 @@ from contextlib import suppress
 from typing import Any, Final, TypeVar
 
 from manyhands.devices.evdev import event_device as ev
-from manyhands.devices.evdev.bus import Way, tick, way_to
+from manyhands.devices.evdev.bus import Way, range_in, tick, way_to
 from manyhands.devices.evdev.event_device import Axis, Calls, EventDevice
 from manyhands.nodes.device.plugin import DeviceDriver
 from manyhands.nodes.device.specification import DeviceSpecification, DeviceTiming
@@ -61,9 +61,13 @@ UNATTENDED: Final = from_seconds(0.05)
 """How long a force lasts that was given no end."""
 
 BY_ITSELF: Final = (
-    "reports a position when it changes, so a wheel that rests and one whose bus has stalled look the same",
+    "reports a position when it changes, so a wheel that rests and one whose bus has stalled look the same; "
+    "forces queue behind a stalled bus, and come late",
     "may add damping, friction or smoothing of its firmware, which only its maker's software shows",
 )
+
+LOOK: Final = from_seconds(0.5)
+"""How often the kernel driver is asked whether its range is the same."""
 
 UDEV: Final = 'SUBSYSTEM=="input", KERNEL=="event*", ATTRS{idVendor}=="046d", TAG+="uaccess"'
 """A rule that lets whoever sits at the machine use the devices of one maker; 046d is Logitech's number."""
@@ -108,6 +112,7 @@ class EvdevWheel(DeviceDriver):
         self._fuzz: dict[int, int] = {}
         self._dropped = self._old = 0
         self._gap = 0.0  # s
+        self._looked = Instant(0)
         self._moved_at: int | None = None  # when the last report came, if it moved an axis by more than a step
         self._device = self._opened(calls)
         try:
@@ -270,6 +275,19 @@ class EvdevWheel(DeviceDriver):
             self._asked(lambda: self._device.play([(effect, 0) for effect in self._effects]))
             self._playing = False
 
+    def idle(self, due: Instant) -> None:
+        """See from time to time that nobody has set its range to another one."""
+        file = self._way.range_file
+        if file is None or due - self._looked < LOOK:
+            return
+        self._looked = due
+        turns = range_in(file)
+        if turns is not None and _differs(self._range[0], turns):
+            raise WheelError(
+                f"{self._path}: found its range set to {turns:.5g} rad ({math.degrees(turns):.0f}°); expected "
+                f"{self._range[0]:g} rad, as parameters.range says: set it back, and let no program change it"
+            )
+
     def figures(self) -> Mapping[str, float]:
         """What its reports show of their age while it moves."""
         return {
@@ -399,9 +417,14 @@ def _counts(axis: Axis) -> int:
     return axis.maximum - axis.minimum
 
 
+def _differs(width: float, stated: float) -> bool:
+    """Whether a range is not the kernel driver's, which has it in whole degrees, rad."""
+    return abs(width - stated) > 0.01 * stated
+
+
 def _agree(path: str, width: float, stated: float | None) -> None:
     """Hold the session's range of a wheel against the one that its kernel driver has set."""
-    if stated is not None and abs(width - stated) > 0.01 * stated:
+    if stated is not None and _differs(width, stated):
         raise ValueError(
             f"parameters.range: found {width:g} rad; expected {stated:.5g} rad ({math.degrees(stated):.0f}°), to which "
             f"the kernel driver of {path} has set it (the file range in /sys): every angle would be wrong by the ratio"

@@ -42,6 +42,9 @@ OFF: Final = 0.02
 BESIDE: Final = 5e-4
 """m; by so much a position may differ from the place of the same encoders."""
 
+LONGEST: Final = 1.0
+"""m/rad; the arms of no such device are as long."""
+
 BEYOND: Final = 1.05
 """What is added to a kappa that was searched on a grid."""
 
@@ -94,6 +97,13 @@ def check(kinematics: Kinematics, reach: float, position: Sequence[float], aroun
     Raises:
         ForceDimensionError: they do not; the message says by how much.
     """
+    J = kinematics.jacobian(kinematics.angles(around[0]))
+    longest = max(math.hypot(J[j], J[3 + j], J[6 + j]) for j in range(3))
+    if longest > LONGEST:
+        raise ForceDimensionError(
+            f"{kinematics.name}: found a Jacobian of {longest:.3g} m/rad; expected less than {LONGEST:g}: this library "
+            "has another unit of length than m, which its headers say"
+        )
     before, after = (kinematics.place(counts) for counts in around)
     off = math.dist(position, before) - math.dist(before, after)
     if off > BESIDE:

@@ -649,6 +649,10 @@ STAYS: Final = 1.0
 """Seconds after which a frozen coupling is an incident. One that hurries back has its row among the promises alone."""
 
 
+LIGHTEST: Final = 1e-6
+"""kg, or kg m^2 of an axis that turns: no device is as light. So E at most moved one to a speed of sqrt(2 E / m)."""
+
+
 class UserIncidents:
     """The incidents of one run's users: pure, telemetry goes in and sentences come out."""
 
@@ -673,6 +677,7 @@ class UserIncidents:
         # devices that let go, and the ticks that the environment must have reported: the first and the last
         self._awaiting: dict[str, tuple[int, int]] = {}
         self._of_itself: dict[str, str] = {}  # devices that nobody can have moved so, and why
+        self._speeds: dict[str, float] = {}  # of devices that let go, the greatest of about then, m/s
         self._next: dict[str, float] = {}  # the first tick of a party's next sentence
 
     def forget(self, node: str) -> None:
@@ -706,6 +711,7 @@ class UserIncidents:
             since, self._told[node] = min(tick, self._told.get(node, 0)), tick
             if self._grown(node, figures.get(names.LET_GO, 0.0), tick):
                 self._awaiting[node] = since, tick
+                self._speeds[node] = figures.get(names.SPEED, 0.0)
                 self._note_of_itself(node, figures)
         return []
 
@@ -750,6 +756,12 @@ class UserIncidents:
         mover = self._causes.mover(self._couplings[device], since * self._period, until * self._period)
         if mover is None:
             return f"{text}; nobody else has moved it"
+        speed = self._speeds[device]
+        if mover.total < 0.5 * LIGHTEST * speed**2:
+            return (
+                f"{text}; it seemed to move at {speed:.3g} m/s, for which the {mover.total:.3g} J that it had "
+                "received from others are far too little: see its sensor, and the units of its driver"
+            )
         return (
             f"{text}; another party moved it: it had received {mover.total:.3g} J from others, "
             f"{mover.energy:.3g} J of it from {self._who(mover.party)}"

@@ -9,13 +9,17 @@
  * A device is a mass at the tip of a delta robot: m a = J^-T t - b v - friction + hand, the hand a spring to A sin(wt).
  * Its encoders and motors have steps. Of the SDK's frame X is the linkage's z less MIDDLE, Y its x, and Z its y.
  *
- * Orders, one a line (fake_dhd_order): see `order` below.
+ * Orders, one a line (fake_dhd_order): see `obey` below. The log that the order `log` begins has a line for each change,
+ * with its instant (CLOCK_MONOTONIC, ns), whichever process made it: "m AT F..." (what the motors exert, as the force F
+ * that their torques stood for when they came, N), "t AT F..." (torques that came), "w AT STEPS" (the watchdog, set) and
+ * "o AT WORDS" (the order `note`).
  */
 #define _GNU_SOURCE
 #include <errno.h>
 #include <fcntl.h>
 #include <math.h>
 #include <signal.h>
+#include <stdarg.h>
 #include <stdbool.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -43,11 +47,15 @@ typedef struct {
     int64_t now, read_at, set_at, manual; /* manual: of the first device, the time where a test makes it */
     double m, b, c, k, amplitude[3], frequency, most, fastest; /* hand's spring k, motors' N m, threshold m/s */
     double x[3], v[3], t[3], q[3], work, phase;
+    double f[3], noted[3]; /* the force that t stood for, and what the log has of it, N */
+    double scale, unit; /* of places and J, 1/m: as ordered, and since the last reading */
+    char log[256];
 } device;
 
 static struct { char path[512]; int fd; device *all; } file = {"", -1, NULL};
 static __thread int last_error;
 static int expert, default_id;
+static struct { char path[256]; int fd; } noting = {"", -1};
 
 static int64_t now_ns(void) {
     if (file.all && file.all->manual) return file.all->manual;
@@ -133,6 +141,40 @@ static int jacobian(const double q[3], double J[3][3]) {
     return 0;
 }
 
+/* the force that torques stand for at angles q, in the SDK's frame */
+static void force_of(const double p[3], const double q[3], const double t[3], double f[3]) {
+    double rows[3][3], own[3] = {0};
+    by_tip(p, q, rows);
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) own[j] += rows[i][j] * t[i];
+    f[0] = own[2], f[1] = own[0], f[2] = own[1];
+}
+
+/* --- the log */
+
+static void note(const device *d, const char *format, ...) {
+    if (!*d->log) return;
+    if (strcmp(d->log, noting.path)) {
+        if (noting.fd >= 0) close(noting.fd);
+        noting.fd = open(d->log, O_WRONLY | O_APPEND | O_CREAT | O_CLOEXEC, 0600);
+        snprintf(noting.path, sizeof noting.path, "%s", d->log);
+    }
+    va_list rest;
+    va_start(rest, format);
+    vdprintf(noting.fd, format, rest); /* a line at once, so that a process that is killed leaves none in half */
+    va_end(rest);
+}
+
+/* What the motors exert from d->now on. A process that is killed before this leaves it to the next one. */
+static void note_motors(device *d) {
+    double f[3];
+    int changed = 0;
+    for (int i = 0; i < 3; i++) f[i] = d->forces ? d->f[i] : 0.0, changed |= f[i] != d->noted[i];
+    if (!changed) return;
+    note(d, "m %lld %.17g %.17g %.17g\n", (long long)d->now, f[0], f[1], f[2]);
+    memcpy(d->noted, f, sizeof f);
+}
+
 /* --- the devices in time */
 
 static void advance(device *d, double dt, bool on) {
@@ -165,7 +207,8 @@ static void advance(device *d, double dt, bool on) {
 }
 
 static void catch_up(device *d, int64_t to) {
-    if (to - d->now > FORGOTTEN_NS && !d->owner) d->now = to; /* nobody had it open: it stood still */
+    note_motors(d);
+    if (to - d->now > FORGOTTEN_NS && !d->owner && !d->forces) d->now = to; /* nobody had it open: it stood still */
     while (d->now < to) {
         int64_t end = to - d->now > STEP_NS ? d->now + STEP_NS : to;
         const int64_t over = d->set_at + 125000 * (int64_t)d->watchdog;
@@ -173,6 +216,7 @@ static void catch_up(device *d, int64_t to) {
         if (d->forces && d->watchdog && over <= d->now)
             d->forces = 0, d->braked = !d->deaf, d->cause = WATCHDOG, d->watchdogs++;
         advance(d, 1e-9 * (double)(end - d->now), d->forces);
+        note_motors(d); /* of the velocity threshold, a step early at most; of the watchdog exactly */
         d->now = end;
     }
 }
@@ -204,7 +248,7 @@ static device *enter(int id) {
     device *d = file.all + id;
     if (d->m == 0.0) {
         *d = (device){.present = id == 0, .com = 1, .guard_us = 500, .trip_us = 20, .gravity = 1, .braked = 1,
-                      .m = 0.2, .b = 0.5, .most = 1.0, .fastest = 3.0, .now = now_ns()};
+                      .m = 0.2, .b = 0.5, .most = 1.0, .fastest = 3.0, .now = now_ns(), .scale = 1.0, .unit = 1.0};
         double p[3] = {0.0, 0.0, MIDDLE};
         angles(p, d->q);
     }
@@ -241,17 +285,18 @@ static int sent(const device *d) {
 
 /* --- for tests */
 
-int fake_dhd_order(int id, const char *line) {
-    device *d = enter(id);
+static int obey(device *d, const char *line) {
     double a, b, c;
-    int n, found = 0;
-    if (!d) return -1;
+    int n;
     if (sscanf(line, "plant %lf %lf %lf", &a, &b, &c) == 3) d->m = a, d->b = b, d->c = c; /* kg, N s/m, N */
     else if (sscanf(line, "hand %lf %lf", &a, &b) == 2) d->k = a, d->frequency = b; /* N/m, Hz */
     else if (sscanf(line, "to %lf %lf %lf", &a, &b, &c) == 3) d->amplitude[0] = a, d->amplitude[1] = b, d->amplitude[2] = c;
     else if (sscanf(line, "speed %lf %lf %lf", &a, &b, &c) == 3) d->v[0] = a, d->v[1] = b, d->v[2] = c;
     else if (sscanf(line, "present %d", &n) == 1) d->present = n;
     else if (sscanf(line, "unplugged %d", &n) == 1) { if ((d->unplugged = n)) d->forces = 0, d->braked = 1; }
+    else if (sscanf(line, "cut %d", &n) == 1) d->unplugged = n;          /* likewise, but the device has not seen it */
+    else if (!strcmp(line, "reset"))                                     /* its power was away: who has it open has not */
+        d->forces = d->owner = d->watchdog = 0, d->braked = d->uncalibrated = d->gravity = 1, d->guard_us = 500;
     else if (sscanf(line, "owner %d", &n) == 1) d->owner = n;            /* the process that has it open */
     else if (sscanf(line, "uncalibrated %d", &n) == 1) d->uncalibrated = n;
     else if (sscanf(line, "no_watchdog %d", &n) == 1) d->no_watchdog = n;
@@ -259,14 +304,38 @@ int fake_dhd_order(int id, const char *line) {
     else if (sscanf(line, "stuck %d", &n) == 1) d->stuck = n;            /* all readings are of the past */
     else if (sscanf(line, "rotated %d", &n) == 1) d->rotated = n;        /* positions are in a turned frame */
     else if (sscanf(line, "transposed %d", &n) == 1) d->transposed = n;  /* the Jacobian is another one than stated */
+    else if (sscanf(line, "scale %lf", &a) == 1) d->scale = a;           /* from the next reading on places and J have another unit */
     else if (sscanf(line, "lying %d", &n) == 1) d->lying = n;            /* torques of the wrong sign */
     else if (sscanf(line, "deaf %d", &n) == 1) d->deaf = n, d->watchdog = n ? 0 : d->watchdog;
     else if (sscanf(line, "most %lf", &a) == 1) d->most = a;             /* N m, of each motor */
+    else if (sscanf(line, "fastest %lf", &a) == 1) d->fastest = a;       /* m/s, its velocity threshold */
     else if (sscanf(line, "trip %d", &n) == 1) d->trip_us = n;
     else if (sscanf(line, "stall %d", &n) == 1) d->stall_ms = n;         /* ms, of the next exchange */
     else if (!strcmp(line, "button")) d->forces = 0, d->braked = 1, d->cause = BUTTON;
-    else found = -1;
-    return leave(found);
+    else if (!strncmp(line, "log ", 4)) snprintf(d->log, sizeof d->log, "%s", line + 4); /* PATH: write down from now on */
+    else if (!strncmp(line, "note ", 5)) note(d, "o %lld %s\n", (long long)d->now, line + 5);
+    else return -1;
+    return 0;
+}
+
+/* Orders of one instant, a line each; -1 where one is not known. */
+int fake_dhd_order(int id, const char *lines) {
+    device *d = enter(id);
+    if (!d) return -1;
+    char all[512], *rest = all;
+    snprintf(all, sizeof all, "%s", lines);
+    int done = 0;
+    for (char *line; !done && (line = strsep(&rest, "\n"));) done = obey(d, line);
+    note_motors(d);
+    return leave(done);
+}
+
+/* the force that the torques stand for which act, N */
+int fake_dhd_force(int id, double f[3]) {
+    device *d = enter(id);
+    if (!d) return -1;
+    for (int i = 0; i < 3; i++) f[i] = d->forces ? d->f[i] : 0.0;
+    return leave(0);
 }
 
 /* its place (m), the torques that act (N m), the work of its motors (J), and counts */
@@ -292,7 +361,8 @@ int64_t fake_dhd_time(int64_t to) {
 void fake_dhd_forget(void) {
     if (file.fd >= 0) munmap(file.all, DEVICES * sizeof(device)), close(file.fd);
     file.all = NULL;
-    file.fd = -1, file.path[0] = 0, expert = 0;
+    if (noting.fd >= 0) close(noting.fd);
+    file.fd = noting.fd = -1, file.path[0] = noting.path[0] = 0, expert = 0;
 }
 
 /* --- the SDK */
@@ -374,7 +444,7 @@ SETTER(dhdSetGravityCompensation, int, 0, d->gravity = value)
 SETTER(dhdSetBrakes, int, 0, d->braked = value)
 SETTER(dhdEnableForce, unsigned char, 0, d->forces = value; if (value) d->braked = 0, d->cause = 0, d->set_at = d->now)
 SETTER(dhdSetWatchdog, unsigned char, 1, if (d->no_watchdog) return leave(fail(NOT_AVAILABLE));
-       d->watchdog = d->deaf ? 0 : value)
+       d->watchdog = d->deaf ? 0 : value; note(d, "w %lld %d\n", (long long)d->now, d->watchdog))
 
 int dhdGetComMode(char id) {
     device *d = exchange(id);
@@ -408,7 +478,7 @@ int dhdGetDeltaEncoders(int *enc0, int *enc1, int *enc2, char id) {
     if (!old) {
         if (!(d = exchange(id))) return -1;
         for (int i = 0; i < 3; i++) d->enc[i] = (int)lround(d->q[i] / COUNT);
-        d->read_at = d->now, d->reads++;
+        d->read_at = d->now, d->reads++, d->unit = d->scale;
         sent(d);
     } else if (gone(d)) {
         return fail(COM);
@@ -426,18 +496,17 @@ int dhdDeltaEncodersToJointAngles(int enc0, int enc1, int enc2, double *j0, doub
 int dhdDeltaEncoderToPosition(int enc0, int enc1, int enc2, double *px, double *py, double *pz, char id) {
     const double q[3] = {COUNT * enc0, COUNT * enc1, COUNT * enc2};
     double p[3], x[3];
-    (void)id;
     if (!expert) return fail(EXPERT);
     if (tip(q, p)) return fail(GEOMETRY);
     to_sdk(p, x);
-    *px = x[0], *py = x[1], *pz = x[2];
+    const double scale = file.all[(int)id].unit;
+    *px = scale * x[0], *py = scale * x[1], *pz = scale * x[2];
     return 0;
 }
 
 int dhdDeltaPositionToEncoder(double px, double py, double pz, int *enc0, int *enc1, int *enc2, char id) {
-    const double x[3] = {px, py, pz};
+    const double scale = file.all[(int)id].unit, x[3] = {px / scale, py / scale, pz / scale};
     double p[3], q[3];
-    (void)id;
     if (!expert) return fail(EXPERT);
     from_sdk(x, p);
     if (angles(p, q)) return fail(GEOMETRY);
@@ -451,6 +520,8 @@ int dhdDeltaJointAnglesToJacobian(double j0, double j1, double j2, double jcb[3]
     if (jacobian(q, jcb)) return fail(GEOMETRY);
     device *d = enter(id);
     if (!d) return fail(INVALID);
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) jcb[i][j] *= d->unit;
     for (int i = 0; i < 3 && d->transposed; i++)
         for (int j = 0; j < i; j++) {
             const double other = jcb[i][j];
@@ -477,7 +548,12 @@ int dhdSetDeltaJointTorques(double t0, double t1, double t2, char id) {
         if (fabs(t[i]) * scale > d->most * (1.0 + 1e-12)) scale = d->most / fabs(t[i]);
     const double step = d->most / 32768.0; /* of a motor's command */
     for (int i = 0; i < 3; i++) d->t[i] = step * round(t[i] * scale / step) * (d->lying ? -1.0 : 1.0);
+    double p[3];
+    const double q[3] = {COUNT * d->enc[0], COUNT * d->enc[1], COUNT * d->enc[2]}; /* of which they were computed */
+    if (tip(q, p) == 0) force_of(p, q, d->t, d->f);
     d->set_at = d->now, d->sets++;
+    note(d, "t %lld %.17g %.17g %.17g\n", (long long)d->now, d->f[0], d->f[1], d->f[2]);
+    note_motors(d);
     sent(d);
     return scale < 1.0 ? (d->saturations++, SATURATED) : 0;
 }
@@ -498,13 +574,12 @@ int dhdGetPosition(double *px, double *py, double *pz, char id) {
 int dhdGetForce(double *fx, double *fy, double *fz, char id) {
     device *d = exchange(id);
     if (!d) return -1;
-    double p[3], q[3], rows[3][3], own[3] = {0};
+    const double none[3] = {0};
+    double p[3], q[3], f[3];
     from_sdk(d->x, p);
     angles(p, q);
-    by_tip(p, q, rows);
-    for (int i = 0; i < 3; i++)
-        for (int j = 0; j < 3; j++) own[j] += d->forces ? rows[i][j] * d->t[i] : 0.0;
-    *fx = own[2], *fy = own[0], *fz = own[1];
+    force_of(p, q, d->forces ? d->t : none, f);
+    *fx = f[0], *fy = f[1], *fz = f[2];
     return sent(d);
 }
 

@@ -64,7 +64,7 @@ class FakeDevices:
         self._library.fake_dhd_time.argtypes = [ctypes.c_int64]
 
     def order(self, line: str, device: int = 0) -> None:
-        """Give an order of dhd.c."""
+        """Give orders of dhd.c, a line each, all at one instant."""
         assert self._library.fake_dhd_order(device, line.encode()) == 0, line
 
     def asked(self, device: int = 0) -> Seen:
@@ -73,6 +73,12 @@ class FakeDevices:
         assert self._library.fake_dhd_ask(device, out) == 0
         n = [int(value) for value in out[7:]]
         return Seen(tuple(out[:3]), tuple(out[3:6]), out[6], *n[:3], *(bool(value) for value in n[3:6]), *n[6:])  # type: ignore[arg-type]
+
+    def force(self, device: int = 0) -> tuple[float, ...]:
+        """The force (N) that the torques stood for which act, when they came."""
+        out = (ctypes.c_double * 3)()
+        assert self._library.fake_dhd_force(device, out) == 0
+        return tuple(out)
 
     def time(self, to: int = 0) -> int:
         """The devices' time, ns; ``to`` makes it the test's."""

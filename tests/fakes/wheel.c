@@ -25,6 +25,14 @@
  *     mirror               forces push the other way
  *     weak K               forces are K times what they should be
  *     late US              reports take so much longer
+ *     range RAD            it was set to another range from stop to stop
+ *     still N              1: the kernel driver takes all calls, and plays nothing any more; 0 again
+ *     refuse N             1: the kernel driver refuses new levels; 0 again
+ *     keep N               1: it does not stop the effects of a process that has died; 0 again
+ *     note WORDS           nothing but a line of the log
+ *     log PATH             from now on write down what happens, a line each, with its instant (CLOCK_MONOTONIC, ns):
+ *                          "m AT f..." (torques, N m), "a AT KIND VALUE" (a report that has come: level, length in ms,
+ *                          start, stop), "o AT WORDS" (a note), and "b AT US" (this process had no turn for so long)
  *     flood                64 changes at once, more than a reader's queue has room for
  *     ask                  answer: "x ... f ... uploads ... queued ... playing ... auto ... gain ... fuzz ... opened"
  */
@@ -87,11 +95,24 @@ static int first, waiting, forces[AXES];
 static long uploads;
 static int gain, autocenter;
 static uint64_t at_us, stalled_until, late_us, manual_us, began_ns;
+static int still, refuse, keep;
+static FILE *noted;
 
 static uint64_t real_us(void) {
     struct timespec t;
     clock_gettime(CLOCK_MONOTONIC, &t);
     return ((uint64_t)t.tv_sec * 1000000000u + (uint64_t)t.tv_nsec - began_ns) / 1000u;
+}
+
+static unsigned long long instant(uint64_t us) { return began_ns + 1000u * us; }
+
+static void note_torques(void) {
+    static double last[AXES];
+    if (!noted || !memcmp(last, torque, sizeof last)) return;
+    memcpy(last, torque, sizeof last);
+    fprintf(noted, "m %llu", instant(at_us));
+    for (int i = 0; i < axes; i++) fprintf(noted, " %.9g", torque[i] + 0.0); /* no -0 */
+    fprintf(noted, "\n");
 }
 
 static int counts(const plant *p) { return COUNTS / 2 + 1 + (int)floor(plant_seen(p) / p->step + 0.5); }
@@ -149,7 +170,9 @@ static void send_down(report r) {
 }
 
 static void arrive(const report *r) {
+    static const char *names[] = {"level", "length", "start", "stop", "forces"};
     slot *s = &slots[r->id];
+    if (noted) fprintf(noted, "a %llu %s %d\n", instant(at_us), names[r->op], r->value);
     switch (r->op) {
     case LEVEL:
         if (!frozen || !s->on) s->level = r->value;
@@ -197,7 +220,7 @@ static void effect_down(int id) {
         const double angle = e->effect.direction * 6.283185307179586 / 65536.0;
         send_down((report){.op = LEVEL, .id = id, .value = e->level, .dx = sin(angle), .dy = -cos(angle)});
     }
-    if (e->begin) send_down((report){.op = START, .id = id});
+    if (e->begin && !still) send_down((report){.op = START, .id = id});
     e->stop = e->update = e->begin = 0;
 }
 
@@ -283,6 +306,7 @@ static void advance(uint64_t to) {
             const double spring = present ? -0.3 * most[i] * autocenter / 0xffff * fmax(-1.0, fmin(1.0, 5.0 * plants[i].x)) : 0.0;
             plant_advance(&plants[i], torque[i] + spring, 1e-6 * STEP_US);
         }
+        note_torques();
         if (PASSED(in_us, 0) && !stalled && present) positions();
     }
 }
@@ -327,7 +351,7 @@ static void asked(int who, rpc_request *r, rpc_reply *a) {
         else erase((int)r->value);
     } else if (r->request == EVIOCSFF) {
         struct ff_effect *e = (struct ff_effect *)(void *)r->data;
-        const int id = lacking ? -ENOSYS : upload(e, who);
+        const int id = lacking ? -ENOSYS : refuse ? -EIO : upload(e, who);
         a->result = id < 0 ? id : 0;
         if (id >= 0) memcpy(a->data, e, a->size = sizeof *e);
     } else if (r->request == EVIOCSCLOCKID) {
@@ -355,7 +379,7 @@ static void leave(int who) {
     clients[who].fd = -1;
     if (grabbed == who + 1) grabbed = 0;
     for (int i = 0; i < EFFECTS; i++)
-        if (effects[i].used && effects[i].owner == who) erase(i);
+        if (effects[i].used && effects[i].owner == who) keep ? (void)(effects[i].used = 0) : erase(i);
 }
 
 /* --- orders */
@@ -369,17 +393,29 @@ static void answer(void) {
     for (int i = 0; i < axes; i++) printf(" %.9g", torque[i]);
     printf(" uploads %ld queued %d playing %d auto %d gain %d fuzz %d opened %d grabbed %d\n", uploads, waiting, playing, autocenter,
            gain, fuzz[0], opened, grabbed);
+    if (noted) fflush(noted);
     fflush(stdout);
 }
 
 static void order(const char *line) {
     unsigned n;
+    double range;
     if (sscanf(line, "stall %u", &n) == 1) stalled_until = at_us + 1000u * n;
     else if (!strncmp(line, "unplug", 6)) present = 0, torque[0] = torque[1] = 0.0;
     else if (!strncmp(line, "plug", 4)) present = 1, as_new();
     else if (!strncmp(line, "manual", 6)) manual = 1, manual_us = at_us;
     else if (sscanf(line, "advance %u", &n) == 1) advance(manual_us += n);
     else if (sscanf(line, "deny %d", &deny) == 1 || sscanf(line, "busy %d", &busy) == 1) return;
+    else if (sscanf(line, "still %d", &still) == 1 || sscanf(line, "refuse %d", &refuse) == 1) return;
+    else if (sscanf(line, "keep %d", &keep) == 1) return;
+    else if (sscanf(line, "range %lf", &range) == 1) for (int i = 0; i < axes; i++) plants[i].step = range / COUNTS;
+    else if (!strncmp(line, "note ", 5) && noted) fprintf(noted, "o %llu %s\n", instant(at_us), line + 5);
+    else if (!strncmp(line, "log ", 4)) {
+        if (!(noted = fopen(line + 4, "w"))) exit(5);
+        fprintf(noted, "m %llu", instant(at_us));
+        for (int i = 0; i < axes; i++) fprintf(noted, " %.9g", torque[i]);
+        fprintf(noted, "\n");
+    }
     else if (sscanf(line, "full %d", &full) == 1 || sscanf(line, "weak %lf", &weak) == 1) return;
     else if (sscanf(line, "without %u", &n) == 1) n == EV_FF ? (lacking = 1) : (without[n & 0x7f] = 1);
     else if (!strncmp(line, "frozen", 6)) frozen = 1;
@@ -402,6 +438,7 @@ static int take_orders(void) {
     for (char *end; (end = strchr(line, '\n'));) {
         *end = 0;
         order(line);
+        note_torques();
         filled -= (size_t)(end + 1 - line);
         memmove(line, end + 1, filled + 1);
     }
@@ -434,7 +471,9 @@ int main(int argc, char **argv) {
         struct pollfd all[2 + CLIENTS] = {{0, POLLIN, 0}, {door, POLLIN, 0}};
         for (int i = 0; i < CLIENTS; i++) all[2 + i] = (struct pollfd){clients[i].fd, POLLIN, 0};
         poll(all, 2 + CLIENTS, manual ? -1 : 1);
-        if (!manual) advance(real_us());
+        const uint64_t now = manual ? at_us : real_us();
+        if (noted && now > at_us + 2000u) fprintf(noted, "b %llu %llu\n", instant(now), (unsigned long long)(now - at_us));
+        advance(now);
         if (all[0].revents && !take_orders()) return 0;
         for (int i = 0; i < CLIENTS; i++) {
             if (!all[2 + i].revents) continue;

@@ -18,9 +18,9 @@ its report:
 - **others**: nobody else is named, frozen or lost, and all accounts hold;
 - **audit**: the recording's audit finds nothing broken.
 
-What a busy machine makes late is no finding (:data:`OF_THE_MACHINE`). It is counted, and so is how often it had the
-innocent's coupling change its rung (``softened``): on an idle machine both are 0, but for the ticks in which a process
-dies. A row for each device: device_rows.py.
+What a busy machine makes late is no finding (:data:`OF_THE_MACHINE`), nor that a late force was ended early. It is
+counted, and so is how often it had the innocent's coupling change its rung (``softened``): on an idle machine both are
+0, but for the ticks in which a process dies. A row for each device: device_rows.py.
 """
 
 from __future__ import annotations
@@ -89,6 +89,7 @@ class Found:
         forces: how many forces the motors exerted.
         unseen: of them, those of which the recording has no row.
         behind: of them, those that lasted too long since a service stalled, on a wire that says no end.
+        backlog: by how much a force came late that was under way in a fault of which this is stated, s.
         late: rows of promises of the innocent that a busy machine breaks.
         softened: how often the innocent's coupling changed its rung.
         audit: the audit's verdict.
@@ -102,6 +103,7 @@ class Found:
     forces: int = 0
     unseen: int = 0
     behind: int = 0
+    backlog: float = 0.0
     late: int = 0
     softened: int = 0
     audit: str = ""
@@ -258,7 +260,7 @@ def run(
     _judge_zero(row, stage.ordered, record, found)
     _judge_wire(record, found)
     recorded = read_run(recording)
-    _judge_given(row, recorded, record, found)
+    _judge_given(row, stage.ordered, recorded, record, found)
     _judge_report(row, stage, background.report, recorded, record)
     _judge_audit(recording, found)
     found.seconds = time.monotonic() - began
@@ -304,7 +306,7 @@ def _judge_wire(record: Record, found: Found) -> None:
         found.wrong.append(f"wire: found {len(stale)} forces up to {max(stale):.2f} ms after their end; expected none")
 
 
-def _judge_given(row: Row, recorded: RecordedRun, record: Record, found: Found) -> None:
+def _judge_given(row: Row, ordered: Sequence[str], recorded: RecordedRun, record: Record, found: Found) -> None:
     """Compare what the motors exerted with the rows of the recording, whose instants are since tick 0.
 
     Both clocks are this machine's, and only where tick 0 was is not known: it follows from the forces themselves, most
@@ -327,7 +329,8 @@ def _judge_given(row: Row, recorded: RecordedRun, record: Record, found: Found) 
         found.wrong.append("given: found no force of the recording on its motors; expected them")
         return
     tick_0 = float(np.median(once))
-    lasting, way = LASTS * row.period * 1e9, row.way * 1e9
+    lasting, way = 1e9 * (LASTS * row.period + row.late), 1e9 * row.way
+    delayed = [(record.marks[number], 1e9 * row.faults[name].late) for number, name in enumerate(ordered)]
     wanted = np.flatnonzero(np.diff(sampled) > 1.5e9 * row.period)
     gaps = [(sampled[i], sampled[i + 1]) for i in wanted]
     strange, stale = [], []
@@ -343,6 +346,9 @@ def _judge_given(row: Row, recorded: RecordedRun, record: Record, found: Found) 
             found.unseen += 1
         elif len(of) and record.stalled(begin, end):
             found.behind += 1
+        elif len(of) and any(at < end <= at + late for at, late in delayed):
+            overdue = 1e-9 * min(end - tick_0 - float(sampled[i]) - lasting for i in of)
+            found.backlog = max(found.backlog, overdue)
         elif len(of):
             stale.append(1e-6 * min(end - tick_0 - sampled[i] - lasting for i in of))
         else:
@@ -379,7 +385,7 @@ def _judge_report(row: Row, stage: Stage, report: Mapping[str, Any], recorded: R
     rows: list[PromiseStatus] = missed(promises_of(report))
     for status in rows:
         if {*status.who} & {*INNOCENTS}:
-            if status.promise in OF_THE_MACHINE:
+            if status.promise in OF_THE_MACHINE or (status.promise == Promise.LATENESS and status.state == "enforced"):
                 found.late += 1
             else:
                 found.wrong.append(f"others: found {status}; expected nobody but {TESTED}")
@@ -452,8 +458,8 @@ def main() -> int:
                 runs.append(one)
                 print(  # noqa: T201 -- a campaign
                     f"{device}: faults {begin} to {begin + sum(map(len, one.zero.values()))}, {one.restarts} restarts, "
-                    f"{one.forces} forces ({one.unseen} unseen, {one.behind} behind), audit {one.audit}, "
-                    f"{one.late} late rows of others, softened {one.softened} times, "
+                    f"{one.forces} forces ({one.unseen} unseen, {one.behind} behind, {1e3 * one.backlog:.1f} ms of "
+                    f"backlog), audit {one.audit}, {one.late} late rows of others, softened {one.softened} times, "
                     f"{one.seconds:.0f} s: {'; '.join(one.wrong) or 'sound'}",
                     flush=True,
                 )

@@ -32,6 +32,7 @@ class Fault:
         after: what is said before these orders, a pattern; empty where ``said`` is all.
         lasts: for how long it is let be where nothing is said, s.
         apart: for how long the session says nothing of another one, s.
+        late: for how long forces may then come late that were under way, s, by what the device's page states.
     """
 
     orders: Sequence[str]
@@ -42,6 +43,7 @@ class Fault:
     after: str = ""
     lasts: float = 0.1
     apart: float = 0.0
+    late: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,7 @@ class Row:
         way: for how long a force may be under way, s, where the device counts its time from its arrival.
         disarms: whether its motors are free once a force has ended by itself, until they are armed again: then the
             session says that forces it gives meanwhile are not exerted (the promise *driver's word*).
+        late: how much later than it was told a device ends a force, s: its stated ``actuation_delay`` at most.
     """
 
     opened: Callable[[Path], AbstractContextManager[FarSide]]
@@ -78,3 +81,4 @@ class Row:
     scale: float = 1.0
     way: float = 0.0
     disarms: bool = False
+    late: float = 0.0

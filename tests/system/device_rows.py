@@ -21,6 +21,8 @@ from .device_row import KILL, LASTS, Fault, Row
 from .device_row_moteus import MOTEUS
 from .device_row_odrive import ODRIVE
 from .device_row_haply import HAPLY
+from .device_row_evdev_wheel import EVDEV_WHEEL
+from .device_row_force_dimension import FORCE_DIMENSION
 
 # --- the serial board
 
@@ -175,5 +177,7 @@ ROWS: Final[Mapping[str, Row]] = {
     "moteus": MOTEUS,
     "odrive": ODRIVE,
     "haply-inverse3": HAPLY,
+    "force-dimension": FORCE_DIMENSION,
+    "evdev-wheel": EVDEV_WHEEL,
 }
 """By the driver's name."""

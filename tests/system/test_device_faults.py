@@ -13,6 +13,7 @@ from .device_faults import drawn, run
 from .device_row_moteus import MoteusWire
 from .device_row_odrive import ODriveWire
 from .device_row_haply import forces
+from .device_row_evdev_wheel import WheelWire
 from .device_rows import ROWS, BoardWire
 
 pytestmark = pytest.mark.usefixtures("own_interrupt")
@@ -33,6 +34,16 @@ ALWAYS = "serial-board"
 @pytest.mark.parametrize(
     "device", [pytest.param(device, marks=[] if device == ALWAYS else pytest.mark.long) for device in ROWS]
 )
+    "force-dimension": ["reset, and not calibrated", "process killed"],
+    "evdev-wheel": ["stalled for 30 ms", "process killed"],
+}
+"""By device, the faults of the ordinary tests; `make device-faults` has all."""
+
+EACH = [pytest.param(device, marks=[] if device == "serial-board" else pytest.mark.long) for device in ROWS]
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("device", EACH)
 def test_a_device_that_fails_exerts_nothing_and_comes_back_and_nobody_else_feels_it(
     device: str, tmp_path: Path
 ) -> None:
@@ -81,15 +92,23 @@ class Board(SerialBoard):
 """
 
 
-def planted(tmp_path: Path, fault: str, driver: str = "", *orders: str) -> str:
-    """What the campaign finds wrong with a board's fault, by a driver of this code, and a fake with these orders."""
+def planted(tmp_path: Path, fault: str, driver: str = "", *orders: str, device: str = "serial-board") -> str:
+    """What the campaign finds wrong with a device's fault, by a driver of this code, and a fake with these orders."""
     (tmp_path / "planted.py").write_text(driver)
     changes = {"driver": "planted:Board"} if driver else {}
-    return "\n".join(run(ROWS["serial-board"], [fault], 1, tmp_path, changes, orders, patience=3.0).wrong)
+    return "\n".join(run(ROWS[device], [fault], 1, tmp_path, changes, orders, patience=3.0).wrong)
 
 
-def test_a_board_without_a_watchdog_is_found(tmp_path: Path) -> None:
-    found = planted(tmp_path, "process killed", "", "forever")
+@pytest.mark.parametrize(
+    ("device", "order"),
+    [
+        ("serial-board", "forever"),
+        pytest.param("force-dimension", "deaf 1", marks=pytest.mark.long),
+        pytest.param("evdev-wheel", "endless", marks=pytest.mark.long),
+    ],
+)
+def test_a_device_without_a_watchdog_is_found(device: str, order: str, tmp_path: Path) -> None:
+    found = planted(tmp_path, "process killed", "", order, device=device)
     assert "process killed 0: zero: found a force" in found
 
 
@@ -161,3 +180,19 @@ def test_the_torques_on_an_odrive_wire_are_read() -> None:
     for at, line in enumerate(("c 0 0.1 *1", "w axis0.config.watchdog_timeout 0.0625 *2", "f 0 *3", "c 0 -0.25 *4")):
         wire.take(line, at)
     assert wire.given == [Given(0, 0, (0.1,)), Given(3, 62_500_003, (-0.25,))]
+def test_the_reports_of_a_wheel_say_until_when_a_torque_lasts() -> None:
+    """A level counts at once, also of a torque that acts; a length counts from the last start."""
+    wire = WheelWire()
+    for at, kind, value in (
+        (1_000_000, "length", 20),
+        (1_500_000, "level", -0x7FFF),
+        (2_000_000, "start", 1),
+        (6_000_000, "level", 0),
+        (9_000_000, "length", 5),
+        (9_500_000, "level", 7),
+    ):
+        wire.take(at, kind, value)
+    assert wire.given == [
+        Given(2_000_000, 22_000_000, (2.0,)),
+        Given(6_000_000, 22_000_000, (0.0,)),
+    ]

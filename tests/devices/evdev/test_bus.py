@@ -39,7 +39,9 @@ def tree(
 def test_a_wheel_at_a_usb(tmp_path: Path) -> None:
     tree(tmp_path, "hid_logitech_new", range="900\n")
     found = way_to("/dev/input/event7", tmp_path)
-    assert found == Way(KNOWN["hid_logitech_new"], 0.001, 0.002, math.radians(900))
+    assert found == Way(KNOWN["hid_logitech_new"], 0.001, 0.002, math.radians(900), found.range_file)
+    assert found.range_file is not None
+    assert found.range_file.read_text() == "900\n"
 
 
 @pytest.mark.parametrize(

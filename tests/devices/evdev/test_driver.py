@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -424,3 +425,18 @@ def test_a_range_that_differs_from_the_kernel_drivers_is_refused() -> None:
             pass
         with opened(one, Way(PIDFF, 0.001, 0.001, 15.708), range=15.7):
             pass
+
+
+def test_a_range_that_is_changed_meanwhile_ends_it_by_name(tmp_path: Path) -> None:
+    """A wheel that stands in its middle then does not jump: its positions alone would not show it."""
+    file = tmp_path / "range"
+    file.write_text("900\n")
+    way = Way(PIDFF, 0.001, 0.001, 15.708, file)
+    with fake_wheel() as one, opened(one, way, range=15.7) as driver:
+        driver.idle(at(1.0))
+        file.write_text("270\n")
+        driver.idle(at(1.4))  # it was asked lately
+        with pytest.raises(
+            WheelError, match=r"found its range set to 4.7124 rad \(270°\); expected 15.7 rad.*set it back"
+        ):
+            driver.idle(at(1.5))

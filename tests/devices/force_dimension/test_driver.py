@@ -97,6 +97,7 @@ def test_the_reach_is_the_cube_in_the_workspace_of_its_family(driver: ForceDimen
         ("asynchronous 1", "communication mode 3; expected 0.*sample_age"),
         ("rotated 1", "found its position .* mm from the place of its encoders"),
         ("transposed 1", "where its Jacobian says"),
+        ("scale 1000", "found a Jacobian of .* another unit of length than m"),
     ],
 )
 def test_a_device_that_is_not_usable_is_refused(devices: FakeDevices, clock: OwnTime, order: str, said: str) -> None:

@@ -208,6 +208,17 @@ class TestSentences:
         assert sentence.startswith("left was beyond its limits")
         assert sentence.endswith("it had received 14.8 J from others, 14.8 J of it from right_seat (right)")
 
+    @pytest.mark.parametrize(("speed", "named"), [(2500.0, False), (3.0, True)])
+    def test_nobody_is_named_for_a_jump_that_takes_far_more_energy_than_was_received(
+        self, speed: float, named: bool
+    ) -> None:
+        """A library reports mm, of a device whose mass nobody has stated."""
+        incidents = self.incidents()
+        incidents.receive("dy", Telemetry(100, Figures({"let_go": 1.0, "speed": speed}, {}), {}))
+        (sentence,) = incidents.receive("environment", self.told(100, moved={"cx/cy": 8e-4}))
+        assert ("cx" in sentence) == named
+        assert ("see its sensor, and the units of its driver" in sentence) != named
+
     def test_a_device_that_moved_itself_is_reported_so(self) -> None:
         incidents = self.incidents()
         incidents.receive("dy", self.told(100, let_go=1.0))
