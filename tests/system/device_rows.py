@@ -18,11 +18,11 @@ from manyhands.launch.run.breaches import QUIET
 from ..fakes.board import Axis, FakeBoard, fake_board
 from ..fakes.far_side import FarSide, Force, Given, Record
 from .device_row import KILL, LASTS, Fault, Row
-from .device_row_moteus import MOTEUS
-from .device_row_odrive import ODRIVE
-from .device_row_haply import HAPLY
 from .device_row_evdev_wheel import EVDEV_WHEEL
 from .device_row_force_dimension import FORCE_DIMENSION
+from .device_row_haply import HAPLY
+from .device_row_moteus import MOTEUS
+from .device_row_odrive import ODRIVE
 
 # --- the serial board
 

@@ -10,10 +10,10 @@ import pytest
 from ..fakes.far_side import Given, Record
 from ..support.cases import WIDE
 from .device_faults import drawn, run
+from .device_row_evdev_wheel import WheelWire
+from .device_row_haply import forces
 from .device_row_moteus import MoteusWire
 from .device_row_odrive import ODriveWire
-from .device_row_haply import forces
-from .device_row_evdev_wheel import WheelWire
 from .device_rows import ROWS, BoardWire
 
 pytestmark = pytest.mark.usefixtures("own_interrupt")
@@ -23,23 +23,15 @@ FEW = {
     "moteus": ["stalled for 30 ms", "under voltage"],
     "odrive": ["stalled for 30 ms", "first frames lost"],
     "haply-inverse3": ["stalled for 30 ms", "service killed"],
+    "force-dimension": ["reset, and not calibrated", "process killed"],
+    "evdev-wheel": ["stalled for 30 ms", "process killed"],
 }
 """By device, the faults of the ordinary tests; `make device-faults` has all."""
 
 ALWAYS = "serial-board"
 """The device that `make test` tries, and `make test-long` more widely; the others' few are in `make test-long`."""
 
-
-@pytest.mark.wide
-@pytest.mark.parametrize(
-    "device", [pytest.param(device, marks=[] if device == ALWAYS else pytest.mark.long) for device in ROWS]
-)
-    "force-dimension": ["reset, and not calibrated", "process killed"],
-    "evdev-wheel": ["stalled for 30 ms", "process killed"],
-}
-"""By device, the faults of the ordinary tests; `make device-faults` has all."""
-
-EACH = [pytest.param(device, marks=[] if device == "serial-board" else pytest.mark.long) for device in ROWS]
+EACH = [pytest.param(device, marks=[] if device == ALWAYS else pytest.mark.long) for device in ROWS]
 
 
 @pytest.mark.wide
@@ -180,6 +172,8 @@ def test_the_torques_on_an_odrive_wire_are_read() -> None:
     for at, line in enumerate(("c 0 0.1 *1", "w axis0.config.watchdog_timeout 0.0625 *2", "f 0 *3", "c 0 -0.25 *4")):
         wire.take(line, at)
     assert wire.given == [Given(0, 0, (0.1,)), Given(3, 62_500_003, (-0.25,))]
+
+
 def test_the_reports_of_a_wheel_say_until_when_a_torque_lasts() -> None:
     """A level counts at once, also of a torque that acts; a length counts from the last start."""
     wire = WheelWire()
