@@ -39,13 +39,13 @@ class FakeHaply:
         assert self.process.stdout is not None
         return self.process.stdout.readline()
 
-    def order(self, line: str) -> dict[str, Any]:
-        """Give an order of haply_service.py; returns what it is like afterwards."""
+    def order(self, *lines: str) -> dict[str, Any]:
+        """Give orders of haply_service.py, all at once; returns what it is like after the last of them."""
         assert self.process.stdin is not None
-        self.process.stdin.write(line + "\n")
+        self.process.stdin.write("".join(f"{line}\n" for line in lines))
         self.process.stdin.flush()
-        found: dict[str, Any] = json.loads(self._line())
-        return found
+        *_, found = [json.loads(self._line()) for _ in lines]
+        return dict(found)
 
     def asked(self, name: str = "049D") -> dict[str, Any]:
         """How a device stands."""

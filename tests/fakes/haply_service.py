@@ -413,7 +413,8 @@ class Service:
 
     async def order(self, line: str) -> str:
         """Do what a test wants: "status KEY 0|1", "ebrake", "free", "gone", "mm", "m", "stall MS", "close", "lose",
-        "find", "rate", "ping", "unasked", "mute", "speak", "first 0|1", "die", "rise", "log PATH", "note TEXT", "ask".
+        "find", "rate", "ping", "unasked", "mute", "speak", "first 0|1", "die", "rise", "forever", "log PATH",
+        "note TEXT", "ask".
         """
         word, *rest = line.split()
         one = next(iter((*self.devices.values(), *self.lost.values())))
@@ -441,6 +442,8 @@ class Service:
                 self.mute = word == "mute"
             case "first":
                 self.given["first_frame"] = rest[0] == "1"
+            case "forever":  # a device that holds its force whatever becomes of its client
+                self.given["idle"], self.dead = float("inf"), True
             case "die":
                 self.die()
             case "rise":

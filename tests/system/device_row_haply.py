@@ -33,8 +33,8 @@ class HaplyFarSide:
         self.order(f"log {self._log}")
 
     def order(self, *lines: str) -> None:
-        for line in lines:
-            self._one.order(line)
+        if lines:
+            self._one.order(*lines)
 
     def mark(self, number: int, *lines: str) -> None:
         self.order(f"note mark {number}", *lines)
@@ -109,7 +109,7 @@ HAPLY: Final = Row(
         ),
         "braked": Fault(
             ["ebrake", "status ready 0"],
-            AT_ONCE + GRAIN,  # two orders
+            AT_ONCE,
             "found its emergency brake on",
             then=["free", "status ready 1"],
             after="expected it ready: free its emergency brake",
@@ -121,7 +121,7 @@ HAPLY: Final = Row(
         "stalled for 30 ms": Fault(["stall 30"], LETS_GO, dies=False),
         "first frame lost": Fault(
             ["first 0", "close"],
-            AT_ONCE + GRAIN,
+            AT_ONCE,
             CLOSED,
             then=["first 1"],
             after="expected the first one, which the service sends by itself",

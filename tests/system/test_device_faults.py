@@ -108,6 +108,9 @@ def test_a_device_without_a_watchdog_is_found(device: str, order: str, tmp_path:
 @pytest.mark.parametrize("device", ["moteus", "odrive"])
 def test_a_motor_controller_without_a_watchdog_is_found(device: str, tmp_path: Path) -> None:
     found = "\n".join(run(ROWS[device], ["process killed"], 1, tmp_path, orders=["forever"], patience=3.0).wrong)
+def test_an_inverse3_that_never_lets_go_is_found(tmp_path: Path) -> None:
+    row = ROWS["haply-inverse3"]
+    found = "\n".join(run(row, ["process killed"], 1, tmp_path, orders=["forever"], patience=3.0).wrong)
     assert "process killed 0: zero: found a force" in found
     assert "wire: found" in found
 
