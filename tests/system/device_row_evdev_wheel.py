@@ -79,7 +79,7 @@ class WheelWire:
                 self._level = value
             case "length":
                 self._length = value
-                if at < self._until:  # it counts from the last start, of a force that acts
+                if at <= self._until:  # it counts from the last start, of a force that acts
                     self._until = max(at, self._lasts())
             case "start":
                 self._since = at
@@ -121,7 +121,7 @@ EVDEV_WHEEL: Final = Row(
         "actuation_delay": DELAY,
         "mass": 0.0299,
         "step": 0.00023,
-        "limits": {"force": 2, "displacement": 7, "speed": 6},
+        "limits": {"force": 2, "displacement": 7, "speed": 12},
     },
     period=T,
     parameters={"range": HELD.range, "most": HELD.most, "sample_age": AGE, "actuation_delay": DELAY},
