@@ -63,6 +63,9 @@ RATIO: Final = 1.3
 SURE: Final = 1.3
 """By which what was seen of noise, and of the change of a velocity within :data:`HALF`, is enlarged."""
 
+EVEN: Final = 0.1
+"""Of the median time between samples, by which one may be off among those that tell the noise."""
+
 UNEVEN: Final = 0.1
 """Of the inertia's change from side to side, how far it may be from a straight line within the window."""
 
@@ -83,7 +86,8 @@ BENT: Final = 0.5
 
 _ROUNDING: Final = 1e-12  # of a pair's work, J/J
 _SEEN: Final = 65  # places of a window at which both ways are compared
-_PLACES: Final = 24  # narrow windows, for friction that changes with the place
+_PLACES: Final = 48  # narrow windows, for friction that changes with the place: one that repeats over a tenth of a way
+# is flattened in them by less than SURE
 
 
 class NotOfThisClass(ValueError):
@@ -106,6 +110,8 @@ class Motion:
         level: the number of its speed; greater for a faster one.
         turns: indices of ticks at which the wanted motion turns round.
         extra: by tick, work of the motors beyond f^T dx, J: what torques that are held add.
+        stale: by tick, whether the displacement is older than :class:`Doubt` says, and so is none; None where none is.
+        took: by tick, how much later than ``applied`` the force may have been given, s; None for not at all.
     """
 
     sampled: Array
@@ -115,6 +121,8 @@ class Motion:
     level: int
     turns: tuple[int, ...]
     extra: Array | None = None
+    stale: NDArray[np.bool_] | None = None
+    took: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -283,15 +291,23 @@ def encoder_step(x: Array) -> float | None:
 
 
 def noise_of(motion: Motion, u: Array, step: float) -> float:
-    """A bound of the error of a displacement along u, m: half a step, or what is beyond a cubic over :data:`HALF`."""
-    n = max(3, round(HALF / 2.0 / float(np.median(np.diff(motion.sampled)))))
+    """A bound of the error of a displacement along u, m: half a step, or what is beyond a cubic over :data:`HALF`.
+
+    It is looked for where ticks are even and no sample is too old.
+    """
+    gap = np.diff(motion.sampled)
+    n = max(3, round(HALF / 2.0 / float(np.median(gap))))
+    uneven = np.append(np.abs(gap / np.median(gap) - 1.0) > EVEN, False)
+    if motion.stale is not None:
+        uneven |= motion.stale
+    even = np.convolve(uneven[motion.turns[0] :], np.ones(2 * n + 1), "valid") == 0
     powers = np.vander(np.arange(-n, n + 1) / n, 4)
     weights = np.linalg.pinv(powers)[-1]  # of the fit's value in the middle
     worst = 0.0
     for axis in np.flatnonzero(u):
         x = motion.x[motion.turns[0] :, axis]
         fit = np.convolve(x, weights[::-1], "valid")
-        worst = max(worst, float(np.max(np.abs(x[n : len(x) - n] - fit))))
+        worst = max(worst, float(np.max(np.abs(x[n : len(x) - n] - fit)[even], initial=0.0)))
     return max(0.5 * step, SURE * worst)
 
 
@@ -341,8 +357,15 @@ class _Run:
     v: Array
     f: Array
     bend: Array
+    between: Array  # s, between the samples around each instant
     n: int
     half: float
+
+    def pull(self, part: slice) -> float:
+        """A bound of the acceleration on a way, m/s^2."""
+        v, t = self.v[part], self.t[part]
+        n = min(self.n, len(v) // 4)
+        return SURE * float(np.max(np.abs(v[2 * n :] - v[: -2 * n]) / (t[2 * n :] - t[: -2 * n])))
 
 
 def _run_of(motion: Motion, u: Array, doubt: Doubt, part: float) -> _Run:
@@ -352,7 +375,10 @@ def _run_of(motion: Motion, u: Array, doubt: Doubt, part: float) -> _Run:
     """
     late = 0.5 * (doubt.latency[0] + doubt.latency[1])
     t, length = motion.applied, u / np.sqrt(u @ u)
-    y = np.column_stack([np.interp(t + late, motion.sampled, x) for x in motion.x.T])
+    kept = np.ones(len(t), bool) if motion.stale is None else ~motion.stale
+    sampled = motion.sampled[kept]
+    y = np.column_stack([np.interp(t + late, sampled, x) for x in motion.x[kept].T])
+    between = np.diff(sampled)[np.clip(np.searchsorted(sampled, t + late) - 1, 0, len(sampled) - 2)]
     stroke = float(np.median(np.diff(t[list(motion.turns)])))  # from one turn to the next, s
     half = min(LONGEST, max(SHORTEST, part * stroke))
     n = max(1, round(half / float(np.median(np.diff(t)))))
@@ -365,7 +391,9 @@ def _run_of(motion: Motion, u: Array, doubt: Doubt, part: float) -> _Run:
     # a mean over twice the time is off four times as much: a third of the difference corrects the shorter one
     bend = (mean_velocity(n) - mean_velocity(2 * n)) / 3.0
     w = mean_velocity(n) + bend
-    return _Run(motion, length, t, y, w, y @ length, w @ length, motion.f @ length, np.abs(bend @ length), n, half)
+    return _Run(
+        motion, length, t, y, w, y @ length, w @ length, motion.f @ length, np.abs(bend @ length), between, n, half
+    )
 
 
 def _ways(runs: Sequence[_Run], window: _Window, doubt: Doubt) -> Iterator[Way | None]:
@@ -388,12 +416,13 @@ def _way(run: _Run, part: slice, window: _Window, doubt: Doubt) -> Way | None:
     gap, psi, Psi = np.diff(t), window.at(s), window.integral(s)
     opened = psi > 1e-6
     fast, bend = float(np.max(sign * v[opened])), BENT * run.bend[part]
-    off = doubt.delta + 0.5 * np.abs(v) * doubt.jitter  # of a displacement, beside a constant age
+    left_out = np.maximum(run.between[part] ** 2 - float(np.median(run.between)) ** 2, 0.0) / 8.0 * run.pull(part)
+    off = doubt.delta + 0.5 * np.abs(v) * doubt.jitter + left_out  # of a displacement, beside a constant age
     speed_error = 5.0 / 3.0 * float(np.max(off)) / run.half + float(
         np.max(bend[opened])
     )  # of v: with what the correction adds
     slow = float(np.min(sign * v[opened])) - speed_error
-    if slow <= 0.0 or float(gap.max()) > HALF:
+    if slow <= 0.0 or float(gap.max()) > HALF or float(np.max(run.between[part])) > HALF:
         return None
     R = float(np.abs(Psi[-1] - Psi[0]))
 
@@ -455,10 +484,9 @@ def _work(run: _Run, part: slice, window: _Window, doubt: Doubt) -> tuple[float,
         P += float(psi @ run.motion.extra[part][:-1])
     jumps = np.linalg.norm(np.diff(run.motion.f[part][:-1], axis=0), axis=1)
     unknown = 0.5 * (doubt.latency[1] - doubt.latency[0])
-    n, t = min(run.n, len(v) // 4), run.t[part]
-    pull = SURE * float(np.max(np.abs(v[2 * n :] - v[: -2 * n]) / (t[2 * n :] - t[: -2 * n])))
-    between = np.maximum(gap[1:], gap[:-1]) ** 2 / 8.0 * pull  # a place between two samples is interpolated
-    off = doubt.delta + between + np.abs(v[1:-1]) * unknown
+    between = np.maximum(np.maximum(gap[1:], gap[:-1]), run.between[part][1:-1])
+    off = doubt.delta + between**2 / 8.0 * run.pull(part)  # a place between two samples is interpolated
+    off += np.abs(v[1:-1]) * (unknown + (0.0 if run.motion.took is None else run.motion.took[part][1:-1]))
     return P, float(jumps @ (window.at(s[1:-1]) * off)) + _ROUNDING * abs(P)
 
 

@@ -24,7 +24,7 @@ from manyhands.protocol.clock import RealtimeClock, SimulatedClock
 if TYPE_CHECKING:
     from manyhands.launch.identify.device_file import Statement
     from manyhands.launch.identify.experiment import AtPose
-    from manyhands.launch.identify.rig import Safety
+    from manyhands.launch.identify.rig import Rig, Safety
 
 commands = typer.Typer()
 
@@ -136,8 +136,21 @@ def _measured(
         with any_key() as rig.stop:
             if pose and not ask:
                 drag(rig, wanted[pose])
-            found.append(experiment(rig, partial(_tell, f"pose {pose + 1} of {number}")))
+            try:
+                found.append(experiment(rig, partial(_tell, f"pose {pose + 1} of {number}")))
+            finally:
+                if rig.late or rig.stale:
+                    say(err, _lateness(rig))
     return found
+
+
+def _lateness(rig: Rig) -> str:
+    """What the machine did to the loop."""
+    return (
+        f"{rig.late} of {rig.ticks} ticks came late, the longest {1e3 * rig.longest:.3g} ms after the one before; "
+        f"{rig.stale} displacements were older than the driver states; these ways are left out. Where too few are "
+        "left: end other programs, give a longer --period, or run the command under chrt -f 10"
+    )
 
 
 def _tell(where: str, text: str) -> None:
