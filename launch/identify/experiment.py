@@ -63,8 +63,8 @@ DRAGGED: Final = 2.0
 """s, in which the device is pulled to another pose."""
 
 STOOD: Final = 2e-4
-"""s, by which the call that returns a displacement may take longer than mostly; beyond that its instant is not known."""
 """s by which the call that returns a displacement may take longer than mostly; beyond that its instant is unknown."""
+
 TRIES: Final = 4
 """How often a run is begun that ends early since the loop got no turn."""
 
