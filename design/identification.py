@@ -63,6 +63,9 @@ RATIO: Final = 1.3
 SURE: Final = 1.3
 """By which what was seen of noise, and of the change of a velocity within :data:`HALF`, is enlarged."""
 
+EVEN: Final = 0.1
+"""Of the median time between samples, by which one may be off among those that tell the noise."""
+
 UNEVEN: Final = 0.1
 """Of the inertia's change from side to side, how far it may be from a straight line within the window."""
 
@@ -72,12 +75,19 @@ ASIDE: Final = 2.0
 ASKEW: Final = 0.005
 """Of what is burned on a way, by which both directions may differ more at one speed than at another."""
 
+POWERS: Final = (1.5, 1.75, 2.0, 2.25, 2.5, 2.75, 3.0)
+"""Of the speed, in drag: sums of these, none negative."""
+
+POWERED: Final = 0.01
+"""Of a drag, how far a power between two of :data:`POWERS` is from their sums, at speeds of a ratio up to 25."""
+
 BENT: Final = 0.5
 """Of its correction, that a velocity may still be off by."""
 
 _ROUNDING: Final = 1e-12  # of a pair's work, J/J
 _SEEN: Final = 65  # places of a window at which both ways are compared
-_PLACES: Final = 24  # narrow windows, for friction that changes with the place
+_PLACES: Final = 48  # narrow windows, for friction that changes with the place: one that repeats over a tenth of a way
+# is flattened in them by less than SURE
 
 
 class NotOfThisClass(ValueError):
@@ -100,6 +110,8 @@ class Motion:
         level: the number of its speed; greater for a faster one.
         turns: indices of ticks at which the wanted motion turns round.
         extra: by tick, work of the motors beyond f^T dx, J: what torques that are held add.
+        stale: by tick, whether the displacement is older than :class:`Doubt` says, and so is none; None where none is.
+        took: by tick, how much later than ``applied`` the force may have been given, s; None for not at all.
     """
 
     sampled: Array
@@ -109,6 +121,8 @@ class Motion:
     level: int
     turns: tuple[int, ...]
     extra: Array | None = None
+    stale: NDArray[np.bool_] | None = None
+    took: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -140,6 +154,8 @@ class Way:
         slow: the least speed where the window is open, m/s; ``fast`` the greatest.
         P_error: bound of the error of P, J; <B, V> is off by at most ``V_error`` (u^T B u + tr B/2), or without the
             trace on a single axis; <M, Q> likewise.
+        K: by power p of :data:`POWERS`, integral psi |v_u|^p |ds|, which is what drag of |v|^p burns; ``K_error`` is
+            the bound of its error.
         aside: the mean way aside by the way ahead.
         squares: v_u^2 over the places of the window, m^2/s^2.
         speed_error: bound of the error of v_u, m/s.
@@ -156,6 +172,8 @@ class Way:
     P_error: float
     V_error: float
     Q_error: float
+    K: Array
+    K_error: Array
     aside: Array
     squares: Array
     speed_error: float
@@ -166,7 +184,8 @@ class Pair:
     """A way there and one back, which is one equation (see the module).
 
     Attributes:
-        level, D, V, Q, R, slow, fast, D_error, V_error, Q_error, aside: those of both ways, as of :class:`Way`.
+        level, D, V, Q, R, slow, fast, D_error, V_error, Q_error, K, K_error, aside: those of both ways, as of
+            :class:`Way`.
         tilted: as Q, for an inertia that grows from -1 to 1 over the window, m^2/s^2.
         apart: as Q, for one that changes by at most 1 in any way.
         odd: half of the difference of both works, J, with ``odd_V`` and ``odd_Q`` likewise.
@@ -185,6 +204,8 @@ class Pair:
     D_error: float
     V_error: float
     Q_error: float
+    K: Array
+    K_error: Array
     aside: Array
     tilted: float
     apart: float
@@ -270,15 +291,23 @@ def encoder_step(x: Array) -> float | None:
 
 
 def noise_of(motion: Motion, u: Array, step: float) -> float:
-    """A bound of the error of a displacement along u, m: half a step, or what is beyond a cubic over :data:`HALF`."""
-    n = max(3, round(HALF / 2.0 / float(np.median(np.diff(motion.sampled)))))
+    """A bound of the error of a displacement along u, m: half a step, or what is beyond a cubic over :data:`HALF`.
+
+    It is looked for where ticks are even and no sample is too old.
+    """
+    gap = np.diff(motion.sampled)
+    n = max(3, round(HALF / 2.0 / float(np.median(gap))))
+    uneven = np.append(np.abs(gap / np.median(gap) - 1.0) > EVEN, False)
+    if motion.stale is not None:
+        uneven |= motion.stale
+    even = np.convolve(uneven[motion.turns[0] :], np.ones(2 * n + 1), "valid") == 0
     powers = np.vander(np.arange(-n, n + 1) / n, 4)
     weights = np.linalg.pinv(powers)[-1]  # of the fit's value in the middle
     worst = 0.0
     for axis in np.flatnonzero(u):
         x = motion.x[motion.turns[0] :, axis]
         fit = np.convolve(x, weights[::-1], "valid")
-        worst = max(worst, float(np.max(np.abs(x[n : len(x) - n] - fit))))
+        worst = max(worst, float(np.max(np.abs(x[n : len(x) - n] - fit)[even], initial=0.0)))
     return max(0.5 * step, SURE * worst)
 
 
@@ -328,8 +357,15 @@ class _Run:
     v: Array
     f: Array
     bend: Array
+    between: Array  # s, between the samples around each instant
     n: int
     half: float
+
+    def pull(self, part: slice) -> float:
+        """A bound of the acceleration on a way, m/s^2."""
+        v, t = self.v[part], self.t[part]
+        n = min(self.n, len(v) // 4)
+        return SURE * float(np.max(np.abs(v[2 * n :] - v[: -2 * n]) / (t[2 * n :] - t[: -2 * n])))
 
 
 def _run_of(motion: Motion, u: Array, doubt: Doubt, part: float) -> _Run:
@@ -339,7 +375,10 @@ def _run_of(motion: Motion, u: Array, doubt: Doubt, part: float) -> _Run:
     """
     late = 0.5 * (doubt.latency[0] + doubt.latency[1])
     t, length = motion.applied, u / np.sqrt(u @ u)
-    y = np.column_stack([np.interp(t + late, motion.sampled, x) for x in motion.x.T])
+    kept = np.ones(len(t), bool) if motion.stale is None else ~motion.stale
+    sampled = motion.sampled[kept]
+    y = np.column_stack([np.interp(t + late, sampled, x) for x in motion.x[kept].T])
+    between = np.diff(sampled)[np.clip(np.searchsorted(sampled, t + late) - 1, 0, len(sampled) - 2)]
     stroke = float(np.median(np.diff(t[list(motion.turns)])))  # from one turn to the next, s
     half = min(LONGEST, max(SHORTEST, part * stroke))
     n = max(1, round(half / float(np.median(np.diff(t)))))
@@ -352,7 +391,9 @@ def _run_of(motion: Motion, u: Array, doubt: Doubt, part: float) -> _Run:
     # a mean over twice the time is off four times as much: a third of the difference corrects the shorter one
     bend = (mean_velocity(n) - mean_velocity(2 * n)) / 3.0
     w = mean_velocity(n) + bend
-    return _Run(motion, length, t, y, w, y @ length, w @ length, motion.f @ length, np.abs(bend @ length), n, half)
+    return _Run(
+        motion, length, t, y, w, y @ length, w @ length, motion.f @ length, np.abs(bend @ length), between, n, half
+    )
 
 
 def _ways(runs: Sequence[_Run], window: _Window, doubt: Doubt) -> Iterator[Way | None]:
@@ -375,12 +416,13 @@ def _way(run: _Run, part: slice, window: _Window, doubt: Doubt) -> Way | None:
     gap, psi, Psi = np.diff(t), window.at(s), window.integral(s)
     opened = psi > 1e-6
     fast, bend = float(np.max(sign * v[opened])), BENT * run.bend[part]
-    off = doubt.delta + 0.5 * np.abs(v) * doubt.jitter  # of a displacement, beside a constant age
+    left_out = np.maximum(run.between[part] ** 2 - float(np.median(run.between)) ** 2, 0.0) / 8.0 * run.pull(part)
+    off = doubt.delta + 0.5 * np.abs(v) * doubt.jitter + left_out  # of a displacement, beside a constant age
     speed_error = 5.0 / 3.0 * float(np.max(off)) / run.half + float(
         np.max(bend[opened])
     )  # of v: with what the correction adds
     slow = float(np.min(sign * v[opened])) - speed_error
-    if slow <= 0.0 or float(gap.max()) > HALF:
+    if slow <= 0.0 or float(gap.max()) > HALF or float(np.max(run.between[part])) > HALF:
         return None
     R = float(np.abs(Psi[-1] - Psi[0]))
 
@@ -396,6 +438,13 @@ def _way(run: _Run, part: slice, window: _Window, doubt: Doubt) -> Way | None:
     over, slopes = _centred(Psi), _centred(psi)
     V = float(over @ v) * np.outer(u, u)
     V_error = error(over) + float(np.abs(np.diff(v)) @ (psi * off)[1:])
+    powers = np.array(POWERS)
+    steep = [error(over * p * np.maximum(sign * v, slow) ** (p - 1.0)) for p in POWERS]
+    turned = 0.5 * powers * np.abs(powers - 1.0) * speed_error**2  # times v^(p-2): what a straight line leaves out
+    bounds = np.maximum(slow ** (powers - 2.0), (fast + speed_error) ** (powers - 2.0))
+    raised = np.maximum(sign * v, 0.0)[:, None] ** powers
+    K = sign * over @ raised
+    K_error = np.array(steep) + turned * bounds * R + (psi * off)[1:] @ np.abs(np.diff(raised, axis=0))
     beside = w - np.outer(v, u)
     weights = psi * _centred(t)
     cross = np.einsum("k,ki,k->i", weights, beside, v)
@@ -409,6 +458,7 @@ def _way(run: _Run, part: slice, window: _Window, doubt: Doubt) -> Way | None:
     P, P_error = _work(run, part, window, doubt)
     return Way(
         run.motion.level, sign > 0.0, P, V, Q, R, slow, fast + speed_error, P_error, V_error, Q_error,
+        K, K_error,
         weights @ beside / R, squares, speed_error,
     )  # fmt: skip
 
@@ -434,10 +484,9 @@ def _work(run: _Run, part: slice, window: _Window, doubt: Doubt) -> tuple[float,
         P += float(psi @ run.motion.extra[part][:-1])
     jumps = np.linalg.norm(np.diff(run.motion.f[part][:-1], axis=0), axis=1)
     unknown = 0.5 * (doubt.latency[1] - doubt.latency[0])
-    n, t = min(run.n, len(v) // 4), run.t[part]
-    pull = SURE * float(np.max(np.abs(v[2 * n :] - v[: -2 * n]) / (t[2 * n :] - t[: -2 * n])))
-    between = np.maximum(gap[1:], gap[:-1]) ** 2 / 8.0 * pull  # a place between two samples is interpolated
-    off = doubt.delta + between + np.abs(v[1:-1]) * unknown
+    between = np.maximum(np.maximum(gap[1:], gap[:-1]), run.between[part][1:-1])
+    off = doubt.delta + between**2 / 8.0 * run.pull(part)  # a place between two samples is interpolated
+    off += np.abs(v[1:-1]) * (unknown + (0.0 if run.motion.took is None else run.motion.took[part][1:-1]))
     return P, float(jumps @ (window.at(s[1:-1]) * off)) + _ROUNDING * abs(P)
 
 
@@ -468,6 +517,8 @@ def _pairs(run: Sequence[_Run], window: _Window, doubt: Doubt) -> list[Pair]:
                 0.5 * (there.P_error + back.P_error),
                 0.5 * (there.V_error + back.V_error),
                 0.5 * (there.Q_error + back.Q_error),
+                0.5 * (there.K + back.K),
+                0.5 * (there.K_error + back.K_error),
                 0.5 * (there.aside - back.aside),
                 float(differ @ (tilt * slope)),
                 float(np.abs(differ) @ np.abs(slope)),
@@ -542,7 +593,7 @@ def mass_interval(line: Line) -> tuple[Interval, float]:
     Raises:
         TooLittle: no way speeds up or slows down.
     """
-    damping, found = _greatest(line)[0], []
+    damping, found = POWERS[-1] * _greatest(line)[0], []  # v^p changes p times as much as v
     more = 1.0 if len(line.u) == 1 else 2.0
     for side in line.sides:
         rows, limits = [], []
@@ -579,19 +630,27 @@ def _range(c: Array, A: Array, b: Array, free: int, extra: Array | None = None) 
 
 @dataclass
 class _Set:
-    """Linear inequalities on z = (B by its upper triangle, M likewise, c by pair, and by line c and what rest adds)."""
+    """Linear inequalities on z >= 0, but for its first two: B and M by their upper triangles, c by pair, and by line c,
+    what rest adds to it, and the drag of each power.
+    """
 
     m: int
     lines: Sequence[Line]
     mass: Sequence[Interval]
     rows: list[Array] = field(default_factory=list)
     limits: list[float] = field(default_factory=list)
+    order: list[Array] = field(default_factory=list)
+    """Rows whose limit is 0: friction does not grow with the speed, and there is no drag."""
 
     def __post_init__(self) -> None:
         self.places = [(i, j) for i in range(self.m) for j in range(i, self.m)]
         self.of_pairs = [(number, pair) for number, line in enumerate(self.lines) for pair in line.pairs]
         self.free = 2 * len(self.places)
-        self.size = self.free + len(self.of_pairs) + 2 * len(self.lines)
+        self.size = self.free + len(self.of_pairs) + (2 + len(POWERS)) * len(self.lines)
+
+    def level(self, line: int) -> int:
+        """Where z has the c of this line; next to it is what rest adds, and then its drag."""
+        return self.free + len(self.of_pairs) + (2 + len(POWERS)) * line
 
     def column(self, matrix: Array) -> Array:
         """<B, matrix> as a row over the upper triangle."""
@@ -608,8 +667,13 @@ class _Set:
 
 
 def _greatest(line: Line) -> tuple[float, float]:
-    """Above what u^T B u can be (N*s/m), and what dry friction can (N), by all that was burned."""
-    damping = min((pair.D + pair.D_error) / max(float(np.trace(pair.V)) - pair.V_error, 1e-30) for pair in line.pairs)
+    """Above what u^T B u and drag by v can be (N*s/m), and what dry friction can (N), by all that was burned."""
+    top = max(pair.level for pair in line.pairs)  # where drag is greatest
+    damping = max(
+        (pair.D + pair.D_error) / max(float(np.trace(pair.V)) - pair.V_error, 1e-30)
+        for pair in line.pairs
+        if pair.level == top
+    )
     return max(damping, 0.0), max(0.0, *((pair.D + pair.D_error) / pair.R for pair in line.pairs))
 
 
@@ -630,6 +694,7 @@ def _constraints(lines: Sequence[Line], mass: Sequence[Interval], changes: Seque
             row[:triangle] = sign * found.column(pair.V) - pair.V_error * off
             row[triangle:first] = sign * found.column(pair.Q) - pair.Q_error * off
             row[first + number] = sign * pair.R
+            row[found.level(at) + 2 : found.level(at + 1)] = sign * pair.K - pair.K_error - POWERED * pair.K
             found.add(row, sign * pair.D + error)
     for line, interval in zip(lines, mass, strict=True):
         u = line.u / np.sqrt(line.u @ line.u)
@@ -645,15 +710,24 @@ def _constraints(lines: Sequence[Line], mass: Sequence[Interval], changes: Seque
             if i == j and bool(np.all(faster.slowest >= slower.fastest)):
                 row = found.empty()
                 row[first + other], row[first + one] = 1.0, -1.0
-                found.add(row, 0.0)
+                found.order.append(row)
+    for at in range(len(lines)):
+        row = found.empty()
+        row[found.level(at) + 2 : found.level(at + 1)] = 1.0
+        found.order.append(row)
     return found
 
 
+def _falling(base: _Set) -> tuple[Array, Array]:
+    """The set where friction falls with the speed in any way, and there is no drag."""
+    return np.array(base.rows + base.order), np.array(base.limits + [0.0] * len(base.order))
+
+
 def _with_stribeck(base: _Set, least: float, most: float) -> tuple[Array, Array]:
-    """The set where each line has c + more e^-(v/v_s)^2 with a v_s of this range, m/s; 0 is no such part."""
+    """The set where each line has c + more e^-(v/v_s)^2 with a v_s of this range, m/s (0 is no such part), and drag."""
     rows, limits = list(base.rows), list(base.limits)
     for number, (i, pair) in enumerate(base.of_pairs):
-        level, more = base.free + len(base.of_pairs) + 2 * i, base.free + len(base.of_pairs) + 2 * i + 1
+        level, more = base.level(i), base.level(i) + 1
         row = base.empty()
         row[base.free + number], row[level] = 1.0, -1.0
         row[more] = -_left(pair.slowest, pair.psi, most)
@@ -684,7 +758,8 @@ def damping_set(lines: Sequence[Line]) -> Identified:
     weighed = [mass_interval(line) for line in lines]
     mass = [interval for interval, _ in weighed]
     base = _constraints(lines, mass, [change for _, change in weighed])
-    A, b = np.array(base.rows), np.array(base.limits)
+    sets = [_with_stribeck(base, *ends) for ends in _stribeck_speeds(lines)]
+    every = [_falling(base), *sets]
     units = [line.u / np.sqrt(line.u @ line.u) for line in lines]
 
     def objective(u: Array) -> Array:
@@ -692,32 +767,37 @@ def damping_set(lines: Sequence[Line]) -> Identified:
         row[: len(base.places)] = base.column(np.outer(u, u))
         return row
 
-    lows = [_range(objective(u), A, b, base.free) for u in units]
-    if not all(lows):
+    ends = [[_range(objective(u), *one, base.free) for u in units] for one in every]
+    if not any(all(of) for of in ends):
         raise NotOfThisClass(
             "found no damping, mass and friction that agree with what was measured; expected a device that burns "
-            "b v^2 and dry friction which does not grow with the speed: something else acts on it (a hand, a cable, a "
-            "filter or a force of its own), or its driver's sample_age, actuation_delay or step is too small"
+            "b v^2, dry friction which does not grow with the speed, and drag: something else acts on it (a hand, a "
+            "cable, a filter or a force of its own), or its driver's sample_age, actuation_delay or step is too small"
         )
-    sets = [_with_stribeck(base, *ends) for ends in _stribeck_speeds(lines)]
-    coulomb = bool(_range(objective(units[0]), *sets[0], base.free))
+    found = [of for of in ends if all(of)]
+    formed = [of for of in ends[1:] if all(of)] or found
     by_line, friction = [], []
-    for number, (line, u, low) in enumerate(zip(lines, units, lows, strict=True)):
-        ends = [end for one in sets for end in _range(objective(u), *one, base.free)]
-        high = max(ends, default=low[1])
-        by_line.append(Interval(max(0.0, low[0]), max(high, low[0])))
+    for number, line in enumerate(lines):
+        low, high = min(of[number][0] for of in found), max(of[number][1] for of in formed)
+        by_line.append(Interval(max(0.0, low), max(high, low)))
         row = base.empty()
-        row[base.free + len(base.of_pairs) + 2 * number] = 1.0
-        levels = [end for one in sets for end in _range(row, *one, base.free)]
+        row[base.level(number)] = 1.0
+        levels = [
+            end for one, of in zip(sets, ends[1:], strict=True) if all(of) for end in _range(row, *one, base.free)
+        ]
         friction.append(_least_friction(line, levels))
-    least, damping = max(0.0, _least_eigenvalue(base, A, b)), min(interval.high for interval in by_line)
+    damping = min(interval.high for interval in by_line)
+    least = by_line[0].low
+    if len(lines) > 1:
+        least = max(0.0, min(_least_eigenvalue(base, *one) for one, of in zip(every, ends, strict=True) if all(of)))
+    coulomb = np.vstack([sets[0][0], *base.order]), np.append(sets[0][1], np.zeros(len(base.order)))
     return Identified(
         Interval(min(least, damping), damping),
         tuple(by_line),
         tuple(friction),
         _by_axis(friction, [line.u for line in lines]),
         tuple(mass),
-        not coulomb,
+        not _range(objective(units[0]), *coulomb, base.free),
     )
 
 
@@ -754,8 +834,8 @@ def _least_eigenvalue(base: _Set, A: Array, b: Array) -> float:
     row = base.empty()
     row[: len(base.places)] = base.column(np.eye(m))
     trace = _range(row, A, b, base.free)[1]
-    if m == 1 or not np.isfinite(trace):
-        return _range(row, A, b, base.free)[0] if m == 1 else 0.0
+    if not np.isfinite(trace):
+        return 0.0
     least = np.inf
     edge = np.linspace(-1.0, 1.0, GRID + 1)
     for axis in range(m):
@@ -764,6 +844,8 @@ def _least_eigenvalue(base: _Set, A: Array, b: Array) -> float:
             row = base.empty()
             row[: len(base.places)] = base.column(np.outer(w, w) / (w @ w))
             least = min(least, *_range(row, A, b, base.free))
+            if least <= 0.0:
+                return 0.0
     # from the faces of a cube to the sphere nothing grows: half of a cell's diagonal is the greatest angle
     square = np.sin(np.sqrt(m - 1) / GRID) ** 2
     return float((least - square * trace) / (1.0 - square))

@@ -30,7 +30,7 @@ from manyhands.design.identification import (
     measured_line,
     noise_of,
 )
-from manyhands.launch.identify.rig import Aborted, Log, Rig
+from manyhands.launch.identify.rig import Aborted, Controller, Late, Log, Rig
 from manyhands.nodes.kernel.arithmetic import Floats, dot
 
 Array = NDArray[np.float64]
@@ -61,6 +61,12 @@ BEYOND: Final = 1.6
 
 DRAGGED: Final = 2.0
 """s, in which the device is pulled to another pose."""
+
+STOOD: Final = 2e-4
+"""s by which the call that returns a displacement may take longer than mostly; beyond that its instant is unknown."""
+
+TRIES: Final = 4
+"""How often a run is begun that ends early since the loop got no turn."""
 
 FIRST_MASS: Final = 0.15
 """kg, before anything is known."""
@@ -186,10 +192,23 @@ def experiment(rig: Rig, tell: Told = lambda _text: None) -> AtPose:
         motions = []
         for level, (part, times) in enumerate(LEVELS):
             tell(f"{name}: {times} times to and fro at {part * speed:.3g} m/s")
-            log = rig.run(servo, (times + 0.3) * servo.at(part * speed), BEYOND * rig.safety.travel)
+            log = _run(rig, servo, (times + 0.3) * servo.at(part * speed), tell)
             motions.append(_motion(log, level, servo))
         runs.append((u, motions))
     return evaluated(tuple(origin), runs, rig)
+
+
+def _run(rig: Rig, servo: Controller, duration: float, tell: Told) -> Log:
+    """One run; again from its origin where a machine that gave the loop no turn let the device coast out of bounds."""
+    origin = rig.origin
+    for _ in range(TRIES - 1):
+        try:
+            return rig.run(servo, duration, BEYOND * rig.safety.travel)
+        except Late as error:
+            tell(f"once more, for a tick came {1e3 * rig.longest:.3g} ms after the one before: {error}")
+            drag(rig, origin)
+            rig.origin = origin
+    return rig.run(servo, duration, BEYOND * rig.safety.travel)
 
 
 def drag(rig: Rig, to: Sequence[float]) -> None:
@@ -243,7 +262,7 @@ def _warmed(rig: Rig, servo: _Servo, tell: Told, name: str) -> float:
     for part, times in WARM:
         servo.learning = True
         tell(f"{name}: the servo learns mass and friction")
-        log = rig.run(servo, times * servo.at(part * speed), BEYOND * rig.safety.travel)
+        log = _run(rig, servo, times * servo.at(part * speed), tell)
         fit = _mass_of(log, servo.u)
         if fit is not None:
             servo.mass = min(4.0 * servo.mass, max(0.25 * servo.mass, fit, 0.005))
@@ -259,11 +278,16 @@ def _warmed(rig: Rig, servo: _Servo, tell: Told, name: str) -> float:
 
 def _motion(log: Log, level: int, servo: _Servo) -> Motion:
     sampled = np.array(log.sampled)
+    # a program that stood still within a call cannot say when that took place
+    asked, gave = (
+        np.maximum(np.array(took) - float(np.median(took)), 0.0) for took in (log.asked[: len(log.x)], log.gave)
+    )
+    stale = np.array(log.stale) | (asked > STOOD)
     # a tick's work beyond f^T dx is told with the sample that ends the step
     extra = np.append(log.extra[1:], 0.0)
     return Motion(
         sampled, np.array(log.x), np.array(log.applied), np.array(log.f), level, servo.turns(np.array(log.phase)),
-        extra if np.any(extra) else None,
+        extra if np.any(extra) else None, stale if np.any(stale) else None, gave if np.any(gave) else None,
     )  # fmt: skip
 
 

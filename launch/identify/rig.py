@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from manyhands.nodes.device.plugin import PluginDriver
 from manyhands.nodes.device.specification import DeviceSpecification
 from manyhands.nodes.kernel.arithmetic import Floats, minus, plus
+from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds, seconds
 
 Controller = Callable[[Floats, Floats, float], Floats]
@@ -30,12 +31,22 @@ ages would make its force restless, and a restless force is a wide interval."""
 MOST_TICKS = 2.5
 """Periods by which the wanted motion goes on in a tick at most."""
 
+OLDER = "older_than_stated"
+"""The figure in which drivers count displacements that are older than they state."""
+
+COASTS = 0.5
+"""s after a tick whose force had ended, in which a bound that is left is that tick's fault."""
+
 LOOK_EVERY = 0.02
 """s from one look at the user's key to the next."""
 
 
 class Aborted(Exception):
     """The motion ended early; the message says why, and the device was released."""
+
+
+class Late(Aborted):
+    """A bound ended the motion after a tick that came so late that its force had ended: it may be tried again."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +74,11 @@ class Log:
     applied: list[float] = field(default_factory=list)
     f: list[Floats] = field(default_factory=list)
     extra: list[float] = field(default_factory=list)
+    stale: list[bool] = field(default_factory=list)
+    """Whether the driver counted the displacement as older than it states."""
+    asked: list[float] = field(default_factory=list)
+    """How long the driver's ``sample`` took, s; ``gave`` is its ``apply``."""
+    gave: list[float] = field(default_factory=list)
 
 
 class Rig:
@@ -71,6 +87,10 @@ class Rig:
     Attributes:
         origin: where the present motion began, m.
         stop: whether the user wants an end; asked every :data:`LOOK_EVERY`.
+        ticks: how many there were.
+        late: how many of them came later than half a period after the last one's next.
+        longest: the longest time between two, s.
+        stale: how many displacements were older than the driver states, by its own count.
     """
 
     def __init__(
@@ -103,7 +123,10 @@ class Rig:
         self._means: deque[tuple[float, Floats]] = deque()
         self._sum: Floats = []
         self._last: tuple[Floats, Floats] | None = None  # displacement and force of the tick before
-        self._looked = -math.inf
+        self._looked = self._coasted = -math.inf
+        self._old = 0  # displacements that were too old
+        self.ticks = self.late = self.stale = 0
+        self.longest = 0.0
         self.origin = self._sampled()[1]
 
     def run(self, control: Controller, duration: float, reach: float) -> Log:
@@ -122,8 +145,10 @@ class Rig:
         try:
             while True:
                 at, x = self._sampled()
+                log.asked.append(seconds(Duration(self._now())) - at)
                 # after a tick that came late the wanted motion goes on where it was, and not where it would be
                 phase += 0.0 if before is None else min(at - before, MOST_TICKS * self.T)
+                stale = self._count(at, before)
                 before = at
                 if phase >= duration:
                     return log
@@ -136,7 +161,9 @@ class Rig:
                 log.extra.append(self._extra(x))
                 now = self._now()
                 self._driver.apply(f, now, Instant(now + HOLD))
+                log.gave.append(seconds(Duration(self._now() - now)))
                 self._last = x, f
+                log.stale.append(stale)
                 log.phase.append(phase)
                 log.sampled.append(at)
                 log.x.append(x)
@@ -175,6 +202,20 @@ class Rig:
         self._slot = max(self._slot + 1, -((self._epoch - self._clock.now()) // self._period))
         return seconds(Duration(at)), x
 
+    def _count(self, at: float, before: float | None) -> bool:
+        """Count this tick; returns whether its displacement is older than the driver states."""
+        gap = self.T if before is None else at - before
+        self.ticks += 1
+        self.late += gap > 1.5 * self.T
+        self.longest = max(self.longest, gap)
+        if gap > seconds(HOLD):
+            self._coasted = at
+        own = self._driver.figures().tables.get(names.DRIVER, {})
+        old = int(own.get(OLDER, 0.0))
+        stale, self._old = old > self._old, old
+        self.stale += stale
+        return stale
+
     def _extra(self, x: Floats) -> float:
         """The work of the motors since the last sample beyond f^T dx, J."""
         if not self._works:
@@ -205,21 +246,22 @@ class Rig:
             self._looked = at
             if self.stop():
                 raise Aborted("stopped by a key; no force is exerted")
-        names, stated = self.stated.axes, self.stated
+        axes, stated = self.stated.axes, self.stated
+        bound = Late if at - self._coasted < COASTS else Aborted
         for axis, (place, begin, speed) in enumerate(zip(x, self.origin, v, strict=True)):
             if abs(place - begin) > reach:
-                raise Aborted(
-                    f"axis {names[axis]} moved by {1e3 * (place - begin):.3g} mm; expected at most {1e3 * reach:.3g} mm"
+                raise bound(
+                    f"axis {axes[axis]} moved by {1e3 * (place - begin):.3g} mm; expected at most {1e3 * reach:.3g} mm"
                     ": somebody pushed it, or its force is wrong (manyhands check-driver)"
                 )
             if abs(place) > stated.displacement[axis]:
-                raise Aborted(
-                    f"axis {names[axis]} is at {place:.4g} m; expected within ±{stated.displacement[axis]:g} m, the "
+                raise bound(
+                    f"axis {axes[axis]} is at {place:.4g} m; expected within ±{stated.displacement[axis]:g} m, the "
                     "device's own limit: begin nearer to the middle, or give less travel"
                 )
             if abs(speed) > stated.speed[axis]:
-                raise Aborted(
-                    f"axis {names[axis]} moves at {speed:.3g} m/s; expected at most {stated.speed[axis]:g} m/s, the "
+                raise bound(
+                    f"axis {axes[axis]} moves at {speed:.3g} m/s; expected at most {stated.speed[axis]:g} m/s, the "
                     "device's own limit: give a smaller speed"
                 )
 

@@ -24,7 +24,7 @@ Floats = list[float]
 
 @dataclass
 class Slide:
-    """m(x) x'' + m'(x) x'^2/2 = f + g + k x - b x' - c(x, x') sgn(x')."""
+    """m(x) x'' + m'(x) x'^2/2 = f + g + k x - b x' - (c(x, x') + drag |x'|^power) sgn(x')."""
 
     m: float = 0.2
     b: float = 0.3
@@ -36,7 +36,8 @@ class Slide:
     slope: float = 0.0
     g: float = 0.0
     k: float = 0.0
-    exponent: float = 1.0
+    drag: float = 0.0
+    power: float = 2.0
     x: float = 0.0
     v: float = 0.0
     extra: float = field(default=0.0, init=False)
@@ -62,7 +63,7 @@ class Slide:
         if v == 0.0 and abs(push) <= c:
             return
         way = math.copysign(1.0, v if v else push)
-        b = self.b * abs(v) ** (self.exponent - 1.0) if self.exponent != 1.0 and v else self.b
+        b = self.b + self.drag * abs(v) ** (self.power - 1.0)
         a = (push - b * v - c * way) / (m + 0.5 * b * h)
         after = v + a * h
         if after * way < 0.0:

@@ -24,9 +24,14 @@ from manyhands.protocol.clock import RealtimeClock, SimulatedClock
 if TYPE_CHECKING:
     from manyhands.launch.identify.device_file import Statement
     from manyhands.launch.identify.experiment import AtPose
-    from manyhands.launch.identify.rig import Safety
+    from manyhands.launch.identify.rig import Rig, Safety
 
 commands = typer.Typer()
+
+LATE = 0.01
+"""Part of the ticks; where more come late, the machine may be why too little was measured."""
+
+_ADVICE = "; many ticks came late: end other programs, give a longer --period, or run the command under chrt -f 10"
 
 MOST_AXES = 3
 """The lines that determine the damping of more are too many."""
@@ -119,9 +124,10 @@ def _measured(
     plugin: PluginDriver, stated: DeviceSpecification, period: float, safety: Safety, number: int, yes: bool
 ) -> list[AtPose]:
     """What was found at each pose, each after a question where somebody can answer."""
+    from manyhands.design.identification import TooLittle
     from manyhands.launch.identify.experiment import drag, experiment, poses
     from manyhands.launch.identify.keyboard import any_key
-    from manyhands.launch.identify.rig import Aborted, Rig
+    from manyhands.launch.identify.rig import Aborted, Late, Rig
 
     ask = stated.hardware and not yes
     if ask and not sys.stdin.isatty():
@@ -136,8 +142,22 @@ def _measured(
         with any_key() as rig.stop:
             if pose and not ask:
                 drag(rig, wanted[pose])
-            found.append(experiment(rig, partial(_tell, f"pose {pose + 1} of {number}")))
+            try:
+                found.append(experiment(rig, partial(_tell, f"pose {pose + 1} of {number}")))
+            except (Late, TooLittle) as error:
+                raise type(error)(f"{error}{_ADVICE if rig.late > LATE * rig.ticks else ''}") from error
+            finally:
+                if stated.hardware:
+                    say(err, _lateness(rig))
     return found
+
+
+def _lateness(rig: Rig) -> str:
+    """What the machine did to the loop."""
+    return (
+        f"{rig.late} of {rig.ticks} ticks came late, the longest {1e3 * rig.longest:.3g} ms after the one before; "
+        f"{rig.stale} displacements were older than the driver states, and are left out"
+    )
 
 
 def _tell(where: str, text: str) -> None:
@@ -182,6 +202,14 @@ def _advice(said: Statement, stated: DeviceSpecification, period: float, delay: 
     """Which osp may be stated, and what follows."""
     from manyhands.design.budget import stiffest
 
+    if said.osp is None and any(one.found.stribeck for one in said.poses):
+        dry = "no friction either"
+        if said.friction is not None:
+            dry = f"friction: [{', '.join(f'{value:g}' for value in said.friction)}]"
+        return (
+            "no osp can be stated: all that it burns can be drag, which grows faster than the speed and burns nothing "
+            f"near rest; what may be stated: {dry}"
+        )
     if said.osp is None:
         return (
             "no osp can be stated: the least damping that the motion allows is 0; give more travel or speed, or let "

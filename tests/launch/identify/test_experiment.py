@@ -49,7 +49,18 @@ def test_the_devices_are_the_same_for_a_seed() -> None:
 
 def test_what_a_good_encoder_allows_is_tight() -> None:
     damping = found(PlantDriver(Slide(m=0.2, b=0.3, c=0.1), step=5e-6)).found.damping
-    assert 0.27 < damping.low <= 0.3 <= damping.high < 0.4
+    assert 0.23 < damping.low <= 0.3 <= damping.high < 0.4
+
+
+@pytest.mark.parametrize("power", [1.5, 2.0, 3.0])
+def test_of_drag_alone_nothing_is_stated(power: float) -> None:
+    drag = 0.3 / 0.25 ** (power - 1.0)
+    driver = PlantDriver(Slide(m=0.2, b=0.0, c=0.05, drag=drag, power=power), step=5e-6)
+    at_pose = found(driver)
+    assert at_pose.found.damping.low == 0.0
+    said = statement([at_pose], driver.stated)
+    assert said.osp is None
+    assert at_pose.found.friction[0].low <= 0.05
 
 
 def lied(driver: PlantDriver, **stated: Any) -> PlantDriver:
