@@ -355,14 +355,15 @@ class MotorAxis(DeviceDriver):
         """Send a torque, unless the controller has not heard from us for too long: it would hear this one late.
 
         An axis that is disarmed is sent none: it would exert that as soon as it is armed again, at an instant that
-        nobody knows.
+        nobody knows. And no torque lasts long, so that the watchdog does not disarm the axis again meanwhile.
         """
         open_since = self._questions.oldest
         if open_since is not None and self._clock.now() - open_since > self._patience:
             self._unsent += 1
             return
         self._held = max(-self._most, min(self._most, torque))
-        self._unsent += not self._exert(self._held if self._armed else 0.0, seconds(lives))
+        given = (self._held, lives) if self._armed else (0.0, LONGEST)
+        self._unsent += not self._exert(given[0], seconds(given[1]))
 
     def _tripped(self) -> bool:
         """The axis is disarmed by its watchdog: whether this is news.

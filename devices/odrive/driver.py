@@ -17,7 +17,7 @@ import math
 from collections.abc import Mapping
 from typing import ClassVar, Final
 
-from manyhands.devices.motor_axis import GREETING, PARAMETERS, TURN, Found, MotorAxis, MotorError
+from manyhands.devices.motor_axis import GREETING, LONGEST, PARAMETERS, TURN, Found, MotorAxis, MotorError
 from manyhands.devices.odrive.lines import Answer, Error, Form, answer, command, said
 from manyhands.protocol.clock import Instant, from_seconds, seconds
 
@@ -304,9 +304,13 @@ class ODrive(MotorAxis):
         """The lines that arm an axis which its watchdog had disarmed; what was asked before tells nothing any more."""
         self._reason, self._state, self._lost = 0, IDLE, False
         self._outdated = Form.WHOLE in self._questions
-        # feeding first, for a watchdog that is still expired would be the next error at once; and by no torque, for the
-        # last one would act again
-        return command(f"c {self._axis} 0") + command("sc") + command(f"w {self._of}requested_state {CLOSED_LOOP}")
+        # feeding first, for a watchdog that is still expired would be the next error at once; for long, as the time of
+        # the last torque may be over before the next one comes; and by no torque, for the last one would act again
+        self._watchdog = seconds(LONGEST)
+        long = command(f"w {self._of}config.watchdog_timeout {self._watchdog:.4f}")
+        return (
+            long + command(f"c {self._axis} 0") + command("sc") + command(f"w {self._of}requested_state {CLOSED_LOOP}")
+        )
 
     def _renew(self) -> None:
         """Ask for the status as well: the watchdog may have disarmed an axis that nobody fed."""

@@ -173,6 +173,23 @@ def test_an_axis_that_is_said_to_exert_nothing_exerts_nothing(kind: Kind) -> Non
             driver.idle(Instant(0))
 
 
+def test_an_axis_comes_back_where_all_torques_are_short(kind: Kind) -> None:
+    """A reserve for lateness ends torques early: the axis is fed for long until it is known to be armed."""
+    of, fake = kind
+    with fake() as one, opened(of, one) as driver:
+        until(lambda: (turned(driver, 0.02), one.asked()["torque"])[1] == pytest.approx(0.02))
+        expired, disarmed = one.asked()["expired"], []
+
+        def again() -> bool:
+            turned(driver, 0.02, lives=1)
+            time.sleep(0.005)
+            disarmed.append(driver.exerted() is not None)
+            return disarmed[-2:] == [True, False]
+
+        until(again)
+        assert one.asked()["expired"] > expired
+
+
 def test_an_end_that_comes_nearer_is_obeyed(kind: Kind) -> None:
     """The account may end a force sooner: the second call of a tick has the same torque and less time."""
     of, fake = kind
