@@ -111,6 +111,13 @@ def test_a_device_without_a_watchdog_is_found(device: str, order: str, on_the_wi
 
 
 @pytest.mark.long
+def test_an_inverse3_that_never_lets_go_is_found(tmp_path: Path) -> None:
+    row = ROWS["haply-inverse3"]
+    found = "\n".join(run(row, ["process killed"], 1, tmp_path, orders=["forever"], patience=3.0).wrong)
+    assert "process killed 0: zero: found a force" in found
+
+
+@pytest.mark.long
 def test_a_driver_that_swallows_its_error_is_found(tmp_path: Path) -> None:
     found = planted(tmp_path, "mute", SWALLOWS)
     assert "mute 0: named: found []" in found
