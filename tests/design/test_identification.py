@@ -176,3 +176,15 @@ def test_the_step_of_an_encoder_is_found_and_nothing_where_there_is_none() -> No
 def test_the_lines_are_the_axes_and_the_full_diagonals() -> None:
     assert [line.tolist() for line in lines(2)] == [[1, 0], [0, 1], [1, 1], [1, -1]]
     assert len(lines(3)) == 7
+
+
+def test_displacements_that_are_too_old_are_left_out() -> None:
+    """One in fifty is 2 mm off; left in, they cost the whole answer."""
+    motions = []
+    for level, speed in enumerate(SPEEDS):
+        one = motion(level, speed, 0.3, 0.1, 0.1)
+        stale = np.arange(len(one.sampled)) % 50 == 17
+        motions.append(dataclasses.replace(one, x=one.x + 2e-3 * stale[:, None], stale=stale))
+    damping = found(Doubt(1e-6), motions).damping
+    assert 0.08 < damping.low <= 0.1 <= damping.high < 0.12
+    assert found(Doubt(1e-6), [dataclasses.replace(one, stale=None) for one in motions]).damping.low < 0.01

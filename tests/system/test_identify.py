@@ -1,4 +1,4 @@
-"""`manyhands identify` on a fake board in real time, a process of its own behind a pseudo-terminal, to a felt wall."""
+"""`manyhands identify` on a fake board, a process of its own behind a pseudo-terminal, in real time, up to the wall."""
 
 from __future__ import annotations
 

@@ -14,10 +14,10 @@ from manyhands.design.identification import Identified, NotOfThisClass
 from manyhands.launch.files import TargetError
 from manyhands.launch.identify.device_file import above, below, device_file, require_new, statement, write_device_file
 from manyhands.launch.identify.experiment import AtPose, drag, experiment, poses
-from manyhands.launch.identify.rig import Aborted, Rig, Safety
+from manyhands.launch.identify.rig import Aborted, Late, Rig, Safety
 from manyhands.nodes.device.plugin import PluginDriver
 from manyhands.nodes.device.specification import AxisMap, DeviceSpecification, DeviceTiming
-from manyhands.protocol.clock import SimulatedClock
+from manyhands.protocol.clock import Instant, SimulatedClock
 
 from ...support.cases import WIDE
 from ...support.identified_plants import PlantDriver, Slide
@@ -109,6 +109,42 @@ def test_a_device_that_is_pushed_away_ends_it() -> None:
     with pytest.raises(Aborted, match=r"expected at most|device's own limit"):
         found(driver)
     assert driver.released
+
+
+class Standing(SimulatedClock):
+    """A machine that gives the loop no turn for 0.4 s, once in a motion (after 3 s) or in every second."""
+
+    def __init__(self, every: float) -> None:
+        super().__init__()
+        self._every, self._next = every, 3.0
+
+    def sleep_until(self, t: Instant) -> None:
+        if 1e-9 * t > self._next:
+            self._next += self._every
+            t = Instant(t + 400_000_000)
+        super().sleep_until(t)
+
+
+def coasting(every: float) -> AtPose:
+    """A heavy slide in a narrow room: without force it leaves its bounds."""
+    driver = PlantDriver(Slide(m=0.8, b=0.05, c=0.0), step=5e-6)
+    rig = rig_of(driver)
+    rig = Rig(rig._driver, driver.stated, T, Standing(every), QUICK)
+    told: list[str] = []
+    at_pose = experiment(rig, told.append)
+    assert any("once more, for a tick came 402 ms after the one before" in text for text in told)
+    assert rig.late >= 1
+    assert driver.released
+    return at_pose
+
+
+def test_a_motion_that_a_late_tick_let_out_of_bounds_is_begun_again() -> None:
+    assert coasting(every=1e9).found.damping.low <= 0.05
+
+
+def test_a_machine_that_is_late_again_and_again_ends_it() -> None:
+    with pytest.raises(Late):
+        coasting(every=1.0)
 
 
 def test_the_device_s_own_limits_end_it() -> None:
