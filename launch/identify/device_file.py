@@ -21,7 +21,7 @@ from manyhands.launch.files import TargetError, require_target
 from manyhands.launch.identify.experiment import AtPose, line_names
 from manyhands.nodes.device.specification import DeviceSpecification
 
-CLASS = "m-b-c: inertia, linear damping, dry friction that does not grow with the speed"
+CLASS = "m-b-c: inertia, linear damping, dry friction that does not grow with the speed, drag of a power of 1.5 to 3"
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ HAND: Final = replace(TRUTH, k=100.0, amplitude=0.02, frequency=0.7)
 PERIODS: Final = (0.004, 0.01)
 """s; a busy machine may keep the second where it does not keep the first."""
 
-FEW: Final = 0.002
+FEW: Final = 0.005
 """Part of the ticks that come late, and of the displacements that are too old, where the machine gave all its turns."""
 
 OPTIONS: Final = ("--travel", 0.06, "--speed", 0.25, "--force", 4, "--yes")
@@ -43,7 +43,7 @@ design: {{coupling: spring-damper, tau: 0.003, period_tolerance: 0.5}}
 def identified(file: Path, period: float) -> tuple[dict[str, Any] | None, bool, str]:
     """The device file if it has an osp, whether the machine gave the loop and the board their turns, and the output."""
     with fake_board(TRUTH, period_us=500) as one:
-        parameters = f"{{port: {one.path}, silence: 0.9, sample_age: 0.0015, actuation_delay: 0.0005}}"
+        parameters = f"{{port: {one.path}, silence: 0.9, sample_age: 0.001, actuation_delay: 0.0003}}"
         options = ("--parameters", parameters, "--period", period, *OPTIONS, "-o", file, "--overwrite")
         done = manyhands_command("identify", "serial-board", *options)
         assert one.asked()[1] == [0.0]  # released, however it ended
