@@ -150,7 +150,7 @@ def run(*arguments: str | Path, cwd: Path | None = None) -> str:
         finally:
             signal.signal(signal.SIGINT, before)
         code, out, errors = ended.exit_code, ended.stdout, ended.stderr
-    assert code == 0, f"manyhands {' '.join(words)} ended with {code}: {errors}"
+    assert code == 0, f"manyhands {' '.join(words)} ended with {code}: {errors or out[-2000:]}"
     return out
 
 
