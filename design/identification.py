@@ -99,7 +99,7 @@ class TooLittle(ValueError):
 
 
 @dataclass(frozen=True)
-class Motion:
+class MeasuredMotion:
     """What was measured in one run to and fro along a line.
 
     Attributes:
@@ -127,7 +127,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Doubt:
-    """Bounds of what is not known of the measurement.
+    """Between of what is not known of the measurement.
 
     Attributes:
         delta: of the error of a displacement, m.
@@ -142,7 +142,7 @@ class Doubt:
 
 
 @dataclass(frozen=True)
-class Way:
+class WayThrough:
     """One way under a window.
 
     Attributes:
@@ -180,12 +180,12 @@ class Way:
 
 
 @dataclass(frozen=True)
-class Pair:
+class ThereAndBack:
     """A way there and one back, which is one equation (see the module).
 
     Attributes:
         level, D, V, Q, R, slow, fast, D_error, V_error, Q_error, K, K_error, aside: those of both ways, as of
-            :class:`Way`.
+            :class:`WayThrough`.
         tilted: as Q, for an inertia that grows from -1 to 1 over the window, m^2/s^2.
         apart: as Q, for one that changes by at most 1 in any way.
         odd: half of the difference of both works, J, with ``odd_V`` and ``odd_Q`` likewise.
@@ -230,13 +230,13 @@ class Line:
     """
 
     u: Array
-    pairs: tuple[Pair, ...]
-    sides: tuple[tuple[Pair, ...], tuple[Pair, ...]]
+    pairs: tuple[ThereAndBack, ...]
+    sides: tuple[tuple[ThereAndBack, ...], tuple[ThereAndBack, ...]]
     places: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True)
-class Interval:
+class Between:
     """From the least to the greatest value."""
 
     low: float
@@ -260,11 +260,11 @@ class Identified:
         stribeck: whether only friction that falls with the speed agrees with the data.
     """
 
-    damping: Interval
-    by_line: tuple[Interval, ...]
-    friction: tuple[Interval, ...]
+    damping: Between
+    by_line: tuple[Between, ...]
+    friction: tuple[Between, ...]
     by_axis: tuple[float, ...]
-    mass: tuple[Interval, ...]
+    mass: tuple[Between, ...]
     stribeck: bool
 
 
@@ -290,7 +290,7 @@ def encoder_step(x: Array) -> float | None:
     return step if float(np.max(np.abs(jumps / step - np.round(jumps / step)))) < 1e-3 else None
 
 
-def noise_of(motion: Motion, u: Array, step: float) -> float:
+def noise_of(motion: MeasuredMotion, u: Array, step: float) -> float:
     """A bound of the error of a displacement along u, m: half a step, or what is beyond a cubic over :data:`HALF`.
 
     It is looked for where ticks are even and no sample is too old.
@@ -348,7 +348,7 @@ class _Window:
 class _Run:
     """A motion along a line, by the instants at which its forces changed: s, v and f along it; y and w in all axes."""
 
-    motion: Motion
+    motion: MeasuredMotion
     u: Array
     t: Array
     y: Array
@@ -368,7 +368,7 @@ class _Run:
         return SURE * float(np.max(np.abs(v[2 * n :] - v[: -2 * n]) / (t[2 * n :] - t[: -2 * n])))
 
 
-def _run_of(motion: Motion, u: Array, doubt: Doubt, part: float) -> _Run:
+def _run_of(motion: MeasuredMotion, u: Array, doubt: Doubt, part: float) -> _Run:
     """Displacements and velocities at the instants of the forces, as far as age and delay are known.
 
     Velocities are means over twice this part of a way.
@@ -396,7 +396,7 @@ def _run_of(motion: Motion, u: Array, doubt: Doubt, part: float) -> _Run:
     )
 
 
-def _ways(runs: Sequence[_Run], window: _Window, doubt: Doubt) -> Iterator[Way | None]:
+def _ways(runs: Sequence[_Run], window: _Window, doubt: Doubt) -> Iterator[WayThrough | None]:
     """The ways between two turns; None for one that does not cross the window, or stops in it.
 
     Of the same motion with several means of velocity, each way is told with the least bound of an error.
@@ -407,7 +407,7 @@ def _ways(runs: Sequence[_Run], window: _Window, doubt: Doubt) -> Iterator[Way |
         yield min(told, key=lambda way: way.Q_error, default=None)
 
 
-def _way(run: _Run, part: slice, window: _Window, doubt: Doubt) -> Way | None:
+def _way(run: _Run, part: slice, window: _Window, doubt: Doubt) -> WayThrough | None:
     s, t, v, w, u = run.s[part], run.t[part], run.v[part], run.w[part], run.u
     sign = 1.0 if s[-1] > s[0] else -1.0
     first, last = (s[0], s[-1]) if sign > 0.0 else (s[-1], s[0])
@@ -456,7 +456,7 @@ def _way(run: _Run, part: slice, window: _Window, doubt: Doubt) -> Way | None:
     order = np.argsort(s)
     squares = np.interp(window.places(), s[order], v[order] ** 2)
     P, P_error = _work(run, part, window, doubt)
-    return Way(
+    return WayThrough(
         run.motion.level, sign > 0.0, P, V, Q, R, slow, fast + speed_error, P_error, V_error, Q_error,
         K, K_error,
         weights @ beside / R, squares, speed_error,
@@ -490,10 +490,10 @@ def _work(run: _Run, part: slice, window: _Window, doubt: Doubt) -> tuple[float,
     return P, float(jumps @ (window.at(s[1:-1]) * off)) + _ROUNDING * abs(P)
 
 
-def _pairs(run: Sequence[_Run], window: _Window, doubt: Doubt) -> list[Pair]:
+def _pairs(run: Sequence[_Run], window: _Window, doubt: Doubt) -> list[ThereAndBack]:
     """One pair of each way there with the next one back."""
-    found: list[Pair] = []
-    before: Way | None = None
+    found: list[ThereAndBack] = []
+    before: WayThrough | None = None
     places = window.places()
     psi = window.at(places)
     slope, tilt = np.gradient(psi), np.linspace(-1.0, 1.0, _SEEN)
@@ -506,7 +506,7 @@ def _pairs(run: Sequence[_Run], window: _Window, doubt: Doubt) -> list[Pair]:
         off = max(there.speed_error, back.speed_error)
         speeds = np.sqrt(np.stack([there.squares, back.squares]))
         found.append(
-            Pair(
+            ThereAndBack(
                 way.level,
                 0.5 * (there.P + back.P),
                 0.5 * (there.V + back.V),
@@ -539,7 +539,7 @@ def _pairs(run: Sequence[_Run], window: _Window, doubt: Doubt) -> list[Pair]:
     return found
 
 
-def measured_line(motions: Sequence[Motion], u: Array, doubt: Doubt) -> Line:
+def measured_line(motions: Sequence[MeasuredMotion], u: Array, doubt: Doubt) -> Line:
     """The pairs of ways along a line.
 
     Args:
@@ -562,7 +562,7 @@ def measured_line(motions: Sequence[Motion], u: Array, doubt: Doubt) -> Line:
             "its friction"
         )
 
-    def pairs(window: Sequence[float], of: Sequence[list[_Run]]) -> list[Pair]:
+    def pairs(window: Sequence[float], of: Sequence[list[_Run]]) -> list[ThereAndBack]:
         found = _Window(*(middle + half * place for place in window))
         return [pair for run in of for pair in _pairs(run, found, doubt)]
 
@@ -585,7 +585,7 @@ def measured_line(motions: Sequence[Motion], u: Array, doubt: Doubt) -> Line:
 # --- from ways to sets
 
 
-def mass_interval(line: Line) -> tuple[Interval, float]:
+def mass_interval(line: Line) -> tuple[Between, float]:
     """u^T M u for u of length 1, by where a way speeds up and slows down, and how much it changes on the way, kg.
 
     Half of the difference of both ways' work is G + <M, Q'>; G is of conservative forces, the same at every speed.
@@ -612,7 +612,7 @@ def mass_interval(line: Line) -> tuple[Interval, float]:
         raise TooLittle("found no bound of the moving mass; expected ways at different speeds: give a greater speed")
     middles = [0.5 * (low + high) for low, high in found]
     low, high = min(one[0] for one in found), max(one[1] for one in found)
-    return Interval(max(0.0, low), high), max(middles) - min(middles)
+    return Between(max(0.0, low), high), max(middles) - min(middles)
 
 
 def _range(c: Array, A: Array, b: Array, free: int, extra: Array | None = None) -> list[float]:
@@ -636,7 +636,7 @@ class _Set:
 
     m: int
     lines: Sequence[Line]
-    mass: Sequence[Interval]
+    mass: Sequence[Between]
     rows: list[Array] = field(default_factory=list)
     limits: list[float] = field(default_factory=list)
     order: list[Array] = field(default_factory=list)
@@ -677,7 +677,7 @@ def _greatest(line: Line) -> tuple[float, float]:
     return max(damping, 0.0), max(0.0, *((pair.D + pair.D_error) / pair.R for pair in line.pairs))
 
 
-def _constraints(lines: Sequence[Line], mass: Sequence[Interval], changes: Sequence[float]) -> _Set:
+def _constraints(lines: Sequence[Line], mass: Sequence[Between], changes: Sequence[float]) -> _Set:
     m = len(lines[0].u)
     found = _Set(m, lines, mass)
     drag = sum(_greatest(line)[1] for line in lines[:m])
@@ -779,7 +779,7 @@ def damping_set(lines: Sequence[Line]) -> Identified:
     by_line, friction = [], []
     for number, line in enumerate(lines):
         low, high = min(of[number][0] for of in found), max(of[number][1] for of in formed)
-        by_line.append(Interval(max(0.0, low), max(high, low)))
+        by_line.append(Between(max(0.0, low), max(high, low)))
         row = base.empty()
         row[base.level(number)] = 1.0
         levels = [
@@ -792,7 +792,7 @@ def damping_set(lines: Sequence[Line]) -> Identified:
         least = max(0.0, min(_least_eigenvalue(base, *one) for one, of in zip(every, ends, strict=True) if all(of)))
     coulomb = np.vstack([sets[0][0], *base.order]), np.append(sets[0][1], np.zeros(len(base.order)))
     return Identified(
-        Interval(min(least, damping), damping),
+        Between(min(least, damping), damping),
         tuple(by_line),
         tuple(friction),
         _by_axis(friction, [line.u for line in lines]),
@@ -811,10 +811,10 @@ def _stribeck_speeds(lines: Sequence[Line]) -> list[tuple[float, float]]:
     return [(0.0, 0.0), *zip([0.0, *edges], edges, strict=False)]
 
 
-def _least_friction(line: Line, levels: Sequence[float]) -> Interval:
+def _least_friction(line: Line, levels: Sequence[float]) -> Between:
     """The level of the window's mean, less what the place may take from it, and up to what it may add."""
     if not levels:
-        return Interval(0.0, _greatest(line)[1])
+        return Between(0.0, _greatest(line)[1])
     dip = rise = 0.0
     if line.places:
         mean = float(np.mean([level for level, _ in line.places]))
@@ -822,7 +822,7 @@ def _least_friction(line: Line, levels: Sequence[float]) -> Interval:
         rise = max(0.0, *(SURE * (level - mean) + error for level, error in line.places))
     aside = float(np.linalg.norm(np.mean([pair.aside for pair in line.pairs], axis=0)))
     low, high = min(levels), max(levels)
-    return Interval(max(0.0, low - dip - aside * high), (high + rise) * (1.0 + aside))
+    return Between(max(0.0, low - dip - aside * high), (high + rise) * (1.0 + aside))
 
 
 def _least_eigenvalue(base: _Set, A: Array, b: Array) -> float:
@@ -851,7 +851,7 @@ def _least_eigenvalue(base: _Set, A: Array, b: Array) -> float:
     return float((least - square * trace) / (1.0 - square))
 
 
-def _by_axis(friction: Sequence[Interval], directions: Sequence[Array]) -> tuple[float, ...]:
+def _by_axis(friction: Sequence[Between], directions: Sequence[Array]) -> tuple[float, ...]:
     """The c with sum c_i |v_i| <= N(v) in all directions, where N is a norm: by its convexity between the lines."""
     m = len(directions[0])
     if m == 1:

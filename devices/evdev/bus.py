@@ -65,7 +65,7 @@ UNKNOWN: Final = KernelDriver("an unknown kernel driver", 0.008, 1, 3)
 
 
 @dataclass(frozen=True)
-class Way:
+class UsbWay:
     """The way to a device and back.
 
     Attributes:
@@ -83,21 +83,21 @@ class Way:
     range_file: Path | None = None
 
 
-def way_to(path: str, root: Path = SYSFS) -> Way:
-    """What sysfs, at ``root``, has of the event device at ``path``; an empty :class:`Way` where it has none of it."""
+def way_to(path: str, root: Path = SYSFS) -> UsbWay:
+    """What sysfs, at ``root``, has of the event device at ``path``; an empty :class:`UsbWay` where it has none."""
     hid = root / "class" / "input" / os.path.basename(os.path.realpath(path)) / "device" / "device"
     if not hid.exists():
-        return Way()
+        return UsbWay()
     hid = hid.resolve()
     driver = hid / "driver"
     name = (driver / "module" if (driver / "module").exists() else driver).resolve().name
     polled, sent, turns = _endpoint(hid.parent, "in"), _endpoint(hid.parent, "out"), range_in(hid / "range")
     file = None if turns is None else hid / "range"
     if polled is None:
-        return Way(KNOWN.get(name, UNKNOWN), range=turns, range_file=file)
+        return UsbWay(KNOWN.get(name, UNKNOWN), range=turns, range_file=file)
     joysticks = _text(root / "module" / "usbhid" / "parameters" / "jspoll")
     least = 1e-3 * int(joysticks) if joysticks.isdigit() else 0.0
-    return Way(KNOWN.get(name, UNKNOWN), max(polled, least), max(sent or CONTROL, least), turns, file)
+    return UsbWay(KNOWN.get(name, UNKNOWN), max(polled, least), max(sent or CONTROL, least), turns, file)
 
 
 def tick() -> float:

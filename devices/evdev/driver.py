@@ -25,7 +25,7 @@ from contextlib import suppress
 from typing import Any, Final, TypeVar
 
 from manyhands.devices.evdev import event_device as ev
-from manyhands.devices.evdev.bus import Way, range_in, tick, way_to
+from manyhands.devices.evdev.bus import UsbWay, range_in, tick, way_to
 from manyhands.devices.evdev.event_device import Axis, Calls, EventDevice
 from manyhands.nodes.device.plugin import DeviceDriver
 from manyhands.nodes.device.specification import DeviceSpecification, DeviceTiming
@@ -86,7 +86,7 @@ class EvdevWheel(DeviceDriver):
         period: float,
         parameters: Mapping[str, Any],
         calls: Calls | None = None,
-        way: Way | None = None,
+        way: UsbWay | None = None,
     ) -> None:
         """Open the device for this driver alone, and switch off what it does by itself.
 

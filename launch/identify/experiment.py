@@ -22,7 +22,7 @@ from manyhands.design.identification import (
     Doubt,
     Identified,
     Line,
-    Motion,
+    MeasuredMotion,
     TooLittle,
     damping_set,
     encoder_step,
@@ -30,7 +30,7 @@ from manyhands.design.identification import (
     measured_line,
     noise_of,
 )
-from manyhands.launch.identify.rig import Aborted, Controller, Late, Log, Rig
+from manyhands.launch.identify.rig import Aborted, Controller, Late, MotionLog, Rig
 from manyhands.nodes.kernel.arithmetic import Floats, dot
 
 Array = NDArray[np.float64]
@@ -148,7 +148,7 @@ class _Servo:
         return tuple(int(tick) + 1 for tick in np.flatnonzero(np.diff(half)))
 
 
-def _mass_of(log: Log, u: Floats) -> float | None:
+def _mass_of(log: MotionLog, u: Floats) -> float | None:
     """The mass that fits f = m a + b v + c sgn(v) + g best, kg; None where there is no fit."""
     t, length = np.array(log.sampled), np.array(u)
     s, f = np.array(log.x) @ length, np.array(log.f) @ length
@@ -182,7 +182,7 @@ def experiment(rig: Rig, tell: Told = lambda _text: None) -> AtPose:
     origin, stated = rig.here(), rig.stated
     m = len(origin)
     bias, mass = [0.0] * m, FIRST_MASS if stated.mass is None else float(np.mean(stated.mass))
-    runs: list[tuple[Array, list[Motion]]] = []
+    runs: list[tuple[Array, list[MeasuredMotion]]] = []
     for u in lines(m):
         length = [float(entry) for entry in u / np.sqrt(u @ u)]
         name = _line_name(u, stated.axes)
@@ -198,7 +198,7 @@ def experiment(rig: Rig, tell: Told = lambda _text: None) -> AtPose:
     return evaluated(tuple(origin), runs, rig)
 
 
-def _run(rig: Rig, servo: Controller, duration: float, tell: Told) -> Log:
+def _run(rig: Rig, servo: Controller, duration: float, tell: Told) -> MotionLog:
     """One run; again from its origin where a machine that gave the loop no turn let the device coast out of bounds."""
     origin = rig.origin
     for _ in range(TRIES - 1):
@@ -276,7 +276,7 @@ def _warmed(rig: Rig, servo: _Servo, tell: Told, name: str) -> float:
     return speed
 
 
-def _motion(log: Log, level: int, servo: _Servo) -> Motion:
+def _motion(log: MotionLog, level: int, servo: _Servo) -> MeasuredMotion:
     sampled = np.array(log.sampled)
     # a program that stood still within a call cannot say when that took place
     asked, gave = (
@@ -285,13 +285,13 @@ def _motion(log: Log, level: int, servo: _Servo) -> Motion:
     stale = np.array(log.stale) | (asked > STOOD)
     # a tick's work beyond f^T dx is told with the sample that ends the step
     extra = np.append(log.extra[1:], 0.0)
-    return Motion(
+    return MeasuredMotion(
         sampled, np.array(log.x), np.array(log.applied), np.array(log.f), level, servo.turns(np.array(log.phase)),
         extra if np.any(extra) else None, stale if np.any(stale) else None, gave if np.any(gave) else None,
     )  # fmt: skip
 
 
-def evaluated(origin: tuple[float, ...], runs: Sequence[tuple[Array, list[Motion]]], rig: Rig) -> AtPose:
+def evaluated(origin: tuple[float, ...], runs: Sequence[tuple[Array, list[MeasuredMotion]]], rig: Rig) -> AtPose:
     """What the runs along all lines allow."""
     stated, m = rig.stated, len(origin)
     every = np.concatenate([motion.x for _, motions in runs for motion in motions])

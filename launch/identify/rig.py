@@ -65,7 +65,7 @@ class Safety:
 
 
 @dataclass
-class Log:
+class MotionLog:
     """What happened in a run, by tick; ``phase`` is the time of the wanted motion, s."""
 
     phase: list[float] = field(default_factory=list)
@@ -129,7 +129,7 @@ class Rig:
         self.longest = 0.0
         self.origin = self._sampled()[1]
 
-    def run(self, control: Controller, duration: float, reach: float) -> Log:
+    def run(self, control: Controller, duration: float, reach: float) -> MotionLog:
         """Exert what ``control`` says for so long.
 
         Args:
@@ -141,7 +141,7 @@ class Rig:
             Aborted: the user, the device or a bound ended it.
             DriverFailure: the driver failed.
         """
-        log, phase, before = Log(), 0.0, None
+        log, phase, before = MotionLog(), 0.0, None
         try:
             while True:
                 at, x = self._sampled()

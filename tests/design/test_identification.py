@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from manyhands.design.identification import (
     Doubt,
     Identified,
-    Motion,
+    MeasuredMotion,
     NotOfThisClass,
     TooLittle,
     damping_set,
@@ -38,7 +38,7 @@ def motion(
     late: float = 0.0,
     drag: float = 0.0,
     power: float = 2.0,
-) -> Motion:
+) -> MeasuredMotion:
     """A smooth stroke to and fro with the force that it takes, in closed form; samples are ``late`` s old."""
     omega = speed / TRAVEL
     t = np.arange(0.0, 2.75 * 2.0 * np.pi / omega, T)
@@ -47,13 +47,13 @@ def motion(
     f = m * a + b * v + drag * np.sign(v) * np.abs(v) ** power + c * np.sign(v) - g
     turns = np.flatnonzero(np.diff(np.floor(omega * t / np.pi + 0.5)))
     x = TRAVEL * np.sin(omega * (t - late))
-    return Motion(t, x[:, None], t, f[:, None], level, tuple(int(turn) + 1 for turn in turns))
+    return MeasuredMotion(t, x[:, None], t, f[:, None], level, tuple(int(turn) + 1 for turn in turns))
 
 
 SPEEDS = (0.03, 0.06, 0.12, 0.25)
 
 
-def found(doubt: Doubt, motions: list[Motion]) -> Identified:
+def found(doubt: Doubt, motions: list[MeasuredMotion]) -> Identified:
     return damping_set([measured_line(motions, AXIS, doubt)])
 
 

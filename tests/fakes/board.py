@@ -6,12 +6,13 @@ import os
 import subprocess
 import tty
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import astuple, dataclass
 
 from manyhands.devices.serial_board.frames import Feature
 
 from .compiled import board
+from .ordered import AxesFake, ended
 
 
 @dataclass(frozen=True)
@@ -30,36 +31,10 @@ class Axis:
     speed: float = 2.0
 
 
-class FakeBoard:
-    """A running board.
+class FakeBoard(AxesFake):
+    """A running board; its orders are those of board.c."""
 
-    Attributes:
-        path: of its port.
-        process: that it runs in.
-    """
-
-    def __init__(self, path: str, process: subprocess.Popen[str]) -> None:
-        self.path, self.process = path, process
-
-    def order(self, line: str) -> None:
-        """Give an order of board.c."""
-        assert self.process.stdin is not None
-        self.process.stdin.write(line + "\n")
-        self.process.stdin.flush()
-
-    def asked(self) -> tuple[list[float], list[float], dict[str, int]]:
-        """Its displacement (m), the force on its motors (N), and its counts, of this instant."""
-        self.order("ask")
-        assert self.process.stdout is not None
-        words = self.process.stdout.readline().split()
-        cut, rest = words.index("f"), words.index("broken")
-        counts = dict(zip(words[rest::2], map(int, words[rest + 1 :: 2]), strict=True))
-        return [*map(float, words[1:cut])], [*map(float, words[cut + 1 : rest])], counts
-
-    def unplug(self) -> None:
-        """End it: its port is gone."""
-        self.process.kill()
-        self.process.wait()
+    first_count = "broken"
 
 
 @contextmanager
@@ -80,12 +55,7 @@ def fake_board(
     finally:
         os.close(master)
     try:
-        yield FakeBoard(path, process)
+        with ended(process):
+            yield FakeBoard(path, process)
     finally:
         os.close(slave)
-        process.kill()
-        process.wait()
-        for stream in (process.stdin, process.stdout):
-            if stream is not None:
-                with suppress(BrokenPipeError):
-                    stream.close()

@@ -43,6 +43,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from .ordered import OrderedFake, ended
+
 STEP = 1e-4  # s, of the motion
 LATE = 1e-3  # s, from which on a turn that comes late is written down
 
@@ -262,34 +264,13 @@ class Controller(ABC):
             self._note_torque()
 
 
-class FakeMotor:
-    """A running controller.
-
-    Attributes:
-        path: of its port.
-        process: that it runs in.
-    """
-
-    def __init__(self, path: str, process: subprocess.Popen[str]) -> None:
-        self.path, self.process = path, process
-
-    def order(self, line: str) -> None:
-        """Give an order, as above."""
-        assert self.process.stdin is not None
-        self.process.stdin.write(line + "\n")
-        self.process.stdin.flush()
+class FakeMotor(OrderedFake):
+    """A running controller; its orders are those above."""
 
     def asked(self) -> dict[str, float]:
         """Its angle (rad), the torque that acts (N·m), its watchdog (s), state and counts, of this instant."""
-        self.order("ask")
-        assert self.process.stdout is not None
-        found: dict[str, float] = json.loads(self.process.stdout.readline())
+        found: dict[str, float] = json.loads(self.answer())
         return found
-
-    def unplug(self) -> None:
-        """End it: its port is gone."""
-        self.process.kill()
-        self.process.wait()
 
 
 @contextmanager
@@ -309,15 +290,10 @@ def fake_motor(kind: str, rotor: Rotor, settings: dict[str, Any], link: Path | N
         link.unlink(missing_ok=True)
         link.symlink_to(path)
     try:
-        yield FakeMotor(path, process)
+        with ended(process):
+            yield FakeMotor(path, process)
     finally:
         os.close(slave)
-        process.kill()
-        process.wait()
-        for stream in (process.stdin, process.stdout):
-            if stream is not None:
-                with suppress(BrokenPipeError):
-                    stream.close()
 
 
 def serve(kind: type[Controller]) -> None:

@@ -14,13 +14,14 @@ import struct
 import subprocess
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import astuple, dataclass
 from pathlib import Path
 
 from manyhands.devices.evdev.event_device import EVIOCGRAB, EVIOCRMFF
 
 from .compiled import FAKES, built
+from .ordered import AxesFake, ended
 
 STRICT = ("-std=gnu99", "-Wall", "-Wextra", "-Werror")
 _ASKED = struct.Struct("=IIQq")
@@ -102,31 +103,10 @@ class FakeCalls:
         return result, answer[_ANSWERED.size :]
 
 
-class FakeWheel:
-    """A running fake.
+class FakeWheel(AxesFake):
+    """A running fake; its orders are those of wheel.c."""
 
-    Attributes:
-        path: of its event device.
-        process: that it runs in.
-    """
-
-    def __init__(self, path: str, process: subprocess.Popen[str]) -> None:
-        self.path, self.process = path, process
-
-    def order(self, line: str) -> None:
-        """Give an order of wheel.c."""
-        assert self.process.stdin is not None
-        self.process.stdin.write(line + "\n")
-        self.process.stdin.flush()
-
-    def asked(self) -> tuple[list[float], list[float], dict[str, int]]:
-        """Its positions (rad), the torques of its motors (N·m), and its counts, of this instant."""
-        self.order("ask")
-        assert self.process.stdout is not None
-        words = self.process.stdout.readline().split()
-        cut, rest = words.index("f"), words.index("uploads")
-        counts = dict(zip(words[rest::2], map(int, words[rest + 1 :: 2]), strict=True))
-        return [*map(float, words[1:cut])], [*map(float, words[cut + 1 : rest])], counts
+    first_count = "uploads"
 
     def advance(self, seconds: float) -> None:
         """Let time pass for a fake whose time is ``manual``."""
@@ -157,14 +137,7 @@ def fake_wheel(
             [program, path, kind, str(hz), str(in_us), str(out_us), str(len(turns) or 1), *numbers],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
-        try:
+        with ended(process):
             assert process.stdout is not None
             assert process.stdout.readline() == "ready\n"
             yield FakeWheel(path, process)
-        finally:
-            process.kill()
-            process.wait()
-            for stream in (process.stdin, process.stdout):
-                if stream is not None:
-                    with suppress(BrokenPipeError):
-                        stream.close()

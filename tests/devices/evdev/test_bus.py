@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from manyhands.devices.evdev.bus import CONTROL, KNOWN, PIDFF, UNKNOWN, Way, tick, way_to
+from manyhands.devices.evdev.bus import CONTROL, KNOWN, PIDFF, UNKNOWN, UsbWay, tick, way_to
 
 
 def tree(
@@ -39,7 +39,7 @@ def tree(
 def test_a_wheel_at_a_usb(tmp_path: Path) -> None:
     tree(tmp_path, "hid_logitech_new", range="900\n")
     found = way_to("/dev/input/event7", tmp_path)
-    assert found == Way(KNOWN["hid_logitech_new"], 0.001, 0.002, math.radians(900), found.range_file)
+    assert found == UsbWay(KNOWN["hid_logitech_new"], 0.001, 0.002, math.radians(900), found.range_file)
     assert found.range_file is not None
     assert found.range_file.read_text() == "900\n"
 
@@ -90,9 +90,9 @@ def test_of_several_endpoints_the_slowest_counts(tmp_path: Path) -> None:
 
 
 def test_elsewhere_than_at_a_usb_nothing_is_known(tmp_path: Path) -> None:
-    assert way_to("/dev/input/event7", tmp_path) == Way()
+    assert way_to("/dev/input/event7", tmp_path) == UsbWay()
     tree(tmp_path, "hid_logitech", extra=False, range="0")
-    assert way_to("/dev/input/event7", tmp_path) == Way(KNOWN["hid_logitech"])
+    assert way_to("/dev/input/event7", tmp_path) == UsbWay(KNOWN["hid_logitech"])
 
 
 def test_the_kernels_tick_is_one_that_kernels_have() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from manyhands.devices.evdev import EvdevWheel, WheelError
 from manyhands.devices.evdev import event_device as ev
-from manyhands.devices.evdev.bus import KNOWN, PIDFF, UNKNOWN, KernelDriver, Way
+from manyhands.devices.evdev.bus import KNOWN, PIDFF, UNKNOWN, KernelDriver, UsbWay
 from manyhands.protocol.clock import Instant, from_seconds
 
 from ...fakes.wheel import FakeCalls, FakeWheel, Turn, fake_wheel
@@ -33,9 +33,9 @@ def four_ms(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @contextmanager
-def opened(one: FakeWheel, way: Way | None = None, axes: int = 1, **parameters: Any) -> Iterator[EvdevWheel]:
+def opened(one: FakeWheel, way: UsbWay | None = None, axes: int = 1, **parameters: Any) -> Iterator[EvdevWheel]:
     given = {"device": one.path, "range": 15.0, "most": 2.0, **parameters}
-    bus = way or Way(PIDFF, 0.001, 0.001)
+    bus = way or UsbWay(PIDFF, 0.001, 0.001)
     with closing(EvdevWheel(tuple(f"w.{i}" for i in range(axes)), T, given, FakeCalls(), bus)) as driver:
         yield driver
 
@@ -74,7 +74,7 @@ def test_what_cannot_be_switched_off_is_said() -> None:
     with fake_wheel() as one:
         one.order(f"without {ev.FF_AUTOCENTER}")
         one.order(f"without {ev.FF_GAIN}")
-        with opened(one, Way(KNOWN["hid_logitech"], 0.001, 0.001)) as driver:
+        with opened(one, UsbWay(KNOWN["hid_logitech"], 0.001, 0.001)) as driver:
             said = " ".join(driver.specification().by_itself)
             assert one.asked()[2]["auto"] == 0xFFFF  # of the fake, which has no code to switch it off
     assert "no FF_AUTOCENTER" in said
@@ -106,7 +106,7 @@ def test_leaving_gives_the_filter_back_and_no_effect_stays() -> None:
 def test_the_delay_is_that_of_the_kernel_driver_and_of_its_reports(
     driver: KernelDriver, update: str, delay: float
 ) -> None:
-    with fake_wheel() as one, opened(one, Way(driver, 0.001, 0.001), update=update) as wheel:
+    with fake_wheel() as one, opened(one, UsbWay(driver, 0.001, 0.001), update=update) as wheel:
         assert wheel.specification().timing.actuation_delay == pytest.approx(delay)
 
 
@@ -118,7 +118,7 @@ def test_the_delay_is_that_of_the_kernel_driver_and_of_its_reports(
 def test_forces_act_and_end_within_the_stated_times(kind: str, update: str) -> None:
     """At every phase of the kernel's ticks, timers and frames: from apply to the torque, and from until to its end."""
     turn = Turn(m=1e6)  # nothing moves it, so that nothing else changes
-    with fake_wheel(turn, kind=kind) as one, opened(one, Way(KINDS[kind], 0.001, 0.001), update=update) as driver:
+    with fake_wheel(turn, kind=kind) as one, opened(one, UsbWay(KINDS[kind], 0.001, 0.001), update=update) as driver:
         delay = driver.specification().timing.actuation_delay
         one.order("manual")
         slowest = 0.0
@@ -138,7 +138,7 @@ def test_forces_act_and_end_within_the_stated_times(kind: str, update: str) -> N
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_force_that_is_renewed_never_drops_out_and_follows(kind: str) -> None:
-    with fake_wheel(Turn(m=1e6), kind=kind) as one, opened(one, Way(KINDS[kind], 0.001, 0.001)) as driver:
+    with fake_wheel(Turn(m=1e6), kind=kind) as one, opened(one, UsbWay(KINDS[kind], 0.001, 0.001)) as driver:
         one.order("manual")
         found = []
         for turn in range(40):
@@ -155,7 +155,7 @@ def test_a_force_that_is_renewed_never_drops_out_and_follows(kind: str) -> None:
 
 def test_samples_are_no_older_than_stated() -> None:
     """A wheel that its motor speeds up, read at every phase of the frames."""
-    with fake_wheel(Turn(b=0.2), in_us=2000) as one, opened(one, Way(KINDS["lg4ff"], 0.002, 0.001)) as driver:
+    with fake_wheel(Turn(b=0.2), in_us=2000) as one, opened(one, UsbWay(KINDS["lg4ff"], 0.002, 0.001)) as driver:
         age = driver.specification().timing.sample_age
         assert age == pytest.approx(0.004)
         one.order("manual")
@@ -175,7 +175,7 @@ def test_samples_are_no_older_than_stated() -> None:
 
 
 def test_reports_that_come_later_than_stated_are_counted() -> None:
-    with fake_wheel(in_us=8000) as one, opened(one, Way(KINDS["lg4ff"], 0.001, 0.001)) as driver:
+    with fake_wheel(in_us=8000) as one, opened(one, UsbWay(KINDS["lg4ff"], 0.001, 0.001)) as driver:
         one.order("manual")
         driver.apply([1.0], at(0.0), at(30.0))
         for tick in range(40):
@@ -314,7 +314,7 @@ def test_an_axis_that_is_not_there_is_named() -> None:
 def test_a_file_that_is_no_event_device_is_refused() -> None:
     given = {"device": "/dev/null", "range": 15.0, "most": 2.0}
     with pytest.raises(WheelError, match=r"/dev/null: found Inappropriate ioctl .*expected an event device"):
-        EvdevWheel(("w.0",), T, given, way=Way(PIDFF, 0.001, 0.001))
+        EvdevWheel(("w.0",), T, given, way=UsbWay(PIDFF, 0.001, 0.001))
 
 
 def test_an_unplugged_wheel_is_named_and_comes_back() -> None:
@@ -336,7 +336,7 @@ def test_an_unplugged_wheel_is_named_and_comes_back() -> None:
 
 
 def test_forces_that_a_stalled_bus_delivers_late_are_over_for_a_kernel_that_counts() -> None:
-    with fake_wheel(Turn(m=1e6), kind="lg4ff") as one, opened(one, Way(KINDS["lg4ff"], 0.001, 0.001)) as driver:
+    with fake_wheel(Turn(m=1e6), kind="lg4ff") as one, opened(one, UsbWay(KINDS["lg4ff"], 0.001, 0.001)) as driver:
         one.order("manual")
         one.order("stall 200")
         driver.apply([1.0], at(0.0), at(0.042))
@@ -364,7 +364,7 @@ def test_forces_that_a_stalled_bus_delivers_late_are_over_for_a_kernel_that_coun
 def test_parameters_that_are_none_are_refused(parameters: dict[str, Any], said: str) -> None:
     given = {"device": "/dev/null", "range": 15.0, "most": 2.0, **parameters}
     with pytest.raises(ValueError, match=said):
-        EvdevWheel(("w.0",), T, given, way=Way(PIDFF, 0.001, 0.001))
+        EvdevWheel(("w.0",), T, given, way=UsbWay(PIDFF, 0.001, 0.001))
 
 
 @pytest.mark.parametrize(
@@ -386,16 +386,16 @@ def test_a_device_that_is_away_is_named_before_anything_is_said_of_its_bus() -> 
 
 def test_times_are_needed_where_no_bus_tells_them() -> None:
     with fake_wheel() as one:
-        with pytest.raises(ValueError, match=r"no USB endpoint of .* in /sys"), opened(one, Way()):
+        with pytest.raises(ValueError, match=r"no USB endpoint of .* in /sys"), opened(one, UsbWay()):
             pass
-        with opened(one, Way(), sample_age=0.003, actuation_delay=0.005) as driver:
+        with opened(one, UsbWay(), sample_age=0.003, actuation_delay=0.005) as driver:
             timing = driver.specification().timing
     assert (timing.sample_age, timing.actuation_delay) == (0.003, 0.005)
 
 
 def test_a_period_in_which_the_bus_cannot_take_the_reports_is_refused() -> None:
     """4 ms a report, three of them in 12 ms: as many as leave. A restart is one too many."""
-    way = Way(PIDFF, 0.001, 0.004)
+    way = UsbWay(PIDFF, 0.001, 0.004)
     with fake_wheel(kind="pid", out_us=4000) as one:
         with opened(one, way) as driver:
             assert driver.specification().timing.actuation_delay == pytest.approx(0.016)
@@ -420,10 +420,10 @@ def test_a_range_that_differs_from_the_kernel_drivers_is_refused() -> None:
     with fake_wheel() as one:
         with (
             pytest.raises(ValueError, match=r"range: found 15 rad; expected 15.708 rad \(900°\)"),
-            opened(one, Way(PIDFF, 0.001, 0.001, 15.708)),
+            opened(one, UsbWay(PIDFF, 0.001, 0.001, 15.708)),
         ):
             pass
-        with opened(one, Way(PIDFF, 0.001, 0.001, 15.708), range=15.7):
+        with opened(one, UsbWay(PIDFF, 0.001, 0.001, 15.708), range=15.7):
             pass
 
 
@@ -431,7 +431,7 @@ def test_a_range_that_is_changed_meanwhile_ends_it_by_name(tmp_path: Path) -> No
     """A wheel that stands in its middle then does not jump: its positions alone would not show it."""
     file = tmp_path / "range"
     file.write_text("900\n")
-    way = Way(PIDFF, 0.001, 0.001, 15.708, file)
+    way = UsbWay(PIDFF, 0.001, 0.001, 15.708, file)
     with fake_wheel() as one, opened(one, way, range=15.7) as driver:
         driver.idle(at(1.0))
         file.write_text("270\n")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from manyhands.devices.evdev import EvdevWheel
-from manyhands.devices.evdev.bus import KNOWN, PIDFF, Way
+from manyhands.devices.evdev.bus import KNOWN, PIDFF, UsbWay
 from manyhands.launch.conformance.driver import (
     RELEASE,
     SIGN,
@@ -55,7 +55,7 @@ def verdicts(kind: str, order: str | None, turns: tuple[Turn, ...], update: str 
         given = {"device": one.path, "range": turns[0].range, "most": turns[0].most, "update": update}
         given["mass"] = turns[0].m
         ports = tuple(f"d.{axis}" for axis in range(len(turns)))
-        driver = EvdevWheel(ports, T, given, FakeCalls(), Way(BUSES[kind], 0.001, 0.001))
+        driver = EvdevWheel(ports, T, given, FakeCalls(), UsbWay(BUSES[kind], 0.001, 0.001))
         stated = driver.specification()
         own = AxisMap(tuple(range(len(turns))), (1.0,) * len(turns))
         clock = FakesClock(one)

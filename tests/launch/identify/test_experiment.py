@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 import yaml
 
-from benchmarks.identify import identified, random_driver, summary
 from manyhands.design.identification import Identified, NotOfThisClass
 from manyhands.launch.files import TargetError
 from manyhands.launch.identify.device_file import above, below, device_file, require_new, statement, write_device_file
@@ -20,6 +19,7 @@ from manyhands.nodes.device.specification import AxisMap, DeviceSpecification, D
 from manyhands.protocol.clock import Instant, SimulatedClock
 
 from ...support.cases import WIDE
+from ...support.identified_devices import identified, random_driver, summary
 from ...support.identified_plants import PlantDriver, Slide
 
 T = 2e-3
@@ -37,7 +37,7 @@ def found(driver: PlantDriver) -> AtPose:
 
 
 def test_no_lower_end_is_above_the_truth() -> None:
-    numbers = [number for number in range(200 if WIDE else 14) if number % 10 or WIDE]
+    numbers = [number for number in range(24 if WIDE else 14) if number % 10 or WIDE]
     lines, holds = summary([identified(number, seed=7) for number in numbers])
     assert holds, "\n".join(lines)
 
