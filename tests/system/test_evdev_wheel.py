@@ -54,6 +54,7 @@ def preloaded(one: FakeWheel, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("kind", ["pid", pytest.param("lg4ff", marks=pytest.mark.long)])
+@pytest.mark.alone  # its recording is judged in real time
 def test_a_wheel_is_felt_in_a_session_and_its_recording_holds(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -63,6 +63,7 @@ def session_of(folder: Path, devices: FakeDevices, linkage: object) -> Path:
     return path
 
 
+@pytest.mark.alone  # its recording is judged in real time
 def test_a_device_is_felt_in_a_session_and_its_recording_holds(tmp_path: Path, devices: FakeDevices) -> None:
     recording, report = tmp_path / "omega.mcap", tmp_path / "omega.json"
     session = session_of(tmp_path, devices, KINEMATICS)

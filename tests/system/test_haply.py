@@ -6,6 +6,8 @@ import json
 import time
 from pathlib import Path
 
+import pytest
+
 from ..fakes.haply import FakeHaply, fake_haply
 from ..support.commands import read_until, run, started
 
@@ -56,6 +58,7 @@ HAND = {"mass": 0.15, "damping": 1.0, "step": 0.001, "hand": 100.0, "amplitude":
 """Somebody holds the device, and moves."""
 
 
+@pytest.mark.alone  # its recording is judged in real time
 def test_two_devices_of_one_service_are_felt_in_a_session_and_its_recording_holds(tmp_path: Path) -> None:
     with fake_haply(devices=["049D", "04BA"], **HAND) as one:
         path = tmp_path / "inverse.yaml"

@@ -61,6 +61,7 @@ def until(true: Callable[[], bool]) -> None:
 
 
 @KINDS
+@pytest.mark.alone  # its recording is judged in real time
 def test_a_knob_is_felt_in_a_session_and_its_recording_holds(driver: str, fake: Fake, tmp_path: Path) -> None:
     with fake(HAND) as one:
         recording, report = tmp_path / "knob.mcap", tmp_path / "knob.json"

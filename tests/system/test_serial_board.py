@@ -6,6 +6,8 @@ import json
 import time
 from pathlib import Path
 
+import pytest
+
 from ..fakes.board import Axis, fake_board
 from ..support.commands import read_until, run, started
 
@@ -36,6 +38,7 @@ HAND = Axis(m=0.15, b=1.0, step=1e-5, k=100.0, amplitude=0.01, frequency=0.7)
 """Somebody holds the board, and moves."""
 
 
+@pytest.mark.alone  # its recording is judged in real time
 def test_a_board_is_felt_in_a_session_and_its_recording_holds(tmp_path: Path) -> None:
     with fake_board(HAND, period_us=500) as one:
         session = tmp_path / "board.yaml"
