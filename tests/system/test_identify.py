@@ -63,6 +63,7 @@ def identified(file: Path, period: float) -> tuple[dict[str, Any] | None, bool, 
 
 
 @pytest.mark.long
+@pytest.mark.alone  # beside other tests the loop has no turns
 def test_a_board_is_identified_in_real_time_and_its_wall_is_felt(tmp_path: Path) -> None:
     file = tmp_path / "stick.device.yaml"
     for period in PERIODS:
