@@ -331,7 +331,8 @@ class Recovery:
             return out
         for node in reversed(list(self.graph.nodes)):  # the binder of a link before its connector
             state = self.states[node]
-            paused = node in self._vain and now < self._vain[node][1]
+            # nodes of one process start together, so none of them may begin to wait for a process alone
+            paused = any(mate in self._vain and now < self._vain[mate][1] for mate in self.graph.together(node))
             if state is NodeState.LOST and node not in self.remote and not paused and self._all_to_be_found(node):
                 self.states[node], self._since[node] = NodeState.STARTING, now
                 out += [ReleaseName(node), StartProcess(node)]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -9,7 +11,7 @@ from hypothesis import strategies as st
 from manyhands.launch.plan.topology import LinkPlan, Topology
 from manyhands.launch.run.conductor import EPOCH_DELAY_NS, Conductor
 from manyhands.launch.run.recovery import LINK_TRANSITIONS, RETURN_TIME, LinkEvent, LinkState, Restarts
-from manyhands.launch.run.states import NodeState, ReleaseName, Send, SessionPhase, StartProcess, Terminate
+from manyhands.launch.run.states import Kill, NodeState, ReleaseName, Send, SessionPhase, StartProcess, Terminate
 from manyhands.protocol.clock import from_seconds
 from manyhands.protocol.messages import (
     Absent,
@@ -258,6 +260,33 @@ class Test_offers:
             waited.append((now - began) / 1e9)
         assert waited == [1.0, 2.0, 4.0, 8.0, 10.0, 10.0]
         assert StartProcess("dx") in c.exited("dx", -9, now)  # a process that was killed did not start in vain
+
+    def test_nodes_of_one_process_wait_for_a_start_in_vain_together_and_the_session_can_end_meanwhile(self) -> None:
+        """One that began to wait alone had no process, and so no end: the session went on ending for ever."""
+        apart = tuple(link for link in LINKS if link.connector != "dx")
+        graph = replace(GRAPH, links=apart, carriers={"cx": "dx"})
+        c = FakeSession(graph, Conductor(graph, CERTIFICATE, "s", TICKS, restarts=Restarts(100, WINDOW))).conductor
+        assert c.phase is SessionPhase.RUNNING
+        started = [*c.exited("dx", -9, 0), *c.exited("cx", -9, 0)]
+        started += c.receive("environment", Offer("cx", "ipc:///anew"), 0)
+        assert {StartProcess("dx"), StartProcess("cx")} <= {one for one in started if isinstance(one, StartProcess)}
+        deeds = [*c.exited("dx", 2, 0, "plug the device in"), *c.exited("cx", 2, 0)]
+        assert not any(isinstance(one, StartProcess) for one in deeds)
+        assert {c.states["dx"], c.states["cx"]} == {NodeState.LOST}
+        c.interrupt()
+        for node, state in list(c.states.items()):
+            if state is not NodeState.ENDED:
+                c.exited(node, 0, 0)
+        assert c.phase is SessionPhase.OVER
+
+    def test_a_session_ends_though_a_node_has_no_process_that_could_end(self) -> None:
+        c = session().conductor
+        c.interrupt()
+        for node in NODES:
+            if node != "dx":
+                c.exited(node, 0, 0)
+        assert (c.too_late(), c.phase) == ([Kill()], SessionPhase.ENDING)  # its process may be slow to die
+        assert (c.too_late(), c.phase) == ([Kill()], SessionPhase.OVER)
 
     def test_a_hello_of_a_former_process_is_not_the_next_ones(self) -> None:
         c = session().conductor
