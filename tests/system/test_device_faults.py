@@ -29,9 +29,12 @@ FEW = {
 """By device, the faults of the ordinary tests; `make device-faults` has all."""
 
 ALWAYS = "serial-board"
-"""The device that `make test` tries, and `make test-long` more widely; the others' few are in `make test-long`."""
+"""The device that `make test` tries, and `make test-long` more widely."""
 
-EACH = [pytest.param(device, marks=[] if device == ALWAYS else pytest.mark.long) for device in ROWS]
+MINUTES = [pytest.mark.long, pytest.mark.alone, pytest.mark.minutes]
+"""The others' few are run by `make guests`: their sessions in real time take minutes."""
+
+EACH = [pytest.param(device, marks=[] if device == ALWAYS else MINUTES) for device in ROWS]
 
 
 @pytest.mark.wide
@@ -95,11 +98,11 @@ def planted(tmp_path: Path, fault: str, driver: str = "", *orders: str, device: 
     ("device", "order", "on_the_wire"),
     [
         ("serial-board", "forever", False),
-        pytest.param("moteus", "forever", True, marks=pytest.mark.long),
-        pytest.param("odrive", "forever", True, marks=pytest.mark.long),
-        pytest.param("haply-inverse3", "forever", False, marks=pytest.mark.long),
-        pytest.param("force-dimension", "deaf 1", False, marks=pytest.mark.long),
-        pytest.param("evdev-wheel", "endless", False, marks=pytest.mark.long),
+        pytest.param("moteus", "forever", True, marks=MINUTES),
+        pytest.param("odrive", "forever", True, marks=MINUTES),
+        pytest.param("haply-inverse3", "forever", False, marks=MINUTES),
+        pytest.param("force-dimension", "deaf 1", False, marks=MINUTES),
+        pytest.param("evdev-wheel", "endless", False, marks=MINUTES),
     ],
 )
 def test_a_device_without_a_watchdog_is_found(device: str, order: str, on_the_wire: bool, tmp_path: Path) -> None:
