@@ -110,7 +110,10 @@ def device_file(
     if of.step is not None:
         keys["step"] = _plain(of.step), f"{program}: the steps of all samples, and the driver's statement"
     if of.friction is not None and of.step is not None:
-        keys["friction"] = _plain(of.friction), f"{where}, least level over the places, beyond Stribeck's speed"
+        keys["friction"] = (
+            {"least": _plain(of.friction)},
+            f"{where}, least level over the places, beyond Stribeck's speed",
+        )
     limits = {"force": stated.force, "displacement": stated.displacement, "speed": stated.speed}
     keys["limits"] = {key: _plain(values) for key, values in limits.items()}, said
     if timing.sample_age:

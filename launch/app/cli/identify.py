@@ -205,7 +205,7 @@ def _advice(said: Statement, stated: DeviceSpecification, period: float, delay: 
     if said.osp is None and any(one.found.stribeck for one in said.poses):
         dry = "no friction either"
         if said.friction is not None:
-            dry = f"friction: [{', '.join(f'{value:g}' for value in said.friction)}]"
+            dry = f"friction: {{least: [{', '.join(f'{value:g}' for value in said.friction)}]}}"
         return (
             "no osp can be stated: all that it burns can be drag, which grows faster than the speed and burns nothing "
             f"near rest; what may be stated: {dry}"
@@ -218,7 +218,7 @@ def _advice(said: Statement, stated: DeviceSpecification, period: float, delay: 
     tau = delay + stated.timing.latency
     keys = f"osp: {said.osp:g}"
     if said.friction is not None and said.step is not None:
-        keys += f", friction: [{', '.join(f'{value:g}' for value in said.friction)}]"
+        keys += f", friction: {{least: [{', '.join(f'{value:g}' for value in said.friction)}]}}"
     text = f"for the session file: {keys}"
     if tau > period:
         return (

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from manyhands.launch.session import Session
+
 from ....support.commands import manyhands_command
 
 SLIDE = "tests.support.identified_plants:slide"
@@ -25,10 +27,22 @@ def test_it_ends_with_the_osp_and_the_stiffness_that_follows_and_writes_both(tmp
     osp = read["keys"]["osp"]
     assert 0.4 < osp <= 0.5
     assert read["device"] == "slide"
-    assert done.stdout.splitlines()[-1].startswith(f"for the session file: osp: {osp:g}, friction: [")
+    assert done.stdout.splitlines()[-1].startswith(f"for the session file: osp: {osp:g}, friction: {{least: [")
     # K = b/(T/2), with no delay
     assert f"up to {osp / 0.001:.4g} N/m follows" in done.stdout
     assert (tmp_path / "identify-1.png").stat().st_size > 1000
+    device = Session.from_dict(
+        {
+            "session": "found",
+            "period": 0.002,
+            "devices": {"stick": {"from": str(file)}},
+            "couplings": {"c": {"devices": ["stick"]}},
+            "environment": {"type": "network", "links": [{"between": ["stick.0", "ground"], "stiffness": 100}]},
+            "design": {"coupling": "spring-damper"},
+        }
+    ).devices["stick"]
+    assert device.osp == ((osp,),)
+    assert device.friction is not None
     again = manyhands_command("identify", SLIDE, "-o", file)
     assert again.exit_code == 2
     assert "--overwrite" in again.output
