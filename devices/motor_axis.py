@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
 from manyhands.devices.serial_port import PortError, SerialPort
-from manyhands.devices.starting import checked, number, trips, up
+from manyhands.devices.starting import checked, is_number, trips, up
 from manyhands.nodes.device.plugin import DeviceDriver
 from manyhands.nodes.device.specification import DeviceSpecification, DeviceTiming
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds, seconds
@@ -393,8 +393,8 @@ def _checked(parameters: Mapping[str, Any], known: Mapping[str, object]) -> dict
         value = given[name]
         if value is None and known[name] is None and name != "torque":
             continue
-        if not number(value) or not 0.0 < value < math.inf:
+        if not is_number(value) or not value > 0.0:
             raise ValueError(f"parameters.{name}: found {value!r:.40}; expected a number of {unit} greater than 0")
-    if not number(given["zero"]) or not math.isfinite(given["zero"]):
+    if not is_number(given["zero"]):
         raise ValueError(f"parameters.zero: found {given['zero']!r:.40}; expected an angle in rad")
     return given

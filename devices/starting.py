@@ -1,10 +1,10 @@
-"""What drivers behind a serial port do at their start: check what a session gives them, and measure trips."""
+"""What drivers do at their start: check what a session gives them, and measure trips."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final
+from typing import Any, Final, TypeGuard
 
 from manyhands.protocol.clock import Duration, seconds
 
@@ -15,8 +15,20 @@ ROUND: Final = 5e-5
 """s; the timing that is stated is rounded up to multiples of it, so that it is the same at the next start."""
 
 
-def checked(parameters: Mapping[str, Any], known: Mapping[str, object], times: Sequence[str]) -> dict[str, Any]:
+def merged(parameters: Mapping[str, Any], known: Mapping[str, object]) -> dict[str, Any]:
     """The parameters of a session, with what holds where one is not given.
+
+    Raises:
+        ValueError: one is not known.
+    """
+    for name in parameters:
+        if name not in known:
+            raise ValueError(f"parameters: found {name!r:.40}; expected {', '.join(known)}")
+    return {**known, **parameters}
+
+
+def checked(parameters: Mapping[str, Any], known: Mapping[str, object], times: Sequence[str]) -> dict[str, Any]:
+    """The parameters of a session for a device behind a serial port, with what holds where one is not given.
 
     Args:
         parameters: as the session gives them.
@@ -26,10 +38,7 @@ def checked(parameters: Mapping[str, Any], known: Mapping[str, object], times: S
     Raises:
         ValueError: one is not known, there is no port, or a value is none of its kind.
     """
-    for name in parameters:
-        if name not in known:
-            raise ValueError(f"parameters: found {name!r:.40}; expected {', '.join(known)}")
-    given = {**known, **parameters}
+    given = merged(parameters, known)
     if not isinstance(given["port"], str) or not given["port"]:
         raise ValueError("parameters.port: found none; expected the device's serial port, as /dev/ttyACM0")
     if not isinstance(given["baud"], int):
@@ -38,14 +47,14 @@ def checked(parameters: Mapping[str, Any], known: Mapping[str, object], times: S
         value = given[name]
         if value is None and known[name] is None:
             continue
-        if not number(value) or not 0.0 < value < 1.0:
+        if not is_number(value) or not 0.0 < value < 1.0:
             raise ValueError(f"parameters.{name}: found {value!r:.40}; expected a time in s, below 1")
     return given
 
 
-def number(value: object) -> bool:
-    """Whether it is a number, and no truth value."""
-    return isinstance(value, int | float) and not isinstance(value, bool)
+def is_number(value: object) -> TypeGuard[int | float]:
+    """Whether it is a finite number, and no truth value."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def trips(trip: Callable[[], Duration]) -> tuple[float, float]:

@@ -27,6 +27,7 @@ from typing import Any, Final, TypeVar
 from manyhands.devices.evdev import event_device as ev
 from manyhands.devices.evdev.bus import UsbWay, range_in, tick, way_to
 from manyhands.devices.evdev.event_device import Axis, Calls, EventDevice
+from manyhands.devices.starting import is_number, merged
 from manyhands.nodes.device.plugin import DeviceDriver
 from manyhands.nodes.device.specification import DeviceSpecification, DeviceTiming
 from manyhands.protocol.clock import Duration, Instant, from_seconds, seconds
@@ -379,10 +380,7 @@ class EvdevWheel(DeviceDriver):
 
 def _checked(parameters: Mapping[str, Any], m: int) -> dict[str, Any]:
     """The parameters, with what holds where one is not given."""
-    for name in parameters:
-        if name not in PARAMETERS:
-            raise ValueError(f"parameters: found {name!r:.40}; expected {', '.join(PARAMETERS)}")
-    given = {**PARAMETERS, **parameters}
+    given = merged(parameters, PARAMETERS)
     if not isinstance(given["device"], str) or not given["device"]:
         raise ValueError("parameters.device: found none; expected the path of its event device, as in /dev/input/by-id")
     kinds = {"range": "the angle from stop to stop, rad", "most": "the greatest torque, N·m", "mass": "inertia, kg·m²"}
@@ -409,7 +407,7 @@ def _each(value: Any, m: int) -> list[Any]:
 
 
 def _positive(value: object) -> bool:
-    return not isinstance(value, bool) and isinstance(value, int | float) and 0.0 < value < math.inf
+    return is_number(value) and value > 0.0
 
 
 def _counts(axis: Axis) -> int:

@@ -29,6 +29,7 @@ from typing import Any, Final
 
 from manyhands.devices.force_dimension import survey
 from manyhands.devices.force_dimension.library import SATURATED, SYNCHRONOUS, ForceDimensionError, Kinematics, load
+from manyhands.devices.starting import TRIPS, is_number, merged, up
 from manyhands.nodes.device.plugin import DeviceDriver
 from manyhands.nodes.device.specification import DeviceSpecification, DeviceTiming
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds, seconds
@@ -54,12 +55,6 @@ REACHES: Final[Mapping[str, tuple[tuple[int, ...], float]]] = {
     "Falcon": ((60,), 0.04),
 }
 """Of each family the system types, and the radius of its workspace, m (CHAI3D 3.3.0, src/devices/CDeltaDevices.cpp)."""
-
-TRIPS: Final = 200
-"""Exchanges of which the longest counts."""
-
-ROUND: Final = 5e-5
-"""s; times that are stated are rounded up to multiples of it."""
 
 TICK: Final = Duration(125_000)
 """ns; the watchdog's step."""
@@ -193,8 +188,8 @@ class ForceDimension(DeviceDriver):
             kinematics.called("dhdSetDeltaJointTorques", *_ZERO)
             reading, acting = max(reading, read - begin), max(acting, clock.now() - read)
         age, delay = given["sample_age"], given["actuation_delay"]
-        age = _up(seconds(Duration(reading))) if age is None else age
-        return DeviceTiming(age, None, _up(seconds(Duration(acting))) if delay is None else delay)
+        age = up(seconds(Duration(reading))) if age is None else age
+        return DeviceTiming(age, None, up(seconds(Duration(acting))) if delay is None else delay)
 
     # --- the loop
 
@@ -499,10 +494,7 @@ def reach_of(kinematics: Kinematics, given: float | None) -> float:
 
 def _checked(parameters: Mapping[str, Any]) -> dict[str, Any]:
     """The parameters, with what holds where one is not given."""
-    for name in parameters:
-        if name not in PARAMETERS:
-            raise ValueError(f"parameters: found {name!r:.40}; expected {', '.join(PARAMETERS)}")
-    given: dict[str, Any] = {**PARAMETERS, **parameters}
+    given = merged(parameters, PARAMETERS)
     library = given["library"]
     if not isinstance(library, str) or (library and not Path(library).is_absolute()):
         raise ValueError(f"parameters.library: found {library!r:.80}; expected the whole path of libdrd")
@@ -517,12 +509,7 @@ def _checked(parameters: Mapping[str, Any]) -> dict[str, Any]:
         value, longest = given[name], 10.0 if name == "speed" else 1.0
         if value is None and PARAMETERS[name] is None:
             continue
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value <= longest:
+        if not is_number(value) or not 0.0 < value <= longest:
             expected = units.get(name, "a time in s, at most 1")
             raise ValueError(f"parameters.{name}: found {value!r:.40}; expected {expected}")
     return given
-
-
-def _up(time: float) -> float:
-    """A time rounded up to a multiple of :data:`ROUND`, s."""
-    return round(ROUND * math.ceil(time / ROUND - 1e-9), 9)

@@ -49,6 +49,7 @@ from manyhands.devices.haply.service import (
     version_of,
 )
 from manyhands.devices.haply.work import MotorWork, same
+from manyhands.devices.starting import is_number, merged, up
 from manyhands.nodes.device.plugin import PART, DeviceDriver
 from manyhands.nodes.device.specification import DeviceSpecification, DeviceTiming
 from manyhands.nodes.kernel.realtime import schedule_as
@@ -57,9 +58,6 @@ from manyhands.protocol.limits import MAX_SENTENCE
 
 TRIPS: Final = 300
 """Messages of which the longest trip counts."""
-
-ROUND: Final = 5e-5
-"""s; the timing that is stated is rounded up to multiples of it, so that it is the same at the next start."""
 
 ROOM: Final = 0.1
 """Part of a period by which a thread may wake too late, s in the formulas above."""
@@ -255,12 +253,12 @@ class HaplyInverse3(DeviceDriver):
         self._half = shortest / 2.0
         self.lead = longest + room
         age, delay = given["sample_age"], given["actuation_delay"]
-        delay = _up(longest / 2.0 + own) if delay is None else delay
+        delay = up(longest / 2.0 + own) if delay is None else delay
         if age is not None:
             self.lead = min(self.lead, max(room, age - room - own + self._half))
             return DeviceTiming(age, None, delay)
-        age = _up(longest + 2.0 * room + own - self._half)
-        return DeviceTiming(age, min(age, _up(own + 2.0 * room + (longest - shortest) / 2.0)), delay)
+        age = up(longest + 2.0 * room + own - self._half)
+        return DeviceTiming(age, min(age, up(own + 2.0 * room + (longest - shortest) / 2.0)), delay)
 
     def _idles(self) -> tuple[Duration, float]:
         """How long the service surely holds a force after a message, and after how long it has let go, s.
@@ -536,9 +534,7 @@ class HaplyInverse3(DeviceDriver):
 
 
 def _checked(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    if unknown := set(parameters) - set(PARAMETERS):
-        raise ValueError(f"parameters: found {sorted(unknown)[0]!r:.40}; expected {', '.join(PARAMETERS)}")
-    given = {**PARAMETERS, **parameters}
+    given = merged(parameters, PARAMETERS)
     for key in ("port", "events"):
         if type(given[key]) is not int or not 0 < given[key] < 65536:
             raise ValueError(f"{key}: found {given[key]!r:.40}; expected a port's number")
@@ -556,21 +552,12 @@ def _checked(parameters: Mapping[str, Any]) -> dict[str, Any]:
     if not isinstance(given["leave"], list | tuple) or (set(map(str, given["leave"])) - set(_GLOBAL)):
         raise ValueError(f"leave: found {given['leave']!r:.60}; expected a list of {' and '.join(_GLOBAL)}")
     origin = given["origin"]
-    if not isinstance(origin, list | tuple) or len(origin) != 3 or not all(map(_is_number, origin)):
+    if not isinstance(origin, list | tuple) or len(origin) != 3 or not all(map(is_number, origin)):
         raise ValueError(f"origin: found {origin!r:.60}; expected the three coordinates of x = 0, m")
     return given
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-
-
 def _positive(key: str, value: Any) -> float:
-    if not _is_number(value) or value <= 0.0:
+    if not is_number(value) or value <= 0.0:
         raise ValueError(f"{key}: found {value!r:.40}; expected a number greater than 0")
     return float(value)
-
-
-def _up(time: float) -> float:
-    """A time, s, rounded up to multiples of :data:`ROUND`."""
-    return round(ROUND * math.ceil(time / ROUND - 1e-9), 9)

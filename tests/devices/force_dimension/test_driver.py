@@ -12,8 +12,9 @@ import pytest
 
 from manyhands.devices.force_dimension import ForceDimension, ForceDimensionError
 from manyhands.devices.force_dimension.__main__ import main
-from manyhands.devices.force_dimension.driver import CALM, LONGEST, ROUND, _Watchdog
+from manyhands.devices.force_dimension.driver import CALM, LONGEST, _Watchdog
 from manyhands.devices.force_dimension.library import Kinematics
+from manyhands.devices.starting import ROUND
 from manyhands.launch.conformance.driver import Bench, Push, check_driver
 from manyhands.launch.conformance.judgement import Conformance, Judgement, broken
 from manyhands.nodes.device.plugin import PluginDriver

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from manyhands.devices.haply import HaplyError, HaplyInverse3
-from manyhands.devices.haply.driver import ROUND
+from manyhands.devices.starting import ROUND
 from manyhands.extras import MissingExtra
 from manyhands.nodes.kernel.realtime import may_raise
 from manyhands.protocol.clock import Instant
