@@ -90,7 +90,7 @@ def device_file(
         of: what was found.
         day: of the measurement, YYYY-MM-DD.
     """
-    m, timing = len(stated.force), stated.timing
+    m = len(stated.force)
     program = f"manyhands identify {manyhands.__version__}, {day}"
     where = f"{program}: {len(of.poses)} pose{'s' * (len(of.poses) > 1)}"
     damping = [one.found.damping for one in of.poses]
@@ -114,14 +114,9 @@ def device_file(
             {"least": _plain(of.friction)},
             f"{where}, least level over the places, beyond Stribeck's speed",
         )
-    limits = {"force": stated.force, "displacement": stated.displacement, "speed": stated.speed}
-    keys["limits"] = {key: _plain(values) for key, values in limits.items()}, said
-    if timing.sample_age:
-        keys["sample_age"], keys["age_jitter"] = (timing.sample_age, said), (timing.jitter, said)
-    if timing.actuation_delay:
-        keys["actuation_delay"] = timing.actuation_delay, said
-    if stated.holds_torque:
-        keys["held"] = "torque", f"{said}; state its linkage or its bending as well"
+    for key, value in stated.session_keys().items():
+        if key not in ("mass", "step"):  # they were found
+            keys[key] = _plain(value), f"{said}; state its linkage or its bending as well" if key == "held" else said
     return {
         "device": name,
         "keys": {key: value for key, (value, _) in keys.items()},
@@ -131,8 +126,13 @@ def device_file(
     }
 
 
-def _plain(values: Sequence[float]) -> float | list[float]:
-    return float(values[0]) if len(values) == 1 else [float(value) for value in values]
+def _plain(value: Any) -> Any:
+    """A value as a session file has it: of one axis the number alone."""
+    if isinstance(value, dict):
+        return {key: _plain(one) for key, one in value.items()}
+    if isinstance(value, tuple):
+        return float(value[0]) if len(value) == 1 else [float(one) for one in value]
+    return value
 
 
 def _pose(one: AtPose, stated: DeviceSpecification) -> dict[str, Any]:

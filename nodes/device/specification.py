@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 from manyhands.nodes.kernel.driver_statement import NO_DELAY, DeviceTiming
 from manyhands.nodes.kernel.inertia import Inertia
@@ -81,6 +82,17 @@ class DeviceSpecification:
         if isinstance(self.by_itself, str) or len(self.by_itself) > MAX_BY_ITSELF or not fit:
             expected = f"at most {MAX_BY_ITSELF} sentences, each printable and of at most {MAX_SENTENCE} characters"
             raise ValueError(f"by_itself: found {self.by_itself!r:.60}; expected {expected}")
+
+    def session_keys(self) -> dict[str, Any]:
+        """The keys of a session's device that keep to what is stated; by axis as tuples."""
+        keys: dict[str, Any] = {"limits": {"force": self.force, "displacement": self.displacement, "speed": self.speed}}
+        timing = self.timing
+        if timing.sample_age:
+            keys |= {"sample_age": timing.sample_age, "age_jitter": timing.jitter}
+        if timing.actuation_delay:
+            keys["actuation_delay"] = timing.actuation_delay
+        keys |= {key: value for key, value in (("mass", self.mass), ("step", self.step)) if value is not None}
+        return keys | ({"held": "torque"} if self.holds_torque else {})
 
 
 @dataclass(frozen=True)

@@ -78,7 +78,7 @@ def check_driver(
     """
     with errors():
         require_in_range({"--force": (force, 1000.0), "--travel": (travel, 1.0), "--period": (period, 0.1)})
-        name, plugin, stated = _made(driver, dof, parameters, period)
+        name, plugin, stated = made(driver, dof, parameters, period)
         asked = push and stated.moved_by_force and stated.hardware and not yes
         if asked and not sys.stdin.isatty():
             plugin.close()
@@ -94,7 +94,7 @@ def check_driver(
         own_words = {"by_itself": list(stated.by_itself)} if stated.by_itself else {}
         latency = stated.timing.latency
         slower = f"; its period is at least {latency:g} s, the age and delay together" if latency > period else ""
-        _end(found, {"driver": name, **own_words}, as_json, f"for the session file: {_keys(stated)}{slower}")
+        _end(found, {"driver": name.factory, **own_words}, as_json, f"for the session file: {_keys(stated)}{slower}")
 
 
 @commands.command(epilog="Example: manyhands probe serial-board --parameters '{port: /dev/ttyACM0}'")
@@ -119,7 +119,7 @@ def probe(
     with errors():
         require_in_range({"--force": (force, 1000.0), "--travel": (travel, 1.0), "--period": (period, 0.1)})
         require_in_range({"--seconds": (seconds, 3600.0)})
-        name, plugin, stated = _made(driver, dof, parameters, period)
+        name, plugin, stated = made(driver, dof, parameters, period)
         bench = Bench(plugin, period, clock_for(stated, RealtimeClock()))
         question = Question()
         if yes or not (push and stated.moved_by_force and stated.hardware):
@@ -130,10 +130,10 @@ def probe(
             try:
                 found = run_apart(bench, lambda: ask_device(bench, stated, ticks, pushes, question), look=live.look)
             except NeverReturned as error:
-                raise DriverFailure(f"the driver {name}: {error}", raised=False) from error
+                raise DriverFailure(f"the driver {name.factory}: {error}", raised=False) from error
         if as_json:
             reads = [{"axis": one.axis, "low": one.low, "high": one.high} for one in found.reads]
-            print_json({"driver": name, "reads": reads, "answers": [one.as_plain() for one in found.answers]})
+            print_json({"driver": name.factory, "reads": reads, "answers": [one.as_plain() for one in found.answers]})
         else:
             for sentence in _sentences(found, stated, push):
                 say(out, sentence)
@@ -217,8 +217,8 @@ def check_model(
     """
     with errors():
         require_in_range({"--reach": (reach, 10.0), "--period": (period, 0.1)})
-        names = ports_of("port", int(ports)) if ports.isdecimal() else tuple(ports.split(","))
-        name = named_factory(model, ENGINES if model in published(ENGINES) else MODELS, parameters)
+        names = _ports("port", int(ports)) if ports.isdecimal() else tuple(ports.split(","))
+        name = _factory(model, ENGINES if model in published(ENGINES) else MODELS, parameters)
         if stiffness is not None and not 0.0 < stiffness <= MAX_STIFFNESS:
             refuse(f"--stiffness: found {stiffness:g}; expected a number greater than 0 and at most {MAX_STIFFNESS:g}")
         method = REACT if stiffness is None else PROXY
@@ -257,30 +257,30 @@ def require_in_range(options: Mapping[str, tuple[float, float]]) -> None:
             refuse(f"{option}: found {value:g}; expected a number greater than 0 and at most {most:g}")
 
 
-def _made(driver: str, dof: int, parameters: str, period: float) -> tuple[str, PluginDriver, DeviceSpecification]:
-    """The factory's name, the driver with its own axes, and what it states.
+def made(
+    driver: str, dof: int, parameters: str, period: float
+) -> tuple[FactoryName, PluginDriver, DeviceSpecification]:
+    """The factory, the driver with its own axes, and what it states.
 
     Raises:
         FactoryError: it cannot be made, or has another number of axes.
     """
-    ports = ports_of("device", dof)
-    name = named_factory(driver, DRIVERS, parameters)
-    made, stated = made_driver(name, ports, period)
+    name = _factory(driver, DRIVERS, parameters)
+    own, stated = made_driver(name, _ports("device", dof), period)
     if len(stated.force) != dof:
-        made.close()
+        own.close()
         raise FactoryError(f"the driver {name.factory}: found {len(stated.force)} axes; expected --dof {dof}")
-    own = AxisMap(tuple(range(dof)), (1.0,) * dof)
-    return name.factory, PluginDriver(name.factory, made, own, stated, period), stated
+    axes = AxisMap(tuple(range(dof)), (1.0,) * dof)
+    return name, PluginDriver(name.factory, own, axes, stated, period), stated
 
 
-def ports_of(name: str, number: int) -> tuple[str, ...]:
-    """The ports of a device or a model with so many axes; ends the command where there are too many."""
+def _ports(name: str, number: int) -> tuple[str, ...]:
     if not 1 <= number <= MAX_DOF:
         refuse(f"found {number} axes or ports; expected 1 to {MAX_DOF}")
     return (name,) if number == 1 else tuple(f"{name}.{axis}" for axis in range(number))
 
 
-def named_factory(name: str, group: str, parameters: str) -> FactoryName:
+def _factory(name: str, group: str, parameters: str) -> FactoryName:
     """The factory that the user names; its module is looked for in the current folder as well."""
     place = "--parameters"
     try:
@@ -304,17 +304,15 @@ def _agreed(force: float, travel: float) -> bool:
 
 def _keys(stated: DeviceSpecification) -> str:
     """The keys of a session's device that keep to what a driver states."""
-    limits = {"force": stated.force, "displacement": stated.displacement, "speed": stated.speed}
-    texts = [f"{key}: [{', '.join(f'{value:g}' for value in values)}]" for key, values in limits.items()]
-    keys = [f"dof: {len(stated.force)}", f"limits: {{{', '.join(texts)}}}"]
-    timing = stated.timing
-    if timing.sample_age:
-        keys += [f"sample_age: {timing.sample_age:g}", f"age_jitter: {timing.jitter:g}"]
-    if timing.actuation_delay:
-        keys.append(f"actuation_delay: {timing.actuation_delay:g}")
-    for key, values in (("mass", stated.mass), ("step", stated.step)):
-        if values is not None:
-            keys.append(f"{key}: [{', '.join(f'{value:g}' for value in values)}]")
-    if stated.holds_torque:
-        keys.append("held: torque")
-    return ", ".join(keys)
+    return ", ".join(
+        f"{key}: {_text(value)}" for key, value in {"dof": len(stated.force), **stated.session_keys()}.items()
+    )
+
+
+def _text(value: Any) -> str:
+    """A key's value, as YAML in a line."""
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{key}: {_text(one)}' for key, one in value.items())}}}"
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_text, value))}]"
+    return value if isinstance(value, str) else f"{value:g}"

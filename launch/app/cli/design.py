@@ -164,16 +164,15 @@ def budget(
             require_picture(picture)
         late = None if delay is None else time_of("--delay", delay)
         varies = 0.0 if jitter is None else time_of("--jitter", jitter)
-        own = None if osp is None else OwnDevice(osp, rate, late, varies, friction, step, speed, kappa, force, fastest)
-        if session is None and own is not None and not overrides:
+        own = OwnDevice(osp or 0.0, rate, late, varies, friction, step, speed, kappa, force, fastest)
+        if session is None and osp is not None and not overrides:
             _require_device(own)
             end(run_own_budget(own, out, err, picture, as_json))
             return
-        if session is None or own is not None:
-            refuse(
-                "found " + ("neither SESSION nor --osp" if own is None else "--osp beside a session or --set") + "; "
-                "expected a session file, or a device by --osp and the options after it"
-            )
+        if session is None or osp is not None or own != OwnDevice(0.0):
+            beside = "--osp beside a session or --set" if osp is not None else "an option of --osp without it"
+            found = "neither SESSION nor --osp" if session is None and osp is None else beside
+            refuse(f"found {found}; expected a session file, or a device by --osp and the options after it")
         loaded = settle_delay(SettledForm(load_named(session, overrides)), StartOptions(SIMULATED), err).session
         end(run_budget(loaded, out, err, picture, as_json))
 

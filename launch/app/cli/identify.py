@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from manyhands.launch.app.cli.check import Parameters, Period, named_factory, ports_of, require_in_range
+from manyhands.launch.app.cli.check import Driver, Parameters, Period, made, require_in_range
 from manyhands.launch.app.cli.common import Json, end, err, errors, out, refuse, require_folder, time_of
 from manyhands.launch.files import EXIT_FAILED
 from manyhands.launch.look.display import say, titled_table
 from manyhands.launch.output import print_json
-from manyhands.nodes.device.plugin import PluginDriver, made_driver
-from manyhands.nodes.device.specification import AxisMap, DeviceSpecification
-from manyhands.nodes.kernel.factory import DRIVERS, FactoryError
+from manyhands.nodes.device.plugin import PluginDriver
+from manyhands.nodes.device.specification import DeviceSpecification
+from manyhands.nodes.kernel.factory import FactoryError
 from manyhands.protocol.clock import RealtimeClock, SimulatedClock
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ _EXAMPLE = "Example: manyhands identify serial-board --parameters '{port: /dev/t
 
 @commands.command(name="identify", epilog=_EXAMPLE)
 def identify(
-    driver: Annotated[str, typer.Argument(metavar="DRIVER", help="package.module:factory, or a published short name.")],
+    driver: Driver,
     dof: Annotated[int, typer.Option("--dof", metavar="N", help="The number of axes, 1 to 3.")] = 1,
     parameters: Parameters = "{}",
     period: Period = 0.001,
@@ -85,13 +85,12 @@ def identify(
         require_folder(plot)
         if output is not None:
             require_new(output, overwrite)
-        factory = named_factory(driver, DRIVERS, parameters)
-        made, stated = made_driver(factory, ports_of("device", dof), period)
-        if len(stated.force) != dof or not stated.moved_by_force:
-            made.close()
-            found = f"{len(stated.force)} axes" if stated.moved_by_force else "a device that no force moves"
-            raise FactoryError(f"the driver {factory.factory}: found {found}; expected --dof {dof}, moved by forces")
-        plugin = PluginDriver(factory.factory, made, AxisMap(tuple(range(dof)), (1.0,) * dof), stated, period)
+        factory, plugin, stated = made(driver, dof, parameters, period)
+        if not stated.moved_by_force:
+            plugin.close()
+            raise FactoryError(
+                f"the driver {factory.factory}: found a device that no force moves; expected one that is"
+            )
         safety = Safety(force, travel, speed)
         try:
             measured = _measured(plugin, stated, period, safety, poses, yes)
@@ -101,9 +100,7 @@ def identify(
         finally:
             plugin.close()
         said = statement(measured, stated)
-        content = device_file(
-            name or driver, driver, dict(factory.parameters), stated, said, date.today().isoformat()
-        )  # fmt: skip
+        content = device_file(name or driver, driver, dict(factory.parameters), stated, said, date.today().isoformat())
         if as_json:
             print_json(content)
         else:

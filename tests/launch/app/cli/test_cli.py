@@ -79,6 +79,7 @@ LINK = "couplings.cx.wave_link={mass: 0.5, round_trip: 0.1}"
         (["budget", "example1.yaml", "--plot", "no/such/folder/b.png"], "no/such/folder"),
         (["budget"], "found neither SESSION nor --osp"),
         (["budget", "example1", "--osp", "1"], "found --osp beside a session"),
+        (["budget", "example1", "--friction", "1"], "found an option of --osp without it; expected a session file, or"),
         (["budget", "--osp", "1", "--set", "period=0.1"], "found --osp beside a session or --set"),
         (["budget", "--osp", "-1"], "--osp: found -1; expected a number greater than 0"),
         (["budget", "--osp", "nan"], "--osp: found nan"),
