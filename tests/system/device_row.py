@@ -82,3 +82,34 @@ class Row:
     way: float = 0.0
     disarms: bool = False
     late: float = 0.0
+
+
+Entry = tuple[str, int, str]
+"""A line of a fake's log: its kind, when it was written, ns, and the rest."""
+
+
+class LoggedFarSide:
+    """A fake that takes orders, and writes a log of lines ``KIND INSTANT REST``; an order to note a mark is one."""
+
+    def __init__(self, give: Callable[[str], object], log: Path) -> None:
+        """A far side whose fake is given its orders by ``give``, one in a line."""
+        self._give, self._log = give, log
+
+    def order(self, *lines: str) -> None:
+        if lines:
+            self._give("\n".join(lines))
+
+    def mark(self, number: int, *lines: str) -> None:
+        self.order(f"note mark {number}", *lines)
+
+    def entries(self) -> list[Entry]:
+        """What the log has so far; the fake goes on, so its last line may be in the making."""
+        whole, _, _ = self._log.read_text().rpartition("\n")
+        parts = ((*line.split(" ", 2), "")[:3] for line in whole.splitlines())
+        return [(kind, int(at), rest) for kind, at, rest in parts]
+
+
+def marks_in(entries: Sequence[Entry]) -> dict[int, int]:
+    """When each mark was noted, ns."""
+    noted = ((at, rest.removeprefix("note ").split()) for kind, at, rest in entries if kind == "o")
+    return {int(words[1]): at for at, words in noted if words[:1] == ["mark"]}

@@ -18,26 +18,20 @@ from manyhands.launch.run.breaches import QUIET
 
 from ..fakes.far_side import FarSide, Force, Given, Record
 from ..fakes.wheel import FakeWheel, Turn, fake_wheel
-from .device_row import KILL, LASTS, Fault, Row
+from .device_row import KILL, LASTS, Fault, LoggedFarSide, Row, marks_in
 
 HELD: Final = Turn(m=0.03, b=0.06, c=0.06, k=4.0, amplitude=0.4, frequency=0.5)
 """Hands that turn a geared wheel to and fro, 1.3 rad/s at most."""
 
 
-class WheelFarSide:
+class WheelFarSide(LoggedFarSide):
     """A fake wheel, which a process of this machine has as its event device."""
 
     def __init__(self, one: FakeWheel, folder: Path) -> None:
-        self._one, self._log = one, folder / "wheel.log"
+        super().__init__(one.order, folder / "wheel.log")
+        self._one = one
         self.parameters: Mapping[str, object] = {"device": one.path}
         self.order("keep 1", f"log {self._log}")
-
-    def order(self, *lines: str) -> None:
-        if lines:
-            self._one.order("\n".join(lines))
-
-    def mark(self, number: int, *lines: str) -> None:
-        self.order(f"note mark {number}", *lines)
 
     def force(self) -> Sequence[float]:
         return self._one.asked()[1]
@@ -45,20 +39,17 @@ class WheelFarSide:
     def record(self) -> Record:
         self._one.asked()  # it has written down all until now
         motors: list[tuple[int, Force]] = []
-        marks, busy, wire = dict[int, int](), list[tuple[int, int]](), WheelWire()
-        whole, _, _ = self._log.read_text().rpartition("\n")  # it goes on: its last line may be in the making
-        for line in whole.splitlines():
-            kind, at, *rest = line.split()
+        busy, wire = list[tuple[int, int]](), WheelWire()
+        for kind, at, rest in (entries := self.entries()):
             match kind:
                 case "m":
-                    motors.append((int(at), tuple(map(float, rest))))
+                    motors.append((at, tuple(map(float, rest.split()))))
                 case "a":
-                    wire.take(int(at), rest[0], int(rest[1]))
+                    what, value = rest.split()
+                    wire.take(at, what, int(value))
                 case "b":
-                    busy.append((int(at) - 1000 * int(rest[0]), int(at)))
-                case "o" if rest[0] == "mark":
-                    marks[int(rest[1])] = int(at)
-        return Record(motors, wire.given, marks, busy)
+                    busy.append((at - 1000 * int(rest), at))
+        return Record(motors, wire.given, marks_in(entries), busy)
 
 
 class WheelWire:

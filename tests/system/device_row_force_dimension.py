@@ -17,23 +17,17 @@ from manyhands.launch.run.breaches import QUIET
 
 from ..fakes.dhd import FakeDevices, fake_devices
 from ..fakes.far_side import FarSide, Force, Given, Record
-from .device_row import KILL, LASTS, Fault, Row
+from .device_row import KILL, LASTS, Fault, LoggedFarSide, Row, marks_in
 
 
-class DhdFarSide:
+class DhdFarSide(LoggedFarSide):
     """The first of the fake's devices, which somebody holds and moves."""
 
     def __init__(self, devices: FakeDevices, folder: Path) -> None:
-        self._devices, self._log = devices, folder / "dhd.log"
+        super().__init__(devices.order, folder / "dhd.log")
+        self._devices = devices
         self.parameters: Mapping[str, object] = {"library": devices.path}
         self.order("plant 0.2 1.5 0", "hand 100 0.7", "to 0.01 0.007 -0.008", f"log {self._log}", "note began")
-
-    def order(self, *lines: str) -> None:
-        if lines:
-            self._devices.order("\n".join(lines))
-
-    def mark(self, number: int, *lines: str) -> None:
-        self.order(f"note mark {number}", *lines)
 
     def force(self) -> Sequence[float]:
         return self._devices.force()
@@ -41,26 +35,23 @@ class DhdFarSide:
     def record(self) -> Record:
         self._devices.force()  # it is brought up to now
         motors: list[tuple[int, Force]] = []
-        given, marks, steps = list[Given](), dict[int, int](), 0
-        for line in self._log.read_text().splitlines():
-            kind, at, *rest = line.split()
+        given, steps = list[Given](), 0
+        for kind, at, rest in (entries := self.entries()):
             match kind:
                 case "m":
-                    motors.append((int(at), _force(rest)))
+                    motors.append((at, _force(rest)))
                 case "t":
-                    given.append(Given(int(at), int(at) + steps * TICK, _force(rest)))
+                    given.append(Given(at, at + steps * TICK, _force(rest)))
                 case "w":
-                    steps = int(rest[0])
-                    if given and given[-1].until > int(at):  # it counts from the torques on which it comes
-                        ends = max(int(at), given[-1].at + steps * TICK)
+                    steps = int(rest)
+                    if given and given[-1].until > at:  # it counts from the torques on which it comes
+                        ends = max(at, given[-1].at + steps * TICK)
                         given[-1] = replace(given[-1], until=ends)
-                case "o" if rest[0] == "mark":
-                    marks[int(rest[1])] = int(at)
-        return Record(motors, given, marks, [])
+        return Record(motors, given, marks_in(entries), [])
 
 
-def _force(words: Sequence[str]) -> Force:
-    return tuple(map(float, words))
+def _force(words: str) -> Force:
+    return tuple(map(float, words.split()))
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from ..fakes.far_side import FarSide, Force, Given, Record
 from ..fakes.haply import FakeHaply, fake_haply
-from .device_row import KILL, LASTS, Fault, Row
+from .device_row import KILL, LASTS, Fault, LoggedFarSide, Row, marks_in
 
 IDLE: Final = 0.02  # s without a message, after which the device lets go
 GRAIN: Final = 0.002  # s, of the fake's log: it looks every millisecond
@@ -24,20 +24,14 @@ HAND: Final[Mapping[str, Any]] = {"mass": 0.15, "damping": 1.0, "step": 0.001, "
 """Somebody holds the device, and moves."""
 
 
-class HaplyFarSide:
+class HaplyFarSide(LoggedFarSide):
     """A fake service that writes a log."""
 
     def __init__(self, one: FakeHaply, folder: Path) -> None:
-        self._one, self._log = one, folder / "haply.log"
+        super().__init__(lambda text: one.order(*text.split("\n")), folder / "haply.log")
+        self._one = one
         self.parameters: Mapping[str, object] = {"port": one.port, "events": one.events}
         self.order(f"log {self._log}")
-
-    def order(self, *lines: str) -> None:
-        if lines:
-            self._one.order(*lines)
-
-    def mark(self, number: int, *lines: str) -> None:
-        self.order(f"note mark {number}", *lines)
 
     def force(self) -> Sequence[float]:
         f: list[float] = self._one.asked()["f"]
@@ -46,23 +40,19 @@ class HaplyFarSide:
     def record(self) -> Record:
         self._one.asked()  # it has written down all until now
         motors, given = list[tuple[int, Force]](), list[Given]()
-        marks, busy, stalls = dict[int, int](), list[tuple[int, int]](), list[tuple[int, int]]()
-        whole, _, _ = self._log.read_text().rpartition("\n")
-        for line in whole.splitlines():
-            kind, at, rest = line.split(" ", 2)
+        busy, stalls = list[tuple[int, int]](), list[tuple[int, int]]()
+        for kind, at, rest in (entries := self.entries()):
             match kind:
                 case "m":
                     x, y, z = map(float, rest.split())
-                    motors.append((int(at), (x, y, z)))
+                    motors.append((at, (x, y, z)))
                 case "r":
-                    given += [Given(int(at), int(at) + int(1e9 * (IDLE + GRAIN)), f) for f in forces(rest)]
+                    given += [Given(at, at + int(1e9 * (IDLE + GRAIN)), f) for f in forces(rest)]
                 case "b":
-                    busy.append((int(at), int(rest)))
-                case "o" if rest.startswith("note mark "):
-                    marks[int(rest.split()[-1])] = int(at)
+                    busy.append((at, int(rest)))
                 case "o" if rest.startswith("stall "):
-                    stalls.append((int(at), int(at) + 1_000_000 * int(rest.split()[-1]) + CATCHES_UP))
-        return Record(motors, given, marks, busy, stalls)
+                    stalls.append((at, at + 1_000_000 * int(rest.split()[-1]) + CATCHES_UP))
+        return Record(motors, given, marks_in(entries), busy, stalls)
 
 
 def forces(message: str) -> Iterator[Force]:

@@ -14,7 +14,7 @@ from manyhands.launch.run.breaches import QUIET
 
 from ..fakes.far_side import FarSide, Force, Given, Record
 from ..fakes.rotor import FakeMotor, Rotor
-from .device_row import KILL, LASTS, Fault, Row
+from .device_row import KILL, LASTS, Fault, LoggedFarSide, Row, marks_in
 
 HELD: Final = Rotor(J=2e-4, b=0.01, k=0.2, amplitude=0.5, frequency=0.7)
 """Somebody holds the knob, and turns it."""
@@ -40,11 +40,12 @@ class Wire(Protocol):
         ...
 
 
-class MotorFarSide:
+class MotorFarSide(LoggedFarSide):
     """A fake controller whose port is a link, so that it is the same after it was plugged in again."""
 
     def __init__(self, one: FakeMotor, wire: Callable[[], Wire], folder: Path) -> None:
-        self._one, self._wire, self._log = one, wire, folder / "motor.log"
+        super().__init__(one.order, folder / "motor.log")
+        self._one, self._wire = one, wire
         port = folder / "port"
         self.plug = f"plug {port}"
         self.parameters: Mapping[str, object] = {"port": str(port)}
@@ -52,11 +53,7 @@ class MotorFarSide:
         one.asked()  # so that the port is there
 
     def order(self, *lines: str) -> None:
-        if lines:
-            self._one.order("\n".join(self.plug if line == "plug" else line for line in lines))
-
-    def mark(self, number: int, *lines: str) -> None:
-        self.order(f"note mark {number}", *lines)
+        super().order(*(self.plug if line == "plug" else line for line in lines))
 
     def force(self) -> Sequence[float]:
         return [self._one.asked()["torque"]]
@@ -64,20 +61,16 @@ class MotorFarSide:
     def record(self) -> Record:
         self._one.asked()  # it has written down all until now
         motors: list[tuple[int, Force]] = []
-        marks, busy, wire = dict[int, int](), list[tuple[int, int]](), self._wire()
-        whole, _, _ = self._log.read_text().rpartition("\n")  # the fake goes on: its last line may be in the making
-        for line in whole.splitlines():
-            kind, at, rest = (*line.split(" ", 2), "")[:3]
+        busy, wire = list[tuple[int, int]](), self._wire()
+        for kind, at, rest in (entries := self.entries()):
             match kind:
                 case "m":
-                    motors.append((int(at), (float(rest),)))
+                    motors.append((at, (float(rest),)))
                 case "r":
-                    wire.take(rest, int(at))
+                    wire.take(rest, at)
                 case "b":
-                    busy.append((int(at) - int(rest), int(at)))
-                case "o" if rest.startswith("note mark "):
-                    marks[int(rest.split()[-1])] = int(at)
-        return Record(motors, wire.given, marks, busy)
+                    busy.append((at - int(rest), at))
+        return Record(motors, wire.given, marks_in(entries), busy)
 
 
 Fake = Callable[[Rotor], AbstractContextManager[FakeMotor]]

@@ -17,7 +17,7 @@ from manyhands.launch.run.breaches import QUIET
 
 from ..fakes.board import Axis, FakeBoard, fake_board
 from ..fakes.far_side import FarSide, Force, Given, Record
-from .device_row import KILL, LASTS, Fault, Row
+from .device_row import KILL, LASTS, Fault, LoggedFarSide, Row, marks_in
 from .device_row_evdev_wheel import EVDEV_WHEEL
 from .device_row_force_dimension import FORCE_DIMENSION
 from .device_row_haply import HAPLY
@@ -27,11 +27,12 @@ from .device_row_odrive import ODRIVE
 # --- the serial board
 
 
-class BoardFarSide:
+class BoardFarSide(LoggedFarSide):
     """A fake board whose port is a link, so that it is the same after it was plugged in again."""
 
     def __init__(self, one: FakeBoard, folder: Path) -> None:
-        self._one, self._log = one, folder / "board.log"
+        super().__init__(one.order, folder / "board.log")
+        self._one = one
         port = folder / "port"
         self.plug = f"plug {port}"
         self.parameters: Mapping[str, object] = {"port": str(port)}
@@ -39,11 +40,7 @@ class BoardFarSide:
         one.asked()  # so that the port is there
 
     def order(self, *lines: str) -> None:
-        if lines:
-            self._one.order("\n".join(self.plug if line == "plug" else line for line in lines))
-
-    def mark(self, number: int, *lines: str) -> None:
-        self.order(f"note mark {number}", *lines)
+        super().order(*(self.plug if line == "plug" else line for line in lines))
 
     def force(self) -> Sequence[float]:
         return self._one.asked()[1]
@@ -51,22 +48,18 @@ class BoardFarSide:
     def record(self) -> Record:
         self._one.asked()  # it has written down all until now
         motors: list[tuple[int, Force]] = []
-        marks, busy, wire = dict[int, int](), list[tuple[int, int]](), BoardWire()
-        whole, _, _ = self._log.read_text().rpartition("\n")  # the board goes on: its last line may be in the making
-        for line in whole.splitlines():
-            kind, at, rest = (*line.split(" ", 2), "")[:3]
+        busy, wire = list[tuple[int, int]](), BoardWire()
+        for kind, at, rest in (entries := self.entries()):
             match kind:
                 case "c":
-                    wire.clock(int(at), int(rest))
+                    wire.clock(at, int(rest))
                 case "m":
-                    motors.append((int(at), tuple(single(float(force)) for force in rest.split())))
+                    motors.append((at, tuple(single(float(force)) for force in rest.split())))
                 case "r":
-                    wire.take(bytes.fromhex(rest), int(at))
+                    wire.take(bytes.fromhex(rest), at)
                 case "b":
-                    busy.append((int(at) - 1000 * int(rest), int(at)))
-                case "o" if rest.startswith("note mark "):
-                    marks[int(rest.split()[-1])] = int(at)
-        return Record(motors, wire.given, marks, busy)
+                    busy.append((at - 1000 * int(rest), at))
+        return Record(motors, wire.given, marks_in(entries), busy)
 
 
 def single(number: float) -> float:
