@@ -152,7 +152,6 @@ class Conductor:
     ignored: int = 0
     _endpoints: dict[tuple[str, str], str] = field(default_factory=dict)
     _welcomed: dict[str, int] = field(default_factory=dict)  # by node, the process id of its latest accepted hello
-    _killed: bool = False  # whether every process was sent SIGKILL at the session's end
     _reception: Reception = field(init=False)
     _recovery: Recovery = field(init=False)
 
@@ -309,10 +308,8 @@ class Conductor:
                 hung = [node for node, state in self.states.items() if state is not NodeState.ENDED]
                 if local := [node for node in hung if node not in self.remote]:
                     self.incidents.add(f"did not end when the session did, and was killed: {', '.join(local)}")
-                # the supervisor cannot kill a process on another machine, and of one that was killed nothing more comes
-                for node in self.remote if not self._killed else self.states:
+                for node in self.remote:  # the supervisor cannot kill a process on another machine
                     self.states[node] = NodeState.ENDED
-                self._killed = True
                 self._over_if_all_ended()
                 return [Kill()]
         return []

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import os
 import signal
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from pathlib import Path
 
 from manyhands.launch.files import EXIT_FAILED, EXIT_OK
@@ -440,8 +440,10 @@ class Supervisor:
                     self._start_anew(node, hub, processes)
                 case KillProcess(node):
                     processes.kill(node)
+                    self._give_up({node}, hub, processes)
                 case Terminate():
                     processes.send(signal.SIGTERM)
+                    self._give_up(self._to_start, hub, processes)
                 case Kill():
                     processes.send(signal.SIGKILL)
 
@@ -456,6 +458,14 @@ class Supervisor:
             self._to_start.difference_update(together)
             role, paths = self._graph.nodes[together[0]], [self._bundle_path(node) for node in together]
             processes.start(together, role, paths, self._places.get(together[0]))
+
+    def _give_up(self, names: Collection[str], hub: Hub, processes: Processes) -> None:
+        """Report those of ``names`` that still wait for the others of their process: none of theirs could ever end."""
+        waiting = self._to_start.intersection(names)
+        self._to_start -= waiting
+        for name in sorted(waiting):
+            told = self.conductor.not_started(name, "others of its process never came", self._clock.now())
+            self.carry_out(told, hub, processes)
 
     def _forget(self, name: str) -> None:
         """Forget what the former process of a node has reported: the next one counts anew, and is not silent yet."""
@@ -493,8 +503,9 @@ class Supervisor:
                 if node in processes.pids:
                     self.conductor.started(node, processes.pids[node])
         except OSError as error:
-            now = self._clock.now()
-            self.carry_out(self.conductor.not_started(name, str(error.strerror), now), hub, processes)
+            for node in self._graph.together(name):
+                told = self.conductor.not_started(node, str(error.strerror), self._clock.now())
+                self.carry_out(told, hub, processes)
 
     def progress(self, processes: Processes) -> Progress:
         """The state of the session now, for the table and the observers."""

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from manyhands.launch.plan.topology import LinkPlan, Topology
 from manyhands.launch.run.conductor import EPOCH_DELAY_NS, Conductor
 from manyhands.launch.run.recovery import LINK_TRANSITIONS, RETURN_TIME, LinkEvent, LinkState, Restarts
-from manyhands.launch.run.states import Kill, NodeState, ReleaseName, Send, SessionPhase, StartProcess, Terminate
+from manyhands.launch.run.states import NodeState, ReleaseName, Send, SessionPhase, StartProcess, Terminate
 from manyhands.protocol.clock import from_seconds
 from manyhands.protocol.messages import (
     Absent,
@@ -278,15 +278,6 @@ class Test_offers:
             if state is not NodeState.ENDED:
                 c.exited(node, 0, 0)
         assert c.phase is SessionPhase.OVER
-
-    def test_a_session_ends_though_a_node_has_no_process_that_could_end(self) -> None:
-        c = session().conductor
-        c.interrupt()
-        for node in NODES:
-            if node != "dx":
-                c.exited(node, 0, 0)
-        assert (c.too_late(), c.phase) == ([Kill()], SessionPhase.ENDING)  # its process may be slow to die
-        assert (c.too_late(), c.phase) == ([Kill()], SessionPhase.OVER)
 
     def test_a_hello_of_a_former_process_is_not_the_next_ones(self) -> None:
         c = session().conductor

@@ -180,6 +180,43 @@ def test_a_process_that_cannot_return_is_killed(faulty: Faulty) -> None:
     assert faulty.processes.killed == ["dx"]
 
 
+class Test_a_node_that_waits_for_the_others_of_its_process:
+    """It has no process, so none of its own can end: the supervisor reports it in place of an end."""
+
+    @pytest.fixture
+    def waiting(self) -> Iterator[Faulty]:
+        """dx and cx share a process, and dx is to be started while cx waits for the environment's offer."""
+        made = Faulty(prepare(load_session(SESSIONS / "example1.yaml", ["colocate=true"])))
+        assert made.graph.together("dx") == ("dx", "cx")
+        made.dies("cx")
+        made.dies("dx")
+        assert made.conductor.states["dx"] is NodeState.STARTING
+        assert made.processes.started == []
+        yield made
+        made.transport.close()
+
+    def test_is_no_reason_for_a_session_to_stay(self, waiting: Faulty) -> None:
+        supervisor, hub, processes = waiting.supervisor, waiting.hub, waiting.processes
+        supervisor.carry_out(waiting.conductor.interrupt(), hub, processes)  # type: ignore[arg-type]
+        for node, state in list(waiting.conductor.states.items()):
+            if state is NodeState.RUNNING:
+                waiting.dies(node)
+        assert waiting.conductor.phase is SessionPhase.OVER
+
+    def test_is_given_up_when_they_never_come(self, waiting: Faulty) -> None:
+        waiting.clock.at = 10**12
+        told = waiting.conductor.look(waiting.clock.at)
+        waiting.supervisor.carry_out(told, waiting.hub, waiting.processes)  # type: ignore[arg-type]
+        assert waiting.conductor.states["dx"] is not NodeState.LEAVING  # no end of a process is to come
+        waiting.say("environment", Offer("cx", "ipc:///s/anew"))
+        assert waiting.processes.started == [("dx", "dx.bundle"), ("cx", "cx.bundle")]
+
+    def test_is_reported_with_them_when_the_process_cannot_be_started(self, waiting: Faulty) -> None:
+        waiting.processes.refusal = BlockingIOError(11, "Resource temporarily unavailable")
+        waiting.say("environment", Offer("cx", "ipc:///s/anew"))
+        assert {waiting.conductor.states[node] for node in ("dx", "cx")} == {NodeState.GONE}
+
+
 class Test_a_slow_device:
     def test_has_its_couplings_softened(self, faulty: Faulty, prepared: Prepared) -> None:
         ladder: CertifiedLadder | None = prepared.ladder
