@@ -135,7 +135,9 @@ class Controller(ABC):
                 self.expire()
             self.wake()
             self._note_torque()
-            end = min(to, self.at + STEP, max(self.expires, self.at + 1e-9))
+            end = min(to, self.at + STEP)
+            if not self._forever:  # else an end that has passed would make the steps 1 ns long
+                end = min(end, max(self.expires, self.at + 1e-9))
             self._move(end - self.at)
             self.at = end
 
