@@ -599,7 +599,7 @@ class Assumptions:
             self._away.append(f"{device} {away:.3g} m (its tool {offset:.3g} m behind)")
             self.notices[Cause.BEGINNING] = (
                 f"a device began away from 0, where the world expects it: {', '.join(self._away)}; it gets a part of "
-                "the force until its tool has come after it. Take the zero of its driver at the start, or bring the "
+                "the force until its tool has caught up. Take the zero of its driver at the start, or bring the "
                 "device to 0 before the run"
             )
 
