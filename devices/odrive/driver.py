@@ -30,6 +30,7 @@ TORQUE_CONTROL: Final = 1
 PASSTHROUGH: Final = 1
 
 _ANSWER: Final = from_seconds(0.2)
+_STATUS: Final = from_seconds(0.02)
 _TRIES: Final = 5
 _GREETINGS: Final = 3
 _ALL: Final = 1000
@@ -65,6 +66,7 @@ class ODrive(MotorAxis):
         self._state, self._reason = IDLE, 0
         self._lost = False  # whether it is not armed, and has told no reason since
         self._outdated = False  # whether the status that is still to come was asked for before it was armed again
+        self._wondered = Instant(0)  # when a status was asked for last
         self._watchdog = math.nan  # s, as it was set last
         self._digits = 6  # of the angle, behind the point
         self._starting = True
@@ -225,10 +227,15 @@ class ODrive(MotorAxis):
         return command(f"r {self._of}{self._whole}")
 
     def idle(self, due: Instant) -> None:
-        """Ask for the axis' status, where nothing else was asked: of two answers at a time one may be discarded."""
+        """Ask for the axis' status, where nothing else was asked: of two answers at a time one may be discarded.
+
+        After :data:`_STATUS` it is asked in any case: on a busy machine a question may always be open.
+        """
         self._hear()
-        if not len(self._questions):
-            self._port.write(self._status(self._clock.now()))
+        now = self._clock.now()
+        if not len(self._questions) or (Form.WHOLE not in self._questions and now - self._wondered > _STATUS):
+            self._wondered = now
+            self._port.write(self._status(now))
 
     def _exert(self, value: float, lives: float) -> bool:
         lines = b""

@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 
 from manyhands.devices.odrive import MotorError, ODrive
-from manyhands.protocol.clock import Instant
+from manyhands.protocol.clock import Duration, Instant
 
 from ...fakes.odrive import fake_odrive
-from ...fakes.rotor import FakeMotor
+from ...fakes.rotor import FakeMotor, Rotor
 
 MS = 1_000_000
 
@@ -69,6 +69,23 @@ def test_what_cannot_be_switched_off_is_stated() -> None:
     assert stated.timing.sample_age >= 0.001  # 1/(2 * 500 rad/s) of it is the filter's
     assert stated.step is not None
     assert stated.step[0] == pytest.approx(6.2832e-6, rel=1e-4)  # it sends six digits of a turn
+
+
+def test_an_axis_comes_back_though_a_question_is_always_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a machine that is too busy to wait for an answer: whether it is armed again was never asked."""
+    with fake_odrive(Rotor(latency=0.003)) as one, opened(one) as driver:
+        monkeypatch.setattr(driver, "_longest", Duration(0))
+        expired, trips, end = one.asked()["expired"], driver.figures()["watchdog_trips"], time.monotonic() + 20.0
+        disarmed: list[bool] = []
+        while disarmed[-2:] != [True, False]:
+            assert time.monotonic() < end
+            lives = 100 if one.asked()["expired"] > expired else 1
+            driver.sample(0, Instant(0))
+            driver.apply([0.02], Instant(0), Instant(lives * MS))
+            disarmed.append(driver.exerted() is not None)
+            driver.idle(Instant(0))
+            time.sleep(0.005)
+        assert driver.figures()["watchdog_trips"] > trips
 
 
 @pytest.mark.parametrize("number", [2, True, "one"])
