@@ -33,6 +33,6 @@ Example:
 
 from manyhands.lazy_names import lazy_names
 
-__version__ = "0.6.0"
+__version__ = "0.7.0.dev0"
 
 __getattr__, __dir__ = lazy_names(__name__, __file__)

@@ -42,9 +42,9 @@ def test_the_changelog_has_each_version_once_with_its_date_the_newest_first() ->
 
 
 def test_version_and_citation_are_the_changelogs() -> None:
-    """Between two releases the version is that of the last one, or already that of the next."""
-    newest = [".".join(map(str, version)) for version, _ in versions()[:2]]
-    assert manyhands.__version__ in newest[: 2 if versions()[0][1] == UNRELEASED else 1]
+    """While a version is being made, the program says so: what it writes and reads is no longer the last release's."""
+    newest, when = versions()[0]
+    assert manyhands.__version__ == ".".join(map(str, newest)) + (".dev0" if when == UNRELEASED else "")
     assert CITATION["version"] == manyhands.__version__
 
 
