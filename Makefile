@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test test-long test-rest guests lint types imports pytest campaign attack heavy limits worlds fuzz fuzz-board firmware datagrams wan far-user scenes world-peers encoder friction mechanisms identify flood loop watched soak users linked-users chaos faults lateness inertia honest hostile blamed device-faults remote pictures page benchmark curve figures docs docs-pictures clean
+.PHONY: demo test test-long test-rest guests lint types imports pytest campaign attack heavy limits worlds fuzz fuzz-board firmware datagrams wan far-user scenes world-peers encoder friction mechanisms identify flood loop watched soak users linked-users chaos faults lateness inertia honest hostile blamed device-faults remote pictures page benchmark curve figures docs words docs-pictures clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -211,7 +211,7 @@ device-faults: $(VENV)/.installed
 
 # a remote user over every kind of network, beside what others do, in simulated time: five minutes on two idle cores
 remote: $(VENV)/.installed
-	$(BIN)/python -m benchmarks.remote --json docs/remote.json --plot docs/images/remote.png --markdown docs/remote.md
+	$(BIN)/python -m benchmarks.remote --json docs/remote.json --plot docs/images/remote.png --markdown docs/remote/figures.md
 
 # memory of a session's processes over ten minutes
 soak: $(VENV)/.installed
@@ -260,6 +260,10 @@ figures: $(VENV)/.installed
 # the documentation as a site, in out/docs/; a broken link or a page that is not listed ends it
 docs: $(VENV)/.installed
 	$(BIN)/sphinx-build --fail-on-warning --keep-going --quiet --conf-dir docs/site . out/docs
+
+# how much there is to read, and what the site's search finds for a newcomer's words; needs Debian's Chromium
+words: $(VENV)/.installed
+	$(BIN)/python -m benchmarks.words
 
 # pictures of ten pages of the site, on a screen and on a telephone, in out/docs-pictures/; needs Debian's Chromium
 docs-pictures: $(VENV)/.installed

@@ -49,7 +49,7 @@ from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Figures, Observation
 
 EXAMPLE = Path(__file__).parents[1] / "launch" / "sessions" / "example1.yaml"
-PAGE = Path(__file__).parents[1] / "docs" / "remote.md"
+PAGE = Path(__file__).parents[1] / "docs" / "remote" / "figures.md"
 MARK = "press"
 HAND = "dx"
 FORCE = 5.0  # N

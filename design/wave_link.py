@@ -2,7 +2,7 @@
 
 A wave link of impedance b (m x m, N*s/m) and round trip R (s) is felt as the mass b R/2 while the tool moves freely.
 While the tool is held, it is felt as the spring 2 b/R in series with the coupling. No linear passive link can be
-lighter for its stiffness: M >= K R^2/4 (docs/decisions/0033-wave-links.md).
+lighter for its stiffness: M >= K R^2/4 (docs/remote/proof.md).
 
 Certificates compose by contracts (docs/decisions/0034-sites-and-worlds.md). A contract says what the world and one
 other party owe each other at the ports where they meet. Its name is the SHA-256 of its terms, and both certificates

@@ -2,7 +2,7 @@
 
 A wave link of impedance b and round trip R is felt as the mass b R/2, and in series with the coupling as the stiffness
 (V(1) + (R/2) b^-1)^-1. Its user's face is (-theta)-ISP, up to the energy in tanks and in transit, by the rules that
-the face itself keeps, whatever arrives (docs/decisions/0033-wave-links.md). This needs b > 0, E_0 >= 0 and theta >= 0:
+the face itself keeps, whatever arrives (docs/remote/proof.md). This needs b > 0, E_0 >= 0 and theta >= 0:
 with theta < 0 a tank would have to pay after the tick for a motion that nobody bounds.
 """
 

@@ -3,7 +3,7 @@
     make docs    # into out/docs/
 
 The pages are read where they stand. What docs/site/ adds is the first page, and pages that are made of the code: public
-names, commands and keys (generated.py).
+names, commands and keys (generated.py); and what leads from page to page (reading.py).
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(Path(__file__).parent))  # for generated.py
+sys.path.insert(0, str(Path(__file__).parent))  # for generated.py and reading.py
 
 project = "manyhands"
 author = "the manyhands authors"
 found = re.search(r'__version__ = "(.*)"', (ROOT / "src/manyhands/__init__.py").read_text())
 version = release = found[1] if found else ""
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "generated"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "generated", "reading"]
 autodoc_member_order = "bysource"
 add_module_names = False
 python_use_unqualified_type_names = True

@@ -14,8 +14,11 @@ import importlib
 import inspect
 import json
 import re
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Final
 
 import typer
@@ -46,6 +49,34 @@ def public_names(package: str) -> dict[str, str]:
     }
 
 
+def returned(function: Callable[..., object]) -> list[type]:
+    """The classes of this program that a function returns."""
+    return classes_in(function.__annotations__.get("return", ""), function.__module__)
+
+
+def classes_in(annotation: object, module: str) -> list[type]:
+    """The classes of this program that an annotation names, also those that only a checker of types imports."""
+    written = annotation.__name__ if isinstance(annotation, type) else str(annotation)
+    found = [_named(sys.modules[module], name) for name in re.findall(r"\b[A-Za-z_]\w*\b(?!\()", written)]
+    return [one for one in found if isinstance(one, type) and one.__module__.startswith("manyhands.")]
+
+
+def _named(module: ModuleType, name: str) -> object:
+    """What a name in an annotation of a module stands for; None where it is no name of this program."""
+    if name in vars(module):
+        return vars(module)[name]
+    home = _imported(module).get(name)
+    return None if home is None else getattr(importlib.import_module(home), name, None)
+
+
+@cache
+def _imported(module: ModuleType) -> dict[str, str]:
+    """The names of this program that a module imports, also for a checker of types alone, each with its module."""
+    lines = [line for line in ast.walk(ast.parse(inspect.getsource(module))) if isinstance(line, ast.ImportFrom)]
+    ours = [(line.module or "", line.names) for line in lines if (line.module or "").startswith("manyhands.")]
+    return {alias.name: home for home, names in ours for alias in names}
+
+
 class _Written(SphinxDirective):
     """A directive whose content is Markdown that is made here."""
 
@@ -60,7 +91,7 @@ class _Written(SphinxDirective):
 
 
 class PublicNames(_Written):
-    """The names of a package's stub in their order, by autodoc."""
+    """The names of a package's stub in their order, by autodoc; below a function, the class that only it returns."""
 
     required_arguments = 1
     optional_arguments = 0
@@ -68,6 +99,7 @@ class PublicNames(_Written):
     def lines(self) -> Iterator[str]:
         """Each name in a section of its own."""
         package = self.arguments[0]
+        named = {getattr(importlib.import_module(module), name) for name, module in _names_of_both().items()}
         for name, module in public_names(package).items():
             found = getattr(importlib.import_module(module), name)
             if inspect.ismodule(found):
@@ -81,6 +113,16 @@ class PublicNames(_Written):
             else:
                 yield f".. autofunction:: {module}.{name}"
             yield from ("```", "")
+            for one in returned(found) if inspect.isfunction(found) else ():
+                if one not in named:
+                    named.add(one)
+                    yield from (f"### {one.__name__}", "", f"What `{name}` returns.", "", "```{eval-rst}")
+                    yield from (f".. autoclass:: {one.__module__}.{one.__name__}()", "   :members:", "```", "")
+
+
+def _names_of_both() -> dict[str, str]:
+    """The public names of both packages, each with its module."""
+    return public_names("manyhands") | public_names("manyhands.design.passivity")
 
 
 def _about(value: object) -> str:

@@ -9,7 +9,7 @@ honest face sends are within it by construction, whatever its world does. Where 
 a quarter of the site's energy budget E, T/2 |a_max|^2 > E/4, a_max is shortened to that.
 
 The tool in the world is at x_e, and x_e - x_c is at most (R/2) b^-1 F at a round trip R
-(docs/decisions/0033-wave-links.md). So the world's face keeps it within the displacement of the site's own tool and
+(docs/remote/proof.md). So the world's face keeps it within the displacement of the site's own tool and
 that gap at :data:`LONGEST_GAP` seconds.
 """
 

@@ -21,7 +21,7 @@ At the user's face and at the world's face, in every tick,
 
 so that T/2 (|a|^2 - |c|^2) is the energy that enters the link there, -T f_c^T w_c and T f_e^T w_e. Whatever is
 delivered, and whenever, the energy that entered the link at both ports is never below -2 E_0, apart from the harvest
-sum of T w^T theta w (docs/decisions/0033-wave-links.md has the theorems). :mod:`~manyhands.nodes.wave_link.tank` keeps
+sum of T w^T theta w (docs/remote/proof.md has the theorems). :mod:`~manyhands.nodes.wave_link.tank` keeps
 the account that this rests on; :mod:`~manyhands.nodes.wave_link.play_out` decides when a wave is played, and no proof
 depends on it. :mod:`~manyhands.nodes.wave_link.faces` joins the two.
 """

@@ -13,7 +13,7 @@ grows by no more than what leaves L. So, exactly and after any number of ticks,
 
     L + (the sum of all s) + (the sum of all T/2 |c|^2)  <=  E_0 + (all that was heard) + (all that was earned),
 
-and L >= 0 (docs/decisions/0033-wave-links.md has the proof). What rounding loses is some 1e-15 of the energy that
+and L >= 0 (docs/remote/proof.md has the proof). What rounding loses is some 1e-15 of the energy that
 passes. No method raises, whatever finite or infinite numbers or NaN it is given.
 """
 

@@ -285,17 +285,17 @@ proved and run, and both leave their trace; or it is refused, and a decision say
 ## Features
 
 The session has two users of one axis, and a mass between them. A feature adds what the third column says, in the form
-of [`--set`](session-file.md#overriding-values).
+of [`--set`](session-file/text.md#overriding-values).
 
 | | feature | stated | seen by |
 |---|---|---|---|
 {features}
 
-An *uncertain* device or world is one of which a number is an [interval](session-file.md#interval); the key `interval`
-of a wave link is *thinned waves*. The *reserve for lateness* is `faults.tank`; a wave link and a driven body have tanks
-of their own. A mesh is a shipped model of proxies, and stands where these do. A scene always has its controller,
-without the key. A model that returns forces is late by itself, without the key. A ladder is that of the users in the
-tick.
+An *uncertain* device or world is one of which a number is an [interval](session-file/text.md#interval); the key
+`interval` of a wave link is *thinned waves*. The *reserve for lateness* is `faults.tank`; a wave link and a driven body
+have tanks of their own. A mesh is a shipped model of proxies, and stands where these do. A scene always has its
+controller, without the key. A model that returns forces is late by itself, without the key. A ladder is that of the
+users in the tick.
 
 ## Which work
 

@@ -13,8 +13,10 @@ from pathlib import Path
 
 import pytest
 
+from ..support.commands import manyhands_command
 from ..support.wan import Side, Wire, wan
-from .test_design_docs import missing
+from .test_design_docs import blocks, missing
+from .test_design_docs import commands as typed_in
 from .test_security_docs import PROMPT, Command, commands
 
 PAGE = (Path(__file__).parents[2] / "docs" / "remote.md").read_text(encoding="utf-8")
@@ -119,6 +121,16 @@ def test_the_walk_through(tmp_path: Path) -> None:
         for command in typed:
             terminals[command.terminal].type(command)
     assert sorted(path.name for path in (tmp_path / "guest").iterdir()) == ["bin", "right_seat.invitation"]
+
+
+@pytest.mark.usefixtures("own_interrupt")
+def test_the_delay_can_be_tried_without_a_partner() -> None:
+    (shown,) = blocks(PAGE.split("## Try the delay first\n")[1].split("\n## ")[0])
+    ((arguments, code, quoted),) = typed_in(shown.text)
+    done = manyhands_command(*arguments)
+    assert done.exit_code == code, done.output
+    assert len(quoted) == 2
+    assert missing(quoted, done.output) == []
 
 
 def test_the_page_has_its_terminals_and_commands() -> None:

@@ -52,8 +52,11 @@ from manyhands.nodes.device import pointer
 
 from ...support.meshes import grid
 
-PAGE = (Path(__file__).parents[3] / "docs" / "session-file.md").read_text(encoding="utf-8")
-SECTIONS = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", PAGE, flags=re.MULTILINE | re.DOTALL))
+DOCS = Path(__file__).parents[3] / "docs"
+INDEX = (DOCS / "session-file.md").read_text(encoding="utf-8")
+PAGES = list(dict.fromkeys(re.findall(r"\]\((session-file/\w+\.md)\)", INDEX)))  # in its order
+PAGE = "\n".join([INDEX, *((DOCS / name).read_text(encoding="utf-8") for name in PAGES)])
+SECTIONS = dict(re.findall(r"^##? (.+?)\n(.*?)(?=^##? |\Z)", PAGE, flags=re.MULTILINE | re.DOTALL))
 MODELS: dict[str, tuple[type[SessionModel], ...]] = {
     "Session": (Session,),
     "Device": (Device,),
@@ -103,8 +106,12 @@ def test_every_part_of_a_session_has_a_section() -> None:
     }
 
 
+def test_every_page_of_the_format_is_in_its_index() -> None:
+    assert {DOCS / name for name in PAGES} == {*(DOCS / "session-file").glob("*.md")}
+
+
 def test_the_example_is_a_session(tmp_path: Path) -> None:
-    (example,) = re.findall(r"^```yaml\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)
+    (example,) = re.findall(r"^```yaml\n(.*?)^```", INDEX, flags=re.MULTILINE | re.DOTALL)
     path = tmp_path / "two-hands.yaml"
     path.write_text(example, encoding="utf-8")
     assert load_session(path).blocks == (("left",), ("right.x", "right.y"))

@@ -261,7 +261,8 @@ def test_a_command_prints_it() -> None:
 def test_the_first_line_for_editors_leads_to_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The page's commands and its line: the schema is where the line of a session file beside it points."""
     monkeypatch.chdir(tmp_path)
-    section = (ROOT / "docs" / "session-file.md").read_text().partition("## In an editor")[2].partition("\n## ")[0]
+    page = (ROOT / "docs" / "session-file" / "text.md").read_text()
+    section = page.partition("## In an editor")[2].partition("\n## ")[0]
     (line,) = re.findall(r"^    (# yaml-language-server: \$schema=(\S+))$", section, re.MULTILINE)
     (target,) = re.findall(r"^manyhands sessions --schema > (\S+)$", section, re.MULTILINE)
     (new,) = re.findall(r"^manyhands (new .*)$", section, re.MULTILINE)

@@ -60,7 +60,7 @@ def least_of(friction: list[float] | FrictionCurve) -> Floats:
 
 
 def levels(friction: list[float] | FrictionCurve, x: Floats, v: Floats) -> Floats:
-    """The levels in this state, from the formula of docs/session-file.md."""
+    """The levels in this state, from the formula of docs/session-file/device.md."""
     if not isinstance(friction, FrictionCurve):
         return friction
     each = zip(friction.least, friction.most, friction.pitch, friction.static, friction.stribeck, x, v, strict=True)

@@ -1,4 +1,4 @@
-"""What docs/remote.md shows of the faces is what they do."""
+"""What docs/remote/law.md shows of the faces is what they do."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-PAGE = Path(__file__).parents[3] / "docs" / "remote.md"
+PAGE = Path(__file__).parents[3] / "docs" / "remote" / "law.md"
 
 
 def test_the_pages_python_prints_its_quoted_output(capsys: pytest.CaptureFixture[str]) -> None:

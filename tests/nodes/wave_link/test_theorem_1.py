@@ -1,4 +1,4 @@
-"""Theorem 1 of docs/decisions/0033-wave-links.md: passivity for every behaviour outside and every delivery."""
+"""Theorem 1 of docs/remote/proof.md: passivity for every behaviour outside and every delivery."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Theorem 3 of docs/decisions/0033-wave-links.md is attained: K = 2b/R against a wall, M = bR/2 of a free end."""
+"""Theorem 3 of docs/remote/proof.md is attained: K = 2b/R against a wall, M = bR/2 of a free end."""
 
 from __future__ import annotations
 
