@@ -7,8 +7,10 @@ import doctest
 import importlib
 import inspect
 import os
+import re
 import subprocess
 import sys
+from enum import Enum
 from pathlib import Path
 from types import ModuleType
 
@@ -17,8 +19,10 @@ import pytest
 import manyhands as mh
 
 from .support.rooms import ROOMS
+from .support.site import site_module
 
 ROOT = Path(__file__).parents[1]
+SITE = site_module("generated")
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 LIGHT = ("numpy", "scipy", "cvxpy", "zmq", "pydantic", "matplotlib", "typer", "yaml", "ast")
 """What nobody pays for who only imports the package."""
@@ -65,6 +69,67 @@ def test_every_public_name_has_an_example(package: ModuleType) -> None:
         name for name, one in public(package).items() if not isinstance(one, ModuleType) and ">>>" not in own_text(one)
     ]
     assert without == []
+
+
+def test_every_public_attribute_is_documented() -> None:
+    """Of the public classes, of what public functions return, and of what is reached from there by attributes."""
+    todo: list[type] = []
+    for one in (one for package in (mh, mh.passivity) for one in public(package).values()):
+        todo += [one] if inspect.isclass(one) else SITE.returned(one) if inspect.isfunction(one) else []
+    without: list[str] = []
+    seen: set[type] = set()
+    while todo:
+        found = todo.pop()
+        if found in seen or found.__name__.startswith("_"):
+            continue
+        seen.add(found)
+        told = documented(found)
+        for part in (part for part in found.__mro__ if part.__module__.startswith("manyhands.")):
+            without += [f"{found.__name__}.{name}" for name in attributes(part) if name not in told]
+            todo += [one for annotation in annotations(part) for one in SITE.classes_in(annotation, part.__module__)]
+    assert {"BackgroundRun", "RecordedRun", "Proof", "DelayBudget"} <= {one.__name__ for one in seen}
+    assert sorted(set(without)) == []
+
+
+def function_of(value: object) -> object:
+    """The function behind a method, a property or a class method; any other value itself."""
+    for inner in ("__func__", "fget", "func"):
+        value = getattr(value, inner, None) or value
+    return value
+
+
+def attributes(part: type) -> list[str]:
+    """The public names that a class declares: fields, properties, methods, and what its ``__init__`` keeps."""
+    if issubclass(part, Enum):
+        return []  # the docstring of the class and the value of a member say what it is
+    kept = re.findall(r"^ +self\.([a-z]\w*)(?:: [^=\n]+)? = ", inspect.getsource(part), re.MULTILINE)
+    declared = [name for name in (*vars(part).get("__annotations__", {}), *vars(part)) if not name.startswith("_")]
+    return [name for name in dict.fromkeys([*declared, *kept]) if name != "model_config"]
+
+
+def annotations(part: type) -> list[object]:
+    """What the public fields, properties and methods of a class are, or return."""
+    functions = [function_of(value) for name, value in vars(part).items() if not name.startswith("_")]
+    fields = [one for name, one in vars(part).get("__annotations__", {}).items() if not name.startswith("_")]
+    return [*fields, *(one.__annotations__.get("return", "") for one in functions if inspect.isfunction(one))]
+
+
+def documented(found: type) -> set[str]:
+    """The attributes of a class that it documents, or a class that it is made of.
+
+    That is in a list of attributes, in double backticks in the docstring, by a docstring of their own, or in the schema
+    of session files.
+    """
+    told = {*getattr(found, "model_fields", ())}
+    for part in (part for part in found.__mro__ if part.__module__.startswith("manyhands.")):
+        text = part.__doc__ or ""
+        for names in re.findall(r"^ {8}(\w+(?:, \w+)*)(?: \(.*?\))?:", text, re.MULTILINE):
+            told |= {*names.split(", ")}
+        told |= {*re.findall(r"``(\w+)``", text)}
+        functions = {name: function_of(value) for name, value in vars(part).items()}
+        told |= {name for name, one in functions.items() if inspect.isfunction(one) and inspect.getdoc(one)}
+        told |= {*re.findall(r"^    (\w+)(?:: .*)?(?: = .*)?\n    \"\"\"", inspect.getsource(part), re.MULTILINE)}
+    return told
 
 
 def own_text(one: object) -> str:

@@ -163,7 +163,13 @@ class Completed(FieldCheck):
 
 
 class Problem(NamedTuple):
-    """One error in a session: its path below the validated value, what was found, and what would be right."""
+    """One error in a session.
+
+    Attributes:
+        at: its path below the validated value.
+        found: what stands there, in words.
+        expected: what would be right.
+    """
 
     at: KeyPath
     found: str
