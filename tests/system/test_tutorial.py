@@ -9,9 +9,11 @@ import urllib.request
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 from ..support.commands import manyhands_command, read_until, started
 from .test_design_docs import missing
+from .test_installing_docs import PROJECT, rows
 
 PAGE = (Path(__file__).parents[2] / "docs" / "tutorial.md").read_text(encoding="utf-8")
 TYPED = re.compile(r"^(\w*)\$ manyhands (.*?)(?: +# exit (\d))?$\n((?:(?!\w*\$ ).*\n)*)", re.MULTILINE)
@@ -37,6 +39,14 @@ def test_the_tutorial_runs_as_it_stands(tmp_path: Path, monkeypatch: pytest.Monk
         assert done.exit_code == code, (arguments, done.output)
         assert missing(quoted, done.output) == [], (arguments, done.output)
     assert (tmp_path / "simulated.png").stat().st_size > 10_000
+
+
+def test_its_install_line_brings_what_its_commands_need() -> None:
+    """By the table of docs/installing.md, whose parts are those of pyproject.toml."""
+    (extra,) = re.findall(r"`pip install '\.\[(\w+)\]'`", PAGE)
+    parts = {"base", extra}.union(*(Requirement(one).extras for one in PROJECT["optional-dependencies"][extra]))
+    brought = {command for part in parts for command in rows()[part][1]}
+    assert {arguments[0] for _, arguments, _, _ in typed()} <= brought
 
 
 @pytest.mark.usefixtures("own_interrupt")
