@@ -2,7 +2,7 @@
 
 A virtual spring and a virtual damper, both weak, pull the tip after a place that goes to and fro with rounded turns:
 :data:`BANDWIDTH` beside the device's own mass, so that age and delay of tens of milliseconds leave it stable. Before
-anything is measured the servo learns what the device needs on top: bias, dry friction and mass. Then these are
+anything is measured the servo learns what the device needs on top: bias, dry friction, damping and mass. Then these are
 constants, so that the force is smooth. What the servo does is no part of the result: the result knows the forces that
 were given, and where the device was.
 """
@@ -101,6 +101,7 @@ class _Servo:
     mass: float
     bias: Floats
     friction: float = 0.0
+    damping: float = 0.0
     omega: float = 1.0
     learning: bool = True
     most: float = math.inf
@@ -119,15 +120,15 @@ class _Servo:
         want, speed = scale * math.asin(sin), scale * self.omega * cos / root
         # d/dt of cos/root, with ROUNDED in both
         push = scale * self.omega**2 * sin * (cos * cos / root**3 - 1.0 / root)
-        stiffness, damping = self.mass * BANDWIDTH**2, 2.0 * DAMPED * self.mass * BANDWIDTH
+        stiffness, damper = self.mass * BANDWIDTH**2, 2.0 * DAMPED * self.mass * BANDWIDTH
         guide = self.mass * (ACROSS**2 - BANDWIDTH**2), 2.0 * DAMPED * self.mass * (ACROSS - BANDWIDTH)
         ease = max(-1.0, min(1.0, speed / (0.1 * scale * self.omega)))
-        ahead = self.mass * push + self.friction * ease
+        ahead = self.mass * push + self.damping * speed + self.friction * ease
         lacks = [a + u * want - b for u, a, b in zip(self.u, self.origin, x, strict=True)]
         behind, along = dot(self.u, lacks), dot(self.u, v)
         f = [
             stiffness * lack
-            + damping * (u * speed - w)
+            + damper * (u * speed - w)
             + guide[0] * (lack - u * behind)  # aside of the line
             - guide[1] * (w - u * along)
             + u * ahead
@@ -142,14 +143,21 @@ class _Servo:
                 self.bias[axis] = max(-self.most, min(self.most, learned))
         return f
 
+    def learn(self, mass: float, damping: float, fastest: float) -> None:
+        """Take what a run has shown; at its greatest speed, m/s, the device is pushed as before."""
+        mass = min(4.0 * self.mass, max(0.25 * self.mass, mass))
+        damping = min(max(0.0, damping), self.damping + self.friction / fastest)
+        self.friction += (self.damping - damping) * fastest
+        self.mass, self.damping = mass, damping
+
     def turns(self, times: Array) -> tuple[int, ...]:
         """Of these times of the wanted motion, s, the ticks at which it turns round."""
         half = np.floor(self.omega * times / math.pi + 0.5)
         return tuple(int(tick) + 1 for tick in np.flatnonzero(np.diff(half)))
 
 
-def _mass_of(log: MotionLog, u: Floats) -> float | None:
-    """The mass that fits f = m a + b v + c sgn(v) + g best, kg; None where there is no fit."""
+def _fit(log: MotionLog, u: Floats) -> tuple[float, float] | None:
+    """m, kg, and b, N*s/m, that fit f = m a + b v + c sgn(v) + g best; None where there is no fit."""
     t, length = np.array(log.sampled), np.array(u)
     s, f = np.array(log.x) @ length, np.array(log.f) @ length
     n = max(1, round(HALF / float(np.median(np.diff(t)))))
@@ -162,7 +170,8 @@ def _mass_of(log: MotionLog, u: Floats) -> float | None:
     if np.count_nonzero(fast) < 50:
         return None
     A = np.column_stack([a, v, np.sign(v), np.ones_like(v)])[fast]
-    return float(np.linalg.lstsq(A, f[fast], rcond=None)[0][0])
+    m, b, _, _ = np.linalg.lstsq(A, f[fast], rcond=None)[0]
+    return float(m), float(b)
 
 
 Told = Callable[[str], None]
@@ -261,13 +270,13 @@ def _warmed(rig: Rig, servo: _Servo, tell: Told, name: str) -> float:
     speed = min(rig.safety.speed, 0.7 * min(rig.stated.speed))
     for part, times in WARM:
         servo.learning = True
-        tell(f"{name}: the servo learns mass and friction")
+        tell(f"{name}: the servo learns mass, damping and friction")
         log = _run(rig, servo, times * servo.at(part * speed), tell)
-        fit = _mass_of(log, servo.u)
+        fit = _fit(log, servo.u)
         if fit is not None:
-            servo.mass = min(4.0 * servo.mass, max(0.25 * servo.mass, fit, 0.005))
+            servo.learn(*fit, part * speed)
         # what the turns take: mass times the greatest acceleration of the wanted motion
-        spare = 0.8 * min(rig.force) - servo.friction - max(map(abs, servo.bias))
+        spare = 0.8 * min(rig.force) - servo.friction - servo.damping * speed - max(map(abs, servo.bias))
         omega = speed * math.asin(ROUNDED) / (servo.travel * ROUNDED)
         peak = servo.mass * servo.travel * omega**2 * ROUNDED / math.sqrt(1.0 - ROUNDED**2) / math.asin(ROUNDED)
         if peak > max(spare, 0.05 * min(rig.force)):

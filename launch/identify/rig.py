@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 
 from manyhands.nodes.device.plugin import PluginDriver
@@ -101,6 +102,7 @@ class Rig:
         clock: Clock,
         safety: Safety,
         stop: Callable[[], bool] = lambda: False,
+        turns: Callable[[], AbstractContextManager[object]] = nullcontext,
     ) -> None:
         """Begin at the clock's present instant.
 
@@ -111,9 +113,10 @@ class Rig:
             clock: paces the ticks.
             safety: how the device may be moved.
             stop: whether the user wants an end.
+            turns: what gives the loop its turns while it runs.
         """
         self.T, self.safety, self.stated = T, safety, stated
-        self._driver, self._clock, self.stop = driver, clock, stop
+        self._driver, self._clock, self.stop, self._turns = driver, clock, stop, turns
         self._epoch, self._slot, self._tick = clock.now(), 0, 0
         self._period = from_seconds(T)
         self.force = [min(safety.force, limit) for limit in stated.force]
@@ -141,6 +144,10 @@ class Rig:
             Aborted: the user, the device or a bound ended it.
             DriverFailure: the driver failed.
         """
+        with self._turns():
+            return self._run(control, duration, reach)
+
+    def _run(self, control: Controller, duration: float, reach: float) -> MotionLog:
         log, phase, before = MotionLog(), 0.0, None
         try:
             while True:

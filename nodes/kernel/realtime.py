@@ -28,7 +28,7 @@ import ctypes
 import os
 import resource
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol
@@ -312,6 +312,23 @@ def pin_guest(name: str) -> None:
     if may_raise():
         processors = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {processors[zlib.crc32(name.encode()) % len(processors)]})
+
+
+@contextlib.contextmanager
+def realtime_thread() -> Iterator[Grant]:
+    """Run the calling thread as a node's loop, pinned and under SCHED_FIFO where it may be, until the block ends.
+
+    It is for a loop of a program that does other work as well, such as the motion of ``identify``. The block gets the
+    answer to the wish for SCHED_FIFO.
+    """
+    processors = os.sched_getaffinity(0)
+    pin_guest("loop")
+    granted = prepare(RealtimeWishes())
+    try:
+        yield granted.fifo
+    finally:
+        restore(granted)
+        os.sched_setaffinity(0, processors)
 
 
 def restore(granted: Granted, system: System | None = None) -> None:

@@ -47,11 +47,33 @@ class Fault:
 
 
 @dataclass(frozen=True)
+class Free:
+    """The device of a row where nobody holds it, as `manyhands identify` needs it (tests/system/test_identify.py).
+
+    Attributes:
+        opened: gives the fake, as that of :class:`Row`.
+        options: of the command.
+        damping: the truth, N s/m or N m s/rad: the least of all directions.
+        friction: likewise, N or N m.
+        mass: likewise, kg or kg m^2.
+        stated: whether an osp can be stated of it; of several axes none can yet (docs/identify.md).
+    """
+
+    opened: Callable[[Path], AbstractContextManager[FarSide]]
+    options: Sequence[object]
+    damping: float
+    friction: float
+    mass: float
+    stated: bool = True
+
+
+@dataclass(frozen=True)
 class Row:
     """A device of the campaign.
 
     Attributes:
         opened: gives the fake, with files of its own in a folder; ``force`` of it is N or N m.
+        free: the same where nobody holds it.
         keys: of the session's device, without ``parameters``.
         period: of the session, s.
         faults: by name.
@@ -63,12 +85,11 @@ class Row:
         precision: the relative precision in which its motors are given a force.
         scale: the fake's force for one of the session's, on every axis.
         way: for how long a force may be under way, s, where the device counts its time from its arrival.
-        disarms: whether its motors are free once a force has ended by itself, until they are armed again: then the
-            session says that forces it gives meanwhile are not exerted (the promise *driver's word*).
         late: how much later than it was told a device ends a force, s: its stated ``actuation_delay`` at most.
     """
 
     opened: Callable[[Path], AbstractContextManager[FarSide]]
+    free: Free
     keys: Mapping[str, Any]
     period: float
     faults: Mapping[str, Fault]
@@ -80,7 +101,6 @@ class Row:
     precision: float = 1e-6
     scale: float = 1.0
     way: float = 0.0
-    disarms: bool = False
     late: float = 0.0
 
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -18,10 +20,12 @@ from manyhands.launch.run.breaches import QUIET
 
 from ..fakes.far_side import FarSide, Force, Given, Record
 from ..fakes.wheel import FakeWheel, Turn, fake_wheel
-from .device_row import KILL, LASTS, Fault, LoggedFarSide, Row, marks_in
+from .device_row import KILL, LASTS, Fault, Free, LoggedFarSide, Row, marks_in
 
 HELD: Final = Turn(m=0.03, b=0.06, c=0.06, k=4.0, amplitude=0.4, frequency=0.5)
 """Hands that turn a geared wheel to and fro, 1.3 rad/s at most."""
+
+FREE: Final = replace(HELD, k=0.0)
 
 
 class WheelFarSide(LoggedFarSide):
@@ -86,9 +90,9 @@ class WheelWire:
 
 
 @contextmanager
-def wheel(folder: Path) -> Iterator[FarSide]:
+def wheel(folder: Path, turn: Turn = HELD) -> Iterator[FarSide]:
     hz = round(1.0 / tick())  # like the kernel's own, to whose clock the driver looks
-    running = fake_wheel(HELD, kind="pid", hz=hz, in_us=250, out_us=500)
+    running = fake_wheel(turn, kind="pid", hz=hz, in_us=250, out_us=500)
     with running as one, pytest.MonkeyPatch.context() as patch:
         for name, value in one.environment.items():
             patch.setenv(name, value)
@@ -104,6 +108,13 @@ STALLED: Final = 0.03  # s
 
 EVDEV_WHEEL: Final = Row(
     opened=wheel,
+    free=Free(
+        opened=partial(wheel, turn=FREE),
+        options=("--force", 1.9, "--travel", 1, "--speed", 8),
+        damping=FREE.b,
+        friction=FREE.c,
+        mass=FREE.m,
+    ),
     keys={
         "dof": 1,
         "osp": 0.05,

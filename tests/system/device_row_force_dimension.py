@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -17,17 +18,22 @@ from manyhands.launch.run.breaches import QUIET
 
 from ..fakes.dhd import FakeDevices, fake_devices
 from ..fakes.far_side import FarSide, Force, Given, Record
-from .device_row import KILL, LASTS, Fault, LoggedFarSide, Row, marks_in
+from .device_row import KILL, LASTS, Fault, Free, LoggedFarSide, Row, marks_in
+
+MASS: Final = 0.2  # kg
+DAMPING: Final = 1.5  # N*s/m
+HELD: Final = ("hand 100 0.7", "to 0.01 0.007 -0.008")
+"""Orders: somebody holds it, and moves."""
 
 
 class DhdFarSide(LoggedFarSide):
-    """The first of the fake's devices, which somebody holds and moves."""
+    """The first of the fake's devices."""
 
-    def __init__(self, devices: FakeDevices, folder: Path) -> None:
+    def __init__(self, devices: FakeDevices, folder: Path, orders: Sequence[str]) -> None:
         super().__init__(devices.order, folder / "dhd.log")
         self._devices = devices
         self.parameters: Mapping[str, object] = {"library": devices.path}
-        self.order("plant 0.2 1.5 0", "hand 100 0.7", "to 0.01 0.007 -0.008", f"log {self._log}", "note began")
+        self.order(f"plant {MASS} {DAMPING} 0", *orders, f"log {self._log}", "note began")
 
     def force(self) -> Sequence[float]:
         return self._devices.force()
@@ -55,9 +61,9 @@ def _force(words: str) -> Force:
 
 
 @contextmanager
-def omega(folder: Path) -> Iterator[FarSide]:
+def omega(folder: Path, orders: Sequence[str] = HELD) -> Iterator[FarSide]:
     with fake_devices() as devices:
-        yield DhdFarSide(devices, folder)
+        yield DhdFarSide(devices, folder, orders)
 
 
 T: Final = 0.004  # s
@@ -68,6 +74,14 @@ GONE: Final = "communication error"
 
 FORCE_DIMENSION: Final = Row(
     opened=omega,
+    free=Free(
+        opened=partial(omega, orders=()),
+        options=("--dof", 3, "--force", 2, "--travel", 0.02, "--speed", 0.2),
+        damping=DAMPING,
+        friction=0.0,
+        mass=MASS,
+        stated=False,
+    ),
     keys={
         "dof": 3,
         "axes": ["x", "y", "z"],

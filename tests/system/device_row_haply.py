@@ -10,17 +10,19 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from ..fakes.far_side import FarSide, Force, Given, Record
 from ..fakes.haply import FakeHaply, fake_haply
-from .device_row import KILL, LASTS, Fault, LoggedFarSide, Row, marks_in
+from .device_row import KILL, LASTS, Fault, Free, LoggedFarSide, Row, marks_in
 
 IDLE: Final = 0.02  # s without a message, after which the device lets go
 GRAIN: Final = 0.002  # s, of the fake's log: it looks every millisecond
 CATCHES_UP: Final = 5_000_000  # ns, in which a service that has stalled has heard what was waiting
-HAND: Final[Mapping[str, Any]] = {"mass": 0.15, "damping": 1.0, "step": 0.001, "hand": 100.0, "amplitude": 0.015}
+FREE: Final[Mapping[str, Any]] = {"mass": 0.15, "damping": 1.0, "step": 0.001}
+HELD: Final[Mapping[str, Any]] = {**FREE, "hand": 100.0, "amplitude": 0.015}
 """Somebody holds the device, and moves."""
 
 
@@ -64,8 +66,8 @@ def forces(message: str) -> Iterator[Force]:
 
 
 @contextmanager
-def haply(folder: Path) -> Iterator[FarSide]:
-    with fake_haply(**HAND, idle=IDLE) as one:
+def haply(folder: Path, given: Mapping[str, Any] = HELD) -> Iterator[FarSide]:
+    with fake_haply(**given, idle=IDLE) as one:
         yield HaplyFarSide(one, folder)
 
 
@@ -79,6 +81,14 @@ TIMES: Final = {"sample_age": 0.002, "actuation_delay": 0.001}  # s
 
 HAPLY: Final = Row(
     opened=haply,
+    free=Free(
+        opened=partial(haply, given=FREE),
+        options=("--dof", 3, "--force", 2, "--travel", 0.04, "--speed", 0.25),
+        damping=FREE["damping"],
+        friction=0.0,
+        mass=FREE["mass"],
+        stated=False,
+    ),
     keys={
         "dof": 3,
         "axes": ["x", "y", "z"],

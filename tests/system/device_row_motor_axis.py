@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Protocol
 
@@ -14,10 +16,12 @@ from manyhands.launch.run.breaches import QUIET
 
 from ..fakes.far_side import FarSide, Force, Given, Record
 from ..fakes.rotor import FakeMotor, Rotor
-from .device_row import KILL, LASTS, Fault, LoggedFarSide, Row, marks_in
+from .device_row import KILL, LASTS, Fault, Free, LoggedFarSide, Row, marks_in
 
 HELD: Final = Rotor(J=2e-4, b=0.01, k=0.2, amplitude=0.5, frequency=0.7)
 """Somebody holds the knob, and turns it."""
+
+FREE: Final = replace(HELD, c=0.002, k=0.0)
 
 SILENCE: Final = 0.5  # s, of the driver: a busy machine may give the fake no turn for a while
 T: Final = 0.004  # s
@@ -88,12 +92,19 @@ def motor_row(driver: str, fake: Fake, wire: Callable[[], Wire], faults: Mapping
     """
 
     @contextmanager
-    def opened(folder: Path) -> Iterator[FarSide]:
-        with fake(HELD) as one:
+    def opened(folder: Path, rotor: Rotor = HELD) -> Iterator[FarSide]:
+        with fake(rotor) as one:
             yield MotorFarSide(one, wire, folder)
 
     return Row(
         opened=opened,
+        free=Free(
+            opened=partial(opened, rotor=FREE),
+            options=("--force", 0.4, "--travel", 0.8, "--speed", 6),
+            damping=FREE.b,
+            friction=FREE.c,
+            mass=FREE.J,
+        ),
         keys={
             "dof": 1,
             "axes": ["rz"],
@@ -119,7 +130,6 @@ def motor_row(driver: str, fake: Fake, wire: Callable[[], Wire], faults: Mapping
         felt=0.005,
         design={"coupling": "spring-damper", "tau": 0.003, "period_tolerance": 0.5},
         way=WAY,
-        disarms=True,
         faults={
             "unplugged": Fault(
                 ["unplug"],

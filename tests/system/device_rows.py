@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -17,7 +18,7 @@ from manyhands.launch.run.breaches import QUIET
 
 from ..fakes.board import Axis, FakeBoard, fake_board
 from ..fakes.far_side import FarSide, Force, Given, Record
-from .device_row import KILL, LASTS, Fault, LoggedFarSide, Row, marks_in
+from .device_row import KILL, LASTS, Fault, Free, LoggedFarSide, Row, marks_in
 from .device_row_evdev_wheel import EVDEV_WHEEL
 from .device_row_force_dimension import FORCE_DIMENSION
 from .device_row_haply import HAPLY
@@ -112,10 +113,12 @@ class BoardWire:
 HELD: Final = Axis(m=0.15, b=1.0, step=1e-5, k=100.0, amplitude=0.01, frequency=0.7)
 """Somebody holds the board, and moves."""
 
+FREE: Final = Axis(m=0.15, b=3.0, c=0.1, step=1e-5, displacement=0.2)
+
 
 @contextmanager
-def board(folder: Path) -> Iterator[FarSide]:
-    with fake_board(HELD, period_us=500) as one:
+def board(folder: Path, axis: Axis = HELD) -> Iterator[FarSide]:
+    with fake_board(axis, period_us=500) as one:
         yield BoardFarSide(one, folder)
 
 
@@ -127,6 +130,13 @@ GONE: Final = "found no state for"
 
 SERIAL_BOARD: Final = Row(
     opened=board,
+    free=Free(
+        opened=partial(board, axis=FREE),
+        options=("--travel", 0.06, "--speed", 0.25, "--force", 4),
+        damping=FREE.b,
+        friction=FREE.c,
+        mass=FREE.m,
+    ),
     keys={
         "dof": 1,
         "osp": 1.0,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import nullcontext
 from datetime import date
 from functools import partial
 from pathlib import Path
@@ -19,6 +20,7 @@ from manyhands.launch.output import print_json
 from manyhands.nodes.device.plugin import PluginDriver
 from manyhands.nodes.device.specification import DeviceSpecification
 from manyhands.nodes.kernel.factory import FactoryError
+from manyhands.nodes.kernel.realtime import realtime_thread
 from manyhands.protocol.clock import RealtimeClock, SimulatedClock
 
 if TYPE_CHECKING:
@@ -31,7 +33,7 @@ commands = typer.Typer()
 LATE = 0.01
 """Part of the ticks; where more come late, the machine may be why too little was measured."""
 
-_ADVICE = "; many ticks came late: end other programs, give a longer --period, or run the command under chrt -f 10"
+_ADVICE = "; many ticks came late: end other programs, or give a longer --period"
 
 MOST_AXES = 3
 """The lines that determine the damping of more are too many."""
@@ -131,7 +133,7 @@ def _measured(
         raise Aborted("this moves real hardware, and there is no terminal to ask at: give --yes")
     found = []
     clock = RealtimeClock() if stated.hardware else SimulatedClock()
-    rig = Rig(plugin, stated, period, clock, safety)
+    rig = Rig(plugin, stated, period, clock, safety, turns=realtime_thread if stated.hardware else nullcontext)
     wanted = [] if ask else poses(rig.origin, rig, number)
     for pose in range(number):
         if ask:

@@ -52,6 +52,18 @@ def test_what_a_good_encoder_allows_is_tight() -> None:
     assert 0.23 < damping.low <= 0.3 <= damping.high < 0.4
 
 
+def stating(driver: PlantDriver, **stated: Any) -> PlantDriver:
+    driver.stated = replace(driver.stated, **stated)
+    return driver
+
+
+def test_a_device_whose_damping_is_great_beside_its_mass_is_found() -> None:
+    """As of a small motor: what pushes it on at its greatest speed would throw it out of bounds at the least."""
+    driver = PlantDriver(Slide(m=0.02, b=1.0, c=0.02), step=5e-6)
+    damping = found(stating(driver, mass=(0.02,))).found.damping
+    assert 0.9 < damping.low <= 1.0 <= damping.high < 1.1
+
+
 @pytest.mark.parametrize("power", [1.5, 2.0, 3.0])
 def test_of_drag_alone_nothing_is_stated(power: float) -> None:
     drag = 0.3 / 0.25 ** (power - 1.0)
@@ -63,17 +75,12 @@ def test_of_drag_alone_nothing_is_stated(power: float) -> None:
     assert at_pose.found.friction[0].low <= 0.05
 
 
-def lied(driver: PlantDriver, **stated: Any) -> PlantDriver:
-    driver.stated = replace(driver.stated, **stated)
-    return driver
-
-
 def test_a_delay_that_the_driver_denies_makes_a_false_answer_or_none() -> None:
     """So the delay is used: a planted fault in the driver's statement is a fault in the answer."""
     truth = 0.05
     driver = PlantDriver(Slide(m=0.5, b=truth, c=0.02), step=1e-6, delay=0.006)
     try:
-        identified: Identified | None = found(lied(driver, timing=DeviceTiming())).found
+        identified: Identified | None = found(stating(driver, timing=DeviceTiming())).found
     except (NotOfThisClass, Aborted):
         identified = None
     assert identified is None or not identified.damping.holds(truth)

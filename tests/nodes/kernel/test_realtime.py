@@ -261,6 +261,30 @@ context.destroy(linger=0)
 
 
 @permitted
+def test_a_thread_is_pinned_and_raised_for_a_while() -> None:
+    done = run(
+        PREPARED
+        + """
+from manyhands.nodes.kernel.realtime import realtime_thread
+processors = os.sched_getaffinity(0)
+for _ in range(2):
+    try:
+        with realtime_thread() as fifo:
+            assert fifo.granted, fifo
+            assert os.sched_getscheduler(0) == os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+            assert len(os.sched_getaffinity(0)) == 1
+            raise InterruptedError
+    except InterruptedError:
+        pass
+    assert Linux().scheduling() == before
+    assert os.sched_getaffinity(0) == processors
+assert locked() == 0
+"""
+    )
+    assert done.returncode == 0, done.stderr
+
+
+@permitted
 def test_a_stranger_over_tcp_reaches_no_thread_with_a_priority(tmp_path: Path) -> None:
     """Of a transport with both: the thread of ipc is raised, and that of TCP only favoured, whatever it has to do."""
     done = run(
