@@ -429,6 +429,12 @@ def _measured(bench: Bench) -> Iterator[Judgement]:
     driver = bench.driver
     if not isinstance(driver, PluginDriver) or not driver.measures:
         return
+    if driver.untrue is None and driver.limp is not None:
+        ticks, most = driver.limp
+        text = f"found no force in {ticks} ticks, in which it was given up to {most:.3g} N"
+        expected = "one that exerts what it is given while nothing is wrong: see its power, its watchdog and its limits"
+        yield Judgement(FORCE, Conformance.BROKEN, f"{text}; expected {expected}")
+        return
     if driver.untrue is None:
         yield Judgement(FORCE, Conformance.KEPT, "every force that it measured is one that it was given")
         return

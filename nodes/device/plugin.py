@@ -120,6 +120,9 @@ class GivenForces:
     Attributes:
         ticks: the number of measurements that were not.
         most: by how much they differed from the nearest at most, on any axis, N.
+        limp: the number of measurements of no force on any axis, where one was given: the device protects itself, or
+            its watchdog has acted. They are none of ``ticks``.
+        limp_most: the greatest force of an axis that it lacked then, N.
     """
 
     def __init__(self, limits: Sequence[float], window: Duration) -> None:
@@ -134,6 +137,7 @@ class GivenForces:
         self._given: deque[tuple[Instant, Floats]] = deque([(Instant(0), self._zero)])
         self._at = Instant(0)
         self.ticks, self.most = 0, 0.0
+        self.limp, self.limp_most = 0, 0.0
 
     def give(self, F: Floats, at: Instant, until: Instant | None = None) -> None:
         """From ``at`` on it has to be F (N), and from ``until`` on zero."""
@@ -154,7 +158,12 @@ class GivenForces:
             beyond = max(min(of_axis) - force, force - max(of_axis))
             if beyond > allowed:
                 worst = max(worst, beyond)
-        if worst > 0.0:
+        if not worst > 0.0:
+            return
+        if all(abs(force) <= allowed for force, allowed in zip(F, self._allowed, strict=True)):
+            self.limp += 1
+            self.limp_most = max(self.limp_most, worst)
+        else:
             self.ticks += 1
             self.most = max(self.most, worst)
 
@@ -364,6 +373,9 @@ class PluginDriver:
         if self.untrue:
             ticks, most = self.untrue
             found |= {names.UNTRUE: float(ticks), names.UNTRUE_MOST: most}
+        if self.limp:
+            ticks, most = self.limp
+            found |= {names.LIMP: float(ticks), names.LIMP_MOST: most}
         return Figures(found, {names.DRIVER: own} if own else {})
 
     @property
@@ -373,6 +385,14 @@ class PluginDriver:
         None where there was no such tick.
         """
         return (self._given.ticks, self._given.most) if self._given.ticks else None
+
+    @property
+    def limp(self) -> tuple[int, float] | None:
+        """In how many ticks the device exerted no force although it had been given one, and of up to how much, N.
+
+        None where there was no such tick.
+        """
+        return (self._given.limp, self._given.limp_most) if self._given.limp else None
 
     @property
     def measures(self) -> bool:

@@ -536,16 +536,25 @@ class HealthModel:
             self._put_in[node] = max(self._put_in[node], lacks)
         if figures.get(names.MEASURED, 0.0) > 0.0:
             self._measure.add(node)
-        untrue = self._total(node, names.UNTRUE, figures)
-        if not untrue > 0.0:
+        if node not in self._terms.drivers:
             return
-        entry = self._entries.get((Promise.DRIVER, node)) or self._begin(Promise.DRIVER, node, PromiseState.BROKEN, at)
-        most = max(entry.cost.get((node, "N"), 0.0), figures.get(names.UNTRUE_MOST, 0.0))
-        entry.cost |= {(node, "ticks"): untrue, (node, "N"): most if math.isfinite(most) else 0.0}
-        entry.remark = (
-            f"{node}: by its own measurement the driver {self._terms.drivers[node].factory} exerted forces that it had "
-            f"not been given, in {untrue:.0f} ticks and by up to {most:.3g} N"
-        )
+        if (untrue := self._total(node, names.UNTRUE, figures)) > 0.0:
+            driver = self._terms.drivers[node].factory
+            measured = f"by its own measurement the driver {driver} exerted forces that it had not been given"
+            self._other_force(node, at, PromiseState.BROKEN, measured, untrue, figures.get(names.UNTRUE_MOST, 0.0))
+        elif (ticks := self._total(node, names.LIMP, figures)) > 0.0:
+            measured = "its device exerted no force, as its driver measured, though it was given some"
+            self._other_force(node, at, PromiseState.ENFORCED, measured, ticks, figures.get(names.LIMP_MOST, 0.0))
+
+    def _other_force(self, node: str, at: float, state: PromiseState, what: str, ticks: float, most: float) -> None:
+        """A driver has measured other forces than it was given."""
+        entry = self._entries.get((Promise.DRIVER, node))
+        if entry is None or entry.state is not state:
+            entry = self._begin(Promise.DRIVER, node, state, at)
+            entry.cost.clear()
+        most = max(entry.cost.get((node, "N"), 0.0), most)
+        entry.cost |= {(node, "ticks"): ticks, (node, "N"): most if math.isfinite(most) else 0.0}
+        entry.remark = f"{node}: {what}, in {ticks:.0f} ticks and by up to {most:.3g} N"
 
     def _senseless(self, promise: Promise, node: str, at: float, what: str) -> None:
         """An account that is no finite number shows nothing, so nobody may say that its promise is kept."""

@@ -358,9 +358,11 @@ UNEXERTED: str = _figure(Figure("unexerted", Unit.TICKS, "in which a device exer
 UNEXERTED_MOST: str = _figure(Figure("unexerted_most", Unit.NEWTONS, "the greatest difference of an axis"))
 MEASURED: str = _figure(Figure(
     "measured", Unit.TICKS, "in which a driver of another package measured the force that its device exerted"))
-UNTRUE: str = _figure(Figure("untrue", Unit.TICKS, "of these in which the force was none that it had been given"))
+UNTRUE: str = _figure(Figure("untrue", Unit.TICKS, "of these in which there was a force that it had not been given"))
 UNTRUE_MOST: str = _figure(Figure(
-    "untrue_most", Unit.NEWTONS, "by which it was none of them at most, on any of the driver's axes"))
+    "untrue_most", Unit.NEWTONS, "by which that was beyond them at most, on any of the driver's axes"))
+LIMP: str = _figure(Figure("limp", Unit.TICKS, "of these in which there was no force, though one had been given"))
+LIMP_MOST: str = _figure(Figure("limp_most", Unit.NEWTONS, "the greatest that an axis lacked then"))
 GRASPED: str = _figure(Figure("grasped", Unit.STATE, "whether a person who feels no force holds the device"))
 GRASPS: str = _figure(Figure(
     "grasps", Unit.TIMES, "positions of a pointer, or reports of a SpaceMouse or a gamepad, that the device took"))

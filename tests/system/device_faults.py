@@ -390,7 +390,7 @@ def _judge_report(row: Row, stage: Stage, report: Mapping[str, Any], recorded: R
                 found.late += 1
             else:
                 found.wrong.append(f"others: found {status}; expected nobody but {TESTED}")
-        if status.promise == Promise.DRIVER and status.state == "broken" and not row.disarms:
+        if status.promise == Promise.DRIVER and status.state == "broken":
             found.wrong.append(f"given: found the driver's word broken: {status.remark}")
     happened = Counter(
         (event.kind, event.peer or node)

@@ -352,8 +352,10 @@ def test_a_measured_force_is_held_against_those_that_were_given_lately() -> None
     given.measured([0.0, 0.0])
     assert given.ticks == 3
     given.give([5.0, 0.0], instant(2.4), instant(5))
-    given.measured([0.0, 0.0])  # for 1.4 ms it should have been 5 N
-    assert (given.ticks, given.most) == (4, 5.0)
+    given.measured([1.0, 0.0])  # for 1.4 ms it should have been 5 N
+    assert (given.ticks, given.most) == (4, 4.0)
+    given.measured([0.3, -0.3])  # none: it has let go
+    assert (given.ticks, given.limp, given.limp_most) == (4, 1, 4.7)
     given.give([0.0, 0.0], instant(3))  # released
     given.measured([5.0, 0.0])
     assert given.ticks == 4

@@ -509,6 +509,24 @@ def test_what_a_device_does_by_itself_is_said_with_its_drivers_word() -> None:
     assert deed not in remark()
 
 
+def test_a_device_that_exerted_no_force_is_no_fault_of_its_driver() -> None:
+    found = HealthModel(replace(TERMS, drivers={"dx": DriverWord("a.b:C")}))
+
+    def row() -> PromiseStatus:
+        [one] = [one for one in found.rows() if one.promise == Promise.DRIVER]
+        return one
+
+    found.take("dx", 100, as_figures({"limp": 3.0, "limp_most": 2.0}))
+    assert row().state == PromiseState.ENFORCED
+    assert row().cost == {"ticks": 3.0, "N": 2.0}
+    assert row().remark.startswith("dx: its device exerted no force")
+    found.take("dx", 200, as_figures({"limp": 3.0, "limp_most": 2.0, "untrue": 1.0, "untrue_most": 0.5}))
+    assert row().state == PromiseState.BROKEN
+    assert row().cost == {"ticks": 1.0, "N": 0.5}
+    found.take("dx", 300, as_figures({"limp": 9.0, "limp_most": 2.0, "untrue": 1.0, "untrue_most": 0.5}))
+    assert row().state == PromiseState.BROKEN
+
+
 FACTORY = "a.b:" + "C" * 200
 LONG = tuple(f"{i}{'x' * (MAX_SENTENCE - 1)}" for i in range(MAX_BY_ITSELF))
 
