@@ -53,6 +53,9 @@ DAMPED: Final = 0.6
 ROUNDED: Final = 0.8
 """How sharp the turns are, below 1."""
 
+PART: Final = 0.25
+"""Of a stroke one way, over which the servo's model of the device is fitted."""
+
 LEARNS: Final = 0.3
 """s, in which bias and friction are learned."""
 
@@ -143,12 +146,11 @@ class _Servo:
                 self.bias[axis] = max(-self.most, min(self.most, learned))
         return f
 
-    def learn(self, mass: float, damping: float, fastest: float) -> None:
-        """Take what a run has shown; at its greatest speed, m/s, the device is pushed as before."""
-        mass = min(4.0 * self.mass, max(0.25 * self.mass, mass))
-        damping = min(max(0.0, damping), self.damping + self.friction / fastest)
-        self.friction += (self.damping - damping) * fastest
-        self.mass, self.damping = mass, damping
+    def learn(self, mass: float, damping: float, friction: float) -> None:
+        """Take what a run has shown; a mass only as far as one run can be believed."""
+        self.mass = min(4.0 * self.mass, max(0.25 * self.mass, mass))
+        self.damping = max(0.0, damping)
+        self.friction = min(self.most, max(0.0, friction))
 
     def turns(self, times: Array) -> tuple[int, ...]:
         """Of these times of the wanted motion, s, the ticks at which it turns round."""
@@ -156,22 +158,28 @@ class _Servo:
         return tuple(int(tick) + 1 for tick in np.flatnonzero(np.diff(half)))
 
 
-def _fit(log: MotionLog, u: Floats) -> tuple[float, float] | None:
-    """m, kg, and b, N*s/m, that fit f = m a + b v + c sgn(v) + g best; None where there is no fit."""
-    t, length = np.array(log.sampled), np.array(u)
+def _fit(log: MotionLog, servo: _Servo) -> tuple[float, float, float] | None:
+    """m, kg, b, N*s/m, and c, N, that fit f = m a + b v + c sgn(v) + k s + g best; None where there is no fit.
+
+    All terms are means over :data:`PART` of a stroke: a velocity's change over so long is known well, and its
+    derivative is not, whose errors would make the mass look small.
+    """
+    t, length = np.array(log.sampled), np.array(servo.u)
     s, f = np.array(log.x) @ length, np.array(log.f) @ length
-    n = max(1, round(HALF / float(np.median(np.diff(t)))))
-    if len(s) < 8 * n:
+    T = float(np.median(np.diff(t)))
+    n, w = max(1, round(HALF / T)), max(2, round(PART * math.pi / servo.omega / T))
+    if len(s) < 4 * (n + w):
         return None
     v = (s[2 * n :] - s[: -2 * n]) / (t[2 * n :] - t[: -2 * n])
-    a = (v[2 * n :] - v[: -2 * n]) / (t[3 * n : -n] - t[n : -3 * n])
-    v, f = v[n:-n], np.convolve(f, np.ones(2 * n + 1) / (2 * n + 1), "valid")[n:-n]
-    fast = np.abs(v) > 0.2 * np.max(np.abs(v))
-    if np.count_nonzero(fast) < 50:
-        return None
-    A = np.column_stack([a, v, np.sign(v), np.ones_like(v)])[fast]
-    m, b, _, _ = np.linalg.lstsq(A, f[fast], rcond=None)[0]
-    return float(m), float(b)
+    t, s, f = t[n:-n], s[n:-n], f[n:-n]
+
+    def mean(values: Array) -> Array:
+        return np.convolve(values, np.full(w, 1.0 / w), "valid")[:-1]
+
+    a = (v[w:] - v[:-w]) / (t[w:] - t[:-w])
+    A = np.column_stack([a, mean(v), mean(np.sign(v)), mean(s), np.ones_like(a)])
+    m, b, c, *_ = np.linalg.lstsq(A, mean(f), rcond=None)[0]
+    return float(m), float(b), float(c)
 
 
 Told = Callable[[str], None]
@@ -272,9 +280,9 @@ def _warmed(rig: Rig, servo: _Servo, tell: Told, name: str) -> float:
         servo.learning = True
         tell(f"{name}: the servo learns mass, damping and friction")
         log = _run(rig, servo, times * servo.at(part * speed), tell)
-        fit = _fit(log, servo.u)
+        fit = _fit(log, servo)
         if fit is not None:
-            servo.learn(*fit, part * speed)
+            servo.learn(*fit)
         # what the turns take: mass times the greatest acceleration of the wanted motion
         spare = 0.8 * min(rig.force) - servo.friction - servo.damping * speed - max(map(abs, servo.bias))
         omega = speed * math.asin(ROUNDED) / (servo.travel * ROUNDED)
