@@ -59,6 +59,9 @@ PART: Final = 0.25
 LEARNS: Final = 0.3
 """s, in which bias and friction are learned."""
 
+FIRST_LEARNS: Final = 1.0
+"""s, likewise before a mass is known: faster, a device four times as heavy as :data:`FIRST_MASS` would swing up."""
+
 BEYOND: Final = 1.6
 """Of the wanted travel, at which a motion is aborted."""
 
@@ -107,6 +110,7 @@ class _Servo:
     damping: float = 0.0
     omega: float = 1.0
     learning: bool = True
+    learns: float = FIRST_LEARNS
     most: float = math.inf
     T: float = 1e-3
 
@@ -139,7 +143,7 @@ class _Servo:
             for u, lack, w, bias in zip(self.u, lacks, v, self.bias, strict=True)
         ]
         if self.learning:
-            rate = stiffness / LEARNS * self.T
+            rate = stiffness / self.learns * self.T
             self.friction = max(0.0, min(self.most, self.friction + rate * behind * ease))
             for axis, lack in enumerate(lacks):
                 learned = self.bias[axis] + 0.5 * rate * lack
@@ -151,6 +155,7 @@ class _Servo:
         self.mass = min(4.0 * self.mass, max(0.25 * self.mass, mass))
         self.damping = max(0.0, damping)
         self.friction = min(self.most, max(0.0, friction))
+        self.learns = LEARNS
 
     def turns(self, times: Array) -> tuple[int, ...]:
         """Of these times of the wanted motion, s, the ticks at which it turns round."""
