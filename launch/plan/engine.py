@@ -1,4 +1,5 @@
-"""Whether a session's engine takes its model: tried before anything is started, with this package's engines alone.
+"""What a session's engine says of its model before anything is started, with this package's engines alone: whether it
+takes it, and what it looks like.
 
 The environment's process makes the engine when its peers shake hands. A model that is refused there would end a session
 that has begun. Engines of other packages are their authors' code, which no command runs outside that process.
@@ -6,7 +7,10 @@ that has begun. Engines of other packages are their authors' code, which no comm
 
 from __future__ import annotations
 
+from typing import Any
+
 from manyhands.launch.session import Session
+from manyhands.nodes.environment.drawing import WorldDrawing
 from manyhands.nodes.environment.model import PROXY, make_model
 
 
@@ -18,3 +22,16 @@ def require_engine(session: Session) -> None:
     """
     if session.environment.tried_first:
         make_model(session.foreign_code["environment.model"], session.ports, session.period, PROXY)
+
+
+def drawing_of(session: Session) -> WorldDrawing | None:
+    """What the world of a session's engine looks like at its start; None where no engine of this package says it.
+
+    Raises:
+        FactoryError: the model is refused, or the engine is not installed.
+    """
+    if not session.environment.tried_first:
+        return None
+    engine: Any = make_model(session.foreign_code["environment.model"], session.ports, session.period, PROXY)
+    drawing: WorldDrawing | None = engine.drawing() if hasattr(engine, "drawing") else None
+    return drawing

@@ -15,10 +15,12 @@ import math
 import os
 import signal
 from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from manyhands.launch.files import EXIT_FAILED, EXIT_OK
 from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.engine import drawing_of
 from manyhands.launch.plan.hosts import ended_there, ssh_command
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.reach import HUB_NAME, Reach
@@ -185,7 +187,9 @@ class Supervisor:
         self._prepared, self._session = prepared, session
         self._clock_name, self._reach, self._record = clock, reach, record
         self._recorder, self._logs, self._interrupt = recorder or Recorder(), logs, interrupt
-        self._about = describe(prepared, clock, reach.transport, ticks, reach.remote, reach.seats)
+        self._about = replace(
+            describe(prepared, clock, reach.transport, ticks, reach.remote, reach.seats), drawing=drawing_of(session)
+        )
         self._health = HealthModel(self._about.terms)
         self._showing: Showing | None = None
         self._show = show

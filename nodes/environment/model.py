@@ -62,6 +62,9 @@ class Engine(Protocol):
     parameters are ``model`` (the text of the model's file), ``assets`` (the files that it names, by name, in base64),
     ``tools`` (a name in the model for each port), ``bodies`` (those whose positions are reported) and ``stiffness``
     (the largest K at each port, N/m).
+
+    An engine may have a method ``drawing()`` besides. It is asked for it before the first step, and returns what its
+    world looks like (:class:`manyhands.nodes.environment.drawing.WorldDrawing`), which the page of a session draws.
     """
 
     def step(self, x: Vector, f: Vector) -> Any:

@@ -20,8 +20,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from manyhands.nodes.environment.drawing import WorldDrawing
 from manyhands.nodes.environment.mjcf import ModelRefused, steps_of
 from manyhands.nodes.environment.mujoco_compiler import compiled
+from manyhands.nodes.environment.mujoco_drawing import drawing_of
 from manyhands.nodes.environment.mujoco_library import import_mujoco
 from manyhands.nodes.kernel.factory import FactoryError
 
@@ -74,7 +76,9 @@ class MujocoEngine:
                 raise FactoryError(
                     f"found a joint {name!r} of another type; expected a slide joint for an axis of a tool"
                 )
-        self._bodies = [self._id("BODY", name) for name in parameters["bodies"]]
+        self._names = [*parameters["bodies"]]
+        self._bodies = [self._id("BODY", name) for name in self._names]
+        self._tools = dict(zip(joints, ports, strict=True))
         self._places = np.array([model.jnt_qposadr[joint] for joint in joints])
         self._dofs = np.array([model.jnt_dofadr[joint] for joint in joints])
         self._data: Any = mujoco.MjData(model)
@@ -110,6 +114,11 @@ class MujocoEngine:
         if self._warnings:
             raise RuntimeError(f"MuJoCo warns: {self._warnings[0]}")
         return np.asarray(data.qpos[self._places] - self._start, dtype=np.float64)
+
+    def drawing(self) -> WorldDrawing:
+        """What the model looks like where it stands, to be asked for before the first step."""
+        bodies = dict(zip(self._bodies, self._names, strict=True))
+        return drawing_of(self._mujoco, self._model, self._data, self._tools, bodies)
 
     def positions(self) -> list[float]:
         """x, y and z of each reported body, m."""

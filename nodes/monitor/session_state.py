@@ -19,6 +19,7 @@ from typing import Annotated, Any, Final
 from manyhands.design.files import read_regular, replacing
 from manyhands.design.models.contacts import coordinates
 from manyhands.design.models.scene import ContactScene, geometry_of
+from manyhands.nodes.environment.drawing import WorldDrawing
 from manyhands.nodes.kernel.bundle import REALTIME
 from manyhands.nodes.kernel.driver_statement import DriverWord
 from manyhands.nodes.monitor.health import (
@@ -167,6 +168,7 @@ class About:
             that of its coupling.
         scene: the geometry of the virtual world's tools, bodies and obstacles; None if it is no scene and no mesh.
         force: the limit of the force at each port's device, N.
+        drawing: what the world of a physics engine looks like; None for other worlds, and where no engine says it.
     """
 
     session: str
@@ -189,6 +191,7 @@ class About:
     seats: Mapping[str, str] = field(default_factory=dict)
     scene: Annotated[ContactScene, GEOMETRY] | None = None
     force: Added[Mapping[str, float]] = field(default_factory=dict)
+    drawing: Added[WorldDrawing | None] = None
 
     @property
     def terms(self) -> Terms:
@@ -296,6 +299,9 @@ class About:
             ports = {port for node in self.nodes.values() if node.role is Role.ENVIRONMENT for port in node.ports}
             if not (bodies <= self.masses.keys() and {*self.scene.ports} <= ports):
                 raise ValueError("scene: found other ports or bodies; expected the environment's")
+        for name, frame in () if self.drawing is None else self.drawing.frames.items():
+            if not ({*frame.ports} <= self.reach.keys() and (not frame.reported or f"{name}.x" in self.masses)):
+                raise ValueError(f"drawing.frames.{name}: found other ports or bodies; expected the environment's")
 
 
 RATE_OVER: Final = from_seconds(0.5)

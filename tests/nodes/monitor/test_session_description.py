@@ -93,7 +93,7 @@ DAMAGED = {
     "deep": "[" * 100_000,
     "another version's": json.dumps({"session": "s"}),
     "more than there is": changed(more=1),
-    **{f"no {key}": without(key) for key in WHOLE.as_plain() if key != "force"},
+    **{f"no {key}": without(key) for key in WHOLE.as_plain() if key not in ("force", "drawing")},
     "forces in words": changed(force={"dx": "strong"}),
     "a role that there is not": changed(nodes={"dx": {"role": "king", "ports": [], "process": None}}),
     "ports that are no list": changed(nodes={"dx": {"role": "device", "ports": "dx", "process": None}}, links=[]),
@@ -124,6 +124,7 @@ DAMAGED = {
     "a mass that is no number": changed(masses={"hub": float("inf")}),
     "a spring in words": changed(springs=[{"ends": ["a", "b"], "stiffness": "s", "damping": 0.0}]),
     "a certificate of another kind": changed(certificate={"tau": 1.0}),
+    "a drawing that is none": changed(drawing={"up": "x", "frames": {}, "shapes": []}),
     "a bound in words": changed(certificate={**WHOLE.as_plain()["certificate"], "bounded": "yes"}),
 }
 
@@ -135,9 +136,11 @@ def test_damaged(text: str, tmp_path: Path) -> None:
         About.load(tmp_path)
 
 
-def test_a_description_from_before_it_had_limits_of_forces(tmp_path: Path) -> None:
+def test_a_description_from_before_it_had_limits_of_forces_or_a_drawing(tmp_path: Path) -> None:
     (tmp_path / ABOUT).write_text(without("force"))
     assert About.load(tmp_path).force == {}
+    (tmp_path / ABOUT).write_text(without("drawing"))
+    assert About.load(tmp_path).drawing is None
 
 
 def test_not_there_not_a_file_not_text_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

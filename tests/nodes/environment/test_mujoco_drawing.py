@@ -1,0 +1,121 @@
+"""What a MuJoCo model is said to look like: every geom in the frame that it moves in, and nothing in a wrong place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from manyhands.design.models.distance_grid import MOST_DRAWN
+from manyhands.launch.plan.engine import drawing_of
+from manyhands.launch.plan.prepare import unproved
+from manyhands.launch.run.broadcast import describe
+from manyhands.launch.session.shipped import load_named
+from manyhands.nodes.environment.drawing import Frame, Shape, WorldDrawing
+from manyhands.nodes.environment.mujoco import MujocoEngine
+from manyhands.nodes.monitor.session_state import About, AboutError
+
+UPRIGHT = (1.0, 0.0, 0.0, 0.0)
+MODEL = """<mujoco><option gravity="0 0 0"/><worldbody>
+<geom name="floor" type="plane" size="0.3 0 0.01" pos="0 0 -0.1"/>
+<geom name="collides" type="box" size="1 1 1" group="3"/>
+<body name="outer" pos="0.1 0 0"><joint name="x" type="slide" axis="0 0 2"/>
+  <geom type="ellipsoid" size="0.01 0.02 0.03" mass="0.05"/>
+  <body name="tip" pos="0 0 0.05" euler="90 0 0">
+    <geom type="capsule" size="0.01 0.02" pos="0 0.01 0" mass="0.05"/></body></body>
+<body name="wheel" pos="0.2 0 0"><joint type="hinge" axis="0 0 1"/>
+  <geom type="cylinder" size="0.05 0.01"/></body>
+<body name="vane" pos="0.3 0 0"><joint type="hinge" axis="0 0 1"/><geom type="box" size="0.05 0.01 0.02"/></body>
+<body name="unheard" pos="0.4 0 0"><freejoint/><geom type="sphere" size="0.01"/></body>
+</worldbody></mujoco>"""
+
+
+def drawn(model: str = MODEL, bodies: tuple[str, ...] = ("wheel", "vane"), **other: Any) -> WorldDrawing:
+    given = {"model": model, "tools": ["x"], "bodies": [*bodies], "stiffness": [2000.0]}
+    return MujocoEngine(("p",), 1e-3, given | other).drawing()
+
+
+def test_each_geom_is_in_the_frame_of_what_moves_it() -> None:
+    drawing = drawn()
+    assert drawing.up == "z"
+    found = {(shape.frame, shape.shape): shape for shape in drawing.shapes}
+    assert [*found] == [
+        ("", "plane"),
+        ("outer", "ellipsoid"),
+        ("outer", "capsule"),
+        ("wheel", "cylinder"),
+        ("vane", "box"),
+    ]
+    assert found["", "plane"].size[:2] == (0.3, 0.0)
+    assert found["", "plane"].at == (0.0, 0.0, -0.1)
+    assert found["outer", "ellipsoid"].size == (0.01, 0.02, 0.03)
+    tip = found["outer", "capsule"]  # 0.01 along the y axis of a body that is turned by 90 degrees about x
+    assert tip.size == (0.01, 0.01, 0.02)
+    assert tip.at == pytest.approx((0.0, 0.0, 0.06), abs=1e-12)
+    assert np.abs(tip.turn).tolist() == pytest.approx([0.5**0.5, 0.5**0.5, 0.0, 0.0])
+
+
+def test_a_frame_says_what_moves_it() -> None:
+    frames = drawn().frames
+    assert frames["outer"] == Frame((0.1, 0.0, 0.0), UPRIGHT, ("p",), ((0.0, 0.0, 1.0),))
+    assert frames["wheel"] == Frame((0.2, 0.0, 0.0), UPRIGHT, reported=True)  # it is round about its hinge
+    assert frames["vane"] == Frame((0.3, 0.0, 0.0), UPRIGHT, reported=True, turns=True)
+
+
+def test_what_moves_unreported_is_named_and_not_drawn() -> None:
+    assert drawn().hidden == ("unheard",)
+    alone = drawn(bodies=())
+    assert alone.hidden == ("wheel", "vane", "unheard")
+    assert {shape.frame for shape in alone.shapes} == {"", "outer"}
+
+
+def test_a_mesh_has_its_triangles_and_one_that_is_too_large_is_named() -> None:
+    tetrahedron = '<mesh name="piece" vertex="0 0 0  0.1 0 0  0 0.1 0  0 0 0.1"/>'
+    text = MODEL.replace("<worldbody>", f'<asset>{tetrahedron}</asset><worldbody><geom type="mesh" mesh="piece"/>', 1)
+    [mesh] = [shape for shape in drawn(text).shapes if shape.shape == "mesh"]
+    points = np.array(mesh.points)
+    assert (len(mesh.points), len(mesh.triangles)) == (4, 4)
+    sides = [np.linalg.norm(points[i] - points[j]) for i in range(4) for j in range(i)]
+    assert sorted(sides) == pytest.approx([0.1] * 3 + [0.1 * 2**0.5] * 3, rel=1e-5)
+    many = drawn(
+        text.replace('<geom type="mesh" mesh="piece"/>', '<geom type="mesh" mesh="piece"/>' * (MOST_DRAWN // 4 + 1))
+    )
+    assert many.large == ("piece",)
+
+
+def test_the_shipped_session_is_described_with_its_drawing(tmp_path: Path) -> None:
+    session = load_named("mujoco", ["design={coupling: given, stiffness: 900, damping: 0.2}"])
+    about = replace(describe(unproved(session), "simulated", "ipc", 0), drawing=drawing_of(session))
+    assert about.drawing is not None
+    assert about.drawing.frames["left"].ports == ("left.0", "left.1") or set(about.drawing.frames["left"].ports) == {
+        *session.ports_of("left")
+    }
+    assert not about.drawing.frames["puck"].turns
+    about.save(tmp_path)
+    assert About.load(tmp_path) == about
+    assert drawing_of(load_named("carry", [])) is None
+    moved = replace(
+        about.drawing, frames={**about.drawing.frames, "puck": Frame((0, 0, 0), UPRIGHT, ("nobody",), ((1, 0, 0),))}
+    )
+    replace(about, drawing=moved).save(tmp_path)
+    with pytest.raises(AboutError, match=r"drawing\.frames\.puck: found other ports"):
+        About.load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "error"),
+    [
+        ({"up": "x"}, "drawing.up"),
+        ({"shapes": (Shape("nowhere", "box", (1, 1, 1), (0, 0, 0), UPRIGHT),)}, "in the frame 'nowhere'"),
+        ({"shapes": (Shape("", "cone", (1, 1, 1), (0, 0, 0), UPRIGHT),)}, "found a 'cone'"),
+        ({"shapes": (Shape("", "mesh", (1, 1, 1), (0, 0, 0), UPRIGHT, ((0, 0, 0),), ((0, 0, 1),)),)}, "of no point"),
+        ({"shapes": (Shape("", "box", (1, 1, np.nan), (0, 0, 0), UPRIGHT),)}, "not finite"),
+        ({"frames": {"a": Frame((0, 0, 0), UPRIGHT, ("p",))}}, "a direction for each port"),
+    ],
+)
+def test_a_drawing_that_cannot_be_drawn_is_refused(changes: dict[str, Any], error: str) -> None:
+    with pytest.raises(ValueError, match=error):
+        replace(drawn(), **{"shapes": (), "frames": {}} | changes)
