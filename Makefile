@@ -233,10 +233,11 @@ pictures: $(VENV)/.installed
 	$(BIN)/manyhands design example2-linear.yaml --plot out/design
 	cp out/design/singular-values.png docs/images/design-singular-values.png
 
-# the page of a running session in Chromium, which must be there: its tests, their pictures in out/page/, and docs/images/page*.png
+# the page of a session in Chromium, which must be there: its tests, their pictures in out/page/, and docs/images/page*.png
 page: $(VENV)/.installed
-	MANYHANDS_REQUIRE_BROWSER=1 $(BIN)/pytest -q tests/system/test_page.py tests/system/test_page_space.py
+	MANYHANDS_REQUIRE_BROWSER=1 $(BIN)/pytest -q tests/system/test_page*.py
 	$(BIN)/python -m tests.system.page_picture
+	$(BIN)/python -m tests.system.page_gallery out/page/sessions docs/images/page-sessions.png
 
 # design time against ports, beside a plain transcription of the paper; an hour at the default limit
 LIMIT ?= 600

@@ -9,12 +9,22 @@ what has happened, so they are never cleared. Whether delays are worth an alarm 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Final
 
-from manyhands.nodes.monitor.health import PROMISES, Health, PromiseState, grouped, is_present, missed, sentence
+from manyhands.nodes.monitor.health import (
+    PROMISES,
+    SESSION,
+    Health,
+    PromiseState,
+    grouped,
+    is_present,
+    missed,
+    sentence,
+)
 from manyhands.nodes.monitor.session_state import LiveSession
 from manyhands.nodes.rows.promises import Promise
 from manyhands.protocol.clock import Instant, from_seconds
@@ -44,18 +54,24 @@ class Alarm:
     Attributes:
         key: what it is about; at any time there is one alarm for each key.
         level: its severity.
-        text: what has happened.
+        headline: the cause in a few words, without the parties.
+        who: the parties, in the order in which they are known; empty where none is named.
+        text: what has happened, whole; a line for each sentence about it.
         advice: what to do.
         since: when it began, s of the session's time.
+        latest: when its text last changed, s.
         earlier: whether it may have begun before that: it was there at the first look.
         cleared: when its cause was last seen, s, if it is gone; None while it lasts.
     """
 
     key: str
     level: AlarmLevel
+    headline: str
+    who: tuple[str, ...]
     text: str
     advice: str
     since: float
+    latest: float
     earlier: bool = False
     cleared: float | None = None
 
@@ -65,13 +81,15 @@ class AlarmCause:
     """A cause that is present now, and raises an alarm.
 
     Attributes:
-        key, level, text, advice: of the alarm.
+        key, level, headline, who, text, advice: of the alarm.
         lasting: whether it cannot be undone.
         since: when it began, s of the session's time; None where only its first sight is known.
     """
 
     key: str
     level: AlarmLevel
+    headline: str
+    who: tuple[str, ...]
     text: str
     advice: str
     lasting: bool = False
@@ -104,10 +122,10 @@ def causes(live: LiveSession, now: Instant) -> Iterator[AlarmCause]:
     """Every cause that is present now, in no order of severity."""
     yield from _promises(live)
     yield from _sentences(live)
-    for node in live.nodes.values():
-        if node.health is Health.LATE:
-            text = f"{node.name}: more of its ticks are late than is usual on any machine"
-            yield AlarmCause(f"{node.name} late", AlarmLevel.WARNING, text, _LATE_ADVICE)
+    late = tuple(node.name for node in live.nodes.values() if node.health is Health.LATE)
+    if late:
+        text = f"more ticks are late than is usual on any machine: {', '.join(late)}"
+        yield AlarmCause("late", AlarmLevel.WARNING, "many late ticks", late, text, _LATE_ADVICE)
     yield from _unheard(live, now)
 
 
@@ -122,24 +140,47 @@ def _promises(live: LiveSession) -> Iterator[AlarmCause]:
         advice = PROMISES[promise].advice
         if noticed:  # the notice itself says what to do
             advice = "What the certificate proves does not cover this." if broken else _STAYS_CERTIFIED
-        text = row.remark or sentence(row)
-        yield AlarmCause(f"{row.promise} {row.state}", level or AlarmLevel.WARNING, text, advice, since=row.since)
+        text, what = row.remark or sentence(row), f"{row.promise} {row.state}"
+        who = () if row.who == (SESSION,) else tuple(dict.fromkeys(row.who))
+        yield AlarmCause(what, level or AlarmLevel.WARNING, what, who, text, advice, since=row.since)
 
 
 def _sentences(live: LiveSession) -> Iterator[AlarmCause]:
     condition = live.condition
     if condition is None:
         return
-    for text in condition.faults:
-        advice = "The run counts as failed: see its report and logs."
-        yield AlarmCause(f"fault: {text}", AlarmLevel.FAULT, text, advice, True)
     about_promises = {row.remark for row in live.promises}
-    for text in condition.notices:
-        if text not in about_promises:
-            advice = "An assumption of the certificate was broken: what it proves does not cover this."
-            yield AlarmCause(f"notice: {text}", AlarmLevel.WARNING, text, advice, True)
-    for text in condition.incidents:
-        yield AlarmCause(f"incident: {text}", AlarmLevel.NOTE, text, "Nothing: the session survived it.", True)
+    notices = [text for text in condition.notices if text not in about_promises]
+    for word, level, texts, advice in (
+        ("fault", AlarmLevel.FAULT, condition.faults, "The run counts as failed: see its report and logs."),
+        ("notice", AlarmLevel.WARNING, notices, _NOT_COVERED),
+        ("incident", AlarmLevel.NOTE, condition.incidents, "Nothing: the session survived it."),
+    ):
+        for headline, (who, alike) in _alike(texts, live.nodes).items():
+            yield AlarmCause(f"{word}: {headline}", level, headline, who, "\n".join(alike), advice, True)
+
+
+_NOT_COVERED: Final = "An assumption of the certificate was broken: what it proves does not cover this."
+
+_WHEN: Final = re.compile(r"at \d+(\.\d+)? s: ")
+"""How the sentence of an incident begins."""
+
+
+def _alike(texts: Iterable[str], nodes: Collection[str]) -> dict[str, tuple[tuple[str, ...], list[str]]]:
+    """Sentences that say the same of different nodes: by what they say, the nodes and the sentences.
+
+    What a sentence says is what follows its time and the node that it begins with, up to its first colon or semicolon.
+    """
+    out: dict[str, tuple[tuple[str, ...], list[str]]] = {}
+    for text in texts:
+        said = text.removeprefix(found[0]) if (found := _WHEN.match(text)) else text
+        first, _, rest = said.partition(" ")
+        node = first.removesuffix(":")
+        who = (node,) if node in nodes and rest else ()
+        headline = re.split(r"[:;] ", rest if who else said, maxsplit=1)[0]
+        before, sentences = out.get(headline, ((), []))
+        out[headline] = tuple(dict.fromkeys((*before, *who))), [*sentences, text]
+    return out
 
 
 def _unheard(live: LiveSession, now: Instant) -> Iterator[AlarmCause]:
@@ -149,6 +190,8 @@ def _unheard(live: LiveSession, now: Instant) -> Iterator[AlarmCause]:
         yield AlarmCause(
             "unheard",
             AlarmLevel.FAULT,
+            "nothing is received",
+            (),
             "nothing has come from the whole session for a while",
             "The picture is old: see whether its supervisor is stopped or the machine is overloaded.",
         )
@@ -184,11 +227,12 @@ class Alarms:
                 self._alarms.pop(cause.key, None)  # raised again: a new alarm, at the end
                 since = time if cause.since is None else cause.since
                 earlier = cause.since is None and self._first is not None and time <= self._first
-                self._put(Alarm(cause.key, cause.level, cause.text, cause.advice, since, earlier))
+                told = cause.level, cause.headline, cause.who, cause.text, cause.advice
+                self._put(Alarm(cause.key, *told, since, time, earlier))
                 if cause.lasting:
                     self._lasting.add(cause.key)
-            elif standing.text != cause.text:
-                self._put(replace(standing, text=cause.text))
+            elif (standing.text, standing.who) != (cause.text, cause.who):
+                self._put(replace(standing, text=cause.text, who=cause.who, latest=time))
         for key, alarm in list(self._alarms.items()):
             seen, seen_time = self._seen[key]
             if alarm.cleared is None and key not in self._lasting and now - seen > HOLD:

@@ -307,6 +307,9 @@ class About:
 RATE_OVER: Final = from_seconds(0.5)
 """The shortest time that a rate is taken over: telemetry comes ten times a second."""
 
+RATE_ACCURACY: Final = 0.01
+"""The part by which a rate may be wrong: telemetry may arrive a few milliseconds late, and is measured over 0.5 s."""
+
 LATE_SHARE: Final = 0.01
 """A greater part of late ticks between two rates makes a node's health LATE."""
 
@@ -460,6 +463,23 @@ class LiveSession:
         """Ticks a second of the environment, which counts the session's ticks; None before it is known."""
         rates = [node.rate for node in self.nodes.values() if node.role is Role.ENVIRONMENT]
         return rates[0] if rates else None
+
+    @property
+    def pace(self) -> str:
+        """The rate in words, beside that of the period; empty before it is known.
+
+        A session in real time cannot run faster than its period, unless it makes up for ticks that it is behind. So a
+        rate above the period's is never shown without that word. What is within :data:`RATE_ACCURACY` of the period's
+        rate is that rate: the instants at which telemetry arrives are no more accurate.
+        """
+        if self.rate is None:
+            return ""
+        nominal = 1.0 / self.about.period
+        if self.about.clock != REALTIME:
+            return f"{self.rate:.0f} / s, {self.rate / nominal:.1f} times real time"
+        above = self.rate > nominal * (1.0 + RATE_ACCURACY)
+        rate = self.rate if above else min(self.rate, nominal)
+        return f"{rate:.0f} of {nominal:.0f} / s" + (", catching up" if above else "")
 
     @property
     def promises(self) -> tuple[PromiseStatus, ...]:

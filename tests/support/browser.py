@@ -177,16 +177,28 @@ class Camera(NamedTuple):
 
     def moved(self, place: Any, right: float, down: float) -> np.ndarray[Any, np.dtype[np.float64]]:
         """The motion, m, parallel to the picture, that moves what is at ``place`` by so many px."""
+        back, to_the_right, up = self._axes
+        depth = float((self.target + self.distance * back - place) @ back)
+        length = 2.0 * depth * math.tan(_FIELD / 2.0) / self.height  # of a px
+        return length * (right * to_the_right - down * up)
+
+    @property
+    def _axes(self) -> tuple[np.ndarray[Any, np.dtype[np.float64]], ...]:
+        """From what it looks at to the eye, to the right, and upwards."""
         sa, ca, se, ce = (
             math.sin(self.azimuth),
             math.cos(self.azimuth),
             math.sin(self.elevation),
             math.cos(self.elevation),
         )
-        eye = self.target + self.distance * np.array([ce * sa, se, ce * ca])
-        depth = float((eye - place) @ np.array([ce * sa, se, ce * ca]))
-        length = 2.0 * depth * math.tan(_FIELD / 2.0) / self.height  # of a px
-        return length * (right * np.array([ca, 0.0, -sa]) - down * np.array([-se * sa, ce, -se * ca]))
+        return np.array([ce * sa, se, ce * ca]), np.array([ca, 0.0, -sa]), np.array([-se * sa, ce, -se * ca])
+
+    def seen(self, place: Any) -> tuple[float, float]:
+        """How many px to the right of the picture's middle, and below it, a place is seen."""
+        back, right, up = self._axes
+        eye = self.target + self.distance * back
+        pixels = self.height / (2.0 * float((eye - place) @ back) * math.tan(_FIELD / 2.0))
+        return pixels * float((place - eye) @ right), -pixels * float((place - eye) @ up)
 
 
 def camera_after(page: Page, *keys: str) -> Camera:
@@ -289,13 +301,15 @@ class ShownPage:
         demands: the page's messages, in their order.
     """
 
-    def __init__(self, browser: Browser, feed: Feed, width: int, scheme: Any, before: str = "") -> None:
+    def __init__(
+        self, browser: Browser, feed: Feed, width: int, scheme: Any, before: str = "", height: int = 900
+    ) -> None:
         """Open the page, and show the feed's present state; the page's scripts run after the script ``before``."""
         self.wrong: list[str] = []
         self.demands: list[dict[str, Any]] = []
         self._feed, self._cursor, self._sent = feed, Cursor(), 0
         self._sockets: list[WebSocketRoute] = []
-        self.page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
+        self.page = browser.new_page(viewport={"width": width, "height": height}, color_scheme=scheme)
         self.page.set_default_timeout(60_000)
         self.page.add_init_script(before)
         self.page.on("pageerror", lambda error: self.wrong.append(f"error {error}"))

@@ -192,3 +192,13 @@ def test_the_lobby_shows_who_is_in_and_which_seat_is_free(browser: Browser) -> N
     until(shown.page, '[data-node="vr"]', "data-health", equals="free")
     assert shown.wrong == []
     shown.page.close()
+
+
+def test_a_rate_above_that_of_the_period_says_that_it_catches_up(browser: Browser) -> None:
+    played = Played(ABOUT)
+    for tick in range(100, 1600, 100):
+        played.feed.take(encode(Observation("environment", tick, Figures(), {})), Instant(9 * tick * 10**5))
+    shown = ShownPage(browser, played.feed, 390, "light")
+    until(shown.page, "#rate", "text", equals="1111 of 1000 / s, catching up")
+    assert shown.wrong == []
+    shown.page.close()

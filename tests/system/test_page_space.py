@@ -14,6 +14,10 @@ import pytest
 from playwright.sync_api import Browser, CDPSession, Page
 
 from manyhands.design.models.contacts import Surface
+from manyhands.launch.plan.engine import drawing_of
+from manyhands.launch.plan.prepare import unproved
+from manyhands.launch.run.broadcast import describe
+from manyhands.launch.session.shipped import load_named
 
 from ..support.browser import SPACE, Camera, ShownPage, browsing, camera_after, centre, frames, until
 from ..support.scenes import random_scene
@@ -282,6 +286,41 @@ def test_the_button_changes_between_plane_and_space(carry: ShownPage, first: Pag
     first.locator("#view-switch").click()
     until(first, "#world-drawing", "data-view", equals="space")
     assert first.locator('#world-drawing rect[data-tool="anna"]').count() == 0
+
+
+@pytest.fixture(scope="module")
+def engine(browser: Browser) -> Iterator[ShownPage]:
+    """The shipped session of MuJoCo, all of whose bodies have moved; one may turn, and one is lost."""
+    session = load_named("mujoco", ["design={coupling: given, stiffness: 900, damping: 0.2}"])
+    drawing = drawing_of(session)
+    assert drawing is not None
+    about = describe(unproved(session), "simulated", "ipc", 0)
+    puck = replace(drawing.frames["puck"], turns=True)
+    told = replace(drawing, frames={**drawing.frames, "puck": puck}, hidden=("lost",))
+    played = Played(replace(about, drawing=told))
+    played.stand(0.02, {})
+    yield from closing(ShownPage(browser, played.feed, 1280, "light"))
+
+
+def test_an_engines_world_is_drawn_in_one_frame_with_the_tools(engine: ShownPage) -> None:
+    """Its z is upwards. Each ring is where the camera sees its device, at once displaced along x and y of the model."""
+    page = engine.page
+    until(page, SPACE, "data-camera", has=" ")
+    until(page, '[data-tool="left"]', "data-at", equals="0.02 0.02")
+    moved = [float(part) for part in (page.get_attribute('[data-mass="puck"]', "data-at") or "").split()]
+    assert moved == pytest.approx([0.02, 0.02, 0.02 - 0.0155])
+    camera = Camera.of(page)
+    box = page.locator(f"{SPACE} canvas").bounding_box()
+    assert box is not None
+    for device, start in (("left", [-0.06, 0.0, 0.015]), ("right", [0.06, 0.0, 0.015])):
+        x, y, z = np.add(start, [0.02, 0.02, 0.0])
+        right, down = camera.seen(np.array([x, z, -y]))
+        ring = centre(page, f'[data-device="{device}"] .body')
+        assert ring == pytest.approx(
+            (box["x"] + box["width"] / 2 + right, box["y"] + box["height"] / 2 + down), abs=1.0
+        )
+    until(page, "#world-legend", "text", has="puck: how it is turned is not reported")
+    until(page, "#world-legend", "text", has="lost: not drawn")
 
 
 def test_without_webgl_a_scene_is_drawn_in_its_plane(without_webgl: ShownPage) -> None:

@@ -103,6 +103,7 @@ class Feed:
             "health": live.health,
             "tick": live.tick,
             "rate": _rounded(live.rate),
+            "pace": live.pace,
             "promises": [_shown(row) for row in condensed(live.promises)],
             "present": summary(live.promises),
             "lobby": [{"text": seat.sentence(), "health": seat.health} for seat in live.lobby],
@@ -148,9 +149,12 @@ class Feed:
             {
                 "key": alarm.key,
                 "level": alarm.level,
+                "headline": alarm.headline,
+                "who": alarm.who,
                 "text": alarm.text,
                 "advice": alarm.advice,
                 "since": alarm.since,
+                "latest": alarm.latest,
                 "earlier": alarm.earlier,
                 "cleared": alarm.cleared,
             }

@@ -107,7 +107,54 @@ def test_late_ticks_raise_one() -> None:
     scene, alarms = looked(conditioned(), observed("left", 100, NO_TRACE, late=0.0))
     scene.take(observed("left", 1100, NO_TRACE, late=200.0), at(1.0))
     alarms.look(scene, at(1.0))
-    assert "more of its ticks are late" in only(alarms).text
+    assert only(alarms).text == "more ticks are late than is usual on any machine: left"
+    assert (only(alarms).headline, only(alarms).who) == ("many late ticks", ("left",))
+
+
+def test_many_late_nodes_are_one_cause() -> None:
+    scene, alarms = looked(conditioned(), *(observed(node, 100, NO_TRACE, late=0.0) for node in ("left", "right")))
+    for node in ("left", "right"):
+        scene.take(observed(node, 1100, NO_TRACE, late=200.0), at(1.0))
+    alarms.look(scene, at(1.0))
+    assert only(alarms).who == ("left", "right")
+
+
+def test_the_same_at_several_nodes_is_one_alarm_with_all_that_was_said() -> None:
+    told = (
+        "at 1.0 s: vl was killed by SIGKILL",
+        "at 2.0 s: vr was killed by SIGKILL",
+        "at 3.0 s: vr was started again",
+    )
+    scene, alarms = looked(conditioned(incidents=told[:1]))
+    scene.take(conditioned(incidents=told), at(1.0))
+    scene.take(observed("left", 700, NO_TRACE), at(1.0))
+    alarms.look(scene, at(1.0))
+    again, killed = alarms.listed()
+    assert (again.headline, again.who) == ("was started again", ("vr",))
+    assert (killed.headline, killed.who) == ("was killed by SIGKILL", ("vl", "vr"))
+    assert killed.text.split("\n") == [*told[:2]]
+    assert (killed.since, killed.latest) == (0.0, pytest.approx(0.7))
+
+
+def test_a_headline_ends_where_the_sentence_explains_itself_and_names_no_part_of_a_word() -> None:
+    told = (
+        "vl was killed; it stays away: its restarts are used up",
+        "vleft was killed",
+        "the recording stopped: no room",
+    )
+    _, alarms = looked(conditioned(faults=told))
+    assert {(alarm.headline, alarm.who) for alarm in alarms.listed()} == {
+        ("was killed", ("vl",)),
+        ("vleft was killed", ()),
+        ("the recording stopped", ()),
+    }
+
+
+def test_a_promise_that_many_break_is_one_alarm_that_names_them() -> None:
+    _, alarms = looked(
+        observed("vl", 100, NO_TRACE, ledger_margin=-0.25), observed("vr", 100, NO_TRACE, ledger_margin=-0.5)
+    )
+    assert (only(alarms).headline, only(alarms).who) == ("passivity broken", ("vl", "vr"))
 
 
 def test_a_delay_raises_none_until_the_session_has_a_notice_of_it() -> None:

@@ -12,7 +12,15 @@ from hypothesis import strategies as st
 
 from manyhands.nodes.monitor.health import Health
 from manyhands.nodes.monitor.health_model import HealthModel
-from manyhands.nodes.monitor.session_state import LATE_SHARE, RATE_OVER, About, LinkAbout, LiveSession, NodeAbout
+from manyhands.nodes.monitor.session_state import (
+    LATE_SHARE,
+    RATE_ACCURACY,
+    RATE_OVER,
+    About,
+    LinkAbout,
+    LiveSession,
+    NodeAbout,
+)
 from manyhands.nodes.rows import figures as names
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.codec import encode
@@ -166,6 +174,26 @@ def test_the_sessions_rate_is_the_environments() -> None:
     seen.telemetries("environment", 6)
     assert seen.live.rate == pytest.approx(1000.0)
     assert seen.live.tick == 600
+
+
+@pytest.mark.parametrize(
+    ("clock", "after", "words"),
+    [
+        ("realtime", 1.0, "1000 of 1000 / s"),
+        ("realtime", 1.004, "996 of 1000 / s"),
+        ("realtime", 1.0 - 0.9 * RATE_ACCURACY, "1000 of 1000 / s"),
+        ("realtime", 1.0 - 1.5 * RATE_ACCURACY, "1015 of 1000 / s, catching up"),
+        ("simulated", 0.25, "4000 / s, 4.0 times real time"),
+        ("simulated", 2.0, "500 / s, 0.5 times real time"),
+    ],
+)
+def test_no_rate_is_above_that_of_the_period_without_a_word(clock: str, after: float, words: str) -> None:
+    seen = Seen()
+    seen.live = LiveSession(replace(about(), clock=clock))
+    assert seen.live.pace == ""
+    for number in range(1, 30):  # more than half a second, however fast it is
+        seen.tell("environment", 100 * number, after=round(after * STEP))
+    assert seen.live.pace == words
 
 
 @given(st.lists(st.one_of(

@@ -1,13 +1,13 @@
 /** The values of the certificate, beside the measured values. */
 
-import { byId, html, say } from "./elements.js";
+import { byId, html, say, tell, told } from "./elements.js";
 import { number, quantity } from "./format.js";
 import { isBroken } from "./promises.js";
 
 const us = (seconds) => `${number(1e6 * seconds)} µs`;
 
 function row(head, text, attributes = {}) {
-  return html("tr", {}, html("th", { scope: "row" }, head), html("td", attributes, text));
+  return html("tr", {}, told("th", { scope: "row" }, head), told("td", attributes, text));
 }
 
 export class Certificate {
@@ -16,7 +16,7 @@ export class Certificate {
     const { certificate } = about;
     byId("certificate-none").hidden = certificate !== null;
     byId("certificate-table").hidden = certificate === null;
-    byId("parties-table").hidden = certificate === null;
+    byId("parties").hidden = certificate === null;
     if (certificate === null) return;
     this.worst = html("td", { id: "tau-worst" }, "–");
     const rows = [
@@ -44,16 +44,18 @@ export class Certificate {
 
   party(name, certificate) {
     const level = certificate.delta_D[name];
-    const [total, least, account] = [html("td"), html("td"), html("td", { "data-account": name })];
-    const given = html("td", { "data-given": name });
+    const cell = (attributes, ...texts) => html("td", { role: "cell", ...attributes }, ...texts);
+    const [total, least, account] = [cell(), cell(), cell({ "data-account": name })];
+    const given = cell({ "data-given": name });
     const shown = level === undefined ? "as designed" : `Δ ${number(level)} N·s/m`;
-    const cells = [html("th", { scope: "row" }, name), html("td", {}, shown), total, least, account, given];
-    return { name, total, least, account, given, row: html("tr", {}, ...cells) };
+    const head = told("th", { role: "rowheader", scope: "row" }, name);
+    const cells = [head, cell({ class: "level" }, shown), total, least, account, given];
+    return { name, total, least, account, given, row: html("tr", { role: "row" }, ...cells) };
   }
 
   show(session) {
-    say(byId("energy"), session.picture?.energy ?? "");
-    say(byId("wave-links"), (session.picture?.wave_links ?? []).map((text) => `${text}.`).join(" "));
+    tell(byId("energy"), session.picture?.energy ?? "");
+    tell(byId("wave-links"), (session.picture?.wave_links ?? []).map((text) => `${text}.`).join(" "));
     if (this.about.certificate === null) return;
     let [worst, most] = [0, 0];
     for (const { figures } of session.nodes.values()) {
@@ -66,7 +68,7 @@ export class Certificate {
     this.worst.className = isBroken(promises, "delay") ? "broken" : "";
     for (const { name, total, least, account, given } of this.parties) {
       const { figures, given: shares } = session.nodes.get(name);
-      if (shares !== undefined) say(given, shares.replace("/", " / ")); // a narrow window breaks it
+      if (shares !== undefined) say(given, shares.replace("/", " / "));
       given.className = isBroken(promises, "force given", name) ? "broken" : "";
       say(total, quantity(figures.ledger, "J"));
       say(least, quantity(figures.ledger_margin, "J"));

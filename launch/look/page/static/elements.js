@@ -17,10 +17,19 @@ export function say(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
-/** Write a name into an SVG text, shortened to a width in the drawing's own units. */
-export function fit(text, name, width) {
-  say(text, name);
-  for (let kept = name.length - 1; kept > 0 && text.getComputedTextLength() > width; kept -= 1) say(text, `${name.slice(0, kept)}…`);
+const BETWEEN = /(?<=[\p{L}\d][_.-])(?=\p{L})/u; // two parts of a name
+
+/** The same, where a line may end after a separator inside a name, and nowhere else in it. */
+export function tell(element, text) {
+  if (element.textContent === text) return;
+  element.replaceChildren(...text.split(BETWEEN).flatMap((part, i) => (i ? [html("wbr"), part] : [part])));
+}
+
+/** An element with such a text. */
+export function told(name, attributes, text) {
+  const element = html(name, attributes);
+  tell(element, text);
+  return element;
 }
 
 /** Set attributes of an element that is drawn again and again. */
@@ -29,3 +38,9 @@ export function place(element, attributes) {
     element.setAttribute(name, typeof value === "number" ? value.toFixed(1) : value);
   }
 }
+
+/** The height that a drawing in a holder has to fill, px: the least that the style sheet states for what the holder is in. */
+export const height = (holder) => Math.round(parseFloat(getComputedStyle(holder.parentElement).minHeight));
+
+/** The box at the top of a drawing so many px wide that its buttons cover, and what is said beside them. */
+export const buttons = (width) => [byId("grip-status").textContent ? 0 : width - 196, 0, width, 46];

@@ -1,6 +1,6 @@
 /** The list of the force on each hand, by axis. */
 
-import { byId, html, place, say } from "./elements.js";
+import { byId, html, place, tell } from "./elements.js";
 import { axisOf, quantity } from "./format.js";
 
 export class Forces {
@@ -14,7 +14,7 @@ export class Forces {
   draw() {
     for (const { device, ports, item } of this.items) {
       const forces = ports.map((_, axis) => this.session.known(`${device}/force`, axis));
-      say(item, `${device}: f ${forces.map((f, axis) => `${axisOf(ports[axis])} ${quantity(f, "N")}`).join(", ")}`);
+      tell(item, `${device}: f ${forces.map((f, axis) => `${axisOf(ports[axis])} ${quantity(f, "N")}`).join(", ")}`);
       place(item, { "data-force": forces.join(" ") });
     }
   }

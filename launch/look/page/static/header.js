@@ -1,6 +1,6 @@
 /** The page's header: the session and its health. */
 
-import { byId, say } from "./elements.js";
+import { byId, say, tell } from "./elements.js";
 
 const CONNECTION = {
   live: "connected",
@@ -20,7 +20,7 @@ export function showState(state, why) {
 }
 
 export function showFacts(about) {
-  say(byId("name"), about.session);
+  tell(byId("name"), about.session);
   document.title = `${about.session} – manyhands`;
   say(byId("clock"), about.clock);
   const id = byId("certificate-id");
@@ -31,10 +31,12 @@ export function showFacts(about) {
 export function showHeader(session) {
   const { picture, about } = session;
   showHealth(byId("health"), picture.health);
-  say(byId("health-why"), picture.present);
-  byId("health-why").hidden = picture.present === "";
+  const why = byId("health-why");
+  tell(why, picture.present);
+  why.hidden = picture.present === "" || byId("alarms-list").childElementCount > 0; // alarms say more
+  if (!why.hidden) byId("alarms-none").hidden = true;
   say(byId("tick"), picture.tick.toLocaleString("en"));
-  say(byId("rate"), picture.rate === null ? "–" : `${picture.rate.toFixed(0)} of ${(1 / about.period).toFixed(0)} / s`);
+  say(byId("rate"), picture.pace || "–");
   const end = about.ticks ? ` of ${(about.ticks * about.period).toFixed(0)} s` : " s";
   say(byId("time"), `${(picture.tick * about.period).toFixed(1)}${end}`);
   document.body.dataset.tick = picture.tick;

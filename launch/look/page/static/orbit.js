@@ -4,17 +4,18 @@ y is up. `azimuth` turns the camera about y, from the side of z towards that of 
 */
 
 const FIRST = { azimuth: (25 * Math.PI) / 180, elevation: (15 * Math.PI) / 180 };
+export const ABOVE = { ...FIRST, elevation: (35 * Math.PI) / 180 }; // where things lie on a ground, and walls may be in front
 const STEEPEST = 1.55; // elevation, just below the vertical, where right and left would change places
 const CLOSEST = 0.1; // parts of the first distance
 const FARTHEST = 10;
+const MARGIN = 0.06; // parts of the picture that the first view leaves free around what fills it
 
 export const FIELD = 0.6; // rad, the angle from the lower to the upper edge of the picture
 
 export class Orbit {
-  /** A camera that sees all within `radius` around `middle`. */
-  constructor(middle, radius) {
-    this.middle = [...middle];
-    this.radius = radius;
+  /** A camera whose first view, from this direction, is filled by these places; all that is drawn is within `radius`. */
+  constructor(places, radius, from = FIRST) {
+    Object.assign(this, { places, radius, from });
     this.width = this.height = 1; // px
     this.moves = 0; // how often the camera was moved: whoever draws compares
     this.home();
@@ -22,17 +23,39 @@ export class Orbit {
 
   /** The first view. */
   home() {
-    this.turned = { ...FIRST };
-    this.target = [...this.middle];
+    this.turned = { ...this.from };
     this.zoomed = 1;
+    this.fill();
     this.update();
   }
 
-  /** The picture's size, px. */
+  /** The picture's size, px. What the camera looks at stays, unless it is still the first view. */
   resize(width, height) {
-    this.width = width;
-    this.height = height;
+    const first = this.target === this.first;
+    Object.assign(this, { width, height });
+    const target = this.target;
+    this.fill();
+    if (!first) this.target = target;
     this.update();
+  }
+
+  /** Look at the places from the first direction, from so near that they just fill the picture. */
+  fill() {
+    const { right, up, back } = axesOf(this.from);
+    const tall = Math.tan(FIELD / 2) * (1 - MARGIN);
+    const wide = (tall * this.width) / this.height;
+    const along = (axis, place) => dot(axis, place);
+    const span = (axis) => [Math.min, Math.max].map((end) => end(...this.places.map((place) => along(axis, place))));
+    let centre = [right, up, back].map((axis) => span(axis).reduce((low, high) => (low + high) / 2));
+    for (let i = 0; i < 8; i += 1) {
+      // the least distance at which all are within the picture, and where its middle then is
+      const sides = this.places.map((place) => [along(right, place) - centre[0], along(up, place) - centre[1], along(back, place) - centre[2]]);
+      this.nearest = Math.max(...sides.map(([x, y, z]) => z + Math.max(Math.abs(x) / wide, Math.abs(y) / tall)), 1e-6);
+      const seen = sides.map(([x, y, z]) => [x / (this.nearest - z), y / (this.nearest - z)]);
+      const middle = [0, 1].map((j) => (Math.min(...seen.map((s) => s[j])) + Math.max(...seen.map((s) => s[j]))) / 2);
+      centre = [centre[0] + middle[0] * this.nearest, centre[1] + middle[1] * this.nearest, centre[2]];
+    }
+    this.first = this.target = [0, 1, 2].map((i) => centre[0] * right[i] + centre[1] * up[i] + centre[2] * back[i]);
   }
 
   /** Turn the camera about its target, rad. */
@@ -56,13 +79,8 @@ export class Orbit {
   }
 
   update() {
-    const { azimuth, elevation } = this.turned;
-    const [sa, ca, se, ce] = [Math.sin(azimuth), Math.cos(azimuth), Math.sin(elevation), Math.cos(elevation)];
-    const narrow = Math.min(1, this.width / this.height); // a picture that is higher than wide sees less to the sides
-    this.distance = (this.zoomed * this.radius) / Math.sin(Math.atan(narrow * Math.tan(FIELD / 2)));
-    this.back = [ce * sa, se, ce * ca]; // from the target to the eye
-    this.right = [ca, 0, -sa];
-    this.up = [-se * sa, ce, -se * ca];
+    Object.assign(this, axesOf(this.turned));
+    this.distance = this.zoomed * this.nearest;
     this.eye = this.target.map((x, i) => x + this.distance * this.back[i]);
     this.scale = this.height / 2 / Math.tan(FIELD / 2); // px of a length that is as far away as it is long
     this.moves += 1;
@@ -88,6 +106,12 @@ export class Orbit {
     const length = depth / this.scale;
     return this.right.map((x, i) => length * (dx * x - dy * this.up[i]));
   }
+}
+
+/** The directions of a view: to the right, upwards, and from what it looks at to the eye. */
+function axesOf({ azimuth, elevation }) {
+  const [sa, ca, se, ce] = [Math.sin(azimuth), Math.cos(azimuth), Math.sin(elevation), Math.cos(elevation)];
+  return { back: [ce * sa, se, ce * ca], right: [ca, 0, -sa], up: [-se * sa, ce, -se * ca] };
 }
 
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];

@@ -97,8 +97,8 @@ function frame(now) {
   }
   if (now - written >= WORDS_EVERY) {
     written = now;
-    showHeader(session);
     showAlarms(session.alarms, session.time);
+    showHeader(session);
     showPromises(session.picture.promises);
     showLobby(session.picture.lobby);
     views.graph.show(session);

@@ -1,6 +1,6 @@
 /** The plots: one quantity at a time, with the traces that the person chose, drawn through the extremes of every bucket. */
 
-import { byId, html, say, svg } from "./elements.js";
+import { byId, html, say, svg, told } from "./elements.js";
 import { prefixOf, quantity, unitOf } from "./format.js";
 
 const QUANTITIES = [
@@ -104,7 +104,7 @@ export class Plots {
       const line = svg("line", { x1: 0, y1: 4, x2: 26, y2: 4, stroke: `var(${trace.colour})`, "stroke-width": 3 });
       if (trace.dash.length) line.setAttribute("stroke-dasharray", trace.dash.join(" "));
       const swatch = svg("svg", { viewBox: "0 0 26 8", "aria-hidden": "true" }, line);
-      return html("li", {}, html("label", {}, box, swatch, html("span", {}, trace.label), this.values[i]));
+      return html("li", {}, html("label", {}, box, swatch, told("span", {}, trace.label), this.values[i]));
     });
     byId("plot-legend").replaceChildren(...items);
   }

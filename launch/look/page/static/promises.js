@@ -1,6 +1,6 @@
 /** How the promises of the session stand, who is in at its seats, and the health that follows. The server states all of it. */
 
-import { byId, html, say } from "./elements.js";
+import { byId, html, say, told } from "./elements.js";
 
 const rows = new Map(); // by promise, state and party: the row's element, and the text from which it was made
 
@@ -9,12 +9,12 @@ function row({ cells, state, present, claim, remark }) {
   const kind = state === "kept" || present ? state.replace(" ", "-") : "over";
   return html(
     "tr",
-    { class: `promise-${kind}`, "data-promise": promise, "data-state": state },
-    html("th", { scope: "row", title: claim }, promise),
-    html("td", { class: "state" }, word),
-    html("td", { class: "who", title: remark }, who),
-    html("td", {}, since),
-    html("td", {}, cost),
+    { role: "row", class: `promise-${kind}`, "data-promise": promise, "data-state": state },
+    html("th", { role: "rowheader", scope: "row", title: claim }, promise),
+    html("td", { role: "cell", class: "state" }, word),
+    told("td", { role: "cell", class: who === "all" ? "who everyone" : "who", title: remark }, who),
+    html("td", { role: "cell", class: "since" }, since),
+    html("td", { role: "cell", class: "cost" }, cost),
   );
 }
 

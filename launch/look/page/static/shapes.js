@@ -28,8 +28,9 @@ const CLEAR = { transparent: true, depthWrite: false };
 export class Palette {
   constructor() {
     this.materials = new Map();
-    const named = (name, make) => this.materials.set(name, { colour: `--${name}`, material: make() });
+    const named = (name, make, colour = name) => this.materials.set(name, { colour: `--${colour}`, material: make() });
     named("accent", () => new THREE.MeshLambertMaterial());
+    named("hidden", () => new THREE.MeshBasicMaterial({ transparent: true, opacity: 0.3, depthTest: false, depthWrite: false }), "accent");
     named("thing", () => new THREE.MeshLambertMaterial());
     named("solid", () => new THREE.MeshLambertMaterial({ side: THREE.DoubleSide, ...BEHIND }));
     named("trace-1", () => new THREE.MeshLambertMaterial());
@@ -118,12 +119,14 @@ export class Arrow {
     this.shaft = new THREE.Mesh(SHAFT, palette.of("trace-1"));
     this.head = new THREE.Mesh(HEAD, palette.of("trace-1"));
     this.group = new THREE.Group().add(this.shaft, this.head);
+    this.ends = [[0, 0, 0], [0, 0, 0]];
   }
 
   /** From a place along a vector, m; nothing is drawn of one that is shorter than its head is wide. */
   put(from, along) {
     const length = Math.hypot(...along);
     this.group.visible = length > 2 * this.thickness;
+    this.ends = [from, this.group.visible ? from.map((x, i) => x + along[i]) : from];
     if (!this.group.visible) return;
     const high = Math.min(6.5 * this.thickness, 0.6 * length);
     const end = [from[0] + along[0], from[1] + along[1], from[2] + along[2]];
@@ -203,6 +206,41 @@ const OBSTACLES = {
     return [pane];
   },
 };
+
+const ROD = new THREE.CylinderGeometry(1, 1, 2, 24).rotateX(Math.PI / 2); // along z
+
+/** What is drawn of a shape of an engine, by its name: meshes about its own origin, along its own axes. */
+const SHAPES = {
+  box: ({ size }, material) => [scaled(CUBE, size.map((s) => 2 * s), material)],
+  sphere: ({ size }, material) => [scaled(ROUND, size, material)],
+  ellipsoid: ({ size }, material) => [scaled(ROUND, size, material)],
+  cylinder: ({ size }, material) => [scaled(ROD, size, material)],
+  capsule: ({ size: [radius, , half] }, material) => [
+    scaled(ROD, [radius, radius, half], material),
+    ...[half, -half].map((z) => placed(ball(radius, material), [0, 0, z])),
+  ],
+  plane: ({ size }, material, far) => [scaled(new THREE.PlaneGeometry(2, 2), size.map((s) => s || far), material)],
+  mesh: ({ points, triangles }, material) => OBSTACLES.mesh({ points, triangles }, { of: () => material }),
+};
+
+function scaled(geometry, scale, material) {
+  const mesh = new THREE.Mesh(geometry, material);
+  mesh.scale.set(...scale.map((s) => s || 1e-9)); // a scale of 0 has no inverse
+  return mesh;
+}
+
+/** A group of shapes of an engine in a frame whose axes are turned by `turn`; `far` is the size of what has no end, m. */
+export function shapesOf(shapes, turn, material, far) {
+  const group = new THREE.Group();
+  const quaternion = ([w, x, y, z]) => new THREE.Quaternion(x, y, z, w);
+  group.quaternion.copy(quaternion(turn));
+  for (const shape of shapes) {
+    const own = placed(new THREE.Group(), shape.at).add(...SHAPES[shape.shape](shape, material(shape), far));
+    own.quaternion.copy(quaternion(shape.turn));
+    group.add(own);
+  }
+  return group;
+}
 
 function placed(mesh, at) {
   mesh.position.set(...at);

@@ -1,7 +1,8 @@
 /** The moving virtual world in space: what three.js draws, and above it rings of devices, names and scale as SVG. */
 
 import { Contacts } from "./contacts.js";
-import { html, place, say, svg } from "./elements.js";
+import { Engine } from "./engine.js";
+import { buttons, height, html, place, say, svg } from "./elements.js";
 import { fitted, quantity, rounded } from "./format.js";
 import { Labels } from "./labels.js";
 import { FIELD, Orbit, steer } from "./orbit.js";
@@ -10,8 +11,8 @@ import { Arrow, Marks, Palette, Shade, Spring, Stage, grid, lights, obstacle, so
 const AXES = ["x", "y", "z"];
 const LEAST_FORCE = 0.1; // N, the smallest that may fill the drawing
 const LOOK = 500; // ms between two updates of the scale
-const SEEN = 0.8; // parts of the scene's radius that the first view shows: corners may be outside
 const MOTION = 0.2; // parts of a device's greatest displacement that the first view has room for
+const ROOM = 0.1; // of the size of all that is drawn, at most as much: limits may be far beyond it
 const POINT = 0.012; // parts of the scene's radius: the radius of a sphere that stands for a point
 const CORE = 0.8; // parts of a thing's radius that names of other things avoid
 const TRIAD = 24; // px, the length of an axis
@@ -21,12 +22,13 @@ export class Space {
   /** Draw into `holder`, on a canvas with its context of WebGL. */
   constructor(holder, session, grips, canvas, context) {
     Object.assign(this, { parent: holder, session, grips, canvas });
-    this.things = thingsOf(session);
-    this.around = around(session.about, this.things);
+    this.world = session.about.drawing ? new Engine(session) : new Scene(session);
+    this.things = this.world.things;
+    this.around = around(session.about, this.world);
     this.mostForce = 0;
     this.looked = -Infinity;
     this.drawn = ""; // the picture that the canvas shows: its instant and the camera's motions
-    this.orbit = new Orbit(this.around.middle, SEEN * this.around.radius);
+    this.orbit = new Orbit(this.around.corners, this.around.radius, this.world.from);
     this.palette = new Palette();
     this.stage = new Stage(canvas, context, this.palette);
     this.build();
@@ -61,22 +63,20 @@ export class Space {
     const { palette, around, things } = this;
     const { scene } = this.stage;
     scene.add(...lights(), grid(around.low, around.high, around.ground, around.step, palette));
-    for (const given of Object.values(about.scene.obstacles)) {
-      for (const solid of obstacle(given, palette, around)) scene.add(solid);
-    }
+    for (const one of this.world.standing(palette, around)) scene.add(one);
     for (const thing of things) {
       const drawn = thing.size > 0 ? thing : { ...thing, radius: POINT * around.radius };
       thing.drawnRadius = thing.size || drawn.radius;
-      thing.mesh = solid(drawn, palette.of(thing.tool ? "accent" : "thing"));
+      thing.mesh = this.world.solid(drawn, palette.of(thing.tool ? "accent" : "thing"));
       thing.shade = new Shade(drawn, around.ground, palette);
       scene.add(thing.mesh, thing.shade.mesh);
       if (!thing.tool) continue;
+      thing.mesh.add(...this.world.solid(drawn, palette.of("hidden")).children); // seen through what is in front
       thing.arrow = new Arrow(0.014 * around.radius, palette);
       scene.add(thing.arrow.group);
     }
     this.springs = joinedBy(about.springs, things).map((ends) => ({ ends, spring: new Spring(0.02 * around.radius, palette) }));
     for (const { spring } of this.springs) scene.add(spring.line);
-    this.contacts = new Contacts(about.scene, things);
     this.marks = new Marks(0.03 * around.radius, palette);
     scene.add(this.marks.group);
   }
@@ -93,7 +93,7 @@ export class Space {
       this.overlay.append(thing.lag, thing.target);
     }
     this.tools = this.things.filter(({ tool }) => tool);
-    this.axes = AXES.map((axis) => ({ line: svg("line", { class: "axis" }), label: svg("text", { class: "dim" }, axis) }));
+    this.axes = AXES.map((axis, i) => ({ along: this.world.axes[i], line: svg("line", { class: "axis" }), label: svg("text", { class: "dim" }, axis) }));
     this.scaleText = svg("text", { class: "dim" });
     const labels = [...this.things.map(({ label }) => label), ...this.axes.map(({ label }) => label)];
     this.overlay.append(...this.axes.map(({ line }) => line), ...labels, this.scaleText, ...this.tools.map(({ handle }) => handle));
@@ -103,11 +103,11 @@ export class Space {
   arrange() {
     const width = Math.floor(this.parent.clientWidth);
     if (width === 0) return; // it is not shown
-    const height = Math.round(Math.max(260, Math.min(460, 0.62 * width)));
-    this.orbit.resize(width, height);
-    this.stage.resize(width, height);
-    Object.assign(this.frame.style, { width: `${width}px`, height: `${height}px` });
-    this.overlay.setAttribute("viewBox", `0 0 ${width} ${height}`);
+    const high = height(this.parent);
+    this.orbit.resize(width, high);
+    this.stage.resize(width, high);
+    Object.assign(this.frame.style, { width: `${width}px`, height: `${high}px` });
+    this.overlay.setAttribute("viewBox", `0 0 ${width} ${high}`);
     this.draw();
   }
 
@@ -139,10 +139,13 @@ export class Space {
     const { session } = this;
     for (let i = 0; i < 3; i += 1) thing.place[i] = thing.device[i] = thing.at[i];
     thing.columns.forEach((column, port) => {
-      const axis = thing.axes[port];
-      thing.moved[port] = session.known(thing.track, column);
-      thing.place[axis] += thing.moved[port];
-      if (thing.tool) thing.device[axis] += session.known(`${thing.name}/sample`, port);
+      const value = session.now(thing.track, column);
+      thing.moved[port] = Number.isNaN(value) ? 0 : value - (thing.from?.[port] ?? 0);
+      const x = thing.tool ? session.known(`${thing.name}/sample`, port) : 0;
+      for (let i = 0; i < 3; i += 1) {
+        thing.place[i] += thing.moved[port] * thing.along[port][i];
+        thing.device[i] += x * thing.along[port][i];
+      }
     });
   }
 
@@ -153,16 +156,15 @@ export class Space {
       if (thing.tool) this.drawForce(thing);
     }
     for (const { ends, spring } of this.springs) spring.put(ends[0].place, ends[1].place);
-    this.marks.put(this.contacts.now());
+    this.marks.put(this.world.contacts());
     this.stage.draw(this.orbit, FIELD);
     const { turned, target, distance } = this.orbit;
     this.frame.dataset.camera = [turned.azimuth, turned.elevation, distance, ...target].map((x) => x.toFixed(6)).join(" ");
   }
 
   /** The force on a hand: two sides of the grid for the greatest. */
-  drawForce({ name, axes, place: at, drawnRadius, arrow }) {
-    const force = [0, 0, 0];
-    axes.forEach((axis, port) => (force[axis] = this.session.known(`${name}/force`, port)));
+  drawForce({ name, along: directions, place: at, drawnRadius, arrow }) {
+    const force = sum([0, 0, 0], directions, directions.map((_, port) => this.session.known(`${name}/force`, port)));
     const size = Math.hypot(...force);
     const scale = size ? (2 * this.around.step * Math.min(1.2, size / (this.mostForce || size))) / size : 0;
     const along = force.map((f) => scale * f);
@@ -176,13 +178,22 @@ export class Space {
     say(this.scaleText, `a side of the grid: ${quantity(this.around.step, "m")}, or ${quantity(this.mostForce / 2, "N")}`);
     place(this.scaleText, { x: 10, y: orbit.height - 10 });
     const boxes = this.things.map((thing, i) => seen[i] && boxAround(seen[i], CORE * seen[i].pixels * thing.drawnRadius));
-    this.labels.begin(orbit.width, orbit.height, [[0, orbit.height - 26, 230, orbit.height], ...rings.filter((box) => box)], boxes);
+    const taken = [[0, orbit.height - 26, 260, orbit.height], buttons(orbit.width), ...rings.filter((box) => box)];
+    this.labels.begin(orbit.width, orbit.height, taken, boxes, this.lines());
     this.things.forEach((thing, i) => {
       const far = seen[i] && Math.max(thing.tool ? RING : 0, seen[i].pixels * thing.drawnRadius) + 3;
       this.labels.place(seen[i], far);
       place(thing.label, { "data-at": thing.moved.join(" ") });
     });
     this.drawAxes();
+  }
+
+  /** The lines that no label may be on, in the picture: coupling, force, springs and axes. */
+  lines() {
+    const pairs = this.tools.flatMap((thing) => [[thing.device, thing.place, 2], [...thing.arrow.ends, 7]]);
+    for (const { ends } of this.springs) pairs.push([ends[0].place, ends[1].place, 6]);
+    const seen = pairs.map(([from, to, aside]) => [this.orbit.project(from), this.orbit.project(to), aside]);
+    return [...seen.filter(([from, to]) => from && to), ...this.axes.map((_, axis) => [...this.axis(axis), 1])];
   }
 
   /** The ring of a device, how far its tool is from it, and where a person wants it; returns the ring's box. */
@@ -199,21 +210,25 @@ export class Space {
     return boxAround(here, RING);
   }
 
-  wantedPlace({ at, axes }, wanted) {
-    const found = [...at];
-    axes.forEach((axis, port) => (found[axis] += wanted[port]));
-    return found;
+  wantedPlace({ at, along }, wanted) {
+    return sum(at, along, wanted);
   }
 
   /** The directions of the axes, at a corner of the picture. */
   drawAxes() {
-    const { right, up, height } = this.orbit;
-    const from = { x: 42, y: height - 62 };
     this.axes.forEach(({ line }, axis) => {
-      const to = { x: from.x + TRIAD * right[axis], y: from.y - TRIAD * up[axis] };
+      const [from, to] = this.axis(axis);
       place(line, { x1: from.x, y1: from.y, x2: to.x, y2: to.y });
       this.labels.place(to, 1);
     });
+  }
+
+  /** Where the line of an axis begins and ends in the picture. */
+  axis(axis) {
+    const { right, up, height: high } = this.orbit;
+    const from = { x: 42, y: high - 62 };
+    const { along } = this.axes[axis];
+    return [from, { x: from.x + TRIAD * dot(right, along), y: from.y - TRIAD * dot(up, along) }];
   }
 
   /** Where a device that is at x shall be while the pointer is dragged, in the plane through it that is parallel to the picture. */
@@ -225,7 +240,8 @@ export class Space {
       const moved = this.orbit.across(later.clientX - left, later.clientY - top, this.orbit.depth(point));
       [left, top] = [later.clientX, later.clientY];
       moved.forEach((d, i) => (point[i] += d));
-      return x.map((value, port) => value + point[thing.axes[port]] - start[thing.axes[port]]);
+      const away = point.map((value, i) => value - start[i]);
+      return x.map((value, port) => value + dot(away, thing.along[port]));
     };
   }
 
@@ -237,7 +253,8 @@ export class Space {
   /** What the signs mean. */
   legend() {
     return (
-      "Ring: device (x). Blue sphere: its tool in the world (x_e). Dashed: the difference that its coupling permits. Yellow: bodies. Violet ring: a contact. Arrow: the force on the hand (f). " +
+      "Ring: device (x). Blue: its tool in the world (x_e), pale where it is behind something. Dashed: the difference that its coupling permits. Yellow: bodies. Grey: what stands still. Arrow: the force on the hand (f). " +
+      this.world.remark() +
       "Drag the background to turn the view, with Shift to move it; two fingers, or the wheel after a click, zoom; or focus it and press arrow keys, + and −. Home shows the first view."
     );
   }
@@ -245,6 +262,48 @@ export class Space {
   dispose() {
     this.scheme.removeEventListener("change", this.recolour);
     this.stage.dispose();
+  }
+}
+
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+
+/** A place, moved so far along each direction. */
+const sum = (at, directions, far) => at.map((x, i) => directions.reduce((total, along, port) => total + far[port] * along[i], x));
+
+const UNITS = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
+
+/** The world of a scene: its things, what stands still, and where two of them touch. */
+class Scene {
+  constructor(session) {
+    this.about = session.about;
+    this.things = thingsOf(session);
+    this.axes = UNITS;
+    this.touching = new Contacts(session.about.scene, this.things);
+  }
+
+  standing(palette, around) {
+    return Object.values(this.about.scene.obstacles).flatMap((given) => obstacle(given, palette, around));
+  }
+
+  solid(thing, material) {
+    return solid(thing, material);
+  }
+
+  contacts() {
+    return this.touching.now();
+  }
+
+  remark() {
+    return "Violet ring: a contact. ";
+  }
+
+  /** Places that the first view shows, of what stands still; the ground, m, where there is one; corners of its grid. */
+  bounds() {
+    const obstacles = Object.values(this.about.scene.obstacles);
+    const seen = obstacles.filter(({ shape }) => shape !== "wall");
+    const room = obstacles.find(({ shape }) => shape === "room")?.points;
+    const floor = obstacles.find(({ shape, points: [, normal] }) => shape === "wall" && normal[1] > 0.9 * Math.hypot(...normal));
+    return { places: seen.flatMap(({ points, radius }) => points.map((point) => [point, radius ?? 0])), room, ground: room?.[0][1] ?? floor?.points[0][1] };
   }
 }
 
@@ -257,7 +316,7 @@ function thingsOf({ about, tracks }) {
     const { at, radius, half = [0, 0, 0], shape, motion } = given;
     return {
       ...{ name, names, tool, at, radius, half, box: shape === "box", driven: motion !== undefined },
-      ...{ size: radius + Math.hypot(...half), track, axes, columns: columns(track, names) },
+      ...{ size: radius + Math.hypot(...half), track, along: axes.map((axis) => UNITS[axis]), columns: columns(track, names) },
       ...{ place: [...at], device: [...at], moved: names.map(() => 0) },
     };
   };
@@ -284,7 +343,8 @@ function joinedBy(springs, things) {
 }
 
 /** What the first view shows: its middle and its radius; the ground with the corners of its grid, and a side of it, m. */
-function around({ scene, reach }, things) {
+function around({ reach }, world) {
+  const { things } = world;
   const [low, high] = [[Infinity, Infinity, Infinity], [-Infinity, -Infinity, -Infinity]];
   const include = (point, radius) => {
     for (let i = 0; i < 3; i += 1) {
@@ -292,18 +352,16 @@ function around({ scene, reach }, things) {
       high[i] = Math.max(high[i], point[i] + radius);
     }
   };
-  const obstacles = Object.values(scene.obstacles);
+  const { places, room, ground } = world.bounds();
   for (const { at, size } of things) include(at, size);
-  for (const { shape, points, radius } of obstacles) {
-    for (const point of shape === "wall" ? [] : points) include(point, radius ?? 0);
-  }
+  for (const [point, radius] of places) include(point, radius);
   const lowest = low[1];
-  for (const { tool, at, names } of things) if (tool) include(at, MOTION * Math.max(...names.map((port) => reach[port] ?? 0)));
+  const most = ROOM * Math.hypot(...low.map((x, i) => high[i] - x)) || Infinity;
+  for (const { tool, at, names } of things) if (tool) include(at, Math.min(most, MOTION * Math.max(...names.map((port) => reach[port] ?? 0))));
   const middle = low.map((x, i) => (x + high[i]) / 2);
   const radius = Math.max(1e-3, Math.hypot(...low.map((x, i) => high[i] - x)) / 2);
-  const room = obstacles.find(({ shape }) => shape === "room")?.points;
-  const floor = obstacles.find(({ shape, points: [, normal] }) => shape === "wall" && normal[1] > 0.9 * Math.hypot(...normal));
   const corners = room ?? [middle.map((x) => x - radius), middle.map((x) => x + radius)];
-  const ground = room?.[0][1] ?? floor?.points[0][1] ?? lowest;
-  return { middle, radius, ground, low: corners[0], high: corners[1], step: rounded(radius / 8) };
+  const ends = [low, high];
+  const outer = [0, 1, 2, 3, 4, 5, 6, 7].map((n) => low.map((_, i) => ends[(n >> i) & 1][i]));
+  return { middle, radius, ground: ground ?? lowest, low: corners[0], high: corners[1], corners: outer, step: rounded(radius / 8) };
 }

@@ -25,11 +25,13 @@ export class View {
     this.drawings = {};
     this.only = ""; // why there is the plane alone
     this.button = byId("view-switch");
-    this.button.hidden = session.about.scene === null;
+    const spatial = session.about.scene ?? session.about.drawing;
+    this.button.hidden = spatial === null;
     this.button.disabled = false;
     this.button.onclick = () => this.show(this.shown === "space" ? "plane" : "space");
-    if (session.about.scene === null) this.show("plane");
+    if (spatial === null) this.show("plane");
     else this.begin(html("canvas", { "aria-hidden": "true" }));
+    window.onresize = () => this.drawing?.arrange(); // a window that is only lower changes no width
   }
 
   /** Begin in space; three.js is loaded only here. */
@@ -70,6 +72,7 @@ export class View {
     this.button.setAttribute("aria-pressed", String(kind === "space"));
     const held = this.session.about.grips.length ? ` Drag a ${this.drawing.ring} ring, or focus it and press the arrow keys.` : "";
     say(byId("world-legend"), `${this.drawing.legend()}${held}${this.only}`);
+    if (this.only) byId("signs").open = true;
   }
 
   get drawing() {

@@ -1,12 +1,19 @@
 /** The moving virtual world in its plane: tools, masses and springs, and the devices that move the tools through their couplings. */
 
-import { fit, place, say, svg } from "./elements.js";
+import { buttons, height, place, say, svg } from "./elements.js";
 import { axisOf, fitted, quantity } from "./format.js";
+import { Labels } from "./labels.js";
 import { layout } from "./layout.js";
 
 const LEAST = 2e-3; // m, the smallest motion that may fill the drawing: numerical noise must not look like motion
 const LEAST_FORCE = 0.1; // N, the same for forces
-const LIFT = 26; // px that a device of one axis is drawn above its tool
+const LIFT = 26; // px at least that a device of one axis is drawn above its tool
+const ROW = 64; // px at least that a row of bodies is high
+const SWING = 220; // px at most from a body's middle to its greatest displacement
+const TOP = 26; // px above the rows, for the name of the first
+const FOOT = 58; // px below the rows, for the scales
+const COIL = 7; // px, half the width of a spring
+const TURN = 26; // px of one turn of a spring where its ends are at rest
 const ARROW = 60; // px, length of the arrow for the greatest force
 const LOOK = 500; // ms between two updates of the scale
 
@@ -36,7 +43,9 @@ export class World {
     this.forceHead = svg("path", { class: "force-head" });
     this.forceText = svg("text", { class: "dim" });
     this.drawing.append(this.bar, this.barText, this.forceBar, this.forceHead, this.forceText);
-    return { springs, lanes, bodies };
+    const named = bodies.filter(({ label }) => label);
+    this.labels = new Labels([...named.map(({ label }) => label), ...bodies.flatMap(({ axes }) => axes ?? [])]);
+    return { springs, lanes, bodies, named };
   }
 
   ground(id, body) {
@@ -47,7 +56,7 @@ export class World {
 
   mass(id, body) {
     const box = svg("rect", { class: "mass", width: 34, height: 26, rx: 3, "data-mass": body.name });
-    const label = svg("text", { "text-anchor": "middle" }, body.name);
+    const label = svg("text", {}, body.name);
     this.drawing.append(box, label);
     return { id, body, box, label };
   }
@@ -82,27 +91,29 @@ export class World {
     return new DOMPoint(event.clientX, event.clientY).matrixTransform(this.drawing.getScreenCTM().inverse());
   }
 
-  /** The positions of columns and rows for the present width. */
+  /** The positions of columns and rows, so that they fill the present width and height; a crowd is higher. */
   arrange() {
+    if (!this.parent.isConnected) return; // it is not shown
     const width = Math.max(280, Math.floor(this.parent.clientWidth));
     const spread = this.columns > 1 ? (width - 60) / this.columns : width / 2;
-    this.swing = Math.min(90, 0.36 * spread);
-    const rowHeight = this.planar ? 2 * this.swing + 56 : 104;
+    const rowHeight = Math.max(ROW, (height(this.parent) - FOOT) / this.rows);
+    this.swing = Math.min(SWING, 0.36 * spread);
+    if (this.planar) this.swing = Math.min(this.swing, Math.max(64, (rowHeight - 56) / 2));
+    this.rowHeight = this.planar ? Math.max(rowHeight, 2 * this.swing + 56) : rowHeight;
+    this.lift = Math.max(LIFT, Math.min(60, this.rowHeight / 6));
     this.spots = new Map();
     const left = this.swing + 34;
     const last = width - (this.bodies.has("ground") ? 24 : this.swing + 36);
     const far = this.columns > 1 ? (last - left) / (this.columns - 1) : 0;
     for (const [id, body] of this.bodies) {
-      this.spots.set(id, { x: left + body.column * far, y: rowHeight * (body.row + 0.58) + 10 });
+      this.spots.set(id, { x: left + body.column * far, y: this.rowHeight * (body.row + 0.5) + TOP });
     }
-    this.height = rowHeight * this.rows + 46;
+    this.height = Math.round(this.rowHeight * this.rows + FOOT);
     this.width = width;
     this.drawing.setAttribute("viewBox", `0 0 ${width} ${this.height}`);
-    this.rowHeight = rowHeight;
-    const massWidth = Math.max(34, far - 2 * this.swing - 12); // two masses side by side may move towards each other
-    for (const { body, label } of this.parts.bodies) {
-      if (body.kind === "mass") fit(label, body.name, massWidth);
-      if (body.kind === "tool") fit(label, body.name, body.planar ? this.swing + 18 : Math.max(40, far + 14 - massWidth / 2));
+    for (const spring of this.parts.springs) {
+      const [a, b] = this.ends(spring.ends, this.spots);
+      spring.turns = 2 * Math.max(4, Math.round(Math.hypot(a.x - b.x, a.y - b.y) / TURN)); // as many, however it is stretched
     }
     if (this.pixels) this.draw();
   }
@@ -147,48 +158,77 @@ export class World {
   draw() {
     const places = new Map([...this.bodies.keys()].map((id) => [id, this.at(id)]));
     for (const { body, line } of this.parts.lanes) {
-      const { x, y } = this.spots.get(`tool ${body.name}`);
-      place(line, { x1: x - this.swing - 12, x2: x + this.swing + 12, y1: y, y2: y });
+      const [from, to] = this.lane(body);
+      place(line, { x1: from.x, x2: to.x, y1: from.y, y2: to.y });
     }
-    for (const { ends, path } of this.parts.springs) path.setAttribute("d", this.spring(ends, places));
+    this.lines = this.parts.lanes.map(({ body }) => this.lane(body));
+    this.taken = [[0, this.height - 26, this.swing + 200, this.height], buttons(this.width)];
+    for (const { ends, path, turns } of this.parts.springs) {
+      const [a, b] = this.ends(ends, places);
+      path.setAttribute("d", zigzag(a, b, turns));
+      this.lines.push([a, b, COIL]);
+    }
     for (const part of this.parts.bodies) this[`draw_${part.body.kind}`](part, places.get(part.id));
     this.drawScale();
+    this.drawLabels(places);
   }
 
-  spring(ends, places) {
+  ends(ends, places) {
     const [a, b] = ends.map((id) => ({ ...places.get(id), ground: id === "ground" }));
     if (a.ground) a.y = b.y;
     if (b.ground) b.y = a.y;
-    return zigzag(a, b);
+    return [a, b];
+  }
+
+  /** The line along which a tool moves. */
+  lane({ name }) {
+    const { x, y } = this.spots.get(`tool ${name}`);
+    return [{ x: x - this.swing - 12, y }, { x: x + this.swing + 12, y }, 0];
+  }
+
+  /** The names of tools and masses, and then of the axes, where no line is. */
+  drawLabels(places) {
+    const boxes = this.parts.named.map(({ id, body }) => (body.kind === "mass" ? around(places.get(id), 17, 13) : null));
+    this.labels.begin(this.width, this.height, this.taken, boxes, this.lines);
+    for (const { id, body } of this.parts.named) {
+      const spot = this.spots.get(id);
+      if (body.kind === "mass") this.labels.place(places.get(id), 15);
+      else this.labels.place({ x: spot.x - this.swing, y: spot.y - (body.planar ? this.swing : this.lift) - 21 }, 0);
+    }
+    for (const { body, axes, id } of this.parts.named) {
+      const { x, y } = this.spots.get(id);
+      axes?.forEach((_, axis) => this.labels.place(axis ? { x, y: y - this.swing - 12 } : { x: x + this.swing + 12, y }, 3));
+    }
   }
 
   draw_ground({ path }, { x }) {
-    const [top, bottom] = [14, this.rowHeight * this.rows + 10];
+    const [top, bottom] = [buttons(this.width)[3], this.rowHeight * this.rows + 10];
     let d = `M${x} ${top}V${bottom}`;
     for (let y = top + 10; y <= bottom; y += 10) d += `M${x} ${y - 10}l9 10`;
     path.setAttribute("d", d);
+    this.lines.push([{ x, y: top }, { x, y: bottom }, 9]);
   }
 
-  draw_mass({ box, label, body }, at) {
+  draw_mass({ box, body }, at) {
     place(box, { x: at.x - 17, y: at.y - 13 });
-    place(label, { x: at.x, y: at.y + 30 });
     box.setAttribute("data-at", body.axes.map(({ index }) => this.session.now("environment/masses", index)).join(" "));
   }
 
-  draw_tool({ body, lag, tool, target, force, head, label, axes, upright, handle }, at) {
+  draw_tool({ body, lag, tool, target, force, head, upright, handle }, at) {
     const spot = this.spots.get(`tool ${body.name}`);
-    const lift = body.planar ? 0 : LIFT;
+    const lift = body.planar ? 0 : this.lift;
     const x = this.grips.position(body.name);
     const here = this.offset({ x: spot.x, y: spot.y - lift }, [x[0], body.planar ? (x[1] ?? 0) : 0]);
     const forces = body.ports.map((_, axis) => this.session.known(`${body.name}/force`, axis));
     place(tool, { x: at.x - 7, y: at.y - 7, "data-at": body.ports.map((port) => this.tool_of(port)).join(" ") });
     place(lag, { x1: here.x, y1: here.y, x2: at.x, y2: at.y });
-    place(label, { x: Math.max(4, spot.x - this.swing - 26), y: spot.y - (body.planar ? this.swing : LIFT) - 18 });
-    this.arrow(force, head, here, forces);
-    place(axes[0], { x: spot.x + this.swing + 6, y: spot.y + 14 });
+    this.lines.push([here, at, 2]);
+    this.taken.push(around(here, 12, 12), around(at, 8, 8));
+    const arrow = this.arrow(force, head, here, forces);
+    if (arrow) this.lines.push(arrow);
     if (body.planar) {
-      place(axes[1], { x: spot.x + 5, y: spot.y - this.swing - 8 });
       upright.setAttribute("d", `M${spot.x} ${spot.y - this.swing - 12}V${spot.y + this.swing + 12}`);
+      this.lines.push([{ x: spot.x, y: spot.y - this.swing - 12 }, { x: spot.x, y: spot.y + this.swing + 12 }, 0]);
     }
     handle.setAttribute("transform", `translate(${here.x.toFixed(1)} ${here.y.toFixed(1)})`);
     this.grips.show(handle, body.name, this.most);
@@ -213,19 +253,21 @@ export class World {
     return `Ring: device (x). Square: its tool in the world (x_e). Dashed: the difference that its coupling permits. Arrow: the force it exerts on the hand (f), whose scale is below, in N; a third axis is in the list alone. The world: ${inside}.`;
   }
 
+  /** Draw a force; returns its line, or null where it is too small to be seen. */
   arrow(path, head, from, forces) {
     const [fx, fy] = [forces[0], -(forces[1] ?? 0)].map((f) => ARROW * Math.max(-1.2, Math.min(1.2, f / (this.mostForce || 1))));
     const length = Math.hypot(fx, fy);
     if (length < 2) {
       path.setAttribute("d", "");
       head.setAttribute("d", "");
-      return;
+      return null;
     }
     const [ux, uy] = [fx / length, fy / length];
     const start = { x: from.x + 13 * ux, y: from.y + 13 * uy };
     const end = { x: start.x + fx, y: start.y + fy };
     path.setAttribute("d", `M${start.x} ${start.y}L${end.x} ${end.y}`);
     head.setAttribute("d", `M${end.x + 8 * ux} ${end.y + 8 * uy}L${end.x - 5 * uy} ${end.y + 5 * ux}L${end.x + 5 * uy} ${end.y - 5 * ux}Z`);
+    return [start, { x: end.x + 8 * ux, y: end.y + 8 * uy }, 5];
   }
 
   drawScale() {
@@ -240,12 +282,14 @@ export class World {
   }
 }
 
-/** A spring between two positions, px; the number of its turns is constant. */
-function zigzag(a, b) {
+/** The box around a place. */
+const around = ({ x, y }, wide, high) => [x - wide, y - high, x + wide, y + high];
+
+/** A spring of so many half turns between two positions, px. */
+function zigzag(a, b, turns) {
   const [dx, dy] = [b.x - a.x, b.y - a.y];
   const length = Math.hypot(dx, dy) || 1;
-  const [nx, ny] = [(-6 * dy) / length, (6 * dx) / length];
-  const turns = 14;
+  const [nx, ny] = [(-COIL * dy) / length, (COIL * dx) / length];
   let d = `M${a.x.toFixed(1)} ${a.y.toFixed(1)}`;
   for (let i = 1; i < turns; i += 1) {
     const part = 0.12 + (0.76 * i) / turns;

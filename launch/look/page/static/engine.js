@@ -1,0 +1,87 @@
+/** The world of a physics engine for the drawing in space: its solids, in frames that its nodes report. */
+
+import { ABOVE } from "./orbit.js";
+import { shapesOf } from "./shapes.js";
+
+/** By the axis that is upwards in the engine, how it is turned so that y is, as the drawing has it. */
+const UPRIGHT = { y: [1, 0, 0, 0], z: [Math.SQRT1_2, -Math.SQRT1_2, 0, 0] };
+const AXES = ["x", "y", "z"];
+const FLAT = 0.9; // of the cosine from a plane's normal to the vertical: what is flatter is the ground
+
+const times = ([a, b, c, d], [w, x, y, z]) => [
+  a * w - b * x - c * y - d * z,
+  a * x + b * w + c * z - d * y,
+  a * y - b * z + c * w + d * x,
+  a * z + b * y - c * x + d * w,
+];
+
+/** A vector, turned by a unit quaternion. */
+const turned = (turn, v) => times(times(turn, [0, ...v]), [turn[0], -turn[1], -turn[2], -turn[3]]).slice(1);
+
+export class Engine {
+  constructor({ about, tracks }) {
+    this.drawing = about.drawing;
+    this.upright = UPRIGHT[this.drawing.up];
+    this.from = ABOVE;
+    this.axes = [[1, 0, 0], [0, 1, 0], [0, 0, 1]].map((axis) => turned(this.upright, axis));
+    const devices = Object.entries(about.nodes).filter(([, node]) => node.role === "device");
+    this.things = Object.entries(this.drawing.frames).map(([name, frame]) => {
+      const { at, turn, ports, directions, reported } = frame;
+      const [device] = devices.find(([, node]) => ports.length === node.ports.length && node.ports.every((port) => ports.includes(port))) ?? [];
+      const shapes = this.drawing.shapes.filter((shape) => shape.frame === name);
+      const own = device ? about.nodes[device].ports : ports; // in the order of the device's traces
+      const names = reported ? AXES.map((axis) => `${name}.${axis}`) : own;
+      const track = reported ? "environment/masses" : "environment/tools";
+      const size = Math.max(0, ...shapes.flatMap((shape) => corners(shape).map((corner) => Math.hypot(...corner))));
+      const place = turned(this.upright, at);
+      return {
+        ...{ name: device ?? name, names, tool: device !== undefined, at: place, radius: size, half: [0, 0, 0], size, shapes },
+        ...{ turn: times(this.upright, turn), track, columns: names.map((column) => tracks.get(track).columns.indexOf(column)) },
+        along: reported ? this.axes : own.map((port) => turned(this.upright, directions[ports.indexOf(port)])),
+        from: reported ? at : null, // an engine reports positions, and not displacements
+        ...{ place: [...place], device: [...place], moved: names.map(() => 0) },
+      };
+    });
+  }
+
+  /** Solids that stand still. */
+  standing(palette, { radius }) {
+    const still = this.drawing.shapes.filter(({ frame }) => frame === "");
+    return [shapesOf(still, this.upright, ({ shape }) => palette.of(shape === "plane" ? "pane" : "solid"), radius)];
+  }
+
+  solid(thing, material) {
+    const shapes = thing.shapes.length ? thing.shapes : [{ shape: "sphere", size: [thing.radius, thing.radius, thing.radius], at: [0, 0, 0], turn: UPRIGHT.y }];
+    return shapesOf(shapes, thing.turn, () => material, thing.radius);
+  }
+
+  /** Where an engine's bodies touch is not reported. */
+  contacts() {
+    return [];
+  }
+
+  remark() {
+    const { hidden, large, frames } = this.drawing;
+    const turns = Object.keys(frames).filter((name) => frames[name].turns);
+    const of = (names, text) => (names.length ? `${names.join(", ")}: ${text}. ` : "");
+    return (
+      of(turns, "how it is turned is not reported, and it is drawn as it was at the start") +
+      of(hidden, "not drawn, since where it is is not reported (environment.bodies)") +
+      of(large, "not drawn, since it has too many triangles")
+    );
+  }
+
+  bounds() {
+    const still = this.drawing.shapes.filter(({ frame, size, shape }) => frame === "" && (shape !== "plane" || (size[0] && size[1])));
+    const places = still.flatMap((shape) => corners(shape).map((corner) => [turned(this.upright, corner), 0]));
+    const floors = this.drawing.shapes.filter(({ shape, frame, turn }) => shape === "plane" && frame === "" && turned(times(this.upright, turn), [0, 0, 1])[1] > FLAT);
+    return { places, ground: floors.length ? turned(this.upright, floors[0].at)[1] : undefined };
+  }
+}
+
+/** The corners of the box around a shape, in its frame. */
+function corners({ shape, at, turn, size, points }) {
+  const half = shape === "plane" ? [size[0], size[1], 0] : shape === "capsule" ? [size[0], size[1], size[0] + size[2]] : size;
+  const own = shape === "mesh" ? points : [0, 1, 2, 3, 4, 5, 6, 7].map((n) => half.map((h, i) => ((n >> i) & 1 ? h : -h)));
+  return own.map((corner) => turned(turn, corner).map((x, i) => x + at[i]));
+}
