@@ -119,11 +119,11 @@ def test_a_device_that_is_pushed_away_ends_it() -> None:
 
 
 class Standing(SimulatedClock):
-    """A machine that gives the loop no turn for 0.4 s, once in a motion (after 3 s) or in every second."""
+    """A machine that gives the loop no turn for 0.4 s, once in its fastest motion (after 58 s) or in every second."""
 
     def __init__(self, every: float) -> None:
         super().__init__()
-        self._every, self._next = every, 3.0
+        self._every, self._next = every, 58.0
 
     def sleep_until(self, t: Instant) -> None:
         if 1e-9 * t > self._next:
