@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test test-long test-rest guests lint types imports pytest campaign attack heavy limits worlds fuzz fuzz-board firmware datagrams wan far-user scenes world-peers encoder friction mechanisms identify flood loop watched soak users linked-users chaos faults lateness inertia honest hostile blamed device-faults remote pictures page benchmark curve figures docs words docs-pictures clean
+.PHONY: demo test test-long test-rest guests lint types imports pytest campaign attack heavy refusals worlds fuzz fuzz-board firmware datagrams wan far-user scenes world-peers encoder friction mechanisms identify flood loop watched soak users linked-users chaos faults lateness inertia honest hostile blamed device-faults remote pictures page benchmark curve figures docs words docs-pictures clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -30,8 +30,8 @@ SPREAD  := --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 # collecting the other files would take twenty seconds; looked up where it is used alone
 ALONE    = $(shell grep -rl --include='test_*.py' 'mark\.alone' tests)
 # matrices of ten rows: more threads in BLAS only wait for each other, and for the other test process
-pytest test-long test-rest campaign attack worlds scenes world-peers mechanisms identify: export OMP_NUM_THREADS = 1
-pytest test-long test-rest campaign attack worlds scenes world-peers mechanisms identify: export OPENBLAS_NUM_THREADS = 1
+pytest test-long test-rest campaign attack refusals worlds scenes world-peers mechanisms identify: export OMP_NUM_THREADS = 1
+pytest test-long test-rest campaign attack refusals worlds scenes world-peers mechanisms identify: export OPENBLAS_NUM_THREADS = 1
 # where it is set, every process of every session that a test starts would compile the product and the tests anew
 pytest test-long test-rest campaign attack: export PYTHONDONTWRITEBYTECODE =
 pytest: $(VENV)/.installed
@@ -74,10 +74,11 @@ FILES ?= 1000
 heavy: $(VENV)/.installed
 	$(BIN)/python -m tests.attack.heavy --files $(FILES) --seed $(SEED)
 
-# what a refusal states, against where design itself begins to refuse: so many refusals, each limit within 1 %
+# random sessions that are refused: every printed remedy is applied as it is printed, accepted, and gives what it states;
+# every stated limit is within 1 % of where design begins to refuse: half an hour on one core
 REFUSALS ?= 200
-limits: $(VENV)/.installed
-	$(BIN)/python -m tests.attack.limits --refusals $(REFUSALS) --seed $(SEED)
+refusals: $(VENV)/.installed
+	$(BIN)/python -m benchmarks.refusals --refusals $(REFUSALS) --seed $(SEED)
 
 # 500 random worlds with poles from 0.01 to 1000/s, against an LMI of other code, and 500 networks whose stiffnesses span up
 # to 22 decades: twenty minutes

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping
+from functools import cached_property
+from typing import Any, Protocol, Self
+
 
 class DesignError(Exception):
     """Base class of the errors of ``manyhands.design``.
@@ -17,12 +21,23 @@ class DesignError(Exception):
     """
 
 
+class Remedy(Protocol):
+    """A change with which a design was tried, and is certified; as a text it is the whole of its sentence."""
+
+    @property
+    def changes(self) -> Mapping[str, Any]:
+        """The values that were tried, by path of a session's keys."""
+
+
 class Infeasible(DesignError):
     """No coupling of the wanted class satisfies the conditions, or the given coupling does not.
 
+    What would help is searched when it is asked for, by trying it, which may take seconds. A design alone knows no keys
+    of a session, and so no remedies; ``mh.certify`` and the commands do.
+
     Attributes:
         condition: the condition that fails, with its number in [Bianchini2010]_ if it has one.
-        relax: changes that could make the condition hold, each with a figure if one is known.
+        search: tries what would help, and yields what does as soon as it was tried.
 
     Example:
         >>> import manyhands as mh
@@ -30,14 +45,32 @@ class Infeasible(DesignError):
         >>> try:
         ...     mh.certify(mh.load("example1", {"design": given}))
         ... except mh.Infeasible as error:
-        ...     print(error.relax[0])
-        a stiffness below 2740 N/m
+        ...     remedy = error.remedies[0]
+        >>> print(remedy)
+        a stiffness below 2740 N/m: --set design.stiffness=2737.1 is certified at 2737 N/m
+        >>> mh.certify(mh.load("example1", {"design": given, **remedy.changes})).stiffness[0, 0].item()  # N/m
+        2737.1
     """
 
-    def __init__(self, condition: str, relax: tuple[str, ...]) -> None:
+    def __init__(self, condition: str) -> None:
         self.condition = condition
-        self.relax = relax
-        super().__init__(condition + ("; to relax: " + "; or ".join(relax) if relax else ""))
+        self.search: Callable[[], Iterable[Remedy]] = tuple
+        super().__init__(condition)
+
+    def searching(self, search: Callable[[], Iterable[Remedy]]) -> Self:
+        """This error, with the search of what helps."""
+        self.search = search
+        return self
+
+    @cached_property
+    def remedies(self) -> tuple[Remedy, ...]:
+        """Changes with which a design was tried and is certified, with what they give."""
+        return tuple(self.search())
+
+    @property
+    def relax(self) -> tuple[str, ...]:
+        """:attr:`remedies` in words."""
+        return tuple(map(str, self.remedies))
 
 
 class NotConverged(DesignError):

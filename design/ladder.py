@@ -146,7 +146,7 @@ def design_ladder(
         lost = rungs.pop()
         notes.append(
             f"no rung for a delay of {lost.tau * 1e3:.4g} ms: no level of the environment serves it and the shorter "
-            "ones; use devices with more damping (a greater osp), or soften the environment"
+            "ones"
         )
     return LadderFound(None, tuple(notes))
 
@@ -228,7 +228,7 @@ def _softened(loop: HapticLoop, needed: float, stiff: bool) -> Found:
         if best is None or distance > best[0]:
             best = distance, found.coupling, device
     if best is None:
-        raise first or Infeasible("no spring-damper coupling satisfies Theorem 3", ())
+        raise first or Infeasible("no spring-damper coupling satisfies Theorem 3")
     _, own, device = best
     k, b = float(own.stiffness[0, 0]), float(own.damping[0, 0])
     coupling = tuple(SpringDamper(k * Delta, b * Delta) for Delta in loop.Delta_D_blocks)

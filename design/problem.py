@@ -309,24 +309,20 @@ class HapticLoop:
             raise self._uncertifiable(device, error) from error
 
     def _uncertifiable(self, device: DeviceLevel, nothing: NothingLeft) -> Infeasible:
-        """The error of a device of which held torques leave nothing, with what would leave something."""
+        """The error of a device of which held torques leave nothing."""
         held, d = device.held, nothing.taken
         if held is None:
             raise AssertionError("only held torques take of a level")
         if not np.isfinite(d):
             slower = 2.0 / (held.kappa * ((1.0 + self.period_tolerance) * self.period + self.tau))
             return Infeasible(
-                f"at {held.speed:.4g} m/s the tip of {device.name} may turn too far while its torques are held "
-                "(docs/decisions/0050-held-torques.md)",
-                (f"a limit of speed well below {slower:.4g} m/s, all axes together",),
+                f"at {held.speed:.4g} m/s the tip of {device.name} may turn too far while its torques are held; "
+                f"expected a limit of speed well below {slower:.4g} m/s, all axes together "
+                "(docs/decisions/0050-held-torques.md)"
             )
         return Infeasible(
             f"the held torques of {device.name} may give out what {d:.4g} N*s/m of damping take up, and it has "
-            f"{nothing.least:.4g} (docs/decisions/0050-held-torques.md)",
-            (
-                f"an osp above {d:.4g} N*s/m",
-                f"a greatest force below {held.force * nothing.least / d:.4g} N, all axes together",
-            ),
+            f"{nothing.least:.4g} (docs/decisions/0050-held-torques.md)"
         )
 
     @property

@@ -39,7 +39,7 @@ def check_environment(environment: Environment) -> None:
 
 
 _DISPLACEMENT: Final = (
-    "multiply it by s, or by (z - 1)/(T z), if it leads from velocity to force: an environment leads from displacement"
+    "a response from displacement: one from velocity to force is to be multiplied by s, or by (z - 1)/(T z)"
 )
 """What a spring shows that was given as force over velocity: it has a pole at s = 0."""
 
@@ -62,7 +62,7 @@ def _of_system(system: StateSpace, continuous: bool, what: str) -> fmpq_mat:
     if n == 0:
         return _exact(system.D)
     if n > _MOST_STATES:
-        raise Infeasible(f"{what} has {n} states; expected at most {_MOST_STATES} for an exact static gain", ())
+        raise Infeasible(f"{what} has {n} states; expected at most {_MOST_STATES} for an exact static gain")
     M = -_exact(system.A)
     for i in range(0 if continuous else n):
         M[i, i] += 1
@@ -70,11 +70,8 @@ def _of_system(system: StateSpace, continuous: bool, what: str) -> fmpq_mat:
         return _exact(system.D) + _exact(system.C) * M.solve(_exact(system.B))
     except ZeroDivisionError:
         raise Infeasible(
-            f"{what} has a pole at {'s = 0' if continuous else 'z = 1'}, and so no static gain",
-            (
-                *((_DISPLACEMENT,) if what == "the environment" else ()),
-                "give every mode a spring that holds it",
-            ),
+            f"{what} has a pole at {'s = 0' if continuous else 'z = 1'}, and so no static gain; expected a spring that "
+            "holds every mode" + (f", and {_DISPLACEMENT}" if what == "the environment" else "")
         ) from None
 
 
@@ -86,11 +83,8 @@ def _of_entries(environment: TransferEnvironment) -> fmpq_mat:
             if den[-1] == 0:
                 a, b = environment.ports[i], environment.ports[j]
                 raise Infeasible(
-                    f"the environment's entry ({a}, {b}) has a pole at s = 0, and so no static stiffness",
-                    (
-                        _DISPLACEMENT,
-                        "cancel a common factor s of num and den, or give den a constant term",
-                    ),
+                    f"the environment's entry ({a}, {b}) has a pole at s = 0, and so no static stiffness; expected a "
+                    f"den with a constant term and no common factor s, and {_DISPLACEMENT}"
                 )
             out[i, j] = _decimal(num[-1]) / _decimal(den[-1])
     return out
@@ -105,11 +99,9 @@ def _require_symmetric(gain: fmpq_mat, ports: Sequence[str], what: str, unit: st
             raise Infeasible(
                 f"{what} is not symmetric by its own decimals, so that {party} is passive at no level: its entry "
                 f"({a}, {b}) is {_text(gain[j, i])} {unit}, its entry ({b}, {a}) is {_text(gain[i, j])} {unit}, and "
-                f"they differ by {_text(abs(gain[i, j] - gain[j, i]))} {unit}",
-                (
-                    f"make both {_text((gain[i, j] + gain[j, i]) / 2)} {unit}, or derive static forces from an energy",
-                    "where D cannot be written down so exactly, state the static gain in its place (the key static)",
-                ),
+                f"they differ by {_text(abs(gain[i, j] - gain[j, i]))} {unit}; expected the same twice, as of "
+                f"forces from an energy, such as {_text((gain[i, j] + gain[j, i]) / 2)} {unit}; where D cannot be "
+                "written down so exactly, the key static states the static gain in its place"
             )
 
 
@@ -128,8 +120,7 @@ def _require_semidefinite(gain: fmpq_mat, ports: Sequence[str]) -> None:
             raise Infeasible(
                 f"the environment's static stiffness E(1) is not positive semidefinite, {consequence}: its entry "
                 f"({ports[k]}, {ports[k]}) is {_text(gain[k, k])} N/m, which is {_text(-pivot)} N/m less than the "
-                f"other entries need: expected at least {_text(gain[k, k] - pivot)} N/m",
-                ("remove the negative stiffness, which pushes the tools away from rest",),
+                f"other entries need: expected at least {_text(gain[k, k] - pivot)} N/m"
             )
         beside = next((j for j in range(k + 1, m) if rest[k][j] != 0), None)
         if pivot == 0:
@@ -137,11 +128,8 @@ def _require_semidefinite(gain: fmpq_mat, ports: Sequence[str]) -> None:
                 raise Infeasible(
                     f"the environment's static stiffness E(1) is not positive semidefinite, {consequence}: beside "
                     f"({ports[k]}, {ports[k]}) = {_text(gain[k, k])} N/m its entry ({ports[k]}, {ports[beside]}) is "
-                    f"{_text(gain[k, beside])} N/m; expected {_text(gain[k, beside] - rest[k][beside])} N/m",
-                    (
-                        f"raise the entry ({ports[k]}, {ports[k]})",
-                        "remove the negative stiffness, which pushes the tools away from rest",
-                    ),
+                    f"{_text(gain[k, beside])} N/m; expected {_text(gain[k, beside] - rest[k][beside])} N/m, or a "
+                    f"greater entry ({ports[k]}, {ports[k]})"
                 )
             continue
         column = [rest[i][k] / pivot for i in range(m)]

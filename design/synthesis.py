@@ -58,7 +58,7 @@ from manyhands.design.proof.quantisation import BOUNDED
 from manyhands.design.quantisation import KeptTooLittle, encoder_claim, force_of_steps, friction
 from manyhands.design.solver import SOLVER
 from manyhands.design.statics import check_block, check_environment
-from manyhands.design.theorem3 import MOST_SEARCHED, BlockLevel, certify_beside, certify_given, devices
+from manyhands.design.theorem3 import MOST_SEARCHED, BlockLevel, certifies, certify_beside, certify_given, devices
 from manyhands.design.theorem4 import Interrupted, LinearCoupling, StoppedShort, design_linear, design_spring_damper
 from manyhands.design.transparency import design as transparency
 from manyhands.design.transparency.families import UNWEIGHTED, NormalisedLoop
@@ -175,7 +175,7 @@ def _springs(loop: HapticLoop, stiff: bool, progress: Progress | None) -> Found:
         if best is None or distance > best[0]:
             best = distance, tuple(m.coupling for m in members), device
     if best is None:
-        raise first or Infeasible("no spring-damper coupling satisfies Theorem 3", ())
+        raise first or Infeasible("no spring-damper coupling satisfies Theorem 3")
     method = {"algorithm": f"spring-damper class, {'stiffest' if stiff else 'centred'}"} | tools()
     return Found(best[1], method, device=best[2])
 
@@ -224,13 +224,7 @@ def gain_of_stiffest(loop: HapticLoop, needed: float) -> DeviceShare:
     if kappa is None:
         raise Infeasible(
             f"a delay of {loop.tau:g} s in the tick{_with_tolerance(loop)} leaves at most {most:.3g} of the devices' "
-            f"level, and the environment needs {needed:.3g} of it",
-            (
-                *(("shorten the delay",) if loop.tau else ()),
-                *(("lower the period tolerance",) if rho else ()),
-                "use devices with more damping (a greater osp)",
-                "soften the environment",
-            ),
+            f"level, and the environment needs {needed:.3g} of it"
         )
     kappa *= 1.0 + 1e-12  # rounding
     share = device_share(kappa, tau_hat, period_tolerance=rho)
@@ -271,8 +265,7 @@ def _linear(loop: HapticLoop, wanted: LinearWanted, progress: Progress | None) -
     if needed >= device.share:
         raise Infeasible(
             f"no coupling satisfies Theorem 3: the environment needs {needed:.4g} of the devices' level, "
-            f"expected less than {device.share:.4g} of it",
-            ("use devices with more damping (a greater osp)", "shorten the period", "soften the environment"),
+            f"expected less than {device.share:.4g} of it"
         )
     wish, T = wanted.wish, loop.period
     if wish.aim is None and loop.environment.declared_level is not None:
@@ -371,6 +364,30 @@ def _designed(loop: HapticLoop, wanted: CouplingRequest, progress: Progress | No
     return Designed(certificate, found.history, found.watched, found.interrupted)
 
 
+def finds_levels(loop: HapticLoop, wanted: CouplingRequest) -> bool:
+    """Whether levels are found for a coupling of the class, without the proof and without its aim: quick, for a search.
+
+    What it accepts, :func:`design` accepts but for rounding.
+    """
+    if isinstance(wanted, SpringDamperWanted | LinearWanted) and wanted.wish.aim is not None:
+        wanted = replace(wanted, wish=Wish("feasible"))
+    try:
+        with within_floats(loop.environment):
+            check_environment(loop.environment)
+            if loop.speed is not None:
+                _below_speed(loop, wanted, None)
+                return True
+            taken = _take(loop, wanted)
+            found = taken or search(loop, wanted)
+            _well_posed(loop, realisations(found.coupling, loop.period))
+            if taken is not None:
+                return certifies(loop.cut, found.coupling)
+            certify_given(loop.cut, found.coupling, None, found.device, found.levels)
+    except (DesignError, ValueError, np.linalg.LinAlgError):
+        return False
+    return True
+
+
 _MOST_ROUNDS = 12
 _KEPT_ABOVE = 1.02  # of what the steps add: a little more is kept, so that the next round ends
 _ABOVE_LIMIT = 1.002  # of what springs at their limit ask for, likewise
@@ -435,8 +452,7 @@ def _rising(loop: HapticLoop, wanted: CouplingRequest, progress: Progress | None
                 raise _uncovered(loop, error.force) from error
             too_little, kept = kept, more
     raise Infeasible(
-        f"after {_MOST_ROUNDS} rounds the steps of the encoders still ask for more dry friction than was kept",
-        ("leave the speed out", "more dry friction, or finer encoders"),
+        f"after {_MOST_ROUNDS} rounds the steps of the encoders still ask for more dry friction than was kept"
     )
 
 
@@ -449,8 +465,7 @@ def _uncovered(loop: HapticLoop, force: Matrix) -> Infeasible:
     port = int(np.argmax(force - friction(loop)))
     return Infeasible(
         f"{loop.ports[port]}: its dry friction of {1e3 * friction(loop)[port]:.4g} mN does not cover what the steps of "
-        f"encoders add, {1e3 * force[port]:.4g} mN",
-        ("leave the speed out", "finer encoders", "a softer coupling"),
+        f"encoders add, {1e3 * force[port]:.4g} mN"
     )
 
 
@@ -476,7 +491,7 @@ def certificate_of(
     try:
         blocks = realisations(found.coupling, loop.period)
     except ValueError as error:
-        raise Infeasible(f"the coupling cannot be realised: {error}", ("make K and B positive definite",)) from error
+        raise Infeasible(f"the coupling cannot be realised: {error}") from error
     _well_posed(loop, blocks)
     if environment is None:
         levels = certify_given(loop.cut, found.coupling, progress, found.device, found.levels)
@@ -547,8 +562,7 @@ def _take(loop: HapticLoop, wanted: CouplingRequest) -> Found | None:
     match wanted:
         case NoCoupling():
             raise Infeasible(
-                "there is no coupling: f_v = -E x leaves V_hat = -(z-1)/(Tz) K, output strictly passive at no level",
-                ("use 'design: {coupling: spring-damper}'",),
+                "there is no coupling: f_v = -E x leaves V_hat = -(z-1)/(Tz) K, output strictly passive at no level"
             )
         case LinearGiven(blocks, aim):
             found = [(block.outputs, block.inputs) for block in blocks]
@@ -579,8 +593,8 @@ def _well_posed(loop: HapticLoop, blocks: tuple[StateSpace, ...]) -> None:
     D_V = loop.partition.embed([block.D for block in blocks])
     if not np.linalg.cond(np.eye(len(loop.ports)) + D_E @ D_V) < 1e12:
         raise Infeasible(
-            "I + D_E D_V is singular: force and tool position have no unique solution in a tick",
-            ("change the coupling's direct feedthrough D",),
+            "I + D_E D_V is singular: force and tool position have no unique solution in a tick; expected another "
+            "direct feedthrough D of the coupling"
         )
 
 

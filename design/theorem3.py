@@ -19,7 +19,7 @@ the circle's two ends, z -> 1 and z = -1, this means
     V(1) = V(1)^T > K,            for springs and dampers   K_s T/2 < Delta_D,
     V(-1) + V(-1)^T > 2 K,                                  K_s T/2 + B_s < Delta_D
 
-(K_s, B_s stiffness and damping). A block that fails is refused with the limit and with what would relax it.
+(K_s, B_s stiffness and damping). A block that fails is refused with the limit.
 
 **The joint program** is Theorem 3 as one semidefinite program over all parties' levels and storage functions:
 
@@ -50,7 +50,6 @@ from typing import Any
 import numpy as np
 
 from manyhands.design import convex as cp
-from manyhands.design import limits
 from manyhands.design.errors import Infeasible, SolverFailure
 from manyhands.design.levels.contract import ENERGY, ENFORCED, NO_DELAY_GAIN, DeviceShare, Levels, Storage, margin
 from manyhands.design.levels.device import device_share, least_gain
@@ -74,6 +73,7 @@ from manyhands.design.solver import (
 
 # Necessary conditions on one block of V
 
+_SPRING = "expected a spring of positive stiffness between hand and tool in every direction"
 _FREQUENCIES = 400
 _ROUNDING = 1e-9  # relative to the largest gain on the circle
 _EDGE = 1e-12  # relative: exact arithmetic may find a coupling that is this near to the limit beyond it
@@ -94,8 +94,7 @@ def check_spring_damper(name: str, coupling: SpringDamper, Lambda: Matrix, T: fl
     """
     if float(np.linalg.eigvalsh(coupling.stiffness)[0]) <= 0.0:
         raise Infeasible(
-            f"coupling {name}: V(1) is not positive, so that V_hat is output strictly passive at no level",
-            ("put a spring of positive stiffness between hand and tool in every direction",),
+            f"coupling {name}: V(1) is not positive, so that V_hat is output strictly passive at no level; {_SPRING}"
         )
     inverse = np.linalg.inv(np.linalg.cholesky(Lambda))
     limit = 2.0 / T * float(np.linalg.eigvalsh(Lambda)[0])
@@ -114,18 +113,15 @@ class TooStiff(Infeasible):
         name: of the block.
         limit: N/m.
         over: what the block has, in units of the limit.
-        osp: of devices whose limit would be what the block has, N*s/m.
-        damped: whether the limit is that of stiffness plus 2/T times the damping.
     """
 
     def __init__(self, name: str, over: float, limit: float, T: float, kappa: float, damped: bool) -> None:
         formula = "2 Delta_D / T" if kappa == NO_DELAY_GAIN else f"Delta_D / ({kappa:.4g} T)"
         meaning = "stiffness plus 2/T times its damping" if damped else "stiffness"
-        self.name, self.limit, self.over, self.osp, self.damped = name, limit, over, over * limit * kappa * T, damped
+        self.name, self.limit, self.over = name, limit, over
         super().__init__(
             f"coupling {name}: its {meaning}, {over * limit:.4g} N/m, is not below {formula} = {limit:.4g} N/m, so "
-            "that V_hat is output strictly passive at no level",
-            (),
+            "that V_hat is output strictly passive at no level"
         )
 
 
@@ -144,8 +140,8 @@ def check_block(name: str, block: StateSpace, K: Matrix, T: float, kappa: float 
     """
     if np.max(np.abs(np.linalg.eigvals(block.A)), initial=0.0) >= 1.0:
         raise Infeasible(
-            f"coupling {name}: V is not stable",
-            ("give every mode of the coupling some damping, and every direction a spring of positive stiffness",),
+            f"coupling {name}: V is not stable; expected a damping of every mode, and a spring of positive stiffness "
+            "in every direction"
         )
     limit = 1.0 / float(np.linalg.eigvalsh(K)[-1])
     beyond: list[TooStiff] = []
@@ -156,8 +152,7 @@ def check_block(name: str, block: StateSpace, K: Matrix, T: float, kappa: float 
             np.abs(compliance), initial=1e-300
         ):
             raise Infeasible(
-                f"coupling {name}: V({point:g}) is not symmetric, so that V_hat is output strictly passive at no level",
-                ("make the static compliance of the block symmetric",),
+                f"coupling {name}: V({point:g}) is not symmetric, so that V_hat is output strictly passive at no level"
             )
         compliance = symmetric_part(compliance)
         softest = float(np.linalg.eigvalsh(compliance)[0])
@@ -165,8 +160,8 @@ def check_block(name: str, block: StateSpace, K: Matrix, T: float, kappa: float 
             continue
         if softest <= 0.0:
             raise Infeasible(
-                f"coupling {name}: V({point:g}) is not positive, so that V_hat is output strictly passive at no level",
-                ("put a spring of positive stiffness between hand and tool in every direction",),
+                f"coupling {name}: V({point:g}) is not positive, so that V_hat is output strictly passive at no level; "
+                f"{_SPRING}"
             )
         beyond.append(TooStiff(name, 1.0 / (softest * limit), limit, T, kappa, point == -1.0))
     if beyond:  # at -1 the damping counts as well, so that both limits may be passed
@@ -178,8 +173,7 @@ def check_block(name: str, block: StateSpace, K: Matrix, T: float, kappa: float 
         if not least >= -_ROUNDING * float(np.max(np.abs(response))):
             raise Infeasible(
                 f"coupling {name}: V_hat is not passive at {angle / T:.4g} rad/s: the least eigenvalue of its "
-                f"Hermitian part is {least:.3g} m/(N s)",
-                ("lower the coupling's impedance around that frequency", "shorten the period"),
+                f"Hermitian part is {least:.3g} m/(N s)"
             )
 
 
@@ -317,7 +311,7 @@ def block_level(
             raise ProgramInfeasible(what)
         found = _make_room(constraints, room, level, best, what, lambda: form.proved(P, value(level) * I))
     except ProgramInfeasible as error:
-        raise Infeasible(f"coupling {name}: V_hat is output strictly passive at no level", RELAX) from error
+        raise Infeasible(f"coupling {name}: V_hat is output strictly passive at no level") from error
     if not found:
         raise SolverFailure(f"{what}: no room is left in the storage inequality, so nothing can be proved")
     return BlockLevel(
@@ -385,11 +379,11 @@ def joint_levels(
     try:
         best = solve(cp.Problem(cp.Maximize(t), [*constraints, room >= 0.0]), what)
         if best <= 0.0:
-            raise Infeasible(f"condition (10) fails: its best margin is {best:.4g} N*s/m; expected > 0", RELAX)
+            raise Infeasible(f"condition (10) fails: its best margin is {best:.4g} N*s/m; expected > 0")
         parts = list(zip(forms, P_V, Delta_V, strict=True))
         found = _make_room(constraints, room, t, best, what, lambda: all(f.proved(P, D) for f, P, D in parts))
     except ProgramInfeasible as error:
-        raise Infeasible("no levels satisfy Theorem 3 with this coupling", RELAX) from error
+        raise Infeasible("no levels satisfy Theorem 3 with this coupling") from error
     if not found:
         raise SolverFailure(f"{what}: no room is left in the storage inequalities, so nothing can be proved")
     inverse: Matrix = np.asarray(np.linalg.inv(S), dtype=np.float64)
@@ -429,13 +423,6 @@ def _make_room(
             if found >= _ENOUGH_ROOM and proved():
                 return True
     return float(value(room)) > 0.0 and proved()
-
-
-RELAX = (
-    "lower the coupling's stiffness",
-    "shorten the period",
-    "use devices with more damping (a greater osp)",
-)
 
 
 def _storage(n: int) -> Any:
@@ -481,69 +468,10 @@ def certify_given(
         their energy.
 
     Raises:
-        Infeasible: no levels exist; the coupling is not certified.
-        SolverFailure: a solver gave no usable answer.
-    """
-    try:
-        return _certified(loop, coupling, progress, hint, known)
-    except TooStiff as error:
-        raise Infeasible(error.condition, _what_helps(loop, coupling)) from error
-
-
-def _what_helps(loop: HapticLoop, coupling: tuple[CouplingBlock, ...]) -> tuple[str, ...]:
-    """What would help a coupling that is too stiff at every gain; each change was tried."""
-    kappa = min(device.kappa for device in devices(loop))
-    excesses = []
-    for index, error in enumerate(_beyond(loop, coupling, kappa)):
-        if isinstance(error, TooStiff):
-            excesses.append(limits.Excess(index, error.limit, error.over, error.osp, error.damped))
-
-    return tuple(limits.what_helps(loop, coupling, excesses, _certifies)) if excesses else ()
-
-
-def _certifies(loop: HapticLoop, coupling: tuple[CouplingBlock, ...]) -> bool:
-    """Whether :func:`certify_given` finds levels; the gain that allows the stiffest coupling is tried first."""
-    for most in _caps(coupling):
-        for device in reversed(devices(loop)):
-            try:
-                _levels(
-                    loop, device, _promises(loop, coupling, realisations(coupling, loop.period), device, most), None
-                )
-            except (Infeasible, SolverFailure, ValueError, np.linalg.LinAlgError):
-                continue
-            return True
-    return False
-
-
-def _beyond(loop: HapticLoop, coupling: tuple[CouplingBlock, ...], kappa: float) -> list[Infeasible | None]:
-    """By block, why it is refused at this gain by itself, before any solver; None if it is not."""
-    out: list[Infeasible | None] = []
-    blocks = realisations(coupling, loop.period)
-    parts = zip(loop.partition.names, coupling, blocks, loop.loop_gain(kappa), loop.Delta_D_blocks, strict=True)
-    for name, part, block, K, Delta_D in parts:
-        try:
-            if isinstance(part, SpringDamper):
-                check_spring_damper(name, part, Delta_D / (2.0 * kappa), loop.period, kappa)
-            else:
-                check_block(name, block, K, loop.period, kappa)
-            out.append(None)
-        except Infeasible as error:
-            out.append(error)
-    return out
-
-
-def _certified(
-    loop: HapticLoop,
-    coupling: tuple[CouplingBlock, ...],
-    progress: Progress | None = None,
-    hint: DeviceShare | None = None,
-    known: tuple[BlockLevel, ...] = (),
-) -> Levels:
-    """As :func:`certify_given`; a coupling that is too stiff at every gain is refused at the gain that allows most.
-
-    Raises:
-        Infeasible, SolverFailure: as there; of several reasons the first that is no limit of stiffness, because a
-            different gain has mended that.
+        Infeasible: no levels exist; the coupling is not certified. One that is too stiff at every gain is refused at
+            the gain that allows most.
+        SolverFailure: a solver gave no usable answer. Of several reasons the first is raised that is no limit of
+            stiffness, because a different gain has mended that.
     """
     blocks = realisations(coupling, loop.period)
     best: Levels | None = None
@@ -564,7 +492,21 @@ def _certified(
     if hint is not None and known:
         with suppress(Infeasible, SolverFailure):  # the first failure is more useful: it is about the greatest levels
             return _levels(loop, hint, known, progress)
-    raise first or Infeasible("no levels satisfy Theorem 3 with this coupling", RELAX)
+    raise first or Infeasible("no levels satisfy Theorem 3 with this coupling")
+
+
+def certifies(loop: HapticLoop, coupling: tuple[CouplingBlock, ...]) -> bool:
+    """Whether :func:`certify_given` finds levels; the gain that allows the stiffest coupling is tried first."""
+    for most in _caps(coupling):
+        for device in reversed(devices(loop)):
+            try:
+                _levels(
+                    loop, device, _promises(loop, coupling, realisations(coupling, loop.period), device, most), None
+                )
+            except (Infeasible, SolverFailure, ValueError, np.linalg.LinAlgError):
+                continue
+            return True
+    return False
 
 
 def _more_telling(
@@ -610,7 +552,7 @@ def certify_beside(
             found = Levels(device, loop.Delta_D_blocks, Delta_V, environment.Phi_E, environment.P_E, P_V)
             if margin(loop.partition, found) > 0.0:
                 return found
-    raise first or Infeasible("condition (10) fails beside the environment's level", RELAX)
+    raise first or Infeasible("condition (10) fails beside the environment's level")
 
 
 def _caps(coupling: tuple[CouplingBlock, ...]) -> tuple[float, ...]:
@@ -680,8 +622,7 @@ def _closed_form(name: str, coupling: SpringDamper, Lambda: Matrix, T: float) ->
     least = float(np.linalg.eigvalsh(level)[0])
     if least <= 0.0:
         raise Infeasible(
-            f"coupling {name}: the greatest level of V_hat has the eigenvalue {least:.4g} N*s/m; expected > 0",
-            ("raise the coupling's damping", "raise its stiffness towards half its limit"),
+            f"coupling {name}: the greatest level of V_hat has the eigenvalue {least:.4g} N*s/m; expected > 0"
         )
     return level
 
@@ -723,11 +664,6 @@ def _declared(loop: HapticLoop, Phi_E: Matrix, device: DeviceShare, Delta_V: tup
     if left <= 0.0:
         raise Infeasible(
             "condition (10) fails with the environment's declared level: "
-            f"its least eigenvalue is {left:.4g} N*s/m; expected > 0",
-            (
-                "declare a smaller level",
-                "use devices with more damping (a greater osp)",
-                "raise the coupling's damping, or soften it",
-            ),
+            f"its least eigenvalue is {left:.4g} N*s/m; expected > 0"
         )
     return Phi_E

@@ -387,8 +387,7 @@ def solve_theorem_4(
     except ProgramInfeasible as error:
         raise Infeasible(
             "no coupling of this structure satisfies Theorem 4: E_hat + Delta_D is not passive"
-            + (f", with {share:.3g} of Delta_D left by the delay" if share != 1.0 else ""),
-            ("use devices with more damping (a greater osp)", "shorten the period", "soften the environment"),
+            + (f", with {share:.3g} of Delta_D left by the delay" if share != 1.0 else "")
         ) from error
 
 

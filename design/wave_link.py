@@ -217,7 +217,7 @@ def promised_level(environment: Environment, partition: Partition, linked: froze
     others = sorted(set(range(partition.size)) - set(own))
     if np.any(level[np.ix_(own, others)]):
         raise Infeasible(
-            "the environment's declared level joins ports of wave links with ports of users in the tick",
-            ("declare a level without entries between them",),
+            "the environment's declared level joins ports of wave links with ports of users in the tick; expected a "
+            "level without entries between them"
         )
     return level[np.ix_(own, own)]

@@ -53,7 +53,7 @@ def _proved(terms: WorldTerms, Phi_E: Matrix, P_E: Storage, method: str, progres
     """The world with this level, proved."""
     margin = float(np.linalg.eigvalsh(terms.promised() - Phi_E)[0])
     if margin < -_ROUNDING * float(np.max(np.abs(Phi_E))):
-        raise _lacking(-margin, "so its declared level says", "a declared level of 0 or less at every such port")
+        raise _lacking(-margin, "so its declared level says")
     found = terms.kept(Phi_E, P_E, {CONDITION_A: max(margin, 0.0)}, {"algorithm": method, "numpy": np.__version__})
     if progress is not None:
         progress("proving the world")
@@ -77,10 +77,7 @@ def _level(environment: Environment, T: float, progress: Progress | None) -> tup
     I = np.eye(split.rest.inputs)
     found = lack_of_passivity(split, T, I, progress)
     if found.multiple >= 0.0:
-        remedy = f"a damping of more than {found.multiple:.4g} N*s/m at each such port, by backward Euler"
-        if environment.late:
-            remedy = "an environment without delay: a wave link carries delay in its place"
-        raise _lacking(found.multiple, f"it lacks passivity at {found.frequency:.4g} rad/s", remedy)
+        raise _lacking(found.multiple, f"it lacks passivity at {found.frequency:.4g} rad/s")
     for reserve in RESERVES:
         Phi_E = (1.0 - reserve) * found.multiple * I
         with contextlib.suppress(SolverFailure):  # the next level leaves its storage function more room
@@ -89,9 +86,8 @@ def _level(environment: Environment, T: float, progress: Progress | None) -> tup
     raise SolverFailure("the environment is passive, but no storage function with room for a proof was found")
 
 
-def _lacking(lack: float, where: str, remedy: str) -> Infeasible:
+def _lacking(lack: float, where: str) -> Infeasible:
     return Infeasible(
         f"condition (A) fails: the environment needs {lack:.4g} N*s/m at the ports of wave links, where nobody pays "
-        f"for it: {where}",
-        (remedy, "couplings without wave links, whose devices pay for it"),
+        f"for it: {where}"
     )

@@ -132,15 +132,11 @@ def _member(Lambda: Matrix, Phi_E: Matrix, part: float, T: float, name: str, sti
     if headroom <= 0.0:
         raise Infeasible(
             f"coupling {name}: no spring-damper satisfies Theorem 3, because the environment lacks passivity: "
-            f"Phi_E exceeds the device's level by {-headroom / part:.3g} of it",
-            ("use devices with more damping (a greater osp)", "shorten the period", "soften the environment"),
+            f"Phi_E exceeds the device's level by {-headroom / part:.3g} of it"
         )
     found = _scalar(part, float(Phi[0, 0]), stiff) if m == 1 else _program(part, Phi, stiff, name)
     if found is None:
-        raise Infeasible(
-            f"coupling {name}: no spring-damper satisfies Theorem 3 with room to prove it",
-            ("use devices with more damping (a greater osp)", "shorten the period"),
-        )
+        raise Infeasible(f"coupling {name}: no spring-damper satisfies Theorem 3 with room to prove it")
     J, B, distance = found
     inverse = np.linalg.inv(S)
     coupling = SpringDamper(

@@ -97,10 +97,7 @@ class DeclaredEnvironment(Environment):
             Infeasible: no controller enforces it.
         """
         if not self.enforced:
-            raise Infeasible(
-                "nothing is proved about the environment's model, and its level is not enforced",
-                ("set 'enforce: true' in environment",),
-            )
+            raise Infeasible("nothing is proved about the environment's model, and its level is not enforced")
         return self.level
 
     def environment(self, T: float) -> StateSpace:
@@ -113,11 +110,8 @@ class DeclaredEnvironment(Environment):
 
     def _refuse(self) -> NoReturn:
         raise Infeasible(
-            "this needs the dynamics of the environment, but only the declared level of its model is known",
-            (
-                "use an objective that does not need the environment's dynamics: feasible or stiffest",
-                "give the environment as a network or as matrices",
-            ),
+            "this needs the dynamics of the environment, but only the declared level of its model is known; expected "
+            "an objective that does not need them, feasible or stiffest, or a network or matrices as the environment"
         )
 
 

@@ -361,7 +361,7 @@ class StiffenedEnvironment(_Discretised):
         try:
             N = np.linalg.inv(np.eye(len(C)) - E.D @ C)
         except np.linalg.LinAlgError:
-            raise Infeasible("I - D_E C is singular for the compliance that is counted in series", ()) from None
+            raise Infeasible("I - D_E C is singular for the compliance that is counted in series") from None
         leaving = N @ E.C  # the states stay those of the world
         return StateSpace(E.A + E.B @ C @ leaving, E.B @ (np.eye(len(C)) + C @ N @ E.D), leaving, N @ E.D)
 

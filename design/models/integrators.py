@@ -85,8 +85,7 @@ def split_system(E: StateSpace, T: float) -> Split:
     radius = float(np.max(np.abs(np.linalg.eigvals(E.A)), initial=0.0))
     if radius >= 1.0:
         raise Infeasible(
-            f"the environment is not stable: it has a pole of modulus {radius:.6g}",
-            ("give every mode of the environment some damping",),
+            f"the environment is not stable: it has a pole of modulus {radius:.6g}; expected a damping of every mode"
         )
     steady = np.linalg.solve(np.eye(n) - E.A, E.B)
     stiffness = E.C @ steady + E.D
@@ -94,15 +93,14 @@ def split_system(E: StateSpace, T: float) -> Split:
     scale = max(float(np.max(np.abs(E.C) @ np.abs(steady) + np.abs(E.D), initial=0.0)), 1e-300)
     if float(np.max(np.abs(stiffness - stiffness.T), initial=0.0)) > _ASYMMETRY * scale:
         raise Infeasible(
-            "the environment's static stiffness E(1) is not symmetric, so that E_hat is passive at no level",
-            ("derive static forces from an energy: a symmetric stiffness",),
+            "the environment's static stiffness E(1) is not symmetric, so that E_hat is passive at no level; expected "
+            "static forces from an energy"
         )
     least = float(np.linalg.eigvalsh(symmetric_part(stiffness))[0]) if m else 0.0
     if least < -_ASYMMETRY * scale:
         raise Infeasible(
             f"the environment's static stiffness has the negative eigenvalue {least:.4g} N/m, so that E_hat is "
-            "passive at no level",
-            ("remove the negative stiffness, which pushes the tools away from rest",),
+            "passive at no level: it pushes the tools away from rest"
         )
     rest = StateSpace(E.A, -T * E.A @ steady, E.C, T * E.D)
     return Split(matrix(symmetric_part(stiffness)), rest)

@@ -408,7 +408,7 @@ def discretise(system: StateSpace, method: Method, T: float) -> StateSpace:
         return zero_order_hold(system, T)
     step = T if method == "backward-euler" else T / 2.0
     if n and not np.linalg.cond(np.eye(n) - step * A) < _SINGULAR:
-        raise Infeasible(f"{method}: I - {step:g} A is singular", ("change the period, or the method",))
+        raise Infeasible(f"{method}: I - {step:g} A is singular; expected another period or method")
     R: Matrix = np.asarray(np.linalg.inv(np.eye(n) - step * A), dtype=np.float64)
     if method == "backward-euler":
         return StateSpace(R, T * R @ B, C @ R, D + T * C @ R @ B)

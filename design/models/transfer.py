@@ -101,7 +101,7 @@ def _in_differences(entry: Rational, method: str, T: float, place: str) -> tuple
     above, below = (_substituted(part, degree, method, T) for part in (num, den))
     if below[0] == 0:
         raise Infeasible(
-            f"{place} is not causal after discretisation", ("use backward Euler", "lower the numerator's degree")
+            f"{place} is not causal after discretisation; expected backward Euler, or a numerator of a lower degree"
         )
     b, a = [c / below[0] for c in above], [c / below[0] for c in below]
     N = np.diag(np.ones(max(degree - 1, 0)), 1) if degree else np.zeros((0, 0))
@@ -112,8 +112,8 @@ def _in_differences(entry: Rational, method: str, T: float, place: str) -> tuple
         return N, leaving, float(b[0])
     except OverflowError:
         raise Infeasible(
-            f"{place} has coefficients so far apart that they leave the floats after discretisation",
-            ("divide num and den by a common number, or leave out the terms that do not matter",),
+            f"{place} has coefficients so far apart that they leave the floats after discretisation; expected num and "
+            "den divided by a common number, or without the terms that do not matter"
         ) from None
 
 

@@ -334,7 +334,7 @@ def _greatest(system: StateSpace, shape: Shape, role: Role, other: Matrix | None
     found = best_level(replace(search, basis=_silent_on(basis, idle)), bound) if idle.shape[1] else None
     found = best_level(search, bound) if found is None else found
     if found is None:
-        raise Infeasible(f"the system has no {role} level of this shape: no positive storage function at any", ())
+        raise Infeasible(f"the system has no {role} level of this shape: no positive storage function at any")
     return found
 
 

@@ -200,7 +200,7 @@ def device_with_level(system: StateSpace, Delta_D: Matrix) -> Dissipative:
 def _proved(system: StateSpace, Delta: Matrix, otherwise: str) -> Dissipative:
     finding = analyse(system, Delta, time="continuous")
     if finding.P is None:
-        raise Infeasible(f"Assumption 1: {otherwise}: {finding.reason}", ())
+        raise Infeasible(f"Assumption 1: {otherwise}: {finding.reason}")
     try:
         return Dissipative(system, finding.P, Delta)
     except ValueError as error:  # proved in discrete time, but lost by rounding on the way back to continuous time

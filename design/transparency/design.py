@@ -121,8 +121,7 @@ def design_spring_damper(
         start = family.stiffest()
     except ProgramInfeasible as error:
         raise Infeasible(
-            "no spring-damper coupling satisfies (10) with this Phi_E: E_hat + Delta_D is not passive enough",
-            ("use devices with more damping (a greater osp)", "shorten the period", "soften the environment"),
+            "no spring-damper coupling satisfies (10) with this Phi_E: E_hat + Delta_D is not passive enough"
         ) from error
     found = minimise_peak(family, start, "spring-damper transparency", _noting(progress, history))
     coupling = family.coupling(found.x)
@@ -167,8 +166,8 @@ def design_fixed_poles(
             found = Minimum(x, np.inf, 0.0, 1)
     except ProgramInfeasible as error:
         raise Infeasible(
-            "no linear coupling over these poles has the least levels asked for",
-            ("ask for smaller levels: (10) needs Delta_V > Phi_E + Phi_E (Delta_G - Phi_E)^{-1} Phi_E",),
+            "no linear coupling over these poles has the least levels asked for; (10) needs "
+            "Delta_V > Phi_E + Phi_E (Delta_G - Phi_E)^{-1} Phi_E"
         ) from error
     design = recovered(family, found, tuple(history))
     return design if static is None else replace(design, gamma=None, frequency=None)

@@ -81,8 +81,8 @@ def design_linear(
         interrupted = True
     except ProgramInfeasible as error:
         raise Infeasible(
-            "no linear coupling has the least levels asked for",
-            ("ask for smaller levels: (10) needs Delta_V > Phi_E + Phi_E (Delta_G - Phi_E)^{-1} Phi_E",),
+            "no linear coupling has the least levels asked for; (10) needs "
+            "Delta_V > Phi_E + Phi_E (Delta_G - Phi_E)^{-1} Phi_E"
         ) from error
     if search.best is None:
         raise SolverFailure("pole search: no program gave a usable answer")

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 from manyhands.design.certificate import Certificate, certificate_of, content, read_plain
-from manyhands.design.errors import CertificateError
+from manyhands.design.errors import CertificateError, DesignError
 from manyhands.extras import explained, require
 from manyhands.launch.session import ENVIRONMENT, Session
 from manyhands.launch.session.session import whole_ticks
@@ -100,7 +100,7 @@ def certify(session: Source, part: str | None = None, *, progress: Progress | No
         progress: called with each step.
 
     Raises:
-        Infeasible: no coupling of the class can be certified; ``relax`` lists what could help.
+        Infeasible: no coupling of the class can be certified; its ``remedies`` are what helps, each tried.
         DesignError: no coupling was found, for another reason.
         ValueError: the session has no part of that name, or has wave links and no part is named.
 
@@ -115,6 +115,7 @@ def certify(session: Source, part: str | None = None, *, progress: Progress | No
     """
     require("design")
     from manyhands.launch.plan import sites
+    from manyhands.launch.plan.remedies import with_remedies
 
     loaded = _settled(load(session))
     names = sites.part_names(loaded)
@@ -126,9 +127,12 @@ def certify(session: Source, part: str | None = None, *, progress: Progress | No
         raise ValueError(
             f"part: found {part!r}; expected one of {', '.join(names)}, since {loaded.name} has wave links"
         )
-    if part == ENVIRONMENT:
-        return sites.world(loaded, progress)
-    return sites.part(loaded, part).design(progress).certificate
+    try:
+        if part == ENVIRONMENT:
+            return sites.world(loaded, progress)
+        return sites.part(loaded, part).design(progress).certificate
+    except DesignError as error:
+        raise with_remedies(error, loaded, part) from None
 
 
 def verify(

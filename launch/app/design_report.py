@@ -85,7 +85,7 @@ def certificate_object(certificate: Certificate, proved: bool = True) -> dict[st
     }
 
 
-def infeasible_object(loop: HapticLoop, reason: str, relax: tuple[str, ...]) -> dict[str, Any]:
+def infeasible_object(loop: HapticLoop, reason: str) -> dict[str, Any]:
     """The object that ``--json`` prints when nothing could be certified."""
     left = loop.Delta_D_at(loop.period, loop.tau)
     return {
@@ -108,7 +108,6 @@ def infeasible_object(loop: HapticLoop, reason: str, relax: tuple[str, ...]) -> 
         "structure": _structure(loop),
         "enforced": list(loop.enforced),
         "reason": reason,
-        "relax": list(relax),
     }
 
 

@@ -16,7 +16,7 @@ from rich.table import Table
 
 from manyhands.design.certificate import Certificate, certificate_of, read_plain, save
 from manyhands.design.environments import environment_of
-from manyhands.design.errors import CertificateError, DesignError, Infeasible
+from manyhands.design.errors import CertificateError, DesignError, Remedy
 from manyhands.design.models.weights import Filter
 from manyhands.design.world import CONDITION_A, World, save_world
 from manyhands.launch.app.design_report import (
@@ -32,10 +32,11 @@ from manyhands.launch.app.design_report import (
     say_failing,
 )
 from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK, TargetError, require_target
-from manyhands.launch.look.display import say
+from manyhands.launch.look.display import could_help, say
 from manyhands.launch.output import print_json
 from manyhands.launch.plan.feel import feel_lines
 from manyhands.launch.plan.loop import haptic_loop
+from manyhands.launch.plan.remedies import with_remedies
 from manyhands.launch.plan.sites import IN_TICK, part, part_files, part_names, world
 from manyhands.launch.session import ENVIRONMENT, Session
 from manyhands.nodes.kernel.driver_statement import outside
@@ -100,10 +101,8 @@ def run_design(
             say(err, f"{session.name}: interrupted before {before}")
             return EXIT_INTERRUPTED
         except DesignError as error:
-            objects[name] = _infeasible(session, error)
-            say(err, f"{subject}: not certified: {objects[name]['reason']}")
-            for way in objects[name]["relax"]:
-                say(err, f"  could help: {way}")
+            say(err, f"{subject}: not certified: {error}")
+            objects[name] = _infeasible(session, error, could_help(err, with_remedies(error, session, name)))
             code = EXIT_NOT_CERTIFIED
             break
         objects[name] = _keep(designed, files.get(name), out, err, as_json)
@@ -124,12 +123,12 @@ def run_design(
     return code
 
 
-def _infeasible(session: Session, error: DesignError) -> dict[str, Any]:
+def _infeasible(session: Session, error: DesignError, helps: Sequence[Remedy]) -> dict[str, Any]:
     """The object that ``--json`` prints for a part that cannot be certified."""
-    reason, relax = (error.condition, error.relax) if isinstance(error, Infeasible) else (str(error), ())
+    relax = {"relax": [str(one) for one in helps], "changes": [dict(one.changes) for one in helps]}
     if not session.wave_links:
-        return infeasible_object(haptic_loop(session), reason, relax)
-    return {"status": INFEASIBLE, "reason": reason, "relax": list(relax)}
+        return infeasible_object(haptic_loop(session), str(error)) | relax
+    return {"status": INFEASIBLE, "reason": str(error)} | relax
 
 
 def _keep(designed: World | Designed, path: Path | None, out: Console, err: Console, as_json: bool) -> dict[str, Any]:

@@ -6,7 +6,7 @@ Which figures of a node every such table shows is declared with them (:mod:`many
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Final, Protocol
 
 from rich import box
@@ -17,6 +17,7 @@ from rich.progress import Progress as ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from manyhands.design.errors import Infeasible, Remedy
 from manyhands.nodes.environment.chatter import MOST as MOST_REVERSALS
 from manyhands.nodes.monitor.given import GivenForce, shares_cell
 from manyhands.nodes.monitor.health import PromiseState, condensed, is_present, missed, sentence
@@ -111,7 +112,7 @@ def energy_line(figures: Figures) -> str:
 
 
 def chatter_line(figures: Figures) -> str:
-    """One line with the couplings whose force reverses more often than a hand, and what to do; empty without any."""
+    """One line with the couplings whose force reverses more often than a hand, and why; empty without any."""
     found = {name: n for name, n in figures.table(names.CHATTER).items() if n >= MOST_REVERSALS}
     if not found:
         return ""
@@ -121,7 +122,7 @@ def chatter_line(figures: Figures) -> str:
     elif figures.table(names.HELD):
         whose, remedy = "model", "its proxies jump, or ticks are late"
     else:
-        whose, remedy = "model", "use a proxy, or a softer model (docs/models.md)"
+        whose, remedy = "model", "docs/models.md says why, and what a proxy does about it"
     return f"the {whose}'s force chatters: {most}; {remedy}"
 
 
@@ -229,6 +230,24 @@ def say(console: Console, text: str) -> None:
     A terminal breaks it between words; what goes elsewhere stays one line.
     """
     console.print(printable(text), markup=False, emoji=False, soft_wrap=not console.is_terminal)
+
+
+def could_help(err: Console, error: BaseException | None) -> tuple[Remedy, ...]:
+    """Try what would help where an error can say it, and print each change that does, with what it gives.
+
+    A Ctrl-C ends the search, and nothing else.
+
+    Args:
+        err: where to.
+        error: why something is not certified, or the cause of that.
+    """
+    found: list[Remedy] = []
+    if isinstance(error, Infeasible):
+        with suppress(KeyboardInterrupt):
+            for one in error.search():
+                say(err, f"  could help: {one}")
+                found.append(one)
+    return tuple(found)
 
 
 RANKS: Final = {**{heading(column.title): column.rank for _, column in COLUMNS}, "role": 8}

@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from manyhands.design.certificate import Certificate
+from manyhands.design.models.statespace import symmetric_part
 from manyhands.launch.session import Session
 from manyhands.nodes.kernel.bundle import SIMULATED
 
@@ -64,6 +65,20 @@ def softened(session: Session, certificates: Iterable[Certificate]) -> list[Soft
             if FAR_SOFTER * hardest.get(port, 0.0) > K:
                 found.append(Softened(port, hardest[port], K))
     return sorted(found, key=lambda one: one.felt / one.contact)
+
+
+def stiffness_range(certificate: Certificate) -> tuple[float, float] | None:
+    """The least and the greatest static stiffness of the blocks of V over all directions, N/m; None without any."""
+    if certificate.spring_damper is not None:
+        found = np.linalg.eigvalsh(certificate.stiffness)
+    else:
+        try:
+            static = [block.response(1.0).real for block in certificate.blocks]
+        except np.linalg.LinAlgError:  # a pole at z = 1: no static stiffness
+            return None
+        compliance = np.concatenate([np.linalg.eigvalsh(symmetric_part(V)) for V in static])
+        found = 1.0 / compliance[compliance > 0.0]
+    return (float(found.min()), float(found.max())) if found.size else None
 
 
 def feel_lines(session: Session, certificates: Iterable[Certificate]) -> list[str]:

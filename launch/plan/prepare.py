@@ -34,6 +34,7 @@ from manyhands.launch.plan import sites
 from manyhands.launch.plan.certificates import proved, read_certificate, with_delay_of
 from manyhands.launch.plan.loop import NotCertified, Progress, coupling_request, haptic_loop
 from manyhands.launch.plan.plan import Plan
+from manyhands.launch.plan.remedies import with_remedies
 from manyhands.launch.session import ENVIRONMENT, Session
 from manyhands.launch.session.design import AUTO
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
@@ -143,12 +144,17 @@ def prepare(
     if certificate is not None:
         return _of_parts(*_read(session, certificate), progress)
     session = _settled(session)
+    parts: dict[str, Certificate] = {}
+    world, name = None, sites.IN_TICK
     try:
-        parts = {part.name: part.design(progress).certificate for part in sites.parts(session)}
-        world = sites.world(session, progress) if session.wave_links else None
+        for name in sites.part_names(session):
+            if name == ENVIRONMENT:
+                world = sites.world(session, progress)
+            else:
+                parts[name] = sites.part(session, name).design(progress).certificate
     except DesignError as error:
         if not uncertified:
-            raise NotCertified(f"{session.name} is not certified: {error}") from error
+            raise NotCertified(f"{session.name} is not certified: {error}") from with_remedies(error, session, name)
         return unproved(session, error)
     return _of_parts(session, world, parts, progress)
 

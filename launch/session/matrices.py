@@ -123,7 +123,7 @@ def stated_system(given: StatedMatrices, what: str, *, continuous: bool) -> Stat
     try:
         return StateSpace.with_static_gain(A, B, C, D, continuous=continuous)
     except ValueError as error:
-        raise Infeasible(f"{what}: {error}", ("state D instead", "give every mode a spring that holds it")) from error
+        raise Infeasible(f"{what}: {error}; expected D in its place, or a spring that holds every mode") from error
 
 
 COEFFICIENTS: Final = Items(

@@ -149,7 +149,7 @@ PROMISES: Final[Mapping[Promise, PromiseText]] = MappingProxyType({
     ),
     Promise.PUNCTUALITY: PromiseText(
         "it does not make the others wait too often", False,
-        "Check its user's machine and network; if they cannot be faster, design for a longer tau.",
+        "Its user's machine or network is slower than the delay that was designed for.",
     ),
     Promise.PACE: PromiseText(
         "the session keeps up with the clock", False,

@@ -157,7 +157,7 @@ def test_design_and_proof_refuse_statics_that_are_off_by_a_hair(certified) -> No
             design(session, SpringDamperWanted(Wish()))
         reason = str(refused.value)
         assert "E(1) is not symmetric" in reason or "E(1) is not positive semidefinite" in reason, (seed, reason)
-        assert "make both" in reason or "expected" in reason, (seed, reason)
+        assert "expected" in reason, (seed, reason)
         forged = copy.deepcopy(data)
         forged["environment"] = environment_data(session, data)
         forged["id"] = identity(forged)
@@ -202,7 +202,9 @@ def test_a_static_gain_without_end_can_be_stated() -> None:
     assert design(loop(stated, 1e-3), SpringDamperWanted(Wish())).certificate.id
     floats = StateSpaceEnvironment(("a", "b"), StateSpace(A, B, C, stated.system.D))
     assert np.allclose(floats.system.response(1.0).real, E1)
-    with pytest.raises(Infeasible, match=r"not symmetric by its own decimals.*make both .*the key static"):
+    with pytest.raises(
+        Infeasible, match=r"not symmetric by its own decimals.*expected the same twice, .*the key static"
+    ):
         design(loop(floats, 1e-3), SpringDamperWanted(Wish()))
 
 
@@ -210,10 +212,15 @@ def test_a_pole_at_rest_has_no_static_gain() -> None:
     with pytest.raises(ValueError, match="found a pole at z = 1"):
         StateSpace.with_static_gain([[1.0]], [[1.0]], [[1.0]], [[1.0]])
     rotor = TransferEnvironment(("p",), ((((1.0,), (1.0, 0.0)),),))
-    with pytest.raises(Infeasible, match=r"entry \(p, p\) has a pole at s = 0.*multiply it by s.*velocity to force"):
+    with pytest.raises(
+        Infeasible, match=r"entry \(p, p\) has a pole at s = 0.*velocity to force is to be multiplied by s"
+    ):
         design(loop(rotor, 1e-3), SpringDamperWanted(Wish()))
     held = StateSpaceEnvironment(("p",), StateSpace([[1.0]], [[1.0]], [[1.0]], [[1.0]]))
-    with pytest.raises(Infeasible, match=r"has a pole at z = 1.*by \(z - 1\)/\(T z\), if it leads from velocity"):
+    with pytest.raises(
+        Infeasible,
+        match=r"has a pole at z = 1.*one from velocity to force is to be multiplied by s, or by \(z - 1\)/\(T z\)",
+    ):
         design(loop(held, 1e-3), SpringDamperWanted(Wish()))
 
 

@@ -1,4 +1,4 @@
-"""From a wish to a certificate; errors name what to relax."""
+"""From a wish to a certificate; errors name the condition that fails."""
 
 import dataclasses
 
@@ -25,7 +25,7 @@ from manyhands.design.problem import (
     Wish,
 )
 from manyhands.design.proof import prove
-from manyhands.design.synthesis import Designed, design
+from manyhands.design.synthesis import Designed, design, finds_levels
 from manyhands.design.theorem4 import Interrupted
 
 
@@ -137,26 +137,39 @@ def test_an_interrupt_of_the_proof_is_not_swallowed(problems, error: type[BaseEx
 
 
 @pytest.mark.parametrize(
-    ("stiffness", "damping", "condition", "relax"),
+    ("stiffness", "damping", "condition"),
     [
-        (3000.0, 0.0, "2740 N/m", "osp above 1.5"),
-        (705.0, 1.1, "2/T times its damping", "osp above 1.4"),
-        (0.0, 0.1, "V(1) is not positive", "a spring of positive stiffness"),
-        (-10.0, 0.1, "V(1) is not positive", "a spring of positive stiffness"),
-        (500.0, -0.3, "greatest level of V_hat", "raise the coupling's damping"),
-        (0.0, 0.0, "T K + B is singular", "make K and B positive definite"),
+        (3000.0, 0.0, "2740 N/m"),
+        (705.0, 1.1, "2/T times its damping"),
+        (0.0, 0.1, "V(1) is not positive, so that V_hat is output strictly passive at no level; expected a spring of"),
+        (-10.0, 0.1, "V(1) is not positive"),
+        (500.0, -0.3, "greatest level of V_hat"),
+        (0.0, 0.0, "T K + B is singular"),
     ],
 )
-def test_a_given_coupling_that_cannot_be(problems, stiffness, damping, condition: str, relax: str) -> None:
+def test_a_given_coupling_that_cannot_be(problems, stiffness, damping, condition: str) -> None:
+    wanted = SpringDamperGiven(problems.uniform(stiffness, damping))
     with pytest.raises(Infeasible) as error:
-        design(problems.example_1(), SpringDamperGiven(problems.uniform(stiffness, damping)))
+        design(problems.example_1(), wanted)
     assert condition in error.value.condition
-    assert any(relax in advice for advice in error.value.relax), error.value.relax
-    assert all(advice in str(error.value) for advice in error.value.relax)
+    assert str(error.value) == error.value.condition
+    assert not finds_levels(problems.example_1(), wanted)
+
+
+@pytest.mark.parametrize("objective", ["feasible", "stiffest", "loop-shaping"])
+def test_levels_are_found_where_a_design_is_certified(problems, objective: str) -> None:
+    """Without the aim: what is quick to know is whether there is a coupling at all."""
+    wish = Wish(objective, None if objective in ("feasible", "stiffest") else aim(problems, objective))
+    for delayed, found in ((False, True), (True, False)):
+        loop = problems.example_1()
+        if delayed:
+            loop = dataclasses.replace(loop, environment=DelayedNetwork(problems.network, 1))
+        assert finds_levels(loop, SpringDamperWanted(wish)) is found
+        assert finds_levels(loop, SpringDamperGiven(problems.C26)) is found
 
 
 def test_no_coupling_cannot_be_certified(problems) -> None:
-    with pytest.raises(Infeasible, match=r"there is no coupling.*to relax: use 'design: \{coupling"):
+    with pytest.raises(Infeasible, match="there is no coupling"):
         design(problems.example_1(), NoCoupling())
 
 
@@ -169,7 +182,7 @@ def one_port(environment, osp: float = 1.37) -> HapticLoop:
 def test_an_ill_posed_algebraic_loop_is_refused() -> None:
     """D_V = -1/D_E leaves f_v undetermined within the tick."""
     E = StateSpaceEnvironment(("dx",), StateSpace.static([[1000.0]]))
-    with pytest.raises(Infeasible, match=r"I \+ D_E D_V is singular.*change the coupling's direct feedthrough"):
+    with pytest.raises(Infeasible, match=r"I \+ D_E D_V is singular.*expected another direct feedthrough"):
         design(one_port(E), LinearGiven((StateSpace.static([[-1e-3]]),)))
     with pytest.raises(Infeasible):  # a network's D_E is symmetric >= 0: such a V fails already as it is
         design(one_port(None), LinearGiven((StateSpace.static([[-1e-3]]),)))
@@ -186,9 +199,8 @@ def test_an_ill_posed_algebraic_loop_is_refused() -> None:
 )
 def test_an_environment_that_cannot_be(environment, words: str) -> None:
     for wanted in (SpringDamperWanted(), SpringDamperWanted(Wish("stiffest"))):
-        with pytest.raises(Infeasible, match=words) as error:
+        with pytest.raises(Infeasible, match=words):
             design(one_port(environment), wanted)
-        assert error.value.relax
 
 
 def test_a_coupling_of_another_shape_is_the_callers_mistake(problems) -> None:
@@ -353,6 +365,5 @@ def test_an_environment_that_needs_more_than_the_devices_have(problems, objectiv
     loop = dataclasses.replace(problems.example_1(), environment=DelayedNetwork(problems.network, 1))
     wish = Wish(objective, None if objective in ("feasible", "stiffest") else aim(problems, objective))
     wanted = LinearWanted((2, 2, 2), wish) if linear else SpringDamperWanted(wish)
-    with pytest.raises(Infeasible) as error:
+    with pytest.raises(Infeasible):
         design(loop, wanted)
-    assert any("osp" in way for way in error.value.relax)

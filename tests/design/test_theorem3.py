@@ -127,12 +127,10 @@ def test_the_stiffness_limit_is_named(problems) -> None:
     with pytest.raises(Infeasible) as error:
         certified(loop, problems.uniform(3000.0, 0.0))
     assert "coupling cx: its stiffness, 3000 N/m, is not below 2 Delta_D / T = 2740 N/m" in str(error.value)
-    assert "a stiffness below 2740 N/m" in error.value.relax
-    assert "devices with an osp above 1.5 N*s/m" in error.value.relax
-    assert "a period below 0.913 ms" in error.value.relax
+    assert error.value.remedies == ()  # what helps is a change of a session, which this module does not know
 
 
-def test_what_the_message_advises_is_enough(problems) -> None:
+def test_what_is_a_little_inside_the_limits_is_enough(problems) -> None:
     coupling = problems.uniform(3000.0, 0.0)
     for loop in (problems.example_1(osp=1.51), problems.example_1(T=0.91e-3)):
         assert problems.margin(loop, certified(loop, coupling)) > 0.0
@@ -164,7 +162,7 @@ def test_a_damper_without_spring_is_refused(problems, linear: bool) -> None:
 
 def test_a_negative_level_is_refused(problems) -> None:
     """A negative damper so strong that Delta_V* = Lambda J^-1 (J + B) J^-1 Lambda - Lambda is not positive."""
-    with pytest.raises(Infeasible, match=r"greatest level of V_hat has the eigenvalue -.*raise the coupling's damping"):
+    with pytest.raises(Infeasible, match=r"greatest level of V_hat has the eigenvalue -"):
         certified(problems.example_1(), problems.uniform(500.0, -0.3))
 
 

@@ -73,7 +73,7 @@ def test_a_delay_inside_the_tick_is_paid_in_stiffness(problems, tau: float, limi
     Lambda = loop.Delta_D / (2.0 * device.kappa)
     _, _, greatest = problems.greatest_level(Lambda, problems.uniform(0.8 * limit, 0.02), loop.period)
     np.testing.assert_allclose(loop.partition.embed(levels.Delta_V), greatest, rtol=1e-6, atol=1e-12)
-    with pytest.raises(Infeasible, match=r"is not below Delta_D / \(.* T\) = .*a shorter delay inside the tick"):
+    with pytest.raises(Infeasible, match=r"is not below Delta_D / \(.* T\) = "):
         certified(loop, problems.uniform(1.01 * limit, 0.0))
 
 

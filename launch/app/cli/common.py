@@ -20,7 +20,7 @@ from manyhands.design.errors import CertificateError, DesignError
 from manyhands.extras import MissingExtra, explained, require
 from manyhands.launch.doctor.profile import ProbeFailed, ProbeInterrupted
 from manyhands.launch.files import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, TargetError
-from manyhands.launch.look.display import say
+from manyhands.launch.look.display import could_help, say
 from manyhands.launch.look.page.security import ViewError
 from manyhands.launch.look.sessions import NoSession, find_session, running_sessions
 from manyhands.launch.look.topics import NoTopic, named_topics, session_of
@@ -355,6 +355,7 @@ def errors(*needed: str) -> Iterator[None]:
         raise typer.Exit(EXIT_BAD_INPUT) from error
     except (NotCertified, DesignError) as error:
         say(err, f"error: {error}")
+        could_help(err, error if isinstance(error, DesignError) else error.__cause__)
         raise typer.Exit(EXIT_NOT_CERTIFIED) from error
     except ProbeInterrupted as error:
         raise typer.Exit(128 + error.signal) from error

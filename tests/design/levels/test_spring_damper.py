@@ -87,9 +87,8 @@ def test_one_port_by_hand_is_one_port_by_program(find, part: float, phi: float) 
 
 
 def test_an_environment_needing_more_than_the_device_has_empties_the_class() -> None:
-    with pytest.raises(Infeasible, match=r"coupling c: .* exceeds the device's level by 0\.46 of it") as error:
+    with pytest.raises(Infeasible, match=r"coupling c: .* exceeds the device's level by 0\.46 of it"):
         centred(np.array([[1.37]]), np.array([[2.0]]), 1.0, T, "c")
-    assert any("osp" in way for way in error.value.relax)
     with pytest.raises(Infeasible, match="coupling c"):
         stiffest(1.37 * np.eye(2), 1.3699 * np.eye(2), 1.0, T, "c")
 

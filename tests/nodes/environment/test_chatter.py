@@ -56,7 +56,8 @@ def test_what_is_reported_and_what_to_do() -> None:
     figures = Figures({}, contact_tables((), counted(f), ("left", "right")))
     assert figures.tables == {"held": {}, "reversals": {"right": 199.0}, "chatter": {"right": 199.0}}
     assert chatter_line(figures) == (
-        "the model's force chatters: right up to 199 times a second; use a proxy, or a softer model (docs/models.md)"
+        "the model's force chatters: right up to 199 times a second; docs/models.md says why, and what a proxy does "
+        "about it"
     )
     with_proxies = Figures({}, contact_tables([0, 7], counted(f), ("left", "right")))
     assert chatter_line(with_proxies).endswith("its proxies jump, or ticks are late")

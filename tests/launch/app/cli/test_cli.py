@@ -162,6 +162,8 @@ def test_too_stiff_a_coupling_exits_3_and_names_possible_relaxations() -> None:
     assert "2740 N/m" in said["reason"]
     assert any("a stiffness below 2740 N/m" in way for way in said["relax"])
     assert any("osp above 1.5" in way for way in said["relax"])
+    assert len(said["changes"]) == len(said["relax"])
+    assert said["changes"][0] == {"design.stiffness": 2737.1}
     assert "not certified" in result.stderr
 
 
@@ -170,6 +172,7 @@ def test_without_coupling_a_session_is_refused(command: list[str]) -> None:
     result = manyhands_command(*command, "example1-uncoupled.yaml")
     assert result.exit_code == 3
     assert "there is no coupling" in result.stderr
+    assert "\n  could help: a coupling that is designed: --set 'design={coupling: spring-damper}' is" in result.stderr
 
 
 def test_the_printed_operator_is_refused_as_not_passive() -> None:
