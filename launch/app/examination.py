@@ -26,7 +26,7 @@ from manyhands.launch.doctor.profile import (
     cache_folder,
     keep_profile,
 )
-from manyhands.launch.doctor.rates import form_figures, print_rates, rates_object
+from manyhands.launch.doctor.rates import form_advice, form_figures, print_rates, rates_object
 from manyhands.launch.doctor.wakeup import Spread
 from manyhands.launch.files import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_OK
 from manyhands.launch.look.display import say, titled_table
@@ -35,7 +35,6 @@ from manyhands.launch.plan.loop import haptic_loop
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.topology import chains_of, require_runnable
 from manyhands.launch.session import Session
-from manyhands.launch.session.design import AUTO
 from manyhands.nodes.kernel.realtime import Grant
 
 _WAYS = {
@@ -113,7 +112,7 @@ def print_worth(console: Console, measured: Measured, worth: Worth, found: tuple
     loop = worth.loop
     title = f"{loop.session}: weakest device, T = {loop.period * 1e3:g} ms"
     table = titled_table(title, ["certified stiffness below [N/m]"], ("at the median", "at p99.9"))
-    limit = f"{worth.weakest(0.0):.0f}"
+    limit = f"{worth.no_delay:.0f}"
     table.add_row("no delay", limit, limit)
     for ticking in measured.ticking:
         values = (worth.weakest(getattr(ticking.tau, q) * 1e-6) for q in QUANTILES)
@@ -121,7 +120,7 @@ def print_worth(console: Console, measured: Measured, worth: Worth, found: tuple
     console.print(table)
     say(console, "This session is at rest among springs; the report of a run has its own delays (manyhands launch).")
     for one in found:
-        say(console, f"- {one.change}\n    buys: {one.buys}")
+        say(console, f"- {one.change}\n    {'buys' if one.tried else 'could buy (not tried here)'}: {one.buys}")
 
 
 def _row(spread: Spread) -> list[str]:
@@ -181,9 +180,8 @@ def run_doctor(session: Session, seconds: float, out: Console, err: Console, as_
         for form, found in measured.forms.items()
     }
     chosen = choose(stated, Where.HERE, len(machine.usable), of_both_forms(profiles, session.period))
-    better = colocation_advice(stated, len(machine.usable), of_both_forms(profiles, session.period))
-    advised = (*better, *advice(machine, measured, worth, len(chains_of(graph))))
     rates = list(form_figures(worth, profiles))
+    advised = (*form_advice(session, rates), *advice(machine, measured, worth, len(chains_of(graph))))
     kept = _keep(profiles.values(), err)
     if as_json:
         print_json(doctor_object(machine, measured, worth, advised) | {"rates": rates_object(rates)})
@@ -205,14 +203,6 @@ def of_both_forms(profiles: Mapping[Form, Profile | str], period: float) -> dict
         for form, profile in profiles.items()
         if form.period == period and isinstance(profile, Profile) and profile.seconds >= LEAST_KEPT
     }
-
-
-def colocation_advice(session: Session, processors: int, measured: Mapping[bool, Profile]) -> tuple[Advice, ...]:
-    """Advice to let the machine choose, where the session keeps couplings apart and the machine would not."""
-    free = choose(session.model_copy(update={"colocate": AUTO}), Where.HERE, processors, measured)
-    if session.colocate is not False or not free.colocate:
-        return ()
-    return (Advice("leave out colocate: false, which the session states", free.reason),)
 
 
 def _keep(profiles: Iterable[Profile | str], err: Console) -> str:
@@ -243,5 +233,5 @@ def doctor_object(machine: Machine, measured: Measured, worth: Worth, found: tup
             for t in measured.ticking
         },
         "stiffness": stiffness_object(worth, measured.ticking),
-        "advice": [{"change": one.change, "buys": one.buys} for one in found],
+        "advice": [{"change": one.change, "buys": one.buys, "tried": one.tried} for one in found],
     }

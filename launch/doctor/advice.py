@@ -7,7 +7,6 @@ and the runtime watches for the rest. The median shows what the machine would al
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -69,6 +68,11 @@ class Worth:
             for device in loop.devices
         }
 
+    @property
+    def no_delay(self) -> float:
+        """The weakest device's without any delay, in periods that are never too long, N/m."""
+        return self.weakest(0.0, 0.0)
+
     def weakest(self, tau: float, period_tolerance: float | None = None) -> float:
         """The smallest value of :meth:`stiffness`, N/m."""
         return min(self.stiffness(tau, period_tolerance).values())
@@ -76,15 +80,22 @@ class Worth:
 
 @dataclass(frozen=True)
 class Advice:
-    """A change to the machine or the session, and its benefit."""
+    """A change to the machine or the session, and its benefit.
+
+    Attributes:
+        change: the change.
+        buys: what it was measured to give; or the most that it can, where a measurement cannot try it here.
+        tried: whether it was measured.
+    """
 
     change: str
     buys: str
+    tried: bool = False
 
 
 def stiffness_object(worth: Worth, ticking: tuple[Ticking, ...]) -> dict[str, Any]:
     """The object that ``--json`` prints: stiffness in N/m by device, without a delay and by way and quantile."""
-    limit = worth.stiffness(0.0)
+    limit = worth.stiffness(0.0, 0.0)
     by_way = {t.way.key: {q: worth.stiffness(getattr(t.tau, q) * 1e-6) for q in QUANTILES} for t in ticking}
     return {
         device: {"no_delay": limit[device]}
@@ -94,7 +105,7 @@ def stiffness_object(worth: Worth, ticking: tuple[Ticking, ...]) -> dict[str, An
 
 
 def advice(machine: Machine, measured: Measured, worth: Worth, chains: int) -> tuple[Advice, ...]:
-    """Advice for a machine and a session; the most useful first.
+    """What a measurement cannot try, because it needs other rights or another machine; the most useful first.
 
     Args:
         machine: the machine's properties.
@@ -103,7 +114,7 @@ def advice(machine: Machine, measured: Measured, worth: Worth, chains: int) -> t
         chains: number of users' chains in the session: devices with their couplings.
     """
     best = min(measured.ticking, key=lambda t: t.tau.p999)
-    found = [*_period(best.tau, worth), *_rights(machine, measured, best, worth)]
+    found = _rights(machine, measured, best, worth)
     tail = _tail(best.tau, worth)
     usable = len(machine.usable)
     if usable < chains + 1:
@@ -141,43 +152,6 @@ def _tail(tau: Spread, worth: Worth) -> str:
     """The most that removing the slowest ticks can gain in stiffness, as a text."""
     now, even = (worth.weakest(getattr(tau, q) * 1e-6) for q in reversed(QUANTILES))
     return f"at most {now:.0f} -> {even:.0f} N/m, were every tick like the median one"
-
-
-def _period(tau: Spread, worth: Worth) -> list[Advice]:
-    """Advice on the period: lengthen it where a tick does not fit, halve it where a tick fits in half."""
-    T, delay = worth.loop.period, tau.p999 * 1e-6
-    if delay > T:
-        longer = longer_period(delay)
-        return [
-            Advice(
-                f"lengthen the period: p99.9 of a tick is {tau.p999:.0f} us, T is {T * 1e6:g} us",
-                f"at T = {longer * 1e3:g} ms {_at(worth, longer, delay)}; at T = {T * 1e3:g} ms nothing",
-            )
-        ]
-    if delay <= T / 2 and worth.weakest(delay) > 0.0:
-        return [
-            Advice(
-                f"halve the period: p99.9 of a tick fits in {T * 5e2:g} ms",
-                f"{worth.weakest(delay):.0f} N/m become {_at(worth, T / 2, delay)}, if the processors keep up",
-            )
-        ]
-    return []
-
-
-def _at(worth: Worth, T: float, tau: float) -> str:
-    """The weakest device's stiffness at another period, as a text.
-
-    Where the environment takes a share, which depends on the period, the text refers to `manyhands budget` instead.
-    """
-    if worth.share > 0.0:
-        return "what manyhands budget shows"
-    loop = worth.loop
-    return f"{min(certified_limit(loop, device, T, tau, 0.0).certified for device in loop.devices):.0f} N/m"
-
-
-def longer_period(seconds: float) -> float:
-    """A period in which a tick of ``seconds`` fits: rounded up to a tenth of a millisecond, and a tenth in reserve."""
-    return (math.ceil(seconds * 1e4 - 1e-6) + 1) / 1e4
 
 
 def _rights(machine: Machine, measured: Measured, best: Ticking, worth: Worth) -> list[Advice]:

@@ -13,6 +13,7 @@ from manyhands.launch.plan.prepare import must_measure
 from manyhands.launch.plan.topology import require_runnable
 from manyhands.launch.session import Session
 from manyhands.launch.session.design import AUTO
+from manyhands.nodes.monitor.given import MEASURE
 
 
 def settle_delay(
@@ -92,7 +93,6 @@ def _with_latency(session: Session, measured: float, latency: float, period: flo
         raise NotCertified(
             f"{session.name}: found a delay of {1e3 * measured:.3g} ms measured here, and {1e3 * latency:.3g} ms of "
             f"sample_age and actuation_delay that a device states; expected at most the period of "
-            f"{1e3 * period:.3g} ms together: choose a longer period, close other programs and measure again "
-            "(manyhands doctor), or state design.tau"
+            f"{1e3 * period:.3g} ms together; {MEASURE}"
         )
     return tau

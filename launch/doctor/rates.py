@@ -6,24 +6,25 @@ budget` shows the profiles that are kept. `manyhands launch` prints one line abo
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from manyhands.design.budget import needed_share
 from manyhands.design.certificate import Certificate
-from manyhands.design.models.statespace import symmetric_part
 from manyhands.design.wave_link import FELT_STIFFNESS
-from manyhands.launch.doctor.advice import Worth, longer_period
+from manyhands.launch.doctor.advice import Advice, Worth
 from manyhands.launch.doctor.probe import Form, Way, forms_of
 from manyhands.launch.doctor.profile import QUANTILE, Profile, allowance, kept_profile
+from manyhands.launch.plan.feel import stiffness_range
 from manyhands.launch.plan.prepare import Prepared
-from manyhands.launch.session import Session
+from manyhands.launch.plan.remedies import settings
+from manyhands.launch.session import Session, SessionError
 from manyhands.launch.session.errors import listed
+from manyhands.nodes.monitor.given import MEASURE
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ def form_figures(worth: Worth, found: Mapping[Form, Profile | str]) -> Iterator[
     """
     for form, profile in found.items():
         at = worth.at(form.period)
-        no_delay = None if at is None else at.weakest(0.0, 0.0)
+        no_delay = None if at is None else at.no_delay
         if isinstance(profile, str):
             yield FormFigures(form, None, profile, None, None, no_delay)
             continue
@@ -78,6 +79,30 @@ def form_figures(worth: Worth, found: Mapping[Form, Profile | str]) -> Iterator[
         if at is not None and (worst := max(chosen.tau, profile.tau.max * 1e-6)) <= form.period:
             at_worst = at.weakest(worst, chosen.period_tolerance)
         yield FormFigures(form, profile, "", certified, at_worst, no_delay)
+
+
+_BETTER = 1.01  # of its own stiffness: what two measurements of one form may differ by
+
+
+def form_advice(session: Session, figures: Sequence[FormFigures]) -> tuple[Advice, ...]:
+    """The form with which most can be certified, by what was measured of it; none where that is the session's own.
+
+    Args:
+        session: the session, as it would run.
+        figures: of every form that was measured, its own among them.
+    """
+    own = next(one for one in figures if one.form == Form(session.period, session.colocated))
+    best = max(figures, key=lambda one: one.certified or 0.0)
+    if not (best.certified or 0.0) > _BETTER * (own.certified or 0.0):
+        return ()
+    changes: dict[str, Any] = {} if best.form.period == session.period else {"period": best.form.period}
+    changes |= {} if best.form.colocated == session.colocated else {"colocate": best.form.colocated}
+    try:
+        session.replace(changes)
+    except SessionError:  # its weights, or a delay that it states, need its own period
+        return ()
+    gives = f"{_newtons(own.certified or 0.0)} -> {_newtons(best.certified)} N/m, with the delays measured of either"
+    return (Advice(f"run it with {settings(changes)}", gives, tried=True),)
 
 
 def rates_object(figures: list[FormFigures]) -> list[dict[str, Any]]:
@@ -188,30 +213,14 @@ def _certified(certificate: Certificate, session: Session, profile: Profile | No
     here = "" if loop.punctual else f"{worth.weakest(tau):.4g} N/m for these and "
     yield (
         f"certified for delays up to {_ms(tau)}{periods} ({measured}){text}; the limit is {here}"
-        f"{worth.weakest(0.0, 0.0):.4g} N/m without delay"
+        f"{worth.no_delay:.4g} N/m without delay"
     )
     if profile is not None and not allowance(profile, T).covered and tau >= T:
-        together = "" if session.colocated or session.shared_couplings else " or colocate=true"
         found, ticks = profile.tau.p995 * 1e-6, round(1.0 / (1.0 - QUANTILE))
         yield (
             f"one tick in {ticks} takes longer than {_ms(found)} here, and no certificate covers more than the "
-            f"period of {_ms(T)}; use a longer period (period={longer_period(found):g}){together}: manyhands doctor "
-            "compares them"
+            f"period of {_ms(T)}; {MEASURE}"
         )
-
-
-def stiffness_range(certificate: Certificate) -> tuple[float, float] | None:
-    """The least and the greatest static stiffness of the blocks of V over all directions, N/m; None without any."""
-    if certificate.spring_damper is not None:
-        found = np.linalg.eigvalsh(certificate.stiffness)
-    else:
-        try:
-            static = [block.response(1.0).real for block in certificate.blocks]
-        except np.linalg.LinAlgError:  # a pole at z = 1: no static stiffness
-            return None
-        compliance = np.concatenate([np.linalg.eigvalsh(symmetric_part(V)) for V in static])
-        found = 1.0 / compliance[compliance > 0.0]
-    return (float(found.min()), float(found.max())) if found.size else None
 
 
 def _between(least: float, greatest: float) -> str:

@@ -43,6 +43,7 @@ from manyhands.launch.plan.topology import Topology
 from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes.kernel.bundle import REALTIME
 from manyhands.nodes.monitor.causes import Causes
+from manyhands.nodes.monitor.given import MEASURE
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.lateness import lateness_by_coupling
 from manyhands.nodes.rows.own_ticks import session_tick
@@ -246,7 +247,6 @@ class BreachPolicy:
         covered: Mapping[str, Covered],
         ladder: CertifiedLadder | None,
         rungs: Mapping[str, int],
-        may_colocate: bool = False,
         no_ladder: str = "",
     ) -> None:
         """Begin without any telemetry.
@@ -257,11 +257,9 @@ class BreachPolicy:
             covered: what the certificate of each device covers.
             ladder: softer couplings; None where there are none.
             rungs: the rung that each coupling was changed to; the caller, which carries out decisions, updates it.
-            may_colocate: whether the couplings, now in processes of their own, could be in their devices'.
             no_ladder: why there are no softer couplings, where none could be designed.
         """
         self._no_ladder = no_ladder or "no softer coupling was designed beforehand (design.ladder)"
-        self._at_most = _AT_MOST.format(" or colocate=true" if may_colocate else "")
         self._policy, self._chains, self._covered = policy, chains, covered
         self._ladder, self._rungs = ladder, rungs
         self._late: dict[Breach, dict[str, _LateTicks]] = {breach: {} for breach in Breach}
@@ -455,11 +453,7 @@ class BreachPolicy:
             named.append(device)
         late = self._late[breach]
         whole = all(self._covered[name].tau >= self._covered[name].period for name in named)
-        next_ = (
-            self._at_most if whole else _NEXT if all(one.in_tick for one in self._covered.values()) else _BESIDE_LINKS
-        )
-        if not any(self._covered[name].in_tick for name in named):
-            next_ = _BEHIND_LINKS
+        next_ = MEASURE if any(self._covered[name].in_tick for name in named) else _BEHIND_LINKS
         if breach is Breach.PERIOD:
             who = {name: f"{name} in {_part(late[name])} of its ticks" for name in named}
             periods = {name: _ms(self._covered[name].longest_period) for name in named}
@@ -490,17 +484,7 @@ class BreachPolicy:
         return f"; softened, once their users let go, to what is certified for {certified}: {softened}{beyond}"
 
 
-_NEXT: Final = (
-    "close other programs, design for what this machine needs (design.tau=auto), or compare rates (manyhands doctor)"
-)
-_BESIDE_LINKS: Final = (  # the machines of guests cannot be measured, so auto is not for every session with wave links
-    "close other programs, state a design.tau that covers this, or compare rates (manyhands doctor)"
-)
-_BEHIND_LINKS: Final = (
-    "the delay is that of the user's own machine, and not of the network: close other programs there, or state a "
-    "longer wave_link.tau or wave_link.period of its coupling"
-)
-_AT_MOST: Final = "close other programs, or use a longer period{} (manyhands doctor compares them)"
+_BEHIND_LINKS: Final = "the delay is that of the user's own machine, and not of the network"
 
 
 def _beyond(found: Mapping[str, str], covered: Mapping[str, str], *more: str) -> str:
@@ -536,9 +520,7 @@ class Assumptions:
         waited_for: the couplings that made the others wait, and are not waited for since.
     """
 
-    def __init__(
-        self, prepared: Prepared, graph: Topology, clock: str, rungs: Mapping[str, int], elsewhere: bool = False
-    ) -> None:
+    def __init__(self, prepared: Prepared, graph: Topology, clock: str, rungs: Mapping[str, int]) -> None:
         """Begin without any telemetry.
 
         Args:
@@ -546,7 +528,6 @@ class Assumptions:
             graph: its nodes and links.
             clock: "realtime" or "simulated"; nothing is late under the simulated one.
             rungs: the rung of the ladder that each coupling was changed to.
-            elsewhere: whether nodes run on other machines.
         """
         session = prepared.session
         devices = [name for name, role in graph.nodes.items() if role is Role.DEVICE]
@@ -557,7 +538,6 @@ class Assumptions:
             {device: _covered(prepared, device) for device in devices},
             prepared.ladder,
             rungs,
-            not (elsewhere or graph.carriers or session.shared_couplings),
             prepared.notes[0] if prepared.ladder is None and prepared.notes else "",
         )
         self._couplings = [name for name, role in graph.nodes.items() if role is Role.COUPLING]

@@ -205,9 +205,7 @@ class Supervisor:
             together=together,
             seats=reach.seats,
         )
-        self._assumptions = Assumptions(
-            prepared, self._graph, clock, self.conductor.rungs, elsewhere=bool(reach.remote)
-        )
+        self._assumptions = Assumptions(prepared, self._graph, clock, self.conductor.rungs)
         self._users = UserIncidents(self._graph, session.period, session.own_periods)
         self._clock = RealtimeClock()
         self._log = Log(None, session.name, SUPERVISOR, self._clock)

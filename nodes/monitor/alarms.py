@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Final
 
+from manyhands.nodes.monitor.given import MEASURE
 from manyhands.nodes.monitor.health import (
     PROMISES,
     SESSION,
@@ -96,7 +97,7 @@ class AlarmCause:
     since: float | None = None
 
 
-_LATE_ADVICE: Final = "The machine is too slow for the period: run manyhands doctor, and close other programs."
+_LATE_ADVICE: Final = f"The machine is too slow for the period; {MEASURE}."
 _BROKEN: Final = {
     Promise.DELAY: AlarmLevel.WARNING,
     Promise.PERIOD: AlarmLevel.WARNING,

@@ -1,7 +1,7 @@
 """How much of the force that was asked of a device its hand was given, by the figures of its telemetry: pure.
 
 :mod:`manyhands.nodes.device.given` states what the two shares are, and keeps their account. Here the figures become
-shares again, of a whole run or of its last seconds, and a sentence: how much, why, and what helps.
+shares again, of a whole run or of its last seconds, and a sentence: how much, and why.
 """
 
 from __future__ import annotations
@@ -28,6 +28,11 @@ than a tenth of it."""
 
 LEAST_FORCE: Final = 0.01
 """The mean force that must have been asked for before the share by force is judged, N: no hand feels less."""
+
+MEASURE: Final = (
+    "manyhands doctor measures what helps on this machine: other periods, and couplings in their devices' processes"
+)
+"""What is said of a machine that is too slow. Only a measurement can tell what would help it, and at what cost."""
 
 FIGURES: Final = (
     names.FORCE_ASKED, names.FORCE_GIVEN, names.FORCE_TIME, names.FORCE_AWAY, names.FORCE_HELD_BACK, names.FORCE_CUT,
@@ -108,22 +113,18 @@ class GivenForce:
         times = {"seconds": self.time, "away": self.away, "held_back": self.held_back, "cut": self.cut}
         return {name: share for name, share in shares.items() if share is not None} | times
 
-    def sentence(self, device: str, frozen: Mapping[str, float], may_colocate: bool) -> str:
-        """How much the hand of ``device`` was given, why it was not more, and what helps.
+    def sentence(self, device: str, frozen: Mapping[str, float]) -> str:
+        """How much the hand of ``device`` was given, why it was not more, and what tells what helps.
 
         Args:
             device: its name.
             frozen: how often each of its couplings was frozen for staying silent in that time.
-            may_colocate: whether couplings run in processes of their own, and could run in their devices'.
         """
         times = {name: f"{n:.0f} {'time' if n == 1.0 else 'times'}" for name, n in frozen.items() if n > 0.0}
         often = ", ".join(f"{name} was frozen {count}" for name, count in times.items())
-        remedy = "close other programs, use a longer period" + (
-            " or colocate: true (manyhands doctor compares them)" if may_colocate else " (manyhands doctor)"
-        )
-        most = max(self.away, self.held_back, self.cut)
+        remedy, most = f". {MEASURE}", max(self.away, self.held_back, self.cut)
         if most == 0.0:
-            why, remedy = "its forces were lowered", "see its lateness"
+            why, remedy = "its forces were lowered, as its lateness says", ""
         elif most == self.away:
             why = f"for {self.away:.2g} s of them it had no answer in time, or its force rose again after that"
             if often:
@@ -133,11 +134,9 @@ class GivenForce:
                 f"for {self.held_back:.2g} s of them forces came so late that the reserve for lateness (faults.tank) "
                 "held them back"
             )
-            remedy += ", or design for what this machine needs (design.tau: auto)"
         else:
-            why = f"for {self.cut:.2g} s of them its limits of force or motion cut the force"
-            remedy = "raise these limits if the device can do more, or soften the world"
-        return f"{device} was given {self.in_words(f'the last {self.time:.2g} s')}: {why}. What helps: {remedy}"
+            why, remedy = f"for {self.cut:.2g} s of them its limits of force or motion cut the force", ""
+        return f"{device} was given {self.in_words(f'the last {self.time:.2g} s')}: {why}{remedy}"
 
 
 def shares_cell(by_force: float | None, by_time: float | None) -> str:

@@ -17,7 +17,7 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import Final
 
-from manyhands.nodes.monitor.given import ENOUGH
+from manyhands.nodes.monitor.given import ENOUGH, MEASURE
 from manyhands.nodes.rows.promises import Promise
 from manyhands.protocol.limits import MAX_SENTENCES
 from manyhands.protocol.messages import PromiseStatus
@@ -81,9 +81,7 @@ MOVED: Final = "another party moved it"
 
 UNKNOWN_MOVER: Final = "the environment has not reported who moved"
 
-_FASTER: Final = (
-    "Close other programs, design for what this machine needs (design.tau: auto), or compare rates: manyhands doctor."
-)
+_FASTER: Final = f"{MEASURE[0].upper()}{MEASURE[1:]}."
 PROMISES: Final[Mapping[Promise, PromiseText]] = MappingProxyType({
     Promise.CERTIFICATE: PromiseText(
         "the certificate is proved, and it is this session's", True, "Certify the session again: manyhands design."
@@ -124,8 +122,7 @@ PROMISES: Final[Mapping[Promise, PromiseText]] = MappingProxyType({
     ),
     Promise.GIVEN: PromiseText(
         f"at least {100.0 * ENOUGH:g} % of the force asked is given, by force and by time", False,
-        "Nothing of the certificate is lost, but a hand feels less than was asked for. Its line has the cause "
-        "and what helps.",
+        "Nothing of the certificate is lost, but a hand feels less than was asked for. Its line has the cause.",
     ),
     Promise.LEVEL: PromiseText(
         "the environment keeps its declared level, by a passivity controller where it would not", True,
@@ -153,7 +150,7 @@ PROMISES: Final[Mapping[Promise, PromiseText]] = MappingProxyType({
     ),
     Promise.PACE: PromiseText(
         "the session keeps up with the clock", False,
-        "Close other programs or use a longer period; manyhands doctor compares rates and ways of running.",
+        _FASTER,
     ),
 })  # fmt: skip
 """Every promise, the gravest first."""

@@ -21,7 +21,7 @@ from typing import Final
 
 from manyhands.nodes.kernel.driver_statement import DriverWord, outside
 from manyhands.nodes.monitor.causes import BEFORE, Causes
-from manyhands.nodes.monitor.given import WINDOW, GivenForce
+from manyhands.nodes.monitor.given import MEASURE, WINDOW, GivenForce
 from manyhands.nodes.monitor.health import (
     FREE_STATE,
     GRAVITY,
@@ -74,7 +74,6 @@ class Terms:
         seats: the device of each seat, by its coupling.
         drivers: the devices that drivers of other packages move, with what rests on their word.
         couplings: of each device.
-        may_colocate: whether couplings run in processes of their own, and could run in their devices'.
     """
 
     period: float
@@ -90,7 +89,6 @@ class Terms:
     seats: Mapping[str, str] = field(default_factory=dict)
     drivers: Mapping[str, DriverWord] = field(default_factory=dict)
     couplings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    may_colocate: bool = False
 
     @property
     def promises(self) -> Iterator[Promise]:
@@ -216,7 +214,7 @@ class HealthModel:
         # by node, figure and key of its table: of former processes, latest
         self._counts: dict[tuple[str, str, str], tuple[float, float]] = {}
         self._seen: dict[tuple[str, str, str], float] = {}
-        self._pace = _Pace(terms.period, terms.may_colocate)
+        self._pace = _Pace(terms.period)
         self._free: frozenset[str] = frozenset()
         self._made = {*terms.promises, Promise.BUDGET}
         self._stated: set[Promise] = set()  # of which only a device's telemetry says that they are made
@@ -525,7 +523,7 @@ class HealthModel:
             entry = self._begin(Promise.GIVEN, node, PromiseState.BROKEN, at)
         own = self._own_couplings(node)
         entry.cost["", "s"] = entry.cost.get(("", "s"), 0.0) + self._given[node].lacked
-        entry.remark = lately.sentence(node, self._causes.frozen(own, since, at), self._terms.may_colocate)
+        entry.remark = lately.sentence(node, self._causes.frozen(own, since, at))
 
     def _driver(self, node: str, at: float, figures: Figures) -> None:
         """What a device's ledger shows of its user's work, and what its driver has measured of its force."""
@@ -658,8 +656,8 @@ class _Given:
 class _Pace:
     """How fast a session goes by the clock."""
 
-    def __init__(self, period: float, may_colocate: bool) -> None:
-        self._period, self._may_colocate = period, may_colocate
+    def __init__(self, period: float) -> None:
+        self._period = period
         self._seen: deque[tuple[float, float]] = deque()  # elapsed and session's time, s
         self._first: tuple[float, float] | None = None
         self.behind = 0.0  # s, since the first look
@@ -681,10 +679,9 @@ class _Pace:
         return self._ratio if slow else None
 
     def sentence(self) -> str:
-        """The pace, and what to do, as a sentence."""
-        rate, together = 1.0 / self._period, " or colocate: true" if self._may_colocate else ""
+        """The pace, and what tells what helps, as a sentence."""
+        rate = 1.0 / self._period
         return (
             f"the session runs slower than its period: {self._ratio:.2f} of real time, {self._ratio * rate:.4g} of "
-            f"{rate:.4g} ticks a second. Close other programs, or use a longer period{together} (manyhands doctor "
-            "compares them); delay and period say what is still certified"
+            f"{rate:.4g} ticks a second; delay and period say what is still certified. {MEASURE}"
         )

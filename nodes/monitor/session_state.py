@@ -211,15 +211,7 @@ class About:
             seats=self.seats,
             drivers={name: node.driver for name, node in self.nodes.items() if node.driver is not None},
             couplings=self._couplings,
-            may_colocate=self._may_colocate,
         )
-
-    @property
-    def _may_colocate(self) -> bool:
-        """Whether every coupling is of one device and has a process of its own, on this machine (over ipc)."""
-        every = [name for own in self._couplings.values() for name in own]
-        apart = all(node.process is None for node in self.nodes.values())
-        return apart and self.transport == "ipc" and len(set(every)) == len(every) > 0
 
     @property
     def _couplings(self) -> Mapping[str, tuple[str, ...]]:

@@ -16,6 +16,7 @@ from manyhands.launch.look.page.feed import Feed
 from manyhands.launch.plan.prepare import unproved
 from manyhands.launch.run.broadcast import describe
 from manyhands.launch.session.shipped import load_named
+from manyhands.nodes.monitor.given import MEASURE
 from manyhands.nodes.monitor.health_model import HealthModel
 from manyhands.nodes.monitor.session_state import About, LinkAbout, NodeAbout, SpringAbout
 from manyhands.nodes.rows.promises import Promise
@@ -34,8 +35,7 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None and not REQUIRED, reason="no ch
 
 SCREENS = [(1280, "light"), (1280, "dark"), (390, "light"), (390, "dark")]
 NOTICE = (
-    "forces came later than the certificate covers (0.3 ms): left in 3.2% of its ticks, up to 1.2 ms so far; close "
-    "other programs, design for what this machine needs (design.tau=auto), or compare rates (manyhands doctor)"
+    f"forces came later than the certificate covers (0.3 ms): left in 3.2% of its ticks, up to 1.2 ms so far; {MEASURE}"
 )
 
 

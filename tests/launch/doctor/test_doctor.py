@@ -25,10 +25,10 @@ from rich.console import Console
 from manyhands.design.models.environment import StateSpaceEnvironment
 from manyhands.design.models.statespace import StateSpace
 from manyhands.design.problem import HapticLoop
-from manyhands.launch.app.examination import colocation_advice, machine_rows, of_both_forms
+from manyhands.launch.app.examination import machine_rows, of_both_forms
 from manyhands.launch.audit.simulation import Simulation
 from manyhands.launch.doctor import probe
-from manyhands.launch.doctor.advice import Advice, Worth, advice, stiffness_object
+from manyhands.launch.doctor.advice import Worth, advice, stiffness_object
 from manyhands.launch.doctor.machine import Machine, examine, governors, preemption, realtime_share, virtual
 from manyhands.launch.doctor.probe import (
     RATES,
@@ -47,12 +47,13 @@ from manyhands.launch.doctor.rates import (
     NOT_MEASURED,
     FormFigures,
     certified_lines,
+    form_advice,
     form_figures,
     print_rates,
     rates_object,
-    stiffness_range,
 )
 from manyhands.launch.doctor.wakeup import Spread, Waking
+from manyhands.launch.plan.feel import stiffness_range
 from manyhands.launch.plan.loop import haptic_loop
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import Prepared, prepare, unproved
@@ -258,22 +259,6 @@ def test_one_processor_per_chain_and_one_for_the_environment_suffice(worth: Wort
     assert one.change == "give it more processors: 3 usable, 3 users and an environment need 4"
 
 
-def test_a_session_that_keeps_its_couplings_apart_is_advised_where_the_machine_would_not() -> None:
-    apart, together = (Profile({}, Lateness(1.0, p995, 900.0, 950.0), 1000.0, 0.0, 2.0, 0.0) for p995 in (700.0, 500.0))
-    stated = load_named("example1", ["colocate=false"])
-    (one,) = colocation_advice(stated, 2, {False: apart, True: together})
-    assert one.change == "leave out colocate: false, which the session states"
-    assert one.buys.endswith("(colocate: false has 7), p99.5 of a tick 0.5 ms in place of 0.7 ms")
-    assert colocation_advice(stated, 2, {False: together, True: apart}) == ()
-    assert colocation_advice(stated, 7, {False: apart, True: together}) == ()
-    for session in (
-        load_named("example1"),
-        load_named("example1", ["colocate=true"]),
-        load_named("example1-centralised"),
-    ):
-        assert colocation_advice(session, 2, {False: apart, True: together}) == ()
-
-
 def test_the_forms_that_are_compared_have_the_sessions_period_and_were_measured_long_enough() -> None:
     long = Profile({}, Lateness(1.0, 2.0, 3.0, 4.0), 1000.0, 0.0, 1.0, 0.0)
     forms = {
@@ -291,22 +276,47 @@ def test_the_cost_of_a_tail_is_reported_in_newtons(worth: Worth) -> None:
     assert f"{now:.0f} -> {even:.0f} N/m" in one.buys
 
 
-def test_a_period_that_is_too_short_is_to_be_lengthened(worth: Worth) -> None:
-    (one,) = advice(a_machine(), measurement(300.0, 1500.0), worth, chains=3)
-    T, tau = 1.6e-3, 1.5e-3
-    assert "lengthen the period" in one.change
-    assert f"{1.37 / (T / 2 + 1.5 * tau):.0f} N/m" in one.buys
+def form(worth: Worth, p995: float | None, period: float, colocated: bool) -> FormFigures:
+    """The figures of a form of Example 1, measured unless ``p995`` (us) is None."""
+    if p995 is None:
+        (found,) = form_figures(worth, {Form(period, colocated): "not measured"})
+    else:
+        profile = Profile({}, Lateness(p995 / 2, p995, p995, p995), period * 1.0e6, 0.0, 2.0, 0.0)
+        (found,) = form_figures(worth, {Form(period, colocated): profile})
+    return found
 
 
-def test_a_tick_that_fits_in_half_a_period_may_have_one(worth: Worth, loop: HapticLoop) -> None:
-    (one,) = advice(a_machine(), measurement(150.0, 200.0), worth, chains=3)
-    now, half = (1.37 / (T / 2 + 1.5 * 200e-6) for T in (1e-3, 0.5e-3))
-    assert one == Advice(
-        "halve the period: p99.9 of a tick fits in 0.5 ms",
-        f"{now:.0f} N/m become {half:.0f} N/m, if the processors keep up",
-    )
-    (one,) = advice(a_machine(), measurement(150.0, 200.0), Worth(loop, 0.1), chains=3)
-    assert "manyhands budget" in one.buys  # what the environment takes at another period is not known here
+@pytest.mark.parametrize(
+    ("own", "other", "change", "buys"),
+    [
+        # 1.37/(1.05 T/2 + 3 tau/2), tau in steps of T/20 and one more; a longer period leaves less, and is not advised
+        ((400.0, 1e-3, False), (400.0, 2e-3, False), None, ""),
+        ((400.0, 1e-3, False), (250.0, 1e-3, True), "--set colocate=true", "1142 -> 1405 N/m"),
+        ((400.0, 1e-3, True), (250.0, 5e-4, False), "--set period=0.0005 --set colocate=false", "1142 -> 2030 N/m"),
+        # no more than two measurements of one form differ by; or never measured
+        ((400.0, 1e-3, False), (399.0, 1e-3, True), None, ""),
+        ((400.0, 1e-3, False), (None, 5e-4, True), None, ""),
+        # where nothing covers a tick, a longer period that does is something
+        ((1800.0, 1e-3, False), (1800.0, 1.9e-3, False), "--set period=0.0019", "none -> 356 N/m"),
+        ((1800.0, 1e-3, False), (1800.0, 1e-3, True), None, ""),
+    ],
+)
+def test_a_form_is_advised_where_it_was_measured_and_leaves_more(
+    worth: Worth, own: Any, other: Any, change: str | None, buys: str
+) -> None:
+    session = load_named("example1", [f"colocate={str(own[2]).lower()}"])
+    found = form_advice(session, [form(worth, *own), form(worth, *other)])
+    if change is None:
+        assert found == ()
+        return
+    (one,) = found
+    assert (one.change, one.tried) == (f"run it with {change}", True)
+    assert one.buys.startswith(buys)
+
+
+def test_a_form_that_the_session_cannot_have_is_not_advised(worth: Worth) -> None:
+    stated = load_named("example1", ["colocate=false", "design.tau=0.0008"])  # longer than the period of 2 kHz
+    assert form_advice(stated, [form(worth, 400.0, 1e-3, False), form(worth, 100.0, 5e-4, False)]) == ()
 
 
 def test_the_best_way_is_the_one_that_is_judged(worth: Worth) -> None:
@@ -441,6 +451,27 @@ def test_a_form_has_the_graph_that_the_session_would_have() -> None:
         assert Way.of_run(form.plan(session)).profile_key(form.plan(session)) == Way.of_run(Plan(other)).profile_key(
             Plan(other)
         )
+
+
+@pytest.mark.parametrize(("lasts", "longer"), [(900.0, ()), (1800.0, (1.9e-3,))])
+def test_where_a_tick_does_not_fit_a_longer_period_is_measured_too(
+    lasts: float, longer: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both forms of it: what is advised has been measured."""
+    monkeypatch.setattr(probe, "measure_waking", lambda *_: measurement(1.0, 2.0).waking)
+    monkeypatch.setattr(probe, "measure_ticks", lambda _, way, __: ticking(way, Spread(1.0, lasts, lasts, lasts), 0))
+    monkeypatch.setattr(probe, "usual_placement", lambda graph: placement(graph, (0, 1, 2, 3), raised=True))
+    session = load_named("example1")
+    found = probe.measure(Plan(session), 10.0, (0, 1, 2, 3), False, lambda _: None)
+    assert set(found.forms) == {*forms_of(session), *(Form(T, own) for T in longer for own in (False, True))}
+
+
+def test_no_delay_is_without_a_tolerance_too() -> None:
+    """One limit, in the doctor's tables and its object, whatever the session's period tolerance."""
+    worth = Worth.of(haptic_loop(load_named("example1", ["design.period_tolerance=0.5"])))
+    assert worth.no_delay == pytest.approx(2740.0)
+    assert worth.weakest(0.0) == pytest.approx(2740.0 / 1.5)
+    assert stiffness_object(worth, ())["dx"]["no_delay"] == pytest.approx(2740.0)
 
 
 @pytest.mark.parametrize("refused", [False, True], ids=["as launched", "a right that the kernel refuses"])

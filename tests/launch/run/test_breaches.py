@@ -31,6 +31,7 @@ from manyhands.launch.run.breaches import (
 )
 from manyhands.launch.session.shipped import load_named
 from manyhands.nodes.kernel.bundle import REALTIME
+from manyhands.nodes.monitor.given import MEASURE
 from manyhands.nodes.rows import figures as names
 from manyhands.protocol.messages import Figures, Telemetry
 
@@ -95,10 +96,6 @@ class Measured:
         self._counts.pop(device)
 
 
-NEXT = "close other programs, design for what this machine needs (design.tau=auto), or compare rates (manyhands doctor)"
-BESIDE_LINKS = "close other programs, state a design.tau that covers this, or compare rates (manyhands doctor)"
-
-
 def ends(decisions: list[Decision]) -> bool:
     return any(isinstance(decision, EndSession) for decision in decisions)
 
@@ -117,7 +114,7 @@ class Test_a_notice_of_late_ticks:
         assert notice == Notice(
             Cause.DELAY,
             "forces came later than the certificate covers (0.1 ms): dx in 1.1% of its ticks, up to 0.9 ms so far; "
-            f"{NEXT}",
+            f"{MEASURE}",
         )
         assert m.rungs == {}
 
@@ -151,15 +148,14 @@ class Test_a_notice_of_late_ticks:
         m.tell("dx", 90)
         assert "soft" not in m.notices[Cause.DELAY]
 
-    @pytest.mark.parametrize(("may_colocate", "together"), [(True, " or colocate=true"), (False, "")])
-    def test_at_a_whole_period_advises_no_longer_delay(self, may_colocate: bool, together: str) -> None:
+    def test_at_a_whole_period_advises_nothing_that_was_not_measured(self) -> None:
         m = Measured(Policy.SOFTEN)
         covered = dict.fromkeys(CHAINS, Covered(1e-3, 1e-3))
-        m.policy = BreachPolicy(Policy.SOFTEN, CHAINS, covered, None, m.rungs, may_colocate)
+        m.policy = BreachPolicy(Policy.SOFTEN, CHAINS, covered, None, m.rungs)
         m.tell("dx", 60, 1500.0)
         assert m.notices[Cause.DELAY] == (
             "forces came later than the certificate covers (1 ms): dx in 60.0% of its ticks, up to 1.5 ms so far; "
-            f"close other programs, or use a longer period{together} (manyhands doctor compares them)"
+            f"{MEASURE}"
         )
 
     def test_has_late_periods_apart(self) -> None:
@@ -167,7 +163,7 @@ class Test_a_notice_of_late_ticks:
         m.tell("dx", 0, late_periods=60)
         assert m.notices == {
             Cause.PERIOD: "the time between samples exceeded what the certificate covers (1 ms, more after an "
-            f"early force): dx in 60.0% of its ticks so far; {NEXT}"
+            f"early force): dx in 60.0% of its ticks so far; {MEASURE}"
         }
 
     def test_a_device_that_came_back_keeps_what_it_had(self) -> None:
@@ -475,8 +471,7 @@ class Test_devices_with_certificates_of_their_own:
         m.tell("dz", 70, 300.0)
         assert m.notices == {
             Cause.DELAY: "forces came later than the certificate covers for each device: dx in 60.0% of its ticks, up "
-            "to 0.09 ms (covered 0.05 ms), dz in 70.0% of its ticks, up to 0.3 ms (covered 0.1 ms) so far; "
-            + BESIDE_LINKS
+            "to 0.09 ms (covered 0.05 ms), dz in 70.0% of its ticks, up to 0.3 ms (covered 0.1 ms) so far; " + MEASURE
         }
 
     def test_a_guest_is_told_what_a_guest_can_do(self) -> None:
@@ -485,10 +480,7 @@ class Test_devices_with_certificates_of_their_own:
         m.tell("dx", 60, 90.0)
         text = m.notices[Cause.DELAY]
         assert "design.ladder" not in text
-        assert text.endswith(
-            "; the delay is that of the user's own machine, and not of the network: close other programs there, or "
-            "state a longer wave_link.tau or wave_link.period of its coupling"
-        )
+        assert text.endswith("; the delay is that of the user's own machine, and not of the network")
 
     def test_a_ladder_is_that_of_the_users_in_the_tick(self) -> None:
         m = self.measured(Policy.SOFTEN, Rungs())
@@ -513,7 +505,7 @@ class Test_devices_with_certificates_of_their_own:
         assert m.notices == {
             Cause.PERIOD: "the time between samples exceeded what the certificate covers (more after an early "
             "force): dx in 60.0% of its ticks (covered 0.25 ms), dz in 70.0% of its ticks (covered 1 ms) so far; "
-            + BESIDE_LINKS
+            + MEASURE
         }
 
     def test_a_session_ends_for_what_the_device_itself_has_covered(self) -> None:
@@ -618,26 +610,6 @@ def the_environment(tick: int, **late: int) -> Telemetry:
 
 
 class Test_notices_of_a_run:
-    @pytest.mark.parametrize(
-        ("name", "overrides", "elsewhere", "advised"),
-        [
-            ("example1", ["colocate=false"], False, True),
-            ("example1", ["colocate=false"], True, False),
-            ("example1", ["colocate=true"], False, False),
-            ("example1-centralised", [], False, False),
-        ],
-    )
-    def test_advise_another_form_only_where_there_is_one(
-        self, name: str, overrides: list[str], elsewhere: bool, advised: bool
-    ) -> None:
-        slow = prepare(load_named(name, [*overrides, "design.tau=0.001"]))
-        assumptions = Assumptions(slow, slow.graph, REALTIME, {}, elsewhere)
-        for tick, late in ((1000, 100.0), (2000, 1100.0), (3000, 2100.0)):
-            assumptions.check("environment", the_environment(tick))
-            assumptions.check("dx", Telemetry(tick, Figures({names.TAU_BREACHES: late}), {}))
-        (text,) = [text for text in assumptions.notices.values() if "doctor compares them" in text]
-        assert ("colocate=true" in text) is advised
-
     @pytest.mark.parametrize(
         ("first", "offset", "tick", "told"),
         [(0.05, 0.04, 3, True), (0.05, 0.01, 3, False), (0.0005, 0.0005, 3, False), (0.05, 0.04, 103, False)],

@@ -63,16 +63,6 @@ class Seen:
             self.tell(node, number * ticks, late=float(number * late))
 
 
-def test_couplings_may_move_to_their_devices_where_each_is_of_one_and_all_is_on_this_machine() -> None:
-    assert about().terms.may_colocate is True
-    carried = {**about().nodes, "c": NodeAbout(Role.COUPLING, ("d",), process="d")}
-    assert replace(about(), nodes=carried, links=about().links[:1]).terms.may_colocate is False
-    assert replace(about(), transport="tcp").terms.may_colocate is False
-    second = {**about().nodes, "e": NodeAbout(Role.DEVICE, ("e",))}
-    shared = (*about().links, LinkAbout(("e", "c"), ("e",)))
-    assert replace(about(), nodes=second, links=shared).terms.may_colocate is False
-
-
 def test_the_rate_counts_ticks_between_looks_half_a_second_apart() -> None:
     seen = Seen()
     seen.tell("d", 100)
