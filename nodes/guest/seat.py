@@ -106,19 +106,26 @@ class FeltDistance:
 def felt(coupling: CouplingBundle, trips: Sequence[Duration]) -> FeltDistance:
     """What will be felt with these round trips to the session, ns each, of which there must be one at least.
 
-    The play-out of both ends together waits for :data:`COVERED` of the waves. A wave waits for half a period of each
-    end besides.
+    The play-out of both ends together waits for :data:`COVERED` of the waves, or for as many ticks as the session
+    states. A wave waits for half a period of each end besides. Where an end sends one in several ticks, a wave waits
+    for its turn, and a play-out that measures its depth buffers as long (:mod:`manyhands.nodes.wave_link.thinning`).
 
     Raises:
         ValueError: there is no round trip, or the coupling has no wave link.
     """
     if not trips or coupling.wave is None:
         raise ValueError(f"found {len(trips)} round trips; expected one at least, and a wave link")
+    wave, periods = coupling.wave, np.array([coupling.common.period, coupling.wave.peer_period])
     least = min(trips)
-    covered = Duration(int(np.quantile(trips, COVERED, method="higher")))
-    play_out = seconds(Duration(covered - least)) + 0.5 * (coupling.common.period + coupling.wave.peer_period)
+    turn = 0.5 * (np.array([wave.every, wave.peer_every]) - 1.0) @ periods
+    if wave.depth is None:
+        covered = Duration(int(np.quantile(trips, COVERED, method="higher")))
+        depth = seconds(Duration(covered - least)) + turn
+    else:
+        depth = wave.depth * periods.sum()
+    play_out = float(depth + turn + 0.5 * periods.sum())
     R = seconds(least) + play_out
-    b = np.linalg.eigvalsh(coupling.wave.b)
+    b = np.linalg.eigvalsh(wave.b)
     return FeltDistance(seconds(least), play_out, *stiffness_and_mass((float(b[0]), float(b[-1])), R))
 
 

@@ -12,12 +12,13 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from manyhands.launch.audit.simulation import Simulation
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session.shipped import load_named
 from manyhands.nodes.guest import seat
 from manyhands.nodes.guest.seat import SeatLife, answered_yes, felt, force_sentence, is_calm, with_force
-from manyhands.nodes.kernel.bundle import CouplingBundle, DeviceBundle
+from manyhands.nodes.kernel.bundle import SIMULATED, CouplingBundle, DeviceBundle
 from manyhands.nodes.kernel.lifetime import Sight, Stopped
 from manyhands.protocol.clock import Duration
 
@@ -25,7 +26,7 @@ MS = 1_000_000
 
 
 def coupling(b: list[float], period: float = 1e-3, peer: float = 1e-3) -> CouplingBundle:
-    wave = SimpleNamespace(b=np.diag(b), peer_period=peer)
+    wave = SimpleNamespace(b=np.diag(b), peer_period=peer, depth=None, every=1, peer_every=1)
     return cast(CouplingBundle, SimpleNamespace(common=SimpleNamespace(period=period), wave=wave))
 
 
@@ -48,6 +49,31 @@ def test_a_rare_late_frame_is_no_part_of_what_is_felt() -> None:
     assert found.play_out == pytest.approx(0.001)
     assert "K = 487.8 N/m, and free space will weigh about M = 205 g more" in found.sentence()
     assert "M = 1.7 kg more" in felt(coupling([10.0]), [Duration(339 * MS)]).sentence()
+
+
+@pytest.mark.parametrize(
+    "link",
+    [
+        "network: {delay: 0.01}",
+        "interval: 0.008, network: {delay: 0.01}",
+        "depth: 6, network: {delay: 0.01}",
+        "depth: 6, interval: 0.004, network: {delay: 0.01, jitter: 0.002}",
+    ],
+)
+def test_what_is_foretold_is_what_the_wave_link_then_shows(link: str) -> None:
+    """Within a tenth, of the link's own network; a wave in several ticks, or a stated depth, lengthens both alike."""
+    far = f"couplings.cx={{devices: [dx], wave_link: {{mass: 0.5, round_trip: 0.04, {link}}}}}"
+    session = load_named("example1", [far])
+    prepared, own = prepare(session), session.wave_links["cx"]
+    simulation = Simulation(prepared)
+    simulation.run(1000)
+    shown = simulation.links["cx"].felt((1.0, 1.0))
+    assert own.network is not None
+    rng = np.random.default_rng(1)
+    under_way = 2.0 * own.network.delay + rng.uniform(0.0, own.network.jitter, (400, 2)).sum(axis=1)
+    trips = [Duration(int(1e9 * one)) for one in under_way]
+    bundle = cast(CouplingBundle, cut(prepared, RunPlan(SIMULATED, None, ""))["cx"])
+    assert felt(bundle, trips).round_trip == pytest.approx(shown.round_trip, rel=0.1)
 
 
 @pytest.mark.parametrize(
