@@ -141,7 +141,7 @@ def print_certificate(console: Console, certificate: Certificate) -> None:
         if device.held is not None:
             table.add_row("held torques", held_text(loop, device, device.held))
     if not loop.punctual:
-        table.add_row("left of Δ_D", f"{levels.device.share:.4f}, with K = {levels.device.kappa:.4f} T/Δ_D")
+        table.add_row("left of Δ_D", f"{levels.device.share:.4f}, with κ = {levels.device.kappa:.4f}")
     if certificate.spring_damper is not None:
         _coupling_rows(table, certificate.spring_damper, of_run=bool(loop.series))
     else:

@@ -209,5 +209,9 @@ class AskedModel:
                 expected = f"a finite number of at most {most:g} {unit} in size"
             else:
                 return answer
-        self.failure = f"the model {self._name} failed at tick {k}: found {found}; expected {expected}; mend the model"
+        at = f"failed at tick {k}: found {found}; expected {expected}"
+        if callable(getattr(self._model, STEP, None)):  # its arithmetic is the engine's, its numbers are the file's
+            self.failure = f"the engine {self._name} {at}; its file is environment.model"
+        else:
+            self.failure = f"the model {self._name} {at}; manyhands check-model {self._name} tries it by itself"
         return None

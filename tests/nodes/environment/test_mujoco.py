@@ -64,7 +64,8 @@ def test_a_model_that_grows_without_bound_is_a_failure_and_leaves_no_file(
     for k in range(50):
         asked.proxies(np.zeros(1), np.array([-1e12 * k]), k)
     assert asked.failure is not None
-    assert "the model some:engine failed at tick" in asked.failure
+    assert "the engine some:engine failed at tick" in asked.failure
+    assert asked.failure.endswith("; its file is environment.model")
     assert "RuntimeError: MuJoCo warns:" in asked.failure
     assert not list(tmp_path.iterdir())
 
