@@ -43,6 +43,7 @@ from typing import Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from manyhands.design.levels.device import least_gain
 from manyhands.launch.conformance.judgement import Conformance, Judgement, broken
 from manyhands.launch.conformance.timing import CallTimer
 from manyhands.nodes.device.drivers import Driver
@@ -573,16 +574,18 @@ def _judged(pushed: _Pushed, T: float, stated: DeviceSpecification) -> Iterator[
             return
         yield Judgement(FORCE, Conformance.KEPT, f"{gain:.3g} times the force that was given, {of}")
     if dry.good:
-        yield _estimate(dry, of, T, latency)
+        yield _estimate(dry, of, T, latency, stated.timing.jitter)
     yield Judgement(RELEASE, Conformance.KEPT, f"released, {max(0.0, left):.0%} of a push {of} is left")
 
 
-def _estimate(fit: _Fit, of: str, T: float, latency: float) -> Judgement:
-    """What the device seems to burn, and what that is worth: b/(T/2 + 3 tau/2), :mod:`manyhands.design.budget`."""
+def _estimate(fit: _Fit, of: str, T: float, latency: float, jitter: float) -> Judgement:
+    """What the device seems to burn, and the limit of a stiffness that it is worth, :mod:`manyhands.design.budget`."""
     text = f"it seems to damp {max(0.0, fit.damping):.2g} N·s/m, and {max(0.0, fit.friction):.2g} N, {of}"
     if fit.damping > 0.0:
-        worth = fit.damping / (T / 2.0 + 1.5 * latency)
-        text += f", worth {worth:.3g} N/m in this period and with its own delay alone"
+        worth = "nothing"  # no certificate covers a delay of more than the period
+        if latency <= T:
+            worth = f"{fit.damping / (least_gain(latency / T, min(1.0, jitter / T)) * T):.3g} N/m"
+        text += f", worth {worth} in this period and with its own delay alone"
     return Judgement(ESTIMATE, Conformance.KEPT, f"{text}: an estimate, and no osp, which manyhands identify measures")
 
 

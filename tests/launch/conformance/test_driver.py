@@ -5,10 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
+import numpy as np
 import pytest
 
+from manyhands.design.budget import stiffest
 from manyhands.launch.conformance.driver import (
     BLOCKING,
     EXCEPTION,
@@ -23,6 +26,7 @@ from manyhands.launch.conformance.driver import (
     WRONG_ANSWER,
     Bench,
     Push,
+    _estimate,
     check_driver,
     checked_apart,
 )
@@ -208,3 +212,18 @@ def test_a_driver_that_measures_a_wrong_force_is_named(kind: type[DeviceDriver],
     """By its own measurement, whatever its mass; three times the force is 19 % of its limit too much at 0.5 N."""
     found = findings(kind, measures=True, hardware=hardware, push=Push(5.0))
     assert FORCE in broken(found), found
+
+
+@pytest.mark.parametrize(
+    ("latency", "jitter", "worth"),
+    [(0.0, 0.0, 400.0), (2e-4, 0.0, 0.2 / 8e-4), (2e-4, 1e-4, 0.2 / 8.5e-4), (1e-3, 0.0, 100.0), (1.1e-3, 0.0, None)],
+)
+def test_an_estimate_is_worth_what_the_budget_says(latency: float, jitter: float, worth: float | None) -> None:
+    fit = SimpleNamespace(damping=0.2, friction=0.0)
+    text = _estimate(cast(Any, fit), "at x", 1e-3, latency, jitter).text
+    if worth is None:
+        assert "worth nothing in this period" in text
+        return
+    assert float(re.findall(r"worth (\S+) N/m", text)[0]) == pytest.approx(worth, rel=5e-3)
+    limit = stiffest(0.2 * np.eye(1), 1e-3, latency, period_tolerance=jitter / 1e-3).certified
+    assert limit == pytest.approx(worth)
