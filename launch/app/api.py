@@ -358,12 +358,13 @@ def read(path: str | Path) -> RecordedRun | Recording:
         >>> mh.read("run.npz")
         Recording(example-1: 100 ticks of 0.001 s, ports dx, dy, dz)
     """
-    from manyhands.launch.recordings.recording import RUN_SUFFIXES, STREAMED, require_format
+    from manyhands.launch.recordings.formats import READ_SUFFIXES, STREAMED
+    from manyhands.launch.recordings.recording import require_format
     from manyhands.launch.recordings.run import read_run
     from manyhands.launch.recordings.tables import read_saved
 
     file = Path(path)
-    require_format(file, RUN_SUFFIXES)
+    require_format(file, READ_SUFFIXES)
     return read_run(file) if file.suffix == STREAMED else read_saved(file)
 
 

@@ -10,7 +10,7 @@ from manyhands.launch.look.display import say
 from manyhands.launch.look.live import LiveTable, not_admitted
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.reach import Reach
-from manyhands.launch.recordings.recording import STREAMED
+from manyhands.launch.recordings.formats import STREAMED
 from manyhands.launch.run.broadcast import describe
 from manyhands.launch.run.options import StartOptions
 from manyhands.launch.run.outcome import Outcome

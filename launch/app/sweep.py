@@ -35,7 +35,8 @@ from manyhands.design.models.brief import brief_names
 from manyhands.launch.app.api import Source, load
 from manyhands.launch.files import TargetError, claimed, require_target
 from manyhands.launch.plan.sites import whole
-from manyhands.launch.recordings.recording import data_frame, require_format, write_csv
+from manyhands.launch.recordings.formats import write_csv
+from manyhands.launch.recordings.recording import data_frame, require_format
 from manyhands.launch.session import Session
 
 if TYPE_CHECKING:

@@ -37,8 +37,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.extras import require
+from manyhands.launch.recordings.formats import Progress
 from manyhands.launch.recordings.recording import Array, RecordingError
-from manyhands.launch.recordings.run import Progress, RecordedRun, Traces, chosen
+from manyhands.launch.recordings.run import RecordedRun, Traces, chosen
 from manyhands.protocol.channels import DISPLACEMENT, FORCE
 from manyhands.protocol.messages import Role
 

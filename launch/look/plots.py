@@ -38,7 +38,8 @@ from manyhands.launch.recordings.curves import (
     gaps,
     thinned,
 )
-from manyhands.launch.recordings.recording import RUN_SUFFIXES, STREAMED, Recording, RecordingError, require_format
+from manyhands.launch.recordings.formats import READ_SUFFIXES, STREAMED
+from manyhands.launch.recordings.recording import Recording, RecordingError, require_format
 from manyhands.launch.recordings.run import RecordedRun, RecordedTrace, read_run
 from manyhands.launch.recordings.tables import read_saved
 from manyhands.launch.run.states import is_summary
@@ -525,7 +526,7 @@ def draw(
         RecordingError: the file is no recording, or holds nothing of what was asked for.
         TargetError: the picture cannot be written there.
     """
-    require_format(file, RUN_SUFFIXES)
+    require_format(file, READ_SUFFIXES)
     require_picture(target)
     with progress_bar(console, f"reading {file.name}") as tell:
         picture = between(_picture(file, quantities, tell), start, end)

@@ -1,19 +1,16 @@
 """Every x and f_v of a run, tick by tick, and the files that hold them.
 
-Two formats are written here, chosen by the file's suffix. ``.npz`` holds arrays ``x`` and ``f_v`` (ticks x ports), with
-the port names, the period, the session and the certificate's id; it is exact. ``.csv`` has one row a tick, for a
-spreadsheet. A third, ``.mcap``, is written while the session runs by a process of its own
-(:mod:`manyhands.launch.run.recorder`) and read by :mod:`manyhands.launch.recordings.tables`.
+The file's suffix chooses the format (:mod:`manyhands.launch.recordings.formats`). ``.npz`` holds arrays ``x`` and
+``f_v`` (ticks x ports), with the port names, the period, the session and the certificate's id; it is exact. The others
+have one row a tick. :mod:`manyhands.launch.recordings.tables` reads ``.npz``, ``.csv`` and ``.mcap``.
 """
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from io import TextIOWrapper
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,22 +20,13 @@ from manyhands.design.models.brief import brief_names
 from manyhands.extras import require
 from manyhands.launch.files import require_target
 from manyhands.launch.recordings.curves import backward_difference
+from manyhands.launch.recordings.formats import EXTRAS, STREAMED, SUFFIXES, TABLES, TableOfRun
 from manyhands.nodes.recorder.coverage import Coverage, missing_by_party, spans_by_party
 
 if TYPE_CHECKING:
     import pandas
 
 Array = NDArray[np.float64]
-
-SUFFIXES = (".npz", ".csv")
-STREAMED = ".mcap"
-RUN_SUFFIXES = (*SUFFIXES, STREAMED)
-"""The formats of a session of processes; a simulation in one process keeps everything in memory, and writes no
-``.mcap``."""
-
-_EXTRAS = {STREAMED: "record", ".parquet": "parquet"}  # what a format needs
-
-_ROWS = 2048  # rows that are converted to text at a time
 
 MOST_MISSING_TICKS = 1_000_000  # of one device in all; more than that is no loss but ticks that make no sense
 
@@ -99,51 +87,25 @@ class Recording:
         return f"Recording({self.session}: {len(self.x)} ticks of {self.period:g} s, ports {brief_names(self.ports)})"
 
     def save(self, path: Path | str) -> None:
-        """Write the file whole or not at all, in the format of its suffix.
+        """Write the file whole or not at all, in the format of its suffix (:data:`.SUFFIXES`).
 
         Raises:
             RecordingError: the suffix is unknown, or the file cannot be written.
+            MissingExtra: an extra is missing that writes such files.
         """
         path = Path(path)
         require_suffix(path)
         try:
             with replacing(path) as file:
-                if path.suffix == ".npz":
-                    np.savez(
-                        file,
-                        x=self.x,
-                        f_v=self.f_v,
-                        ports=np.array(self.ports),
-                        period=self.period,
-                        session=self.session,
-                        certificate=self.certificate,
-                    )
-                else:
-                    write_csv(file, self.columns())
+                TABLES[path.suffix.removeprefix(".")](file, self._table(), lambda _part: None)
         except OSError as error:
             raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
 
-
-def write_csv(
-    file: BinaryIO, columns: Mapping[str, NDArray[Any]], progress: Callable[[float], None] | None = None
-) -> None:
-    """Write a table: its names in the first row, then a row for each entry of the columns, every number exact.
-
-    Args:
-        file: open for writing; it stays open.
-        columns: of one length, by name.
-        progress: called with the part that is done, 0 to 1.
-    """
-    text = TextIOWrapper(file, encoding="utf-8", newline="")
-    writer = csv.writer(text)
-    writer.writerow(columns)
-    rows = max(map(len, columns.values()), default=0)
-    for begin in range(0, rows, _ROWS):
-        block = (column[begin : begin + _ROWS].tolist() for column in columns.values())
-        writer.writerows(zip(*block, strict=True))
-        if progress is not None:
-            progress(min(begin + _ROWS, rows) / rows)
-    text.detach()  # flushes it, and leaves the file open
+    def _table(self) -> TableOfRun:
+        about = {"session": self.session, "certificate": self.certificate, "period": repr(self.period)}
+        names = {"session": self.session, "certificate": self.certificate}
+        arrays = {"x": self.x, "f_v": self.f_v, "ports": np.array(self.ports), "period": self.period} | names
+        return TableOfRun(self.columns(), arrays, about)
 
 
 def data_frame(columns: Mapping[str, NDArray[Any]], index: str | None = None) -> pandas.DataFrame:
@@ -180,8 +142,8 @@ def require_format(path: Path, suffixes: tuple[str, ...]) -> None:
     """
     if path.suffix not in suffixes:
         raise RecordingError(f"{path}: found the suffix {path.suffix!r}; expected one of {', '.join(suffixes)}")
-    if path.suffix in _EXTRAS:
-        require(_EXTRAS[path.suffix])
+    if path.suffix in EXTRAS:
+        require(EXTRAS[path.suffix])
 
 
 def one_period(periods: Mapping[str, float], path: Path | None = None) -> float:

@@ -16,17 +16,17 @@ from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.design.files import replacing
 from manyhands.design.models.brief import brief_names, brief_repr
-from manyhands.extras import require
 from manyhands.launch.recordings.curves import backward_difference
+from manyhands.launch.recordings.formats import TABLES, Progress, TableOfRun
 from manyhands.launch.recordings.reading import MOST_MISSING, cut_at, read_topics, require_beginning, span_of
-from manyhands.launch.recordings.recording import Array, RecordingError, data_frame, require_suffix, write_csv
+from manyhands.launch.recordings.recording import Array, RecordingError, data_frame, require_suffix
 from manyhands.nodes.kernel.bundle import REALTIME
 from manyhands.nodes.recorder.format import Recorded
 from manyhands.nodes.rows import figures as names
@@ -177,13 +177,13 @@ class RecordedRun:
         return data_frame(self.columns(*topics), "time_s")
 
     def save(self, path: Path | str, *topics: str) -> None:
-        """Write the table of :meth:`columns` whole or not at all, as ``.csv``, ``.npz`` or ``.parquet``.
+        """Write the table of :meth:`columns` whole or not at all, in the format of its suffix (:data:`.SUFFIXES`).
 
         Raises:
             RecordingError: the suffix is another, a pattern names no topic, or the file cannot be written.
         """
         path = Path(path)
-        require_suffix(path, tuple(f".{name}" for name in FORMATS))
+        require_suffix(path)
         export(self, path, path.suffix.removeprefix("."), topics)
 
     def __repr__(self) -> str:
@@ -361,7 +361,6 @@ def first_sign(run: RecordedRun, environment: str) -> tuple[int, str]:
     return min(signs)
 
 
-Progress = Callable[[float], None]
 Traces = Mapping[tuple[str, str], RecordedTrace]
 
 TICK: Final = "tick"
@@ -432,24 +431,19 @@ def export(
     Args:
         run: the recording.
         path: the table's file.
-        to: the format, one of :data:`FORMATS`.
+        to: the format, one of :data:`.TABLES`.
         patterns: the topics to write; see :func:`chosen`.
         progress: called with the part that is done, 0 to 1.
 
     Raises:
         RecordingError: a pattern names no topic, the format cannot be written here, or the file cannot be written.
     """
-    traces = chosen(run, patterns)
-    write = FORMATS[to]
+    table = _table(run, chosen(run, patterns))
     try:
         with replacing(path) as file:
-            write(run, traces, file, progress or (lambda _part: None))
+            TABLES[to](file, table, progress or (lambda _part: None))
     except OSError as error:
         raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
-
-
-def _save_csv(run: RecordedRun, traces: Traces, file: BinaryIO, progress: Progress) -> None:
-    write_csv(file, table_columns(run, traces), progress)
 
 
 def table_columns(run: RecordedRun, traces: Traces) -> dict[str, NDArray[Any]]:
@@ -465,8 +459,8 @@ def _at_session_ticks(run: RecordedRun, node: str, trace: RecordedTrace) -> Arra
     return trace.values if node not in run.recorded.periods else trace.values[run.at_session_ticks(node)]
 
 
-def _save_npz(run: RecordedRun, traces: Traces, file: BinaryIO, progress: Progress) -> None:
-    recorded = run.recorded
+def _table(run: RecordedRun, traces: Traces) -> TableOfRun:
+    recorded, columns = run.recorded, table_columns(run, traces)
     ports = [port for own in recorded.devices.values() for port in own]
     arrays: dict[str, Any] = {**about(recorded), "period": recorded.period, "ports": np.array(ports)}
     for name in (DISPLACEMENT, FORCE):  # under the names of a simulation's file, so that one reader suits both
@@ -477,26 +471,4 @@ def _save_npz(run: RecordedRun, traces: Traces, file: BinaryIO, progress: Progre
         ]
         if len(every) == len(recorded.devices):
             arrays[name] = np.hstack(every)
-    np.savez(file, **arrays | table_columns(run, traces))
-    progress(1.0)
-
-
-def _save_parquet(run: RecordedRun, traces: Traces, file: BinaryIO, progress: Progress) -> None:
-    require("parquet")
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    metadata = {f"manyhands.{key}": text for key, text in about(run.recorded).items()}
-    table = pa.table(
-        {name: pa.array(np.ascontiguousarray(values)) for name, values in table_columns(run, traces).items()}
-    )
-    parquet.write_table(table.replace_schema_metadata(metadata), file)
-    progress(1.0)
-
-
-FORMATS: Final[Mapping[str, Callable[[RecordedRun, Traces, BinaryIO, Progress], None]]] = {
-    "csv": _save_csv,
-    "npz": _save_npz,
-    "parquet": _save_parquet,
-}
-"""The formats of a table, with the functions that write them."""
+    return TableOfRun(columns, arrays | columns, about(recorded))

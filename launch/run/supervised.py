@@ -9,14 +9,8 @@ from functools import partial
 from manyhands.launch.files import TargetError, claimed, require_target
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.reach import Reach
-from manyhands.launch.recordings.recording import (
-    RUN_SUFFIXES,
-    STREAMED,
-    RecordingError,
-    one_period,
-    require_format,
-    require_suffix,
-)
+from manyhands.launch.recordings.formats import RUN_SUFFIXES, STREAMED
+from manyhands.launch.recordings.recording import RecordingError, one_period, require_format, require_suffix
 from manyhands.launch.run.directory import REPORT, SessionDirectory, require_new
 from manyhands.launch.run.options import StartOptions
 from manyhands.launch.run.outcome import Outcome, Progress, save_json

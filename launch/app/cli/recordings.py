@@ -32,8 +32,9 @@ from manyhands.launch.files import EXIT_FAILED, EXIT_OK, claimed, require_target
 from manyhands.launch.look.display import printable, progress_bar, say, status
 from manyhands.launch.look.sessions import find_session, session_in
 from manyhands.launch.output import print_json
-from manyhands.launch.recordings.recording import STREAMED, require_format, require_suffix
-from manyhands.launch.recordings.run import FORMATS, RecordedRun, chosen, missing_sentence, read_run
+from manyhands.launch.recordings.formats import STREAMED, TABLES
+from manyhands.launch.recordings.recording import require_format, require_suffix
+from manyhands.launch.recordings.run import RecordedRun, chosen, missing_sentence, read_run
 from manyhands.launch.recordings.run import export as write
 from manyhands.launch.run.outcome import joules
 from manyhands.launch.run.processes import Interrupt
@@ -54,6 +55,7 @@ commands = typer.Typer()
 RecordingPath = Annotated[Path, typer.Argument(metavar="FILE", help=f"A recording ({STREAMED}).")]
 
 _GAPS_SHOWN = 5
+_EXPORTED = (*TABLES, ROSBAG)
 
 
 @commands.command(epilog="Example: manyhands record -o run.mcap --duration 10")
@@ -179,9 +181,9 @@ def export(
         str | None,
         typer.Option(
             "--format",
-            metavar="csv|npz|parquet|rosbag",
+            metavar="|".join(_EXPORTED),
             help="The format.",
-            autocompletion=one_word_of(("csv", "npz", "parquet", "rosbag")),
+            autocompletion=one_word_of(_EXPORTED),
         ),
     ] = None,
     output: Annotated[
@@ -217,7 +219,7 @@ def export(
             if to is None and output is None:
                 return
         format_ = to or (output.suffix[1:] if output is not None else "")
-        require_one_of("--format", format_, (*FORMATS, ROSBAG))
+        require_one_of("--format", format_, _EXPORTED)
         target = output or file.with_suffix(f".{format_}")
         require_format(target, (f".{format_}",))
         if format_ != ROSBAG:

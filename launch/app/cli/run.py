@@ -41,7 +41,8 @@ from manyhands.launch.files import claimed
 from manyhands.launch.look.display import progress_bar, say, world_lines
 from manyhands.launch.plan.feel import network_lines
 from manyhands.launch.plan.reach import Listen
-from manyhands.launch.recordings.recording import RUN_SUFFIXES, STREAMED, SUFFIXES, require_suffix
+from manyhands.launch.recordings.formats import RUN_SUFFIXES, STREAMED, SUFFIXES
+from manyhands.launch.recordings.recording import require_suffix
 from manyhands.launch.run.directory import is_bare
 from manyhands.launch.run.options import StartOptions
 from manyhands.launch.run.outcome import enforcement_sentence
@@ -86,6 +87,11 @@ def simulate(
             refuse(str(error))
         ticks = ticks_of(loaded, duration, kept=True)
         if record is not None:
+            if record.suffix == STREAMED:
+                refuse(
+                    f"--record: found {record}; expected one of {', '.join(SUFFIXES)}: {STREAMED} has the telemetry of "
+                    f"processes, which do the same ticks with: manyhands launch {session} --clock simulated"
+                )
             require_suffix(record)
             claims.enter_context(claimed(record))
         options = StartOptions(clock=SIMULATED, certificate=certificate, uncertified=True)

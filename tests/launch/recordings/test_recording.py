@@ -8,6 +8,7 @@ from typing import BinaryIO
 
 import numpy as np
 import pytest
+from pyarrow import parquet
 
 from manyhands.launch.files import TargetError
 from manyhands.launch.recordings.recording import Collector, Recording, RecordingError, require_suffix
@@ -37,6 +38,15 @@ def test_csv_keeps_every_digit(tmp_path: Path) -> None:
         rows = list(csv.reader(file))
     assert rows[0] == ["tick", "time_s", "x[a]_m", "x[b.x]_m", "f_v[a]_N", "f_v[b.x]_N"]
     np.testing.assert_array_equal(np.array(rows[1:], dtype=float)[:, 2:4], X)
+
+
+def test_parquet_keeps_every_digit_and_names_the_session(tmp_path: Path) -> None:
+    recording().save(tmp_path / "run.parquet")
+    table = parquet.read_table(tmp_path / "run.parquet", use_threads=False)
+    assert table.column_names == ["tick", "time_s", "x[a]_m", "x[b.x]_m", "f_v[a]_N", "f_v[b.x]_N"]
+    np.testing.assert_array_equal(np.column_stack([table[name] for name in ("x[a]_m", "x[b.x]_m")]), X)
+    told = {b"manyhands.session": b"s", b"manyhands.certificate": b"id", b"manyhands.period": b"0.001"}
+    assert table.schema.metadata == told
 
 
 def test_velocity_is_the_backward_difference_from_rest() -> None:

@@ -14,8 +14,9 @@ from typer.testing import CliRunner
 
 from manyhands.extras import MissingExtra
 from manyhands.launch.app.cli import app
+from manyhands.launch.recordings.formats import TABLES
 from manyhands.launch.recordings.recording import RecordingError
-from manyhands.launch.recordings.run import FORMATS, RecordedRun, chosen, column_names, export, read_run
+from manyhands.launch.recordings.run import RecordedRun, chosen, column_names, export, read_run
 from manyhands.nodes.recorder.core import RecorderCore
 
 from ...support.small_recordings import RECORDED, STARTED, cut_recording, observation
@@ -68,7 +69,7 @@ def from_parquet(path: Path) -> dict[str, np.ndarray]:
 READERS = {"csv": from_csv, "npz": from_npz, "parquet": from_parquet}
 
 
-@pytest.mark.parametrize("to", FORMATS)
+@pytest.mark.parametrize("to", TABLES)
 def test_every_number_comes_back_as_it_was(to: str, file: Path, tmp_path: Path) -> None:
     run, parts = read_run(file), []
     export(run, tmp_path / f"out.{to}", to, progress=parts.append)
