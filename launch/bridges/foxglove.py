@@ -29,7 +29,7 @@ from manyhands.launch.bridges.relay import MAX_HEAD_BYTES, Relay
 from manyhands.launch.look.page.feed import EVERY, BroadcastFollower, SessionTime
 from manyhands.launch.look.page.security import Doorstep, Token, ViewError
 from manyhands.launch.look.page.server import Connections, address_of, listen
-from manyhands.launch.look.sessions import Running
+from manyhands.launch.run.running import Running
 from manyhands.nodes.kernel.json_number import json_number
 from manyhands.nodes.monitor.session_state import About, LiveSession
 from manyhands.nodes.recorder.core import Ticks, trace_messages

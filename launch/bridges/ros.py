@@ -47,8 +47,8 @@ from manyhands.launch.bridges.rosbag import (
 from manyhands.launch.look.page.feed import BroadcastFollower, SessionTime
 from manyhands.launch.look.page.pointer import DEMANDS_PER_S, Hold, Holding, hold_of
 from manyhands.launch.look.page.security import ViewError, is_loopback
-from manyhands.launch.look.sessions import Running
 from manyhands.launch.recordings.recording import Array
+from manyhands.launch.run.running import Running
 from manyhands.nodes.monitor.session_state import About, LiveSession
 from manyhands.nodes.recorder.format import recorded_of
 from manyhands.protocol.channels import DISPLACEMENT, FORCE

@@ -16,8 +16,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from manyhands.design.files import open_regular
-from manyhands.launch.look.sessions import NoSession, Running, Source, presence
+from manyhands.launch.look.sessions import NoSession, Source, presence
 from manyhands.launch.run.processes import Interrupt
+from manyhands.launch.run.running import Running
 from manyhands.launch.run.states import SessionPhase
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import Recorded, media_type, recorded_of

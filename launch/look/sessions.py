@@ -1,7 +1,4 @@
-"""The running sessions of this user on this machine, and the loop that observes one of them.
-
-Each session has its own directory below the temporary one (:mod:`manyhands.launch.run.directory`), which no other user
-may enter. A file there describes the session (:class:`manyhands.nodes.monitor.session_state.About`).
+"""Which of this user's running sessions is meant (:mod:`manyhands.launch.run.running`), and the loop that observes it.
 
 The loop (:func:`watch`) takes frames of the session's broadcast. It ends when the session reports its end, when the
 supervisor's process has ended, or at a deadline. It waits for frames only, and its only clock is the given one.
@@ -18,10 +15,10 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Final, Protocol, TypeAlias
 
-from manyhands.launch.run.directory import run_directories
+from manyhands.launch.run.running import Running, running_sessions
 from manyhands.launch.run.states import SessionPhase
 from manyhands.nodes.kernel.log import LOG_FOLDER
-from manyhands.nodes.monitor.session_state import ABOUT, About, AboutError, LiveSession
+from manyhands.nodes.monitor.session_state import ABOUT, LiveSession
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
 from manyhands.protocol.messages import Condition, Observation
 from manyhands.protocol.transport.broadcast import Visit
@@ -29,25 +26,6 @@ from manyhands.protocol.transport.broadcast import Visit
 
 class NoSession(Exception):
     """The requested session does not run, or the request fits several; the message lists the running ones."""
-
-
-@dataclass(frozen=True)
-class Running:
-    """A session that runs: its directory, and its description of itself."""
-
-    directory: Path
-    about: About
-
-
-def running_sessions() -> list[Running]:
-    """The sessions that run, the oldest first; a session that is just beginning or ending may be absent."""
-    found = []
-    for directory in run_directories():
-        try:
-            found.append(Running(directory, About.load(directory)))
-        except AboutError:
-            continue  # it has not yet begun, has just ended, or belongs to another version
-    return sorted(found, key=lambda running: (running.about.started, running.about.session, running.about.pid))
 
 
 def find_session(name: str | None) -> Running:

@@ -33,7 +33,8 @@ from manyhands.launch.look.display import (
     say,
     world_lines,
 )
-from manyhands.launch.look.sessions import Running, Seeing, Source
+from manyhands.launch.look.sessions import Seeing, Source
+from manyhands.launch.run.running import Running
 from manyhands.launch.run.states import NodeState
 from manyhands.nodes.kernel.json_number import json_figures, json_number
 from manyhands.nodes.monitor.given import FIGURES

@@ -35,6 +35,7 @@ from manyhands.launch.run.outcome import Outcome, Progress, felt_links, lateness
 from manyhands.launch.run.processes import EndRequest, Interrupt, Processes
 from manyhands.launch.run.recorder import Recorder
 from manyhands.launch.run.recovery import Restarts
+from manyhands.launch.run.running import Running, twins
 from manyhands.launch.run.states import (
     Instruction,
     Kill,
@@ -243,6 +244,8 @@ class Supervisor:
         processes, elsewhere = Processes(directory), Processes(directory)
         try:
             self._showing = Showing(directory, self._about, kept_files(self._prepared))
+            for twin in twins(Running(directory, self._about)):
+                self._note_incident(twin)
             local = [name for name in self._graph.nodes if name not in reach.remote]
             of_ours, keys = (*local, *reach.hosts), reach.keys
             private = {} if keys is None else {name: keys.file(name, directory) for name in of_ours}

@@ -22,13 +22,14 @@ from manyhands.launch.doctor.profile import ProbeFailed, ProbeInterrupted
 from manyhands.launch.files import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, TargetError
 from manyhands.launch.look.display import could_help, say
 from manyhands.launch.look.page.security import ViewError
-from manyhands.launch.look.sessions import NoSession, find_session, running_sessions
+from manyhands.launch.look.sessions import NoSession, find_session
 from manyhands.launch.look.topics import NoTopic, named_topics, session_of
 from manyhands.launch.plan.loop import NotCertified
 from manyhands.launch.plan.reach import ReachError
 from manyhands.launch.plan.sites import IN_TICK
 from manyhands.launch.plan.topology import LinkTooWide
 from manyhands.launch.recordings.recording import RecordingError
+from manyhands.launch.run.running import running_sessions
 from manyhands.launch.session import ENVIRONMENT, SUPERVISOR, Session, SessionError
 from manyhands.launch.session.session import whole_ticks
 from manyhands.launch.session.shipped import load_named, shipped_sessions

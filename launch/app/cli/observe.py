@@ -17,7 +17,7 @@ import typer
 from manyhands.launch.app.cli.common import Json, RunningName, end, err, errors, out, refuse, topic_names
 from manyhands.launch.look.display import say
 from manyhands.launch.look.page.security import Token, is_loopback, new_token, read_token
-from manyhands.launch.look.sessions import Running, find_session, running_sessions, visiting
+from manyhands.launch.look.sessions import find_session, visiting
 from manyhands.launch.look.tables import (
     look_at,
     picture,
@@ -30,6 +30,7 @@ from manyhands.launch.look.tables import (
 )
 from manyhands.launch.look.topics import DEFAULT_WINDOW, EchoLines, Pacing, find_topic, sentence, session_of
 from manyhands.launch.output import pipe_may_close, print_json
+from manyhands.launch.run.running import Running, running_sessions
 from manyhands.nodes.monitor.session_state import LiveSession
 from manyhands.protocol.clock import Instant, RealtimeClock, from_seconds
 

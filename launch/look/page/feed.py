@@ -20,7 +20,7 @@ from typing import Any, Final, Protocol
 
 from manyhands.launch.look.display import world_lines
 from manyhands.launch.look.page.pointer import Holding
-from manyhands.launch.look.sessions import Running
+from manyhands.launch.run.running import Running
 from manyhands.nodes.kernel.json_number import json_figures, json_number
 from manyhands.nodes.monitor.alarms import Alarms
 from manyhands.nodes.monitor.given import GivenForce, shares_cell

@@ -43,7 +43,7 @@ from manyhands.launch.look.page.pointer import (
     token_of,
 )
 from manyhands.launch.look.page.security import HEADERS, Doorstep, Token, ViewError
-from manyhands.launch.look.sessions import Running
+from manyhands.launch.run.running import Running
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds
 
 MOST_CONNECTIONS: Final = 64

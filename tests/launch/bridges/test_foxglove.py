@@ -26,7 +26,7 @@ from manyhands.launch.bridges.foxglove import (
     LiveMessages,
     application_address,
 )
-from manyhands.launch.look.sessions import Running
+from manyhands.launch.run.running import Running
 from manyhands.nodes.monitor.session_state import About
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import recorded_of
@@ -235,7 +235,7 @@ FLOOD = """
 import json, sys
 from pathlib import Path
 sys.path.insert(0, ".")
-from manyhands.launch.look.sessions import Running
+from manyhands.launch.run.running import Running
 from manyhands.launch.bridges.foxglove import FoxgloveServer
 from manyhands.protocol.clock import Instant
 from tests.support.foxglove_client import Message, connected

@@ -23,13 +23,14 @@ from manyhands.launch.look.attached import (
     record_attached,
     write_down,
 )
-from manyhands.launch.look.sessions import NoSession, Running, session_in
+from manyhands.launch.look.sessions import NoSession, session_in
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.recordings.integrity import findings
 from manyhands.launch.recordings.run import read_run
 from manyhands.launch.run.broadcast import Showing, describe
 from manyhands.launch.run.directory import SessionDirectory, kept_files, run_directory
 from manyhands.launch.run.processes import Interrupt
+from manyhands.launch.run.running import Running
 from manyhands.launch.run.states import SessionPhase
 from manyhands.launch.session import load_session
 from manyhands.nodes.recorder.core import RecorderCore

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from manyhands.launch.look.sessions import LOOK, Running, presence, watch
+from manyhands.launch.look.sessions import LOOK, presence, watch
+from manyhands.launch.run.running import Running
 from manyhands.nodes.monitor.session_state import LiveSession
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Condition, Observation

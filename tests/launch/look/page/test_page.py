@@ -24,7 +24,7 @@ from manyhands.launch.look.page.feed import Cursor, Feed, Watch
 from manyhands.launch.look.page.pointer import DEMANDS_AT_ONCE
 from manyhands.launch.look.page.security import HEADERS, Doorstep, Token, ViewError
 from manyhands.launch.look.page.server import STATIC, Connections, address_of, application, listen, load_assets
-from manyhands.launch.look.sessions import Running
+from manyhands.launch.run.running import Running
 from manyhands.nodes.monitor.given import FIGURES
 from manyhands.nodes.monitor.tracks import BUCKETS
 from manyhands.protocol.clock import Instant, RealtimeClock

@@ -27,7 +27,7 @@ from manyhands.launch.look.page.server import (
     run_until_stopped,
     without_tracebacks,
 )
-from manyhands.launch.look.sessions import Running
+from manyhands.launch.run.running import Running
 from manyhands.protocol.clock import Instant, RealtimeClock
 
 from ....support.observed_session import ABOUT
