@@ -93,6 +93,10 @@ many. A peer that sends more is no part of the session any more, and the node en
 LINGER_MS: Final = 500
 """The longest wait of a closing transport for frames that are on their way, such as a refusal, ms."""
 
+CONNECT_MS: Final = 4000
+"""The longest time that a host may take to accept a connection, ms: a firewall that drops what it does not want answers
+never, and the kernel alone would ask for two minutes. TCP has asked three times by then."""
+
 HANDSHAKE_MS: Final = 5000
 """The longest time of a connection to prove its key, after which it is closed, ms."""
 

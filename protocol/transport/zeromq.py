@@ -21,6 +21,7 @@ import zmq
 from manyhands.protocol.clock import Duration
 from manyhands.protocol.keys import KeyRing
 from manyhands.protocol.limits import (
+    CONNECT_MS,
     HEARTBEAT_MS,
     HUB_INBOX_FRAMES,
     HUB_QUEUE_FRAMES,
@@ -529,6 +530,7 @@ class ZmqTransport:
             raise failed("open a socket", error) from error
         self._sockets.append(socket)
         socket.setsockopt(zmq.LINGER, LINGER_MS)
+        socket.setsockopt(zmq.CONNECT_TIMEOUT, CONNECT_MS)
         socket.setsockopt(zmq.SNDHWM, queue_frames)
         socket.setsockopt(zmq.RCVHWM, queue_frames)
         overhead = 0 if self._door is None else _CURVE_BYTES  # ZeroMQ measures what comes over the wire
