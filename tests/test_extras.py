@@ -41,7 +41,16 @@ def distributions_of(module: str) -> set[str]:
 def test_the_table_has_the_extras_that_are_declared() -> None:
     assert EXTRAS.keys() == SETS.keys() - NO_MODULES
     (everything,) = map(Requirement, SETS["all"])
-    assert everything.extras == EXTRAS.keys() - {"parquet", "pandas", "foxglove", "ros", "mujoco", "mesh", "haply"}
+    assert everything.extras == EXTRAS.keys() - {
+        "proof",
+        "parquet",
+        "pandas",
+        "foxglove",
+        "ros",
+        "mujoco",
+        "mesh",
+        "haply",
+    }
 
 
 def test_requirements_of_versions_0_end_at_the_next_minor() -> None:

@@ -6,13 +6,16 @@ operator. For a stable proper H(s) that is
     H(jw) + H(jw)^* >= 0    for all real w,
 
 which is checked exactly (:mod:`manyhands.design.passivity.frequency`), and also on a frequency grid that is dense
-around every pole. The grid serves operators that are too large or too badly scaled for the exact test. At whatever
-frequency either test finds the least eigenvalue, the reported figure is that of the rational functions there.
+around every pole. The grid serves operators that are too large or too badly scaled for the exact test. It is alone
+where there is no SciPy: a session can be shown there, and whatever designs, proves or runs one needs SciPy and reads it
+anew. At whatever frequency either test finds the least eigenvalue, the reported figure is that of the rational
+functions there.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib.util import find_spec
 
 import numpy as np
 
@@ -142,7 +145,9 @@ class RationalMatrix:
         return tuple(RationalMatrix(tuple(tuple(self.entries[i][j] for j in group) for i in group)) for group in groups)
 
     def exactly_least(self) -> float | None:
-        """The frequency of the least eigenvalue of the Hermitian part, rad/s; None if floating point cannot decide."""
+        """The frequency of the least eigenvalue of the Hermitian part, rad/s; None if it cannot be decided here."""
+        if find_spec("scipy") is None:
+            return None
         from manyhands.design.passivity.frequency import least_hermitian_eigenvalue
 
         try:

@@ -166,7 +166,7 @@ def verify(
         >>> bool(mh.verify(certificate, mh.load("example1", {"devices.dx.osp": 1.0})))
         False
     """
-    require("design")
+    require("proof" if session is None else "design")
     from manyhands.design.proof import Proof, ProofInputError
     from manyhands.design.world import is_world
     from manyhands.launch.plan.proofs import prove_loop, prove_parts

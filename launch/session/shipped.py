@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import difflib
 import importlib.resources
+import re
 from collections.abc import Sequence
 from importlib.resources.abc import Traversable
 from pathlib import Path
 
-from manyhands.launch.session.errors import SessionError
+from manyhands.launch.session.errors import SessionError, show
+from manyhands.launch.session.fields import SESSION_NAME
 from manyhands.launch.session.session import Session, load_session
 
 
@@ -52,3 +54,15 @@ def shipped_session(name: str) -> Traversable:
         expected = f"a session file, or one that `manyhands sessions` lists{meant}"
         raise SessionError(name, None, "", "neither a file nor a shipped session of this name", expected)
     return shipped[wanted]
+
+
+def shipped_copy(template: str, name: str) -> str:
+    """The text of a shipped session, with its comments, under another name. No session is read for it.
+
+    Raises:
+        SessionError: there is no such template, or no session may have the name.
+    """
+    text = shipped_session(template).read_text()
+    if re.fullmatch(SESSION_NAME.pattern, name) is None:
+        raise SessionError("NAME", None, "", show(name), f"{SESSION_NAME.what}: {SESSION_NAME.words}")
+    return re.sub(r"^session: .*$", f"session: {name}", text, count=1, flags=re.MULTILINE)

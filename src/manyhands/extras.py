@@ -14,6 +14,7 @@ from typing import Final
 
 EXTRAS: Final[Mapping[str, tuple[str, ...]]] = {
     "design": ("scipy", "cvxpy", "clarabel", "flint"),
+    "proof": ("flint",),
     "record": ("mcap", "zstandard"),
     "plot": ("matplotlib",),
     "view": ("starlette", "uvicorn", "websockets", "h11"),

@@ -23,13 +23,11 @@ ROOT = Path(__file__).parents[2]
 
 NEEDED = {
     "mesh": "mesh",
-    "new": "design",  # of the session of its example, as of those of graph and keys: whether a hand is passive
     "design": "design",
     "verify": "design",
     "budget": "design",
     "identify": "design",
     "sweep": "design",
-    "graph": "design",
     "simulate": "design",
     "launch": "design",
     "demo": "design,record,plot",
@@ -41,7 +39,7 @@ NEEDED = {
     "replay": "record,design",
     "audit": "record,design",
     "host": "design",
-    "invite": "design",
+    "invite": "design",  # a bundle; keys alone need none
     "doctor": "design",
 }
 """The extras that the example of each command needs; those of other commands need none."""
@@ -98,13 +96,37 @@ def install_base(folder: Path, wheel: Path) -> Path:
     venv.create(folder, with_pip=False)
     pip = [sys.executable, "-P", "-m", "pip", "--python", folder / "bin" / "python", "install", "--quiet"]
     run(*pip, "--no-deps", "--no-index", wheel, cwd=folder)
-    site = Path(sysconfig.get_path("purelib", "venv", {"base": str(folder), "platbase": str(folder)}))
+    site = _site(folder)
     (installed,) = Distribution.discover(name="manyhands", path=[str(site)])
     for library in _required(installed):
-        for entry in {file.parts[0] for file in library.files or ()} - {"..", "__pycache__"}:
-            if not (site / entry).exists():
-                (site / entry).symlink_to(library.locate_file(entry))
+        link(library, site)
     return folder / "bin"
+
+
+def link(library: Distribution, site: Path) -> None:
+    """Link a distribution of this environment into a folder."""
+    for entry in {file.parts[0] for file in library.files or ()} - {"..", "__pycache__"}:
+        if not (site / entry).exists():
+            (site / entry).symlink_to(library.locate_file(entry))
+
+
+def base_sizes(bin_: Path) -> dict[str, float]:
+    """What each distribution of such an environment takes on the disk, MB, as ``du`` counts it: whole blocks.
+
+    What Python compiles of it at the installation is not counted, for it depends on how it was installed.
+    """
+    site = _site(bin_.parent)
+    (installed,) = Distribution.discover(name="manyhands", path=[str(site)])
+    return {one.name: _size(one) for one in (installed, *_required(installed))}
+
+
+def _size(one: Distribution) -> float:
+    places = {Path(str(one.locate_file(file))) for file in one.files or () if file.suffix != ".pyc"}
+    return sum(place.stat().st_blocks * 512 for place in places if place.exists()) / 2**20
+
+
+def _site(folder: Path) -> Path:
+    return Path(sysconfig.get_path("purelib", "venv", {"base": str(folder), "platbase": str(folder)}))
 
 
 def _required(installed: Distribution) -> list[Distribution]:

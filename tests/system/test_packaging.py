@@ -6,6 +6,7 @@ An installation of the base alone runs what a guest needs, and names the extra t
 from __future__ import annotations
 
 import json
+import os
 import re
 import shlex
 import signal
@@ -14,6 +15,7 @@ import sys
 import tarfile
 import zipfile
 from contextlib import ExitStack
+from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
@@ -22,11 +24,16 @@ from packaging.metadata import Metadata
 
 from manyhands.extras import EXTRAS
 from manyhands.launch.app.cli import app
+from manyhands.launch.session.shipped import shipped_sessions
 
 from ..support.capture import free_ports
-from ..support.installed import NEEDED, ROOT, Distributions, build, install_base, run
+from ..support.commands import run as manyhands
+from ..support.installed import NEEDED, ROOT, Distributions, base_sizes, build, install_base, link, run
 from ..support.rooms import ROOMS
 from .test_seats import Said, command, hosted, invitation_to, report_of
+
+MOST_BASE = 60.0
+"""MB, of the base without numpy."""
 
 RUN_EXAMPLES = """
 import json, sys
@@ -149,6 +156,64 @@ def test_a_guest_takes_a_seat_with_the_base_alone(base: Path, tmp_path: Path) ->
     assert "right_seat" in report_of(home)["nodes"]
 
 
+@pytest.mark.parametrize("template", sorted(shipped_sessions()))
+def test_the_base_copies_and_shows_every_shipped_session(template: str, base: Path, tmp_path: Path) -> None:
+    """`sessions`, `new`, `graph` and the keys of `invite` need no solver."""
+    commands = [
+        ["sessions", template],
+        ["new", "mine", "--from", template],
+        ["graph", "mine.yaml"],
+        ["graph", "mine.yaml", "--access"],
+        ["graph", "mine.yaml", "--format", "svg", "-o", "mine.svg"],
+        ["invite", "mine.yaml", "--keys", "keys"],
+    ]
+    code = RUN_EXAMPLES
+    asked = {str(number): arguments for number, arguments in enumerate(commands)}
+    done = subprocess.run(
+        [base / "python", "-P", "-c", code], cwd=tmp_path, input=json.dumps(asked), capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    for number, (ended, said) in json.loads(done.stdout).items():
+        assert ended == 0, f"{asked[number]}: {said}"
+    assert {path.name for path in tmp_path.iterdir()} == {"mine.yaml", "mine.svg", "keys"}
+
+
+def test_the_base_reads_sessions_in_python_and_finds_hands_that_are_not_passive(base: Path, tmp_path: Path) -> None:
+    code = """
+import manyhands as mh
+print(mh.load("ball"))
+try:
+    mh.load("example1", {"devices.dx.hand": {"operator": {"num": [1.0, -1.0], "den": [1.0, 1.0]}}})
+except mh.SessionError as error:
+    print(error)
+"""
+    read, refused = run(base / "python", "-P", "-c", code, cwd=tmp_path).splitlines()
+    assert read.startswith("Session(ball: ")
+    assert "operator not passive at 0 rad/s: the least eigenvalue of its Hermitian part there is -1 N*s/m" in refused
+
+
+def test_a_certificate_is_proved_beside_the_base_with_python_flint_alone(base: Path, tmp_path: Path) -> None:
+    """The extra `proof`; a session is read with all its checks where SciPy is, so comparing with one needs `design`."""
+    manyhands("design", "example1", "-o", tmp_path / "c.json")
+    site = tmp_path / "site"
+    site.mkdir()
+    link(distribution("python-flint"), site)
+    verify = [base / "manyhands", "verify", "c.json"]
+    assert "proved" in run(*verify, cwd=tmp_path, PYTHONPATH=str(site))
+    environment = {**os.environ, "PYTHONPATH": str(site)}
+    compared = [*verify, "--session", "example1"]
+    done = subprocess.run(compared, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr.endswith("pip install 'manyhands[design]'\n")) == (2, True)
+
+
+def test_the_base_is_small_but_for_numpy(base: Path) -> None:
+    """docs/installing.md has the sizes by package; most of numpy is its OpenBLAS."""
+    sizes = base_sizes(base)
+    others = {name: size for name, size in sizes.items() if name != "numpy"}
+    assert sizes["numpy"] > 20.0
+    assert sum(others.values()) <= MOST_BASE, others
+
+
 def test_without_its_extra_each_command_names_it_and_writes_nothing(base: Path, tmp_path: Path) -> None:
     group = typer.main.get_group(app)
     examples = {}
@@ -174,9 +239,9 @@ def test_without_its_extra_each_function_of_python_names_it(base: Path, tmp_path
     code = """
 from pathlib import Path
 import manyhands as mh
-from manyhands.launch.recordings.recording import RUN_SUFFIXES, require_suffix
+from manyhands.launch.recordings.formats import RUN_SUFFIXES
+from manyhands.launch.recordings.recording import require_suffix
 for act in (
-    lambda: mh.load("example1"),
     lambda: mh.certify({}),
     lambda: mh.passivity.greatest_output_level,
     lambda: mh.read("a.mcap"),
@@ -189,5 +254,5 @@ for act in (
         print(str(error).partition(": pip install ")[2])
 """
     found = run(base / "python", "-P", "-c", code, cwd=tmp_path).splitlines()
-    extras = ["design"] * 3 + ["record"] * 2 + ["plot"]
+    extras = ["design"] * 2 + ["record"] * 2 + ["plot"]
     assert found == [f"'manyhands[{extra}]'" for extra in extras]

@@ -47,7 +47,7 @@ from manyhands.launch.plan.bundles import require_member
 from manyhands.launch.plan.keys import load_folder, make_keys
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.reach import Listen
-from manyhands.launch.recordings.recording import STREAMED
+from manyhands.launch.recordings.formats import STREAMED
 from manyhands.launch.run.options import Hosting, StartOptions
 from manyhands.launch.session import Session
 from manyhands.launch.session.shipped import load_named
@@ -170,7 +170,6 @@ def invite(
     A bundle holds its node's own part of the session, and no other. Keys that exist are kept.
     """
     with errors():
-        from manyhands.launch.app.start import SettledDelay, prepare_settled
         from manyhands.launch.doctor.colocation import Where, settle_colocation
 
         wanted = nodes or []
@@ -187,6 +186,8 @@ def invite(
         if keys is not None and not wanted:
             end(run_keys(loaded, keys, renew, out, err, as_json))
             return
+        from manyhands.launch.app.start import SettledDelay, prepare_settled
+
         if certificate is None and not uncertified:
             refuse("give --certificate FILE, with which the session will be launched")
         files = bundle_files_of(loaded, wanted, output)

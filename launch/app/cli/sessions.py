@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,7 +14,7 @@ from manyhands.launch.app.cli.common import Json, err, errors, out, refuse, ship
 from manyhands.launch.files import TargetError, require_target
 from manyhands.launch.look.display import say
 from manyhands.launch.output import pipe_may_close
-from manyhands.launch.session.shipped import load_named, shipped_session, shipped_sessions
+from manyhands.launch.session.shipped import shipped_copy, shipped_session, shipped_sessions
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
@@ -74,13 +73,12 @@ def new(
     """Copy a shipped session file, with its comments, under a name of its own. An existing file is never replaced."""
     with errors():
         target = Path(f"{name}.yaml")
-        text = shipped_session(template).read_text()
-        load_named(template, [f"session={name}"])  # the name is one that a session may have
+        text = shipped_copy(template, name)
         require_target(target)
         if target.exists():
             raise TargetError(f"{target}: found a file; expected a free name, since no file is replaced")
         with replacing(target) as file:
-            file.write(re.sub(r"^session: .*$", f"session: {name}", text, count=1, flags=re.MULTILINE).encode())
+            file.write(text.encode())
         say(err, f"{target}: a copy of {template}; next: manyhands design {target}")
 
 
