@@ -16,6 +16,7 @@ from rich.text import Text
 
 from manyhands.launch.doctor.advice import QUANTILES, Advice, Worth, advice, stiffness_object
 from manyhands.launch.doctor.colocation import Where, choose, settle_colocation
+from manyhands.launch.doctor.compiled import TURNS, CompiledWorth, measure_worth
 from manyhands.launch.doctor.machine import Machine, examine
 from manyhands.launch.doctor.probe import MOST_PROCESSES, Form, Measured, measure
 from manyhands.launch.doctor.profile import (
@@ -123,6 +124,29 @@ def print_worth(console: Console, measured: Measured, worth: Worth, found: tuple
         say(console, f"- {one.change}\n    {'buys' if one.tried else 'could buy (not tried here)'}: {one.buys}")
 
 
+def compiled_sentence(found: CompiledWorth, worth: Worth) -> str:
+    """What the compiled tick is worth here, as a sentence."""
+    (compiled, pure), (least, most) = found.medians, found.spread
+    gain = " in place of ".join(f"{worth.weakest(median * 1e-6):.0f} N/m" for median in (compiled, pure))
+    return (
+        f"The compiled tick takes {found.ratio:.2f} of the time of pure Python here ({least:.2f} to {most:.2f} in "
+        f"{TURNS} turns; medians {compiled:.0f} µs and {pure:.0f} µs): {gain} at the median."
+    )
+
+
+def compiled_object(found: CompiledWorth | None, worth: Worth) -> dict[str, Any] | None:
+    """The same for ``--json``; None where there is no compiled tick to measure."""
+    if found is None:
+        return None
+    medians = dict(zip(("compiled", "pure"), found.medians, strict=True))
+    return {
+        "ratio": found.ratio,
+        "ratio_of_turns": list(found.spread),
+        "tau_us": medians,
+        "stiffness": {tick: worth.weakest(median * 1e-6) for tick, median in medians.items()},
+    }
+
+
 def _row(spread: Spread) -> list[str]:
     return [f"{value:.0f}" for value in (spread.p50, spread.p99, spread.p999, spread.max)]
 
@@ -134,6 +158,9 @@ def _capability(name: str, held: bool) -> str:
 def _yes(value: bool) -> str:
     return "yes" if value else "no"
 
+
+_COMPILED_PART = 0.2
+"""Of the measuring time: what the compiled tick is worth, where there is one."""
 
 LEAST_SECONDS = 1.0
 MOST_SECONDS = 600.0
@@ -165,9 +192,13 @@ def run_doctor(session: Session, seconds: float, out: Console, err: Console, as_
         return EXIT_BAD_INPUT
     require_runnable(graph)
     machine, worth = examine(), Worth.of(haptic_loop(session.with_delay(0.0)))
+    part, compiled = _COMPILED_PART if machine.compiled else 0.0, None
     try:
         with measuring(err) as show:
-            measured = measure(plan, seconds, machine.usable, machine.curve, show)
+            measured = measure(plan, seconds * (1.0 - part), machine.usable, machine.curve, show)
+            if machine.compiled:
+                show("the compiled tick and pure Python, by turns")
+                compiled = measure_worth(plan, seconds * part)
     except ProbeInterrupted as error:
         say(err, "interrupted before the measurement was complete")
         return 128 + error.signal
@@ -184,7 +215,10 @@ def run_doctor(session: Session, seconds: float, out: Console, err: Console, as_
     advised = (*form_advice(session, rates), *advice(machine, measured, worth, len(chains_of(graph))))
     kept = _keep(profiles.values(), err)
     if as_json:
-        print_json(doctor_object(machine, measured, worth, advised) | {"rates": rates_object(rates)})
+        print_json(
+            doctor_object(machine, measured, worth, advised)
+            | {"rates": rates_object(rates), "compiled_tick": compiled_object(compiled, worth)}
+        )
         return EXIT_OK
     print_machine(out, machine, measured.waking.granted)
     print_measured(out, measured, session.period)
@@ -192,6 +226,8 @@ def run_doctor(session: Session, seconds: float, out: Console, err: Console, as_
     if chosen.reason:
         say(out, f"{session.name}, launched: {chosen.reason}")
     print_worth(out, measured, worth, advised)
+    if compiled is not None:
+        say(out, compiled_sentence(compiled, worth))
     say(out, kept)
     return EXIT_OK
 

@@ -214,7 +214,7 @@ def measure(
             if interrupt.signal is not None:
                 raise ProbeInterrupted(interrupt.signal)
             show(f"a tick over {way.text}")
-            ticking.append(measure_ticks(rested, way, _ticks(each, session.period)))
+            ticking.append(measure_ticks(rested, way, ticks_in(each, session.period)))
         usual = usual_placement(plan.graph)  # one of the ways, unless the kernel refuses a right that we hold
         found: dict[Form, Ticking | str] = {}
         for one in ticking:
@@ -232,7 +232,7 @@ def measure(
             show(f"a tick at {1e-3 / form.period:g} kHz, {where} ({number + 1} of {len(left)})")
             try:
                 other = unproved(at_rest(session, form))
-                found[form] = measure_ticks(other, Way.of_run(other), _ticks(each, form.period))
+                found[form] = measure_ticks(other, Way.of_run(other), ticks_in(each, form.period))
             except ProbeFailed as error:  # a rate beyond this machine says nothing against the others
                 found[form] = str(error)
         return Measured(waking, tuple(ticking), {form: found[form] for form in forms}, each)
@@ -254,7 +254,8 @@ def _ways(graph: Topology, processors: Sequence[int], fifo: bool, curve: bool) -
     return ways
 
 
-def _ticks(seconds: float, period: float) -> int:
+def ticks_in(seconds: float, period: float) -> int:
+    """Number of ticks that are measured in a time (s), at least :data:`LEAST_TICKS`."""
     return max(LEAST_TICKS, int(seconds / period))
 
 
@@ -311,7 +312,7 @@ def measure_waking(
         ProbeInterrupted: on Ctrl-C.
         ProbeFailed: the process failed, or did not end in time.
     """
-    ticks, nanoseconds = _ticks(seconds / 3, period), from_seconds(period)
+    ticks, nanoseconds = ticks_in(seconds / 3, period), from_seconds(period)
     within = Duration(ANSWER_TIME + 3 * SLOWEST * ticks * nanoseconds)
     processes = Processes(directory)
     pipe, its_end = os.pipe2(os.O_CLOEXEC)
@@ -362,7 +363,7 @@ def measure_profile(plan: Plan, way: Way, seconds: float = PROFILE_TIME) -> Prof
         ProbeInterrupted: on Ctrl-C.
         ProbeFailed: the session failed, or none of its devices ever got a force.
     """
-    ticking = measure_ticks(unproved(at_rest(plan.session)), way, _ticks(seconds, plan.session.period))
+    ticking = measure_ticks(unproved(at_rest(plan.session)), way, ticks_in(seconds, plan.session.period))
     return ticking.profile(plan, seconds, time.time())
 
 
