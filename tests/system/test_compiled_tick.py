@@ -116,6 +116,32 @@ def test_where_the_compiler_fails_the_wheel_is_pure_python(monkeypatch: pytest.M
     assert warnings == ["the tick is not compiled, and stays pure Python: cannot compile this"]
 
 
+def test_an_error_counts_in_a_module_that_is_compiled_and_in_no_other(tmp_path: Path) -> None:
+    """Newer types of a library may find fault with any module; those that are not compiled lend their types alone."""
+    root = tmp_path / "root"
+    package = root / "src" / "manyhands"
+    package.mkdir(parents=True)
+    (package / "__init__.py").touch()
+    for name in ("design", "protocol", "nodes"):
+        (root / name).mkdir()
+    (root / "design" / "wrong.py").write_text('def number() -> int:\n    return "none"\n')
+    (root / "nodes" / "right.py").write_text("from manyhands.design.wrong import number\n\n\nx: int = number()\n")
+    (root / "nodes" / "other.py").write_text('x: int = "none"\n')
+
+    def tried(module: str) -> dict[str, str]:
+        folder = tmp_path / module.replace("/", "-")
+        folder.mkdir()
+        found: dict[str, str] = HOOK.compiled(root, folder, [module])
+        return found
+
+    if shutil.which((sysconfig.get_config_var("CC") or "cc").split()[0]) is None:
+        assert not REQUIRED, "MANYHANDS_REQUIRE_COMPILER is set, and there is no C compiler"
+        pytest.skip("no C compiler")
+    assert any("right" in file for file in tried("nodes/right").values())
+    with pytest.raises(HOOK.NotCompiled, match="Incompatible types in assignment"):
+        tried("nodes/other")
+
+
 def test_an_editable_installation_is_never_compiled() -> None:
     assert build("editable") == (PURE, [])
 
