@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 
 ROUNDS ?= 10
 
-.PHONY: demo test test-long test-rest guests lint types imports pytest campaign attack heavy refusals worlds fuzz fuzz-board firmware datagrams wan far-user scenes world-peers encoder friction mechanisms identify flood loop watched soak users linked-users chaos faults lateness inertia honest hostile blamed device-faults remote pictures page benchmark curve figures docs words docs-pictures clean
+.PHONY: container service ssh nat pythons demo test test-long test-rest guests lint types imports pytest campaign attack heavy refusals worlds fuzz fuzz-board firmware datagrams wan far-user scenes world-peers encoder friction mechanisms identify flood loop watched soak users linked-users chaos faults lateness inertia honest hostile blamed device-faults remote pictures page benchmark curve figures docs words docs-pictures clean
 
 demo: $(VENV)/.installed
 	$(BIN)/manyhands demo -o out/demo
@@ -109,6 +109,28 @@ datagrams: $(VENV)/.installed
 # the age of the newest wave across a WAN of namespaces, with datagrams and with ZeroMQ alone: three minutes
 wan: $(VENV)/.installed
 	$(BIN)/python -m tests.support.path_ends 20
+
+# the image of deploy/Containerfile upon Debian's own packages, and what it does; as root, with mmdebstrap, buildah, podman
+# and crun: ten minutes
+container: $(VENV)/.installed
+	$(BIN)/python -m tests.deployed.image
+
+# systemd's own checks of the unit: a few seconds
+service: $(VENV)/.installed
+	$(BIN)/python -m tests.deployed.service
+
+# `launch --on` through a real sshd on a port of the loopback, with throw-away keys; needs openssh-server: a minute
+ssh: $(VENV)/.installed
+	$(BIN)/python -m tests.deployed.ssh
+
+# guests and hosts behind routers that translate addresses, in namespaces; as root, with nftables: two minutes
+nat: $(VENV)/.installed
+	$(BIN)/python -m tests.deployed.router
+
+# the suite on Python 3.11 to 3.14, of PATH, pyenv or Debian (as root, with mmdebstrap): the whole one takes hours;
+# SUITE="tests/protocol tests/nodes" names tests in its place, ONLY="--only 3.14" a version
+pythons: $(VENV)/.installed
+	$(BIN)/python -m tests.deployed.pythons $(ONLY) $(SUITE)
 
 # three users of Example 1, one across a WAN of namespaces, beside an ideal line; exits 1 when a bound is broken. On a
 # machine that does nothing else; four minutes

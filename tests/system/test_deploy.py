@@ -139,8 +139,10 @@ def test_the_image_is_built_from_what_a_wheel_needs(tmp_path: Path) -> None:
 
 def test_the_image_runs_as_nobody_in_particular_without_tools() -> None:
     (build, *_), last = instructions(1), instructions(2)
-    assert build[1].endswith("-bookworm")
-    assert last[0] == ["FROM", build[1].replace("-bookworm", "-slim-bookworm")]
+    given = dict(words[1].split("=") for words in instructions(0) if words[0] == "ARG")
+    assert given["BUILD"].endswith("python:${PYTHON}-bookworm")
+    assert given["RUN"] == given["BUILD"].replace("-bookworm", "-slim-bookworm")
+    assert (build, last[0]) == (["FROM", "${BUILD}", "AS", "build"], ["FROM", "${RUN}"])
     users = [words[1] for words in last if words[0] == "USER"]
     assert users == ["10001:10001"]
     assert not [words for words in last if words[0] == "ADD" or "pip" in words or "apt-get" in words]

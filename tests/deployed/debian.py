@@ -1,0 +1,44 @@
+"""Root file systems of Debian's own packages, for where no registry of images can be reached.
+
+A command in one uses this machine's network. It finds the registry of Python's packages as pip does here: with this
+machine's names (:data:`NAMES`), certificates and configuration of pip (:data:`REGISTRY`).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from tests.deployed.checks import must
+
+MIRROR: Final = os.environ.get("DEBIAN_MIRROR", "http://deb.debian.org/debian")
+
+SUITES: Final = {"3.11": "bookworm", "3.13": "trixie", "3.14": "forky"}
+"""The suite of Debian whose ``python3`` is of a version."""
+
+NAMES: Final = ("/etc/resolv.conf", "/etc/hosts")
+REGISTRY: Final = ("/etc/ssl/certs/ca-certificates.crt", "/etc/pip.conf")
+
+
+def of_this_machine(*files: str) -> list[Path]:
+    """Those of these files that there are."""
+    return [Path(file) for file in files if Path(file).exists()]
+
+
+def root_file_system(target: Path, suite: str, packages: Sequence[str]) -> Path:
+    """Make an archive (``.tar``) or a folder of a suite with these packages and what they require.
+
+    Returns:
+        ``target``.
+
+    Raises:
+        SystemExit: mmdebstrap failed.
+    """
+    target.parent.mkdir(parents=True, exist_ok=True)
+    # no recommendations, documents or translations, and no apt: an image is no place to install more
+    options = ["--variant=essential", "--aptopt=APT::Install-Recommends false", "--quiet"]
+    options += [f"--dpkgopt=path-exclude=/usr/share/{part}/*" for part in ("doc", "man", "locale", "info")]
+    must(["mmdebstrap", *options, f"--include={','.join(packages)}", suite, target, MIRROR], within=1200.0)
+    return target
