@@ -6,12 +6,14 @@ machine's names (:data:`NAMES`), certificates and configuration of pip (:data:`R
 
 from __future__ import annotations
 
+import hashlib
 import os
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from tests.deployed.checks import must
+from tests.deployed.checks import ROOT, must
 
 MIRROR: Final = os.environ.get("DEBIAN_MIRROR", "http://deb.debian.org/debian")
 
@@ -39,6 +41,19 @@ def root_file_system(target: Path, suite: str, packages: Sequence[str]) -> Path:
     target.parent.mkdir(parents=True, exist_ok=True)
     # no recommendations, documents or translations, and no apt: an image is no place to install more
     options = ["--variant=essential", "--aptopt=APT::Install-Recommends false", "--quiet"]
+    options += ["--aptopt=Acquire::Check-Valid-Until false"]  # a mirror may be of some weeks ago
     options += [f"--dpkgopt=path-exclude=/usr/share/{part}/*" for part in ("doc", "man", "locale", "info")]
     must(["mmdebstrap", *options, f"--include={','.join(packages)}", suite, target, MIRROR], within=1200.0)
     return target
+
+
+_FRESH: Final = 24 * 3600.0  # s
+
+
+def archive(suite: str, packages: Sequence[str]) -> Path:
+    """The archive of such a root file system in out/debian/, made anew if it is older than a day."""
+    digest = hashlib.sha256(" ".join([MIRROR, *sorted(packages)]).encode()).hexdigest()[:12]
+    kept = ROOT / "out" / "debian" / f"{suite}-{digest}.tar"
+    if not kept.exists() or time.time() - kept.stat().st_mtime > _FRESH:
+        root_file_system(kept.with_suffix(".new.tar"), suite, packages).replace(kept)
+    return kept

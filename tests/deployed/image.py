@@ -22,7 +22,7 @@ from typing import Final
 
 from manyhands.nodes.kernel.realtime import FIFO_PRIORITY, NETWORK_NICE
 from tests.deployed.checks import ROOT, Checks, done, must, require_programs, require_root
-from tests.deployed.debian import REGISTRY, of_this_machine, root_file_system
+from tests.deployed.debian import REGISTRY, archive, of_this_machine
 
 SUITE: Final = "trixie"
 _RUN: Final = ("ca-certificates", "passwd", "python3", "python-is-python3")
@@ -100,15 +100,13 @@ def main() -> int:
     require_root()
     require_programs({"mmdebstrap": "mmdebstrap", "buildah": "buildah", "podman": "podman", "runc": "runc"})
     checks = Checks()
-    with store() as images, tempfile.TemporaryDirectory(prefix="mh-debian-") as name:
+    with store() as images:
         for kind, packages in (("run", _RUN), ("build", _BUILD)):
             began = time.monotonic()
-            archive = root_file_system(Path(name) / f"{kind}.tar", SUITE, packages)
-            images.base(f"localhost/debian-{kind}", archive)
-            checks.say(
-                f"      {kind}: {archive.stat().st_size / 1e6:.0f} MB of {SUITE}, {time.monotonic() - began:.0f} s"
-            )
-            archive.unlink()
+            base = archive(SUITE, packages)
+            images.base(f"localhost/debian-{kind}", base)
+            size, took = base.stat().st_size / 1e6, time.monotonic() - began
+            checks.say(f"      {kind}: {size:.0f} MB of {SUITE}, {took:.0f} s")
         _built(checks, images, "localhost/manyhands", "design,record")
         if not checks.failed:
             _serves(checks, images, "localhost/manyhands")
