@@ -125,3 +125,13 @@ def stopped_at_the_end(command: Sequence[str | Path], **options: object) -> Iter
             yield process
         finally:
             process.kill()
+
+
+def sources(target: Path) -> Path:
+    """A copy of what is committed or was changed since, in a new folder; returns it."""
+    listed = must(["git", "-C", ROOT, "ls-files", "--cached", "--others", "--exclude-standard", "-z"])
+    for name in filter(None, listed.split("\0")):
+        if (ROOT / name).is_symlink() or (ROOT / name).exists():
+            (target / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, target / name, follow_symlinks=False)
+    return target

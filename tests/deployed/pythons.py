@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from tests.deployed.checks import ROOT, Checks, done
+from tests.deployed.checks import ROOT, Checks, done, sources
 from tests.deployed.debian import NAMES, REGISTRY, SUITES, of_this_machine, root_file_system
 
 _PROJECT: Final = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -130,12 +130,7 @@ def main() -> int:
 
 def _suite(checks: Checks, version: str, python: Interpreter, source: Path, tests: Sequence[str], target: str) -> None:
     """Check one version, in a copy of what is committed or was changed since."""
-    source.mkdir()
-    listed = done(["git", "-C", ROOT, "ls-files", "--cached", "--others", "--exclude-standard", "-z"]).stdout
-    for file in filter(None, listed.split("\0")):
-        if (ROOT / file).is_symlink() or (ROOT / file).exists():
-            (source / file).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(ROOT / file, source / file, follow_symlinks=False)
+    sources(source)
     for command in (["git", "init", "-q"], ["git", "add", "-A"]):
         done(["git", "-C", source, *command[1:]])
 
