@@ -138,6 +138,9 @@ def form_of(annotation: Any) -> PlainForm:
     origin, parts = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
         return _annotated(*parts)
+    named = annotation if origin is None else origin
+    if hasattr(named, "__value__"):  # of a ``type`` statement, such as NDArray in numpy 2.5, whose kind decides
+        return form_of(named.__value__)
     if origin in (UnionType, Union) and NoneType in parts and len(parts) == 2:
         return optional(form_of(parts[parts[0] is NoneType]))
     if origin is tuple:

@@ -7,13 +7,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any, TypeAlias, TypeVar
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from typing_extensions import TypeAliasType
 
 from manyhands.protocol.plain import Added, PlainForm, Requirement, Unfit, by_kind, form_of, read, written
 
@@ -180,3 +181,14 @@ def test_whatever_comes_it_is_read_or_refused(data: Any, key: str | None) -> Non
 def test_what_has_no_form_is_said_at_once(annotation: Any) -> None:
     with pytest.raises(TypeError, match="expected one that has a form in plain data"):
         form_of(annotation)
+
+
+def test_a_matrix_under_the_name_of_a_type_statement_is_a_matrix() -> None:
+    """As numpy 2.5 states NDArray, where Python has such statements: 3.12 and later."""
+    scalar = TypeVar("scalar", bound=np.generic)
+    shape = tuple[int, ...]
+    named = TypeAliasType("named", np.ndarray[shape, np.dtype[scalar]], type_params=(scalar,))
+    M = np.array([[1.0, 2.0], [3.0, 4.0]])
+    for annotation in (named[np.float64], named):
+        form = form_of(annotation)
+        assert np.array_equal(form.read(form.write(M)), M)
