@@ -138,15 +138,7 @@ def _host_reachable(checks: Checks, one: Wan, of_guest: Router, folder: Path) ->
     home = folder / "home"
     with hosted(home, f"{one.address('near')}:{PORT}", within=one.within("near")) as host:
         of_guest.rule()
-        _joins(checks, "a guest behind a router", host, home, folder / "a", of_guest)
-        seen = must(
-            [*one.within("near"), "ss", "-Htn", "state", "all", f"( sport >= :{PORT} and sport <= :{PORT + 2} )"]
-        )
-        others = {line.split()[4].rpartition(":")[0] for line in seen.splitlines() if len(line.split()) > 4}
-        others -= {"0.0.0.0", "*", one.address("near")}  # who has connected to nobody yet, and nodes of the host itself
-        checks.that(
-            "the host has seen the router's address alone", others == {of_guest.address}, ", ".join(sorted(others))
-        )
+        _joins(checks, "a guest behind a router", host, home, folder / "a", of_guest, seen_by=one)
         of_guest.rule(datagrams=False)
         _joins(
             checks, "behind a router that lets no datagrams out", host, home, folder / "b", of_guest, datagrams=False
@@ -180,8 +172,23 @@ def _host_behind_one_as_well(checks: Checks, one: Wan, of_guest: Router, of_host
         checks.that("that host ends on Ctrl-C", host.end(signal.SIGINT) == 130)
 
 
+def _others(one: Wan) -> set[str]:
+    """The addresses that are connected to the host's ports, but for its own."""
+    ports = f"( sport >= :{PORT} and sport <= :{PORT + 2} )"
+    lines = must([*one.within("near"), "ss", "-Htn", "state", "established", ports]).splitlines()
+    return {line.split()[-1].rpartition(":")[0] for line in lines} - {one.address("near")}
+
+
 def _joins(
-    checks: Checks, what: str, host: Host, home: Path, machine: Path, of_guest: Router, *, datagrams: bool = True
+    checks: Checks,
+    what: str,
+    host: Host,
+    home: Path,
+    machine: Path,
+    of_guest: Router,
+    *,
+    datagrams: bool = True,
+    seen_by: Wan | None = None,
 ) -> None:
     """A guest takes the seat and stays for some seconds."""
     with guest(SEAT, home, machine, "--yes", within=of_guest.within) as one:
@@ -189,6 +196,10 @@ def _joins(
         host.joined(SEAT)
         before = of_guest.passed()
         host.go_on(TICKS)
+        if seen_by is not None:
+            others = _others(seen_by)
+            own = of_guest.address
+            checks.that("the host sees the router's address alone", others == {own}, ", ".join(sorted(others)))
         counts = {name: count - before[name] for name, count in of_guest.passed().items()}
         code = one.end(signal.SIGINT)
     host.left(SEAT)
