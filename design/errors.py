@@ -21,7 +21,7 @@ class DesignError(Exception):
     """
 
 
-class Remedy(Protocol):
+class TriedChange(Protocol):
     """A change with which a design was tried, and is certified; as a text it is the whole of its sentence."""
 
     @property
@@ -54,16 +54,16 @@ class Infeasible(DesignError):
 
     def __init__(self, condition: str) -> None:
         self.condition = condition
-        self.search: Callable[[], Iterable[Remedy]] = tuple
+        self.search: Callable[[], Iterable[TriedChange]] = tuple
         super().__init__(condition)
 
-    def searching(self, search: Callable[[], Iterable[Remedy]]) -> Self:
+    def searching(self, search: Callable[[], Iterable[TriedChange]]) -> Self:
         """This error, with the search of what helps."""
         self.search = search
         return self
 
     @cached_property
-    def remedies(self) -> tuple[Remedy, ...]:
+    def remedies(self) -> tuple[TriedChange, ...]:
         """Changes with which a design was tried and is certified, with what they give."""
         return tuple(self.search())
 

@@ -16,7 +16,7 @@ from rich.table import Table
 
 from manyhands.design.certificate import Certificate, certificate_of, read_plain, save
 from manyhands.design.environments import environment_of
-from manyhands.design.errors import CertificateError, DesignError, Remedy
+from manyhands.design.errors import CertificateError, DesignError, TriedChange
 from manyhands.design.models.weights import Filter
 from manyhands.design.world import CONDITION_A, World, save_world
 from manyhands.launch.app.design_report import (
@@ -123,7 +123,7 @@ def run_design(
     return code
 
 
-def _infeasible(session: Session, error: DesignError, helps: Sequence[Remedy]) -> dict[str, Any]:
+def _infeasible(session: Session, error: DesignError, helps: Sequence[TriedChange]) -> dict[str, Any]:
     """The object that ``--json`` prints for a part that cannot be certified."""
     relax = {"relax": [str(one) for one in helps], "changes": [dict(one.changes) for one in helps]}
     if not session.wave_links:

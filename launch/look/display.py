@@ -17,7 +17,7 @@ from rich.progress import Progress as ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from manyhands.design.errors import Infeasible, Remedy
+from manyhands.design.errors import Infeasible, TriedChange
 from manyhands.nodes.environment.chatter import MOST as MOST_REVERSALS
 from manyhands.nodes.monitor.given import GivenForce, shares_cell
 from manyhands.nodes.monitor.health import PromiseState, condensed, is_present, missed, sentence
@@ -232,7 +232,7 @@ def say(console: Console, text: str) -> None:
     console.print(printable(text), markup=False, emoji=False, soft_wrap=not console.is_terminal)
 
 
-def could_help(err: Console, error: BaseException | None) -> tuple[Remedy, ...]:
+def could_help(err: Console, error: BaseException | None) -> tuple[TriedChange, ...]:
     """Try what would help where an error can say it, and print each change that does, with what it gives.
 
     A Ctrl-C ends the search, and nothing else.
@@ -241,7 +241,7 @@ def could_help(err: Console, error: BaseException | None) -> tuple[Remedy, ...]:
         err: where to.
         error: why something is not certified, or the cause of that.
     """
-    found: list[Remedy] = []
+    found: list[TriedChange] = []
     if isinstance(error, Infeasible):
         with suppress(KeyboardInterrupt):
             for one in error.search():

@@ -113,7 +113,7 @@ class Cause(StrEnum):
     BEGINNING = "beginning"
 
 
-class Remedy(StrEnum):
+class Reply(StrEnum):
     """What is done about a breach."""
 
     NOTICE = "notice"
@@ -121,15 +121,15 @@ class Remedy(StrEnum):
     END = "end"
 
 
-REMEDIES: Final[Mapping[tuple[Policy, Breach], Remedy]] = {
-    (Policy.WARN, Breach.DELAY): Remedy.NOTICE,
-    (Policy.WARN, Breach.PERIOD): Remedy.NOTICE,
-    (Policy.SOFTEN, Breach.DELAY): Remedy.SOFTEN,
-    (Policy.SOFTEN, Breach.PERIOD): Remedy.NOTICE,  # a softer coupling is certified for a longer delay, not another T
-    (Policy.STOP, Breach.DELAY): Remedy.END,
-    (Policy.STOP, Breach.PERIOD): Remedy.END,
+REPLIES: Final[Mapping[tuple[Policy, Breach], Reply]] = {
+    (Policy.WARN, Breach.DELAY): Reply.NOTICE,
+    (Policy.WARN, Breach.PERIOD): Reply.NOTICE,
+    (Policy.SOFTEN, Breach.DELAY): Reply.SOFTEN,
+    (Policy.SOFTEN, Breach.PERIOD): Reply.NOTICE,  # a softer coupling is certified for a longer delay, not another T
+    (Policy.STOP, Breach.DELAY): Reply.END,
+    (Policy.STOP, Breach.PERIOD): Reply.END,
 }
-"""The remedy for each policy and breach."""
+"""The reply for each policy and breach."""
 
 _COUNTS: Final = {Breach.DELAY: names.TAU_BREACHES, Breach.PERIOD: names.PERIOD_BREACHES}
 
@@ -336,7 +336,7 @@ class BreachPolicy:
             before.in_a_row[breach] = before.in_a_row[breach] + 1 if broken else 0
             if before.in_a_row[breach] == IN_A_ROW:
                 before.in_a_row[breach] = 0
-                out += self._remedy(device, breach, min(before.worst))
+                out += self._reply(device, breach, min(before.worst))
         before.tick, before.counts = tick, counts
         return out + self._climb(device, before, own)
 
@@ -394,12 +394,12 @@ class BreachPolicy:
         chains = (chain for device, chain in self._chains.items() if self._covered[device].in_tick)
         return tuple(dict.fromkeys(coupling for chain in chains for coupling in chain))
 
-    def _remedy(self, device: str, breach: Breach, measured: float) -> list[Decision]:
+    def _reply(self, device: str, breach: Breach, measured: float) -> list[Decision]:
         """Apply the policy; ``measured`` is a delay, s, that each message in question reached, so one outlier decides
         nothing.
         """
-        match REMEDIES[self._policy, breach]:
-            case Remedy.END:
+        match REPLIES[self._policy, breach]:
+            case Reply.END:
                 covered = self._covered[device]
                 if breach is Breach.DELAY:
                     found, allowed = f"its delay ({_ms(measured)})", _ms(covered.tau)
@@ -408,10 +408,10 @@ class BreachPolicy:
                     allowed = f"{_ms(covered.longest_period)}, more after an early force"
                 what = f"{device}: {found} keeps exceeding what the certificate covers ({allowed})"
                 return [EndSession(f"{what}; the session's faults.breach is stop")]
-            case Remedy.SOFTEN:
+            case Reply.SOFTEN:
                 softened = self._soften(device, measured)
                 return [*softened, *self._name(breach, device, news=bool(softened))]
-            case Remedy.NOTICE:
+            case Reply.NOTICE:
                 return [*self._name(breach, device)]
 
     def _soften(self, device: str, measured: float) -> list[ShiftCoupling]:
