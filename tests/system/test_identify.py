@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import re
 import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,6 +65,7 @@ def identified(driver: str, row: Row, folder: Path, period: float) -> Attempt:
         )
         assert not any(far.force()), "a force acts after the end"
     said = done.stdout + done.stderr
+    sys.stdout.write(said)  # what was found, for pytest -rP
     assert done.returncode in (0, 1), said
     counts = _COUNTS.search(said)
     assert counts, said

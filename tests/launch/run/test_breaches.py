@@ -17,7 +17,7 @@ from manyhands.launch.run.breaches import (
     MARGIN,
     MOST_DOUBLINGS,
     MOST_HELD,
-    REMEDIES,
+    REPLIES,
     Assumptions,
     Breach,
     BreachPolicy,
@@ -561,7 +561,7 @@ def test_stop_ends_the_session_and_warn_only_reports() -> None:
 
 
 def test_there_is_a_remedy_for_every_case() -> None:
-    assert REMEDIES.keys() == {(policy, breach) for policy in Policy for breach in Breach}
+    assert REPLIES.keys() == {(policy, breach) for policy in Policy for breach in Breach}
 
 
 counts = st.floats() | st.sampled_from([0.0, 1.0, 1e300, math.nan, math.inf, -1.0])
