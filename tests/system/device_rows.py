@@ -110,10 +110,10 @@ class BoardWire:
         return first + turn * round(((at - self._at_zero) / 1000 - first) / turn)
 
 
-HELD: Final = Axis(m=0.15, b=1.0, step=1e-5, k=100.0, amplitude=0.01, frequency=0.7, displacement=0.2)
+HELD: Final = Axis(m=0.15, b=1.0, step=1e-5, k=100.0, amplitude=0.01, frequency=0.7)
 """Somebody holds the board, and moves."""
 
-FREE: Final = Axis(m=0.15, b=3.0, c=0.1, step=1e-5, displacement=0.2)
+FREE: Final = Axis(m=0.15, b=3.0, c=0.1, step=1e-5)
 
 
 @contextmanager
