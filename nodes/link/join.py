@@ -278,7 +278,8 @@ class Join(ABC):
         return (
             f"{self.own.name}: {self.peer.name} sent {MAX_STRAY_FRAMES + 1} stray frames while its signal of tick "
             f"{tick} was awaited (in all: {kinds}); expected at most {MAX_STRAY_FRAMES}. See what runs as "
-            f"{self.peer.name}; where all are repeats of an old tick, this process had no turn for half a second or more"
+            f"{self.peer.name}; where all are repeats of an old tick, this process had no turn for half a second or "
+            "more"
         )
 
 
