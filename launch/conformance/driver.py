@@ -430,18 +430,15 @@ def _measured(bench: Bench) -> Iterator[Judgement]:
     driver = bench.driver
     if not isinstance(driver, PluginDriver) or not driver.measures:
         return
-    if driver.untrue is None and driver.limp is not None:
-        ticks, most = driver.limp
-        text = f"found no force in {ticks} ticks, in which it was given up to {most:.3g} N"
+    if (untrue := driver.untrue).ticks:
+        found = f"measured forces that it had not been given, in {untrue.ticks} ticks, by up to {untrue.most:.3g} N"
+        expected = f"each within {PART:.0%} of its stated limit of one that it was given, within its stated delay"
+    elif (limp := driver.limp).ticks:
+        found = f"no force in {limp.ticks} ticks, in which it was given up to {limp.most:.3g} N"
         expected = "one that exerts what it is given while nothing is wrong: see its power, its watchdog and its limits"
-        yield Judgement(FORCE, Conformance.BROKEN, f"{text}; expected {expected}")
-        return
-    if driver.untrue is None:
+    else:
         yield Judgement(FORCE, Conformance.KEPT, "every force that it measured is one that it was given")
         return
-    ticks, most = driver.untrue
-    found = f"measured forces that it had not been given, in {ticks} ticks, by up to {most:.3g} N"
-    expected = f"each within {PART:.0%} of its stated limit of one that it was given, within its stated delay"
     yield Judgement(FORCE, Conformance.BROKEN, f"found {found}; expected {expected}")
 
 

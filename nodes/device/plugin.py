@@ -23,6 +23,7 @@ import math
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 from manyhands.nodes.device.specification import AxisMap, DeviceSpecification, promises_too_much
@@ -114,15 +115,31 @@ PART: Final = 0.05
 """The part of an axis' stated limit of force by which a measured force may differ from the one that was given."""
 
 
+@dataclass
+class Differences:
+    """Measured forces that differ in one way from those that were given.
+
+    Attributes:
+        ticks: in how many ticks one did.
+        most: by how much at most, on any axis, N.
+    """
+
+    ticks: int = 0
+    most: float = 0.0
+
+    def count(self, by: float) -> None:
+        """A tick in which one differs by so much, N."""
+        self.ticks += 1
+        self.most = max(self.most, by)
+
+
 class GivenForces:
     """The forces that a driver was given lately, and whether a measured one is among them.
 
     Attributes:
-        ticks: the number of measurements that were not.
-        most: by how much they differed from the nearest at most, on any axis, N.
-        limp: the number of measurements of no force on any axis, where one was given: the device protects itself, or
-            its watchdog has acted. They are none of ``ticks``.
-        limp_most: the greatest force of an axis that it lacked then, N.
+        untrue: measurements that were not, by their distance from the nearest.
+        limp: measurements of no force on any axis, where one was given: the device protects itself, or its watchdog has
+            acted. They are none of ``untrue``.
     """
 
     def __init__(self, limits: Sequence[float], window: Duration) -> None:
@@ -136,8 +153,7 @@ class GivenForces:
         self._zero: Floats = [0.0] * len(limits)
         self._given: deque[tuple[Instant, Floats]] = deque([(Instant(0), self._zero)])
         self._at = Instant(0)
-        self.ticks, self.most = 0, 0.0
-        self.limp, self.limp_most = 0, 0.0
+        self.untrue, self.limp = Differences(), Differences()
 
     def give(self, F: Floats, at: Instant, until: Instant | None = None) -> None:
         """From ``at`` on it has to be F (N), and from ``until`` on zero."""
@@ -158,14 +174,9 @@ class GivenForces:
             beyond = max(min(of_axis) - force, force - max(of_axis))
             if beyond > allowed:
                 worst = max(worst, beyond)
-        if not worst > 0.0:
-            return
-        if all(abs(force) <= allowed for force, allowed in zip(F, self._allowed, strict=True)):
-            self.limp += 1
-            self.limp_most = max(self.limp_most, worst)
-        else:
-            self.ticks += 1
-            self.most = max(self.most, worst)
+        if worst > 0.0:
+            none = all(abs(force) <= allowed for force, allowed in zip(F, self._allowed, strict=True))
+            (self.limp if none else self.untrue).count(worst)
 
 
 class DriverFailure(ValueError):
@@ -266,7 +277,7 @@ class PluginDriver:
         self._zero: Floats = [0.0] * m
         self._F = self._zero  # in the driver's axes, N
         self._failed = False
-        self._unexerted, self._most_unexerted = 0, 0.0
+        self._unexerted = Differences()
 
     @property
     def axes(self) -> int:
@@ -320,8 +331,7 @@ class PluginDriver:
         if len(F) != self._m or not all(map(math.isfinite, F)):
             raise self._unusable("exerted", F, f"{self._m} finite forces in N, or None")
         self._given.measured(F)
-        self._unexerted += 1
-        self._most_unexerted = max(self._most_unexerted, *(abs(a - b) for a, b in zip(F, self._F, strict=True)))
+        self._unexerted.count(max(abs(a - b) for a, b in zip(F, self._F, strict=True)))
         return [F[axis] / gain for axis, gain in self._to_ports]
 
     def idle(self, due: Instant) -> None:
@@ -368,31 +378,24 @@ class PluginDriver:
         found = dict[str, float]()
         if self._measured:
             found[names.MEASURED] = float(self._measured)
-        if self._unexerted:
-            found |= {names.UNEXERTED: float(self._unexerted), names.UNEXERTED_MOST: self._most_unexerted}
-        if self.untrue:
-            ticks, most = self.untrue
-            found |= {names.UNTRUE: float(ticks), names.UNTRUE_MOST: most}
-        if self.limp:
-            ticks, most = self.limp
-            found |= {names.LIMP: float(ticks), names.LIMP_MOST: most}
+        for differences, ticks, most in (
+            (self._unexerted, names.UNEXERTED, names.UNEXERTED_MOST),
+            (self.untrue, names.UNTRUE, names.UNTRUE_MOST),
+            (self.limp, names.LIMP, names.LIMP_MOST),
+        ):
+            if differences.ticks:
+                found |= {ticks: float(differences.ticks), most: differences.most}
         return Figures(found, {names.DRIVER: own} if own else {})
 
     @property
-    def untrue(self) -> tuple[int, float] | None:
-        """In how many ticks the driver measured a force that it had not been given, and by how much at most, N.
-
-        None where there was no such tick.
-        """
-        return (self._given.ticks, self._given.most) if self._given.ticks else None
+    def untrue(self) -> Differences:
+        """The forces that the driver has measured, and had not been given."""
+        return self._given.untrue
 
     @property
-    def limp(self) -> tuple[int, float] | None:
-        """In how many ticks the device exerted no force although it had been given one, and of up to how much, N.
-
-        None where there was no such tick.
-        """
-        return (self._given.limp, self._given.limp_most) if self._given.limp else None
+    def limp(self) -> Differences:
+        """Where it has measured no force although it had been given one."""
+        return self._given.limp
 
     @property
     def measures(self) -> bool:

@@ -343,25 +343,25 @@ def test_a_measured_force_is_held_against_those_that_were_given_lately() -> None
     given.give([5.0, 0.0], instant(1))
     for F in ([0.0, 0.0], [2.5, 0.39], [5.39, -0.39]):
         given.measured(F)
-    assert (given.ticks, given.most) == (0, 0.0)
+    assert (given.untrue.ticks, given.untrue.most) == (0, 0.0)
     for F, beyond in (([5.41, 0.0], 0.41), ([-0.5, 0.0], 0.5), ([0.0, 1.0], 1.0)):
         given.measured(F)
-        assert given.most == pytest.approx(beyond)
-    assert given.ticks == 3
+        assert given.untrue.most == pytest.approx(beyond)
+    assert given.untrue.ticks == 3
     given.give([5.0, 0.0], instant(2.2), instant(5))
     given.measured([0.0, 0.0])
-    assert given.ticks == 3
+    assert given.untrue.ticks == 3
     given.give([5.0, 0.0], instant(2.4), instant(5))
     given.measured([1.0, 0.0])  # for 1.4 ms it should have been 5 N
-    assert (given.ticks, given.most) == (4, 4.0)
+    assert (given.untrue.ticks, given.untrue.most) == (4, 4.0)
     given.measured([0.3, -0.3])  # none: it has let go
-    assert (given.ticks, given.limp, given.limp_most) == (4, 1, 4.7)
+    assert (given.untrue.ticks, given.limp.ticks, given.limp.most) == (4, 1, 4.7)
     given.give([0.0, 0.0], instant(3))  # released
     given.measured([5.0, 0.0])
-    assert given.ticks == 4
+    assert given.untrue.ticks == 4
     given.give([0.0, 0.0], instant(4.4))
     given.measured([5.0, 0.0])  # and not exerted any more
-    assert given.ticks == 5
+    assert given.untrue.ticks == 5
 
 
 def test_the_account_is_kept_with_the_force_that_was_exerted() -> None:
