@@ -30,7 +30,7 @@ TORQUE_CONTROL: Final = 1
 PASSTHROUGH: Final = 1
 
 _ANSWER: Final = from_seconds(0.2)
-_STATUS: Final = from_seconds(0.02)
+_STATUS: Final = from_seconds(0.02)  # from one question for the axis' status to the next, at the latest
 _TRIES: Final = 5
 _GREETINGS: Final = 3
 _ALL: Final = 1000

@@ -166,8 +166,8 @@ class _Servo:
 def _fit(log: MotionLog, servo: _Servo) -> tuple[float, float, float] | None:
     """m, kg, b, N*s/m, and c, N, that fit f = m a + b v + c sgn(v) + k s + g best; None where there is no fit.
 
-    All terms are means over :data:`PART` of a stroke: a velocity's change over so long is known well, and its
-    derivative is not, whose errors would make the mass look small.
+    All terms are means over :data:`PART` of a stroke, over which the change of the velocity is known well. The errors
+    of a derivative would make the mass look small.
     """
     t, length = np.array(log.sampled), np.array(servo.u)
     s, f = np.array(log.x) @ length, np.array(log.f) @ length

@@ -201,13 +201,12 @@ def _advice(said: Statement, stated: DeviceSpecification, period: float, delay: 
     """Which osp may be stated, and what follows."""
     from manyhands.design.budget import stiffest
 
+    least = ", ".join(f"{value:g}" for value in said.friction or ())
+    friction = f"friction: {{least: [{least}]}}" if least else ""
     if said.osp is None and any(one.found.stribeck for one in said.poses):
-        dry = "no friction either"
-        if said.friction is not None:
-            dry = f"friction: {{least: [{', '.join(f'{value:g}' for value in said.friction)}]}}"
         return (
             "no osp can be stated: all that it burns can be drag, which grows faster than the speed and burns nothing "
-            f"near rest; what may be stated: {dry}"
+            f"near rest; what may be stated: {friction or 'no friction either'}"
         )
     if said.osp is None:
         return (
@@ -216,8 +215,8 @@ def _advice(said: Statement, stated: DeviceSpecification, period: float, delay: 
         )
     tau = delay + stated.timing.latency
     keys = f"osp: {said.osp:g}"
-    if said.friction is not None and said.step is not None:
-        keys += f", friction: {{least: [{', '.join(f'{value:g}' for value in said.friction)}]}}"
+    if friction and said.step is not None:
+        keys += f", {friction}"
     text = f"for the session file: {keys}"
     if tau > period:
         return (
