@@ -56,6 +56,7 @@ class Free:
         damping: the truth, N s/m or N m s/rad: the least of all directions.
         friction: likewise, N or N m.
         mass: likewise, kg or kg m^2.
+        step: of its encoders, m or rad.
         stated: whether an osp can be stated of it; of several axes none can yet (docs/identify.md).
     """
 
@@ -64,6 +65,7 @@ class Free:
     damping: float
     friction: float
     mass: float
+    step: float
     stated: bool = True
 
 

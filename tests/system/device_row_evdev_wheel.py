@@ -114,6 +114,7 @@ EVDEV_WHEEL: Final = Row(
         damping=FREE.b,
         friction=FREE.c,
         mass=FREE.m,
+        step=FREE.range / 65535,
     ),
     keys={
         "dof": 1,

@@ -80,6 +80,7 @@ FORCE_DIMENSION: Final = Row(
         damping=DAMPING,
         friction=0.0,
         mass=MASS,
+        step=0.0,  # none is stated, and joints' steps are none of the tip
         stated=False,
     ),
     keys={

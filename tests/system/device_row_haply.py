@@ -87,6 +87,7 @@ HAPLY: Final = Row(
         damping=FREE["damping"],
         friction=0.0,
         mass=FREE["mass"],
+        step=0.0,  # none is stated, and joints' steps are none of the tip
         stated=False,
     ),
     keys={

@@ -5,6 +5,7 @@ A controller counts the time of a torque from its arrival, and its watchdog disa
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
@@ -104,6 +105,7 @@ def motor_row(driver: str, fake: Fake, wire: Callable[[], Wire], faults: Mapping
             damping=FREE.b,
             friction=FREE.c,
             mass=FREE.J,
+            step=2.0 * math.pi / FREE.counts,
         ),
         keys={
             "dof": 1,

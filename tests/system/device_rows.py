@@ -136,6 +136,7 @@ SERIAL_BOARD: Final = Row(
         damping=FREE.b,
         friction=FREE.c,
         mass=FREE.m,
+        step=FREE.step,
     ),
     keys={
         "dof": 1,

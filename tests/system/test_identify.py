@@ -104,6 +104,8 @@ def test_a_device_is_identified_in_real_time_and_its_wall_is_felt(driver: str, t
             pytest.skip(
                 f"this machine gave the loop no turns at any period, and nothing was stated: {found.said[-300:]}"
             )
+    if found.read is not None and found.stated:
+        assert abs(found.read["keys"]["step"] - row.free.step) < 1e-9
     with row.opened(tmp_path) as far:
         content = session_of(row, far, {})
         if found.stated:  # of several axes none is, and the row's keys have one that somebody has measured
@@ -114,6 +116,6 @@ def test_a_device_is_identified_in_real_time_and_its_wall_is_felt(driver: str, t
         run("design", session)
         run("launch", session, "--duration", "5", "--report", report)
     done = json.loads(report.read_text())
-    assert done["nodes"][TESTED]["peak_force"] > row.felt  # the wall pushes back
+    assert done["nodes"][TESTED]["peak_force"] > 4.0 * row.felt  # the wall pushes back
     broken = [row for row in rows_of(done) if row.state == "broken" and row.promise not in OF_THE_MACHINE]
     assert not broken

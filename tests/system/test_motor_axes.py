@@ -81,7 +81,7 @@ def test_a_knob_comes_back_after_its_watchdog_and_after_it_was_unplugged(
 ) -> None:
     link, report = tmp_path / "port", tmp_path / "knob.json"
     with fake(HAND, link) as one:
-        path = session(tmp_path, driver, link, silence=0.6)
+        path = session(tmp_path, driver, link, silence=0.9)  # longer than the stall, also on a busy machine
         with started("launch", path, "--duration", "6", "--report", report) as launched:
             read_until(launched, ": running")
             until(lambda: one.asked()["torque"] != 0.0)  # the world pushes back
@@ -96,5 +96,6 @@ def test_a_knob_comes_back_after_its_watchdog_and_after_it_was_unplugged(
                 assert launched.returncode == 0, error
     found = json.loads(report.read_text())
     said = [sentence for sentence in found["incidents"] if "knob failed" in sentence]
-    assert any("port: found" in sentence and "see that" in sentence for sentence in said), said
+    assert said
+    assert all("port: found" in sentence and "see that" in sentence for sentence in said), said
     assert found["nodes"]["knob"]["ticks"] == 300

@@ -13,6 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from manyhands.design.certificate import content, from_content, identity
+from manyhands.design.errors import Infeasible
 from manyhands.design.models.declared import DeclaredEnvironment, ProxyEnvironment
 from manyhands.design.proof.prove import prove
 from manyhands.launch.app.cli import app
@@ -193,8 +194,10 @@ def test_a_promise_is_not_run_without_its_controller(file: Path, tmp_path: Path,
 
 def test_without_enforcement_there_is_no_certificate(file: Path, tmp_path: Path) -> None:
     enforced, session = load_session(file), load_session(file, ["environment.enforce=false"])
-    with pytest.raises(NotCertified, match="its level is not enforced"):
+    with pytest.raises(NotCertified, match="its level is not enforced") as refused:
         prepare(session)
+    assert isinstance(refused.value.__cause__, Infeasible)
+    assert [remedy.changes for remedy in refused.value.__cause__.remedies] == [{"environment.enforce": True}]
     bundle = environment_bundle(session, uncertified=True)
     assert (bundle.Phi_E, bundle.enforce) == (None, False)
     certificate = tmp_path / "c.json"
