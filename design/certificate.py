@@ -8,6 +8,7 @@ bit.
 
 A file that says more of a device than its level is of version 6. The key ``held`` of a device says how it holds its
 force (docs/decisions/0050-held-torques.md), ``step`` has the steps of its encoder and ``friction`` its dry friction.
+``turning`` names those of its ports that turn, whose numbers are in N·m and rad; no proof depends on it.
 Where a device has steps, ``encoder`` claims what they add to the forces, and whether the friction covers that
 (docs/decisions/0051-encoder-steps-and-friction.md). With ``speed`` the dry friction counts as damping, and the whole
 claim is about motions that are slower on every axis. Files of the other versions say nothing of these: they are about
@@ -390,10 +391,11 @@ class Certificate:
 
     def __repr__(self) -> str:
         loop, springs = self.loop, self.spring_damper
-        K = "linear blocks" if springs is None else f"K = {brief(springs.stiffness)} N/m"
+        unit = loop.units()
+        K = "linear blocks" if springs is None else f"K = {brief(springs.stiffness)} {unit('N/m')}"
         gamma = "" if self.transparency is None else f", gamma {self.transparency.gamma:.4g}"
-        margin = f"{self.margins['(10)']:.4g} N·s/m" if "(10)" in self.margins else "not stated"
-        below = "" if loop.speed is None else f", below {loop.speed:g} m/s"
+        margin = f"{self.margins['(10)']:.4g} {unit('N·s/m')}" if "(10)" in self.margins else "not stated"
+        below = "" if loop.speed is None else f", below {loop.speed:g} {unit('m/s')}"
         return (
             f"Certificate({loop.session}: blocks {brief_names(loop.partition.names)}, {K}, T = {loop.period:g} s, "
             f"tau = {loop.tau:g} s{below}, margin {margin}{gamma}, id {self.id[:16] or 'none'})"
@@ -455,7 +457,8 @@ def describe_device(device: DeviceLevel, ports: Sequence[str]) -> dict[str, Any]
     out = {"ports": [ports[p] for p in device.ports], "osp": device.level.tolist()}
     if device.held is not None:
         out["held"] = device.held.describe()
-    stated = {"step": device.step, "friction": device.friction}
+    turning = None if device.turning is None else [ports[p] for p in device.turning]
+    stated = {"step": device.step, "friction": device.friction, "turning": turning}
     return out | {key: list(value) for key, value in stated.items() if value is not None}
 
 
@@ -465,11 +468,13 @@ def device_of(name: str, data: Mapping[str, Any], index: Mapping[str, int], mech
     Raises:
         KeyError, TypeError, ValueError: a key is missing or unknown, or its value has the wrong type.
     """
-    if unknown := set(data) - {"ports", "osp", *(MECHANISM if mechanism else ())}:
+    if unknown := set(data) - {"ports", "osp", *((*MECHANISM, "turning") if mechanism else ())}:
         raise ValueError(f"devices.{name}: found the keys {sorted(unknown)}; expected ports and osp")
     held = held_torque_of(data["held"]) if "held" in data else None
     step, friction = (tuple(map(float, data[key])) if key in data else None for key in ("step", "friction"))
-    return DeviceLevel(name, tuple(index[p] for p in data["ports"]), matrix(data["osp"]), held, step, friction)
+    turning = tuple(index[p] for p in data["turning"]) if "turning" in data else None
+    ports = tuple(index[p] for p in data["ports"])
+    return DeviceLevel(name, ports, matrix(data["osp"]), held, step, friction, turning)
 
 
 def describe_structure(ports: Sequence[str], partition: Partition) -> dict[str, list[str]]:
@@ -595,8 +600,9 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
     period_tolerance = float(data["period_tolerance"]) if tolerant else 0.0
     if tolerant and not period_tolerance > 0.0:
         raise ValueError(f"period_tolerance: found {period_tolerance}; expected more than 0 in version {version}")
-    if version == WITH_MECHANISM and not any(set(MECHANISM) & set(device) for device in data["devices"].values()):
-        raise ValueError(f"devices: found none with {' or '.join(MECHANISM)}; expected one in version {version}")
+    more = (*MECHANISM, "turning")
+    if version == WITH_MECHANISM and not any(set(more) & set(device) for device in data["devices"].values()):
+        raise ValueError(f"devices: found none with {' or '.join(more)}; expected one in version {version}")
     if unknown := set(asked) - _ASKED:
         raise ValueError(f"asked: found the keys {sorted(unknown)}; expected some of {sorted(_ASKED)}")
     if not isinstance(data["session"], str) or not all(isinstance(v, str | int) for v in data["method"].values()):
@@ -721,6 +727,7 @@ def differences(certificate: Certificate, loop: HapticLoop, wanted: CouplingRequ
             ("compliance of the world that is counted in series", own.series, loop.series),
             ("level or order of devices", [_level(d) for d in own.devices], [_level(d) for d in loop.devices]),
             ("way in which devices hold a force", [d.held for d in own.devices], [d.held for d in loop.devices]),
+            ("kind of axes, in the ports that turn", own.turning, loop.turning),
             (
                 "encoder steps or friction",
                 [(d.step, d.friction) for d in own.devices],

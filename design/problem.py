@@ -17,6 +17,7 @@ from manyhands.design.levels.contract import NO_DELAY_GAIN
 from manyhands.design.levels.dry_friction import DryFriction
 from manyhands.design.levels.held_torque import HeldTorque
 from manyhands.design.levels.mechanism import NothingLeft, promised_level
+from manyhands.design.models.axis import AxisKind, Units
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import Partition, SpringDamper, loop_gain
 from manyhands.design.models.integrators import Split
@@ -41,10 +42,12 @@ class DeviceLevel:
         held: how its motors hold a force, where they hold torques; None where they hold the force itself.
         step: of its encoder, one entry for each port, m; None where no port has one.
         friction: what it burns at least besides its level, as a force against its velocity, by port, N; None for 0.
+        turning: those of its ports that turn, as indices into the loop's ports: their units are of
+            :class:`.Units`. None where none does.
 
     Raises:
         ValueError: the level is not symmetric positive definite, or a step or a friction is negative, not finite, or
-            not one for each port.
+            not one for each port, or another port turns.
     """
 
     name: str
@@ -53,11 +56,14 @@ class DeviceLevel:
     held: HeldTorque | None = None
     step: tuple[float, ...] | None = None
     friction: tuple[float, ...] | None = None
+    turning: tuple[int, ...] | None = None
 
     __repr__ = brief_repr
 
     def __post_init__(self) -> None:
         m = len(self.ports)
+        if self.turning is not None and (not self.turning or not {*self.turning} <= {*self.ports}):
+            raise ValueError(f"{self.name}: turning: found {self.turning}; expected some of {self.ports}")
         object.__setattr__(self, "level", matrix(self.level, m, m))
         if np.any(self.level != self.level.T) or np.linalg.eigvalsh(self.level)[0] <= 0.0:
             raise ValueError(f"{self.name}: expected a symmetric positive definite OSP level")
@@ -68,8 +74,14 @@ class DeviceLevel:
 
     @property
     def of_mechanism(self) -> bool:
-        """Whether more than a level is stated: how it holds a force, the steps of its encoder, or its dry friction."""
-        return any(getattr(self, stated) is not None for stated in MECHANISM)
+        """Whether more than a level is stated: one of :data:`MECHANISM`, or which ports turn."""
+        return any(getattr(self, stated) is not None for stated in (*MECHANISM, "turning"))
+
+    @property
+    def units(self) -> Units:
+        """The units of its ports together."""
+        turn = self.turning or ()
+        return Units.of(AxisKind.ROTATION if port in turn else AxisKind.TRANSLATION for port in self.ports)
 
 
 Objective = Literal["feasible", "stiffest", "loop-shaping", "closed-loop"]
@@ -243,6 +255,16 @@ class HapticLoop:
             expected = "a port that one spring joins to a mass or to ground"
             raise ValueError(f"series: found {missing[0]}; expected {expected}")
 
+    @cached_property
+    def turning(self) -> frozenset[str]:
+        """The names of the ports that turn."""
+        return frozenset(self.ports[port] for device in self.devices for port in device.turning or ())
+
+    def units(self, *ports: str) -> Units:
+        """The units of what is said of these ports together; of all of them, if none is named."""
+        kinds = dict.fromkeys(self.turning, AxisKind.ROTATION)
+        return Units.of(kinds.get(port, AxisKind.TRANSLATION) for port in ports or self.ports)
+
     @property
     def parts(self) -> dict[str, float]:
         """``series`` by the name of the port, where it is not 0."""
@@ -310,18 +332,18 @@ class HapticLoop:
 
     def _uncertifiable(self, device: DeviceLevel, nothing: NothingLeft) -> Infeasible:
         """The error of a device of which held torques leave nothing."""
-        held, d = device.held, nothing.taken
+        held, d, u = device.held, nothing.taken, device.units
         if held is None:
             raise AssertionError("only held torques take of a level")
         if not np.isfinite(d):
             slower = 2.0 / (held.kappa * ((1.0 + self.period_tolerance) * self.period + self.tau))
             return Infeasible(
-                f"at {held.speed:.4g} m/s the tip of {device.name} may turn too far while its torques are held; "
-                f"expected a limit of speed well below {slower:.4g} m/s, all axes together "
+                f"at {held.speed:.4g} {u('m/s')} the tip of {device.name} may turn too far while its torques are held; "
+                f"expected a limit of speed well below {slower:.4g} {u('m/s')}, all axes together "
                 "(docs/decisions/0050-held-torques.md)"
             )
         return Infeasible(
-            f"the held torques of {device.name} may give out what {d:.4g} N*s/m of damping take up, and it has "
+            f"the held torques of {device.name} may give out what {d:.4g} {u('N·s/m')} of damping take up, and it has "
             f"{nothing.least:.4g} (docs/decisions/0050-held-torques.md)"
         )
 

@@ -82,8 +82,8 @@ def encoder_claim(loop: HapticLoop, blocks: Sequence[StateSpace]) -> EncoderClai
     if force is None:
         why = not_covered(loop) or "the responses of the loop do not decay in time"
         raise Infeasible(
-            f"dry friction is to count below {loop.speed:g} m/s, and what the encoders' steps take of it is not known: "
-            f"{why}"
+            f"dry friction is to count below {loop.speed:g} {loop.units()('m/s')}, and what the encoders' steps take "
+            f"of it is not known: {why}"
         )
     kept = np.array(loop.kept if loop.kept is not None else [0.0] * len(loop.ports))
     if np.any(force > kept):

@@ -7,13 +7,14 @@ conditions. The proof checks them again with code of its own (:mod:`manyhands.de
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from decimal import Decimal
 from typing import Final
 
 from flint import fmpq, fmpq_mat
 
 from manyhands.design.errors import Infeasible
+from manyhands.design.models.axis import TRANSLATING, TURNING
 from manyhands.design.models.environment import StateSpaceEnvironment, TransferEnvironment
 from manyhands.design.models.kind import Environment
 from manyhands.design.models.statespace import Matrix, StateSpace
@@ -21,8 +22,12 @@ from manyhands.design.models.statespace import Matrix, StateSpace
 _MOST_STATES = 512  # for an exact solution, which takes about a minute at this size
 
 
-def check_environment(environment: Environment) -> None:
+def check_environment(environment: Environment, turning: Collection[str] = ()) -> None:
     """Refuse an environment whose E(1) is not symmetric and >= 0. A network passes by the signs of its links.
+
+    Args:
+        environment: the environment.
+        turning: those of its ports that turn, for the message.
 
     Raises:
         Infeasible: a condition fails; the message names the entry, its value and the value that would be right.
@@ -34,8 +39,8 @@ def check_environment(environment: Environment) -> None:
             gain = _of_entries(environment)
         case _:
             return
-    _require_symmetric(gain, environment.ports, "the environment's static stiffness E(1)", "N/m", "E_hat")
-    _require_semidefinite(gain, environment.ports)
+    _require_symmetric(gain, environment.ports, "the environment's static stiffness E(1)", "N/m", "E_hat", turning)
+    _require_semidefinite(gain, environment.ports, turning)
 
 
 _DISPLACEMENT: Final = (
@@ -44,7 +49,7 @@ _DISPLACEMENT: Final = (
 """What a spring shows that was given as force over velocity: it has a pole at s = 0."""
 
 
-def check_block(name: str, block: StateSpace, ports: Sequence[str]) -> None:
+def check_block(name: str, block: StateSpace, ports: Sequence[str], turning: Collection[str] = ()) -> None:
     """Refuse a block of V whose V(1) is not symmetric. That V(1) > K is a strict condition, which is checked later.
 
     Raises:
@@ -52,7 +57,7 @@ def check_block(name: str, block: StateSpace, ports: Sequence[str]) -> None:
     """
     if len(ports) > 1:
         gain = _of_system(block, False, f"coupling {name}")
-        _require_symmetric(gain, ports, f"coupling {name}: its static compliance V(1)", "m/N", "V_hat")
+        _require_symmetric(gain, ports, f"coupling {name}: its static compliance V(1)", "m/N", "V_hat", turning)
 
 
 def _of_system(system: StateSpace, continuous: bool, what: str) -> fmpq_mat:
@@ -90,12 +95,23 @@ def _of_entries(environment: TransferEnvironment) -> fmpq_mat:
     return out
 
 
-def _require_symmetric(gain: fmpq_mat, ports: Sequence[str], what: str, unit: str, party: str) -> None:
+def _unit(unit: str, a: str, b: str, turning: Collection[str]) -> str:
+    """The unit of an entry between two ports, of which both, one or none turns."""
+    turn = [port in turning for port in (a, b)]
+    if all(turn) or not any(turn):
+        return (TURNING if turn[0] else TRANSLATING)(unit)
+    return unit.replace("m", "rad")
+
+
+def _require_symmetric(
+    gain: fmpq_mat, ports: Sequence[str], what: str, translating: str, party: str, turning: Collection[str]
+) -> None:
     for i in range(len(ports)):
         for j in range(i):
             if gain[i, j] == gain[j, i]:
                 continue
             a, b = ports[j], ports[i]
+            unit = _unit(translating, a, b, turning)
             raise Infeasible(
                 f"{what} is not symmetric by its own decimals, so that {party} is passive at no level: its entry "
                 f"({a}, {b}) is {_text(gain[j, i])} {unit}, its entry ({b}, {a}) is {_text(gain[i, j])} {unit}, and "
@@ -105,7 +121,7 @@ def _require_symmetric(gain: fmpq_mat, ports: Sequence[str], what: str, unit: st
             )
 
 
-def _require_semidefinite(gain: fmpq_mat, ports: Sequence[str]) -> None:
+def _require_semidefinite(gain: fmpq_mat, ports: Sequence[str], turning: Collection[str]) -> None:
     """Refuse E(1) that is not >= 0, by an exact LDL^T.
 
     The first pivot that is negative, or zero with a nonzero entry in its row, shows which entry is wrong and by how
@@ -116,20 +132,22 @@ def _require_semidefinite(gain: fmpq_mat, ports: Sequence[str]) -> None:
     consequence = "so that E_hat is passive at no level"
     for k in range(m):
         pivot = rest[k][k]
+        own = _unit("N/m", ports[k], ports[k], turning)
         if pivot < 0:
             raise Infeasible(
                 f"the environment's static stiffness E(1) is not positive semidefinite, {consequence}: its entry "
-                f"({ports[k]}, {ports[k]}) is {_text(gain[k, k])} N/m, which is {_text(-pivot)} N/m less than the "
-                f"other entries need: expected at least {_text(gain[k, k] - pivot)} N/m"
+                f"({ports[k]}, {ports[k]}) is {_text(gain[k, k])} {own}, which is {_text(-pivot)} {own} less than the "
+                f"other entries need: expected at least {_text(gain[k, k] - pivot)} {own}"
             )
         beside = next((j for j in range(k + 1, m) if rest[k][j] != 0), None)
         if pivot == 0:
             if beside is not None:
+                unit = _unit("N/m", ports[k], ports[beside], turning)
                 raise Infeasible(
                     f"the environment's static stiffness E(1) is not positive semidefinite, {consequence}: beside "
-                    f"({ports[k]}, {ports[k]}) = {_text(gain[k, k])} N/m its entry ({ports[k]}, {ports[beside]}) is "
-                    f"{_text(gain[k, beside])} N/m; expected {_text(gain[k, beside] - rest[k][beside])} N/m, or a "
-                    f"greater entry ({ports[k]}, {ports[k]})"
+                    f"({ports[k]}, {ports[k]}) = {_text(gain[k, k])} {own} its entry ({ports[k]}, {ports[beside]}) is "
+                    f"{_text(gain[k, beside])} {unit}; expected {_text(gain[k, beside] - rest[k][beside])} {unit}, or "
+                    f"a greater entry ({ports[k]}, {ports[k]})"
                 )
             continue
         column = [rest[i][k] / pivot for i in range(m)]

@@ -352,7 +352,7 @@ def design(loop: HapticLoop, wanted: CouplingRequest, progress: Progress | None 
         ValueError: the ports or blocks of a given coupling are not those of the loop.
     """
     with within_floats(loop.environment):
-        check_environment(loop.environment)
+        check_environment(loop.environment, loop.turning)
         if loop.speed is not None:
             return _below_speed(loop, wanted, progress)
         return _designed(loop, wanted, progress)
@@ -373,7 +373,7 @@ def finds_levels(loop: HapticLoop, wanted: CouplingRequest) -> bool:
         wanted = replace(wanted, wish=Wish("feasible"))
     try:
         with within_floats(loop.environment):
-            check_environment(loop.environment)
+            check_environment(loop.environment, loop.turning)
             if loop.speed is not None:
                 _below_speed(loop, wanted, None)
                 return True
@@ -570,7 +570,7 @@ def _take(loop: HapticLoop, wanted: CouplingRequest) -> Found | None:
             if found != sizes:
                 raise ValueError(f"found blocks of V with {found} outputs and inputs; expected {sizes}")
             for name, block, ports in zip(loop.partition.names, blocks, loop.partition.blocks, strict=True):
-                check_block(name, block, tuple(loop.ports[port] for port in ports))
+                check_block(name, block, tuple(loop.ports[port] for port in ports), loop.turning)
             return Found(blocks, {"algorithm": "given"}, aim)
         case SpringDamperGiven(coupling, aim):
             m = len(loop.ports)

@@ -56,6 +56,7 @@ from manyhands.design.levels.device import device_share, least_gain
 from manyhands.design.levels.environment import level_and_storage
 from manyhands.design.levels.network import physical_level
 from manyhands.design.levels.spring_damper import greatest_level
+from manyhands.design.models.axis import TRANSLATING, Units
 from manyhands.design.models.coupling import CouplingBlock, SpringDamper, realisations, transformed_coupling
 from manyhands.design.models.integrators import Split
 from manyhands.design.models.statespace import Matrix, StateSpace, block_diagonal, symmetric_part
@@ -79,7 +80,9 @@ _ROUNDING = 1e-9  # relative to the largest gain on the circle
 _EDGE = 1e-12  # relative: exact arithmetic may find a coupling that is this near to the limit beyond it
 
 
-def check_spring_damper(name: str, coupling: SpringDamper, Lambda: Matrix, T: float, kappa: float) -> None:
+def check_spring_damper(
+    name: str, coupling: SpringDamper, Lambda: Matrix, T: float, kappa: float, units: Units = TRANSLATING
+) -> None:
     """Test K_s > 0, J = Lambda - T/2 K_s > 0 and J - B >= 0: V_hat of springs and dampers is OSP exactly then.
 
     Args:
@@ -88,6 +91,7 @@ def check_spring_damper(name: str, coupling: SpringDamper, Lambda: Matrix, T: fl
         Lambda: Delta_D / (2 kappa), m_i x m_i, N*s/m.
         T: period, s.
         kappa: gain of the loop transformation, 1/2 without delay.
+        units: of the block's ports, for the message.
 
     Raises:
         Infeasible: V_hat is OSP at no level.
@@ -103,7 +107,7 @@ def check_spring_damper(name: str, coupling: SpringDamper, Lambda: Matrix, T: fl
     for part, damped in ((both, bool(coupling.damping.any())), (T / 2.0 * coupling.stiffness, False)):
         used = float(np.linalg.eigvalsh(symmetric_part(inverse @ part @ inverse.T))[-1])
         if not used < 1.0 - _EDGE:
-            raise TooStiff(name, used, limit, T, kappa, damped)
+            raise TooStiff(name, used, limit, kappa, damped, units)
 
 
 class TooStiff(Infeasible):
@@ -115,17 +119,20 @@ class TooStiff(Infeasible):
         over: what the block has, in units of the limit.
     """
 
-    def __init__(self, name: str, over: float, limit: float, T: float, kappa: float, damped: bool) -> None:
+    def __init__(self, name: str, over: float, limit: float, kappa: float, damped: bool, units: Units) -> None:
         formula = "2 Delta_D / T" if kappa == NO_DELAY_GAIN else f"Delta_D / ({kappa:.4g} T)"
         meaning = "stiffness plus 2/T times its damping" if damped else "stiffness"
         self.name, self.limit, self.over = name, limit, over
+        unit = units("N/m")
         super().__init__(
-            f"coupling {name}: its {meaning}, {over * limit:.4g} N/m, is not below {formula} = {limit:.4g} N/m, so "
-            "that V_hat is output strictly passive at no level"
+            f"coupling {name}: its {meaning}, {over * limit:.4g} {unit}, is not below {formula} = {limit:.4g} {unit}, "
+            "so that V_hat is output strictly passive at no level"
         )
 
 
-def check_block(name: str, block: StateSpace, K: Matrix, T: float, kappa: float = NO_DELAY_GAIN) -> None:
+def check_block(
+    name: str, block: StateSpace, K: Matrix, T: float, kappa: float = NO_DELAY_GAIN, units: Units = TRANSLATING
+) -> None:
     """Test the necessary conditions on the linear block ``name`` of V.
 
     Args:
@@ -134,6 +141,7 @@ def check_block(name: str, block: StateSpace, K: Matrix, T: float, kappa: float 
         K: the block K_i of the transformation, m/N.
         T: period, s.
         kappa: gain of the loop transformation, for the message.
+        units: of the block's ports, likewise.
 
     Raises:
         Infeasible: V_hat,i is OSP at no level.
@@ -163,7 +171,7 @@ def check_block(name: str, block: StateSpace, K: Matrix, T: float, kappa: float 
                 f"coupling {name}: V({point:g}) is not positive, so that V_hat is output strictly passive at no level; "
                 f"{_SPRING}"
             )
-        beyond.append(TooStiff(name, 1.0 / (softest * limit), limit, T, kappa, point == -1.0))
+        beyond.append(TooStiff(name, 1.0 / (softest * limit), limit, kappa, point == -1.0, units))
     if beyond:  # at -1 the damping counts as well, so that both limits may be passed
         raise max(beyond, key=lambda error: error.over)
     V_hat = transformed_coupling(block, K, T)
@@ -173,7 +181,7 @@ def check_block(name: str, block: StateSpace, K: Matrix, T: float, kappa: float 
         if not least >= -_ROUNDING * float(np.max(np.abs(response))):
             raise Infeasible(
                 f"coupling {name}: V_hat is not passive at {angle / T:.4g} rad/s: the least eigenvalue of its "
-                f"Hermitian part is {least:.3g} m/(N s)"
+                f"Hermitian part is {least:.3g} {units('m/(N·s)')}"
             )
 
 
@@ -379,7 +387,9 @@ def joint_levels(
     try:
         best = solve(cp.Problem(cp.Maximize(t), [*constraints, room >= 0.0]), what)
         if best <= 0.0:
-            raise Infeasible(f"condition (10) fails: its best margin is {best:.4g} N*s/m; expected > 0")
+            raise Infeasible(
+                f"condition (10) fails: its best margin is {best:.4g} {loop.units()('N·s/m')}; expected > 0"
+            )
         parts = list(zip(forms, P_V, Delta_V, strict=True))
         found = _make_room(constraints, room, t, best, what, lambda: all(f.proved(P, D) for f, P, D in parts))
     except ProgramInfeasible as error:
@@ -593,16 +603,18 @@ def _promises(
 ) -> tuple[BlockLevel, ...]:
     """The level of each block for one gain kappa; the levels of linear blocks are capped at ``most``."""
     gains = loop.loop_gain(device.kappa)
-    for name, part, K, Delta_D in zip(loop.partition.names, coupling, gains, loop.Delta_D_blocks, strict=True):
+    own_units = [loop.units(*(loop.ports[p] for p in block)) for block in loop.partition.blocks]
+    parts = zip(loop.partition.names, coupling, gains, loop.Delta_D_blocks, own_units, strict=True)
+    for name, part, K, Delta_D, units in parts:
         if isinstance(part, SpringDamper):
-            check_spring_damper(name, part, Delta_D / (2.0 * device.kappa), loop.period, device.kappa)
+            check_spring_damper(name, part, Delta_D / (2.0 * device.kappa), loop.period, device.kappa, units)
         else:
-            check_block(name, part, K, loop.period, device.kappa)
+            check_block(name, part, K, loop.period, device.kappa, units)
     # Each block gets its greatest level. Where levels are not comparable, the joint program chooses them together.
     own: list[BlockLevel] = []
     for name, part, K, Delta_D in zip(loop.partition.names, coupling, gains, loop.Delta_D_blocks, strict=True):
         if isinstance(part, SpringDamper):
-            own.append(BlockLevel(_closed_form(name, part, Delta_D / (2.0 * device.kappa), loop.period), None))
+            own.append(BlockLevel(_closed_form(name, part, Delta_D / (2.0 * device.kappa), loop.period, units), None))
         elif part.inputs == 1 or not _small(loop) or loop.environment.declared_level is not None:
             own.append(block_level(name, part, K, Delta_D, loop.period, most))
     if len(own) == len(blocks):
@@ -615,14 +627,15 @@ def _small(loop: HapticLoop) -> bool:
     return len(loop.ports) <= MOST_JOINT and loop.environment.order + len(loop.ports) <= MOST_JOINT
 
 
-def _closed_form(name: str, coupling: SpringDamper, Lambda: Matrix, T: float) -> Matrix:
+def _closed_form(name: str, coupling: SpringDamper, Lambda: Matrix, T: float, units: Units) -> Matrix:
     """Delta_V slightly below the greatest level of a block."""
     greatest = greatest_level(coupling, Lambda, T)
     level = symmetric_part((1.0 - _GIVEN_UP) * greatest - _GIVEN_UP * Lambda)
     least = float(np.linalg.eigvalsh(level)[0])
     if least <= 0.0:
         raise Infeasible(
-            f"coupling {name}: the greatest level of V_hat has the eigenvalue {least:.4g} N*s/m; expected > 0"
+            f"coupling {name}: the greatest level of V_hat has the eigenvalue {least:.4g} {units('N·s/m')}; "
+            "expected > 0"
         )
     return level
 
@@ -664,6 +677,6 @@ def _declared(loop: HapticLoop, Phi_E: Matrix, device: DeviceShare, Delta_V: tup
     if left <= 0.0:
         raise Infeasible(
             "condition (10) fails with the environment's declared level: "
-            f"its least eigenvalue is {left:.4g} N*s/m; expected > 0"
+            f"its least eigenvalue is {left:.4g} {loop.units()('N·s/m')}; expected > 0"
         )
     return Phi_E

@@ -25,6 +25,7 @@ from typing import Any, Final
 import numpy as np
 
 from manyhands.design.errors import Infeasible
+from manyhands.design.models.axis import Units
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import Partition
 from manyhands.design.models.declared import DeclaredEnvironment
@@ -140,16 +141,16 @@ class WaveLinkFace(DeclaredEnvironment):
         felt = felt_stiffness(compliance(), self.b, self.round_trip)
         return {FELT_STIFFNESS: float(np.linalg.eigvalsh(felt)[0])}
 
-    def rows(self, margins: Mapping[str, float]) -> dict[str, str | Matrix]:
+    def rows(self, margins: Mapping[str, float], units: Units) -> dict[str, str | Matrix]:
         """The wave link, and what it is felt as."""
         harvest = ", ".join(f"{theta:g}" for theta in dict.fromkeys(self.harvest))
-        tank = f"{self.tank:g} J; harvest {harvest} N·s/m"
-        rows: dict[str, str | Matrix] = {"wave link": self.id, "b [N·s/m]": self.b, "E₀": tank}
+        tank = f"{self.tank:g} J; harvest {harvest} {units('N·s/m')}"
+        rows: dict[str, str | Matrix] = {"wave link": self.id, f"b [{units('N·s/m')}]": self.b, "E₀": tank}
         if self.round_trip is None:
             return rows
         mass = float(np.linalg.eigvalsh(felt_mass(self.b, self.round_trip))[-1])
         over = f"over a round trip of {1e3 * self.round_trip:.4g} ms"
-        felt = f"at least {margins[FELT_STIFFNESS]:.1f} N/m and at most {1e3 * mass:.4g} g {over}"
+        felt = f"at least {margins[FELT_STIFFNESS]:.1f} {units('N/m')} and at most {1e3 * mass:.4g} {units('g')} {over}"
         return {**rows, "felt": felt}
 
     def verdict(self, block: str) -> str:

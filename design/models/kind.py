@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
+from manyhands.design.models.axis import Units
 from manyhands.design.models.integrators import Split
 from manyhands.design.models.scene import ContactScene
 from manyhands.design.models.statespace import Matrix, StateSpace
@@ -155,8 +156,13 @@ class Environment(ABC):
         """What it is, and what keeps its level, in words; empty where the proof does."""
         return ""
 
-    def rows(self, margins: Mapping[str, float]) -> dict[str, str | Matrix]:
-        """What a report says of it beside its certificate's margins: what keeps its level, where the proof does not."""
+    def rows(self, margins: Mapping[str, float], units: Units) -> dict[str, str | Matrix]:
+        """What a report says of it beside its certificate's margins: what keeps its level, where the proof does not.
+
+        Args:
+            margins: of the certificate.
+            units: of its ports.
+        """
         return {"environment": self.kept} if self.kept else {}
 
     def verdict(self, block: str) -> str:

@@ -478,7 +478,7 @@ _KEYS: tuple[str, ...] = (
     "environment",
 )
 _KEYS += (_ASKED, "coupling", "levels", "storage", "transparency", "margins", "method")
-_HELD, _STEP, _FRICTION = _MECHANISM = ("held", "step", "friction")
+_HELD, _STEP, _FRICTION, _TURNING = _MECHANISM = ("held", "step", "friction", "turning")
 _ENCODER = "encoder"
 _SPEED = "speed"
 _TOLERANCE = "period_tolerance"
@@ -670,7 +670,7 @@ def read(data: Mapping[str, Any]) -> Claim:
     for key in (_ENCODER, _SPEED):
         if key in fields and version != WITH_MECHANISM:
             raise ProofInputError(f"{key}: expected it in version {WITH_MECHANISM} alone")
-    devices, osp, held, step, friction = [], [], [], [], []
+    devices, osp, held, step, friction, turning = [], [], [], [], [], []
     for name, item in fields["devices"].entries(MAX_PORTS).items():
         device = item.fields(("ports", "osp"), _MECHANISM if version == WITH_MECHANISM else ())
         devices.append(PortGroup(name, indices(device["ports"], index)))
@@ -679,7 +679,11 @@ def read(data: Mapping[str, Any]) -> Claim:
         held.append(_held(device[_HELD], m) if _HELD in device else None)
         step.append(_of_axes(device[_STEP], m) if _STEP in device else None)
         friction.append(_of_axes(device[_FRICTION], m) if _FRICTION in device else None)
-    if version == WITH_MECHANISM and not any((*held, *step, *friction)):
+        if _TURNING in device:  # decides the units of the other numbers, and so nothing that is proved
+            turning.append(indices(device[_TURNING], index))
+            if not {*turning[-1]} <= {*devices[-1].ports}:
+                raise device[_TURNING].refusal("some of the device's own ports")
+    if version == WITH_MECHANISM and not any((*held, *step, *friction, *turning)):
         raise fields["version"].refusal(f"{VERSION} to {WITH_SERIES}, for no device has any of {', '.join(_MECHANISM)}")
     blocks = tuple(
         PortGroup(name, indices(item, index)) for name, item in fields["structure"].entries(MAX_PORTS).items()

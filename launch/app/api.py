@@ -428,11 +428,11 @@ def _plot_certificate(certificate: Certificate, quantity: str, ax: Axes) -> None
 
     if quantity == "impedance":
         found = certificate.frequency_responses()
-        draw_impedances(ax, found.omega, {"E": found.E, "F(E,V)": found.F})
+        draw_impedances(ax, found.omega, {"E": found.E, "F(E,V)": found.F}, certificate.loop.units())
     elif quantity == "structure":
         loop = certificate.loop
         static = loop.partition.embed([block.response(1.0).real for block in certificate.blocks])
-        draw_structure(ax, static, loop.partition, loop.ports)
+        draw_structure(ax, static, loop.partition, loop.ports, loop.units())
     else:
         raise ValueError(f"quantity: found {quantity!r}; expected impedance or structure for a certificate")
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from manyhands.design.budget import Felt, Stiffness, certified_limit, environment_share, felt_over, stiffest_below
+from manyhands.design.models.axis import Units
 from manyhands.design.models.brief import brief_names, brief_repr
 from manyhands.design.models.statespace import Matrix
 from manyhands.design.problem import HapticLoop
@@ -120,15 +121,16 @@ class DelayBudget:
         """The budget against the delay, at the session's period, as a table: a row for each device and delay.
 
         The columns are ``device``, ``T_s``, ``tau_s``, ``certified_N/m``, ``colgate_N/m`` and ``kappa``, which is NaN
-        where nothing can be certified.
+        where nothing can be certified. Where axes turn, N·m/rad stands in place of N/m.
         """
+        unit = self.loop.units()("N/m")
         rows = [(device.name, row) for device in self.devices for row in device.against_delay]
         return {
             "device": np.array([name for name, _ in rows]),
             "T_s": np.array([row.T for _, row in rows]),
             "tau_s": np.array([row.tau for _, row in rows]),
-            "certified_N/m": np.array([row.certified for _, row in rows]),
-            "colgate_N/m": np.array([row.colgate for _, row in rows]),
+            f"certified_{unit}": np.array([row.certified for _, row in rows]),
+            f"colgate_{unit}": np.array([row.colgate for _, row in rows]),
             "kappa": np.array([np.nan if row.kappa is None else row.kappa for _, row in rows]),
         }
 
@@ -141,7 +143,8 @@ class DelayBudget:
         return data_frame(self.columns())
 
     def __repr__(self) -> str:
-        limits = [f"{name} {row.certified:.4g} N/m" for name, row in self.at(self.loop.tau).items()]
+        units = {device.name: device.units("N/m") for device in self.loop.devices}
+        limits = [f"{name} {row.certified:.4g} {units[name]}" for name, row in self.at(self.loop.tau).items()]
         T, tau = self.loop.period, self.loop.tau
         return f"DelayBudget({self.loop.session}: T = {T:g} s, tau = {tau:g} s, {brief_names(limits)})"
 
@@ -199,6 +202,7 @@ class WaveLinkBudget:
         period: of the site, s.
         tau: longest delay inside a tick of the site, s.
         round_trip: that the session states, s; None if it states none.
+        units: of the coupling's ports.
         at: what is felt at a period of the site, s, and a round trip, s. The delay is ``tau``, or the whole period
             where that is less.
     """
@@ -207,6 +211,7 @@ class WaveLinkBudget:
     period: float
     tau: float
     round_trip: float | None
+    units: Units
     at: Callable[[float, float], Felt]
 
     __repr__ = brief_repr
@@ -239,7 +244,7 @@ def _wave_link_budget(session: Session, name: str) -> WaveLinkBudget:
         tau = min(loop.tau, T)
         return felt_over(loop.Delta_D_at(T, tau), T, tau, b, round_trip, harvest, loop.period_tolerance)
 
-    return WaveLinkBudget(name, loop.period, loop.tau, link.round_trip, cache(at))
+    return WaveLinkBudget(name, loop.period, loop.tau, link.round_trip, loop.units(), cache(at))
 
 
 @dataclass(frozen=True)
@@ -281,11 +286,12 @@ def series_budget(found: DelayBudget) -> tuple[SeriesStiffness, ...]:
     return tuple(out)
 
 
-def print_series(console: Console, found: Sequence[SeriesStiffness], tau: float) -> None:
-    """Print what counting the world's springs in series allows each coupling; ``tau`` is the session's, s."""
+def print_series(console: Console, found: Sequence[SeriesStiffness], loop: HapticLoop) -> None:
+    """Print what counting the world's springs in series allows each coupling of a loop."""
     if not found:
         return
-    columns = ("τ [ms]", "its spring [N/m]", "counted", "without [N/m]", "certified below [N/m]")
+    unit, tau = loop.units()("N/m"), loop.tau
+    columns = ("τ [ms]", f"its spring [{unit}]", "counted", f"without [{unit}]", f"certified below [{unit}]")
     table = titled_table("with the world's own springs in series", ["port"], columns)
     ports = list(dict.fromkeys(row.port for row in found))
     for port in ports[:_MOST_ROWS]:
@@ -360,14 +366,14 @@ def print_steps(console: Console, found: DelayBudget) -> None:
     """Print a line for each axis with an encoder."""
     rows = step_budget(found)
     for row in rows[:_MOST_ROWS]:
-        covers = "no dry friction is stated"
+        covers, units = "no dry friction is stated", found.loop.units(row.port)
         if row.friction:
-            covers = f"the dry friction of {1e3 * row.friction:.3g} mN " + (
+            covers = f"the dry friction of {1e3 * row.friction:.3g} m{units('N')} " + (
                 "covers it" if row.friction >= row.force else "does not cover it"
             )
         console.print(
-            f"{row.port}: the encoder's step can add {1e3 * row.force:.3g} mN to a spring of "
-            f"{_figure(row.stiffness)} N/m; {covers}",
+            f"{row.port}: the encoder's step can add {1e3 * row.force:.3g} m{units('N')} to a spring of "
+            f"{_figure(row.stiffness)} {units('N/m')}; {covers}",
             markup=False,
             soft_wrap=True,
         )
@@ -446,7 +452,8 @@ def print_budget(console: Console, found: DelayBudget, own_mark: str = " (sessio
     groups = _groups(found.devices)
     shown = groups[:_MOST_ROWS]
     title = f"{loop.session}: stiffest coupling, T = {_ms(loop.period)} ms"
-    columns = ("τ [ms]", "τ/T", "certified below [N/m]", "Colgate's limit [N/m]", "κ")
+    unit = loop.units()("N/m")
+    columns = ("τ [ms]", "τ/T", f"certified below [{unit}]", f"Colgate's limit [{unit}]", "κ")
     table = titled_table(title, ["devices"], columns)
     for names, device in shown:
         for i, row in enumerate(device.against_delay):
@@ -483,8 +490,10 @@ def print_wave_links(console: Console, found: Sequence[WaveLinkBudget]) -> None:
     """Print a table for each wave link: what is felt over its round trip, beside what a loop through it could be."""
     for link in found[:_MOST_ROWS]:
         title = f"{link.name}: over a wave link, τ = {_ms(link.tau)} ms at the site"
-        felt_at = [f"felt, {1e-3 / T:.3g} kHz [N/m]" for T in link.periods]
-        table = titled_table(title, (), ("R [ms]", *felt_at, "felt mass [g]", "least mass [g]", "loop through R [N/m]"))
+        unit, gram = link.units("N/m"), link.units("g")
+        felt_at = [f"felt, {1e-3 / T:.3g} kHz [{unit}]" for T in link.periods]
+        columns = ("R [ms]", *felt_at, f"felt mass [{gram}]", f"least mass [{gram}]", f"loop through R [{unit}]")
+        table = titled_table(title, (), columns)
         for round_trip in link.round_trips:
             rows = [link.at(T, round_trip) for T in link.periods]
             mark = " (session)" if round_trip == link.round_trip else ""
@@ -519,25 +528,26 @@ def own_device_object(own: OwnDevice, found: DelayBudget) -> dict[str, Any]:
 
 def print_own_device(console: Console, own: OwnDevice, found: DelayBudget) -> None:
     """Print the answer in a sentence, and one for each speed below which friction counts."""
-    T = found.loop.period
+    T, unit = found.loop.period, found.loop.units()
     first, last = (found.at(tau)["device"].certified for tau in (0.0, T))
     console.print(
-        f"A device that damps {own.osp:g} N·s/m, at {own.rate:g} Hz: {_coupling(first)} if nothing is late, and "
-        f"{_coupling(last)} if forces may be a period late. A stiffer wall feels no stiffer.",
+        f"A device that damps {own.osp:g} {unit('N·s/m')}, at {own.rate:g} Hz: {_coupling(first, unit)} if nothing is "
+        f"late, and {_coupling(last, unit)} if forces may be a period late. A stiffer wall feels no stiffer.",
         markup=False,
         soft_wrap=True,
     )
     for speed, certified in below_speeds(own, found):
         late = f"{1e3 * found.loop.tau:g} ms late" if found.loop.tau else "nothing late"
         console.print(
-            f"Below {speed:g} m/s, with {own.friction:g} N of dry friction and {late}: {_figure(certified)} N/m",
+            f"Below {speed:g} {unit('m/s')}, with {own.friction:g} {unit('N')} of dry friction and {late}: "
+            f"{_figure(certified)} {unit('N/m')}",
             markup=False,
             soft_wrap=True,
         )
 
 
-def _coupling(below: float) -> str:
-    return f"a coupling below {_figure(below)} N/m" if below else "none"
+def _coupling(below: float, units: Units) -> str:
+    return f"a coupling below {_figure(below)} {units('N/m')}" if below else "none"
 
 
 def _environment_text(found: DelayBudget) -> str:
@@ -568,7 +578,7 @@ def plot_budget(found: DelayBudget, path: Path) -> None:
     if speeds:
         grid = whole.add_gridspec(2, 1, height_ratios=(0.6 + 3.6 * count, 3.6))
         figure = whole.add_subfigure(grid[0])
-        draw_speeds(whole.add_subfigure(grid[1]).subplots(), speeds, found.loop.speed)
+        draw_speeds(whole.add_subfigure(grid[1]).subplots(), speeds, found.loop)
     rows = figure.subplots(count, 1, squeeze=False, sharex=True)[:, 0]
     for axes, link in zip(rows, links, strict=False):
         draw_wave_link(axes, link)
@@ -601,7 +611,7 @@ def draw_budget(axes: Axes, found: DelayBudget, device: DeviceBudget) -> None:
     _label_decades(axes.yaxis)
     axes.set_title(device.name, loc="left", fontsize="medium")
     axes.set_xlabel("delay τ inside the tick [ms]")
-    axes.set_ylabel("stiffness [N/m]")
+    axes.set_ylabel(f"stiffness [{shown.units('N/m')}]")
     axes.grid(alpha=0.3, which="both")
     axes.set_xlim(0.0, 1e3 * periods[-1])
 
@@ -615,15 +625,15 @@ def _label_decades(axis: Axis) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def draw_speeds(axes: Axes, found: Sequence[SpeedBudget], speed: float | None) -> None:
+def draw_speeds(axes: Axes, found: Sequence[SpeedBudget], loop: HapticLoop) -> None:
     """Draw the stiffness below each speed, a colour for devices with equal limits; dashed what holds at every speed.
 
     Args:
         axes: to draw into.
         found: the limits; only the first few are drawn.
-        speed: the session's own, m/s, which is marked; None if it states none.
+        loop: of the session, whose own speed is marked if it states one.
     """
-    shown = found[:_MOST_PANELS]
+    shown, speed, units = found[:_MOST_PANELS], loop.speed, loop.units()
     for own, colour in zip(shown, _colours(len(shown)), strict=True):
         name, certified = _names(own.names), np.isfinite(own.certified)
         label = name if certified.any() else f"{name}: nothing below any speed, because of the encoders' steps"
@@ -632,13 +642,13 @@ def draw_speeds(axes: Axes, found: Sequence[SpeedBudget], speed: float | None) -
             text = f"{name}: at every speed, without its friction"
             axes.axhline(own.every, color=colour, linewidth=1.2, linestyle="--", label=text)
         if speed is not None and own.own:
-            text = f"this session: {_figure(own.own)} N/m below {speed:g} m/s"
+            text = f"this session: {_figure(own.own)} {units('N/m')} below {speed:g} {units('m/s')}"
             axes.plot(speed, own.own, "o", color=colour, markersize=6, label=text, zorder=5)
     for axis in (axes.xaxis, axes.yaxis):
         _label_decades(axis)
     axes.set_title("with dry friction as damping: holds below the speed v*", loc="left", fontsize="medium")
-    axes.set_xlabel("speed v* [m/s]")
-    axes.set_ylabel("stiffness [N/m]")
+    axes.set_xlabel(f"speed v* [{units('m/s')}]")
+    axes.set_ylabel(f"stiffness [{units('N/m')}]")
     axes.set_xlim(found[0].speeds[0], found[0].speeds[-1])
     axes.grid(alpha=0.3, which="both")
     axes.legend(fontsize="small", frameon=False)
@@ -689,7 +699,7 @@ def draw_wave_link(axes: Axes, link: WaveLinkBudget) -> None:
         axes.plot(1e3 * link.round_trip, felt, "o", color="black", label="this session", zorder=5)
     axes.set_title(link.name, loc="left", fontsize="medium")
     axes.set_xlabel("round trip R [ms]")
-    axes.set_ylabel("stiffness [N/m]")
+    axes.set_ylabel(f"stiffness [{link.units('N/m')}]")
     axes.grid(alpha=0.3, which="both")
     axes.legend(fontsize="small", frameon=False)
 

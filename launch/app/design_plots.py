@@ -21,6 +21,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from manyhands.design.frequency_responses import closed_loop, coupling_response, frequencies, response
+from manyhands.design.models.axis import TRANSLATING, Units
 from manyhands.design.models.coupling import Partition
 from manyhands.design.models.statespace import Matrix, StateSpace
 from manyhands.launch.look.figures import BLUE, GREEN, VERMILLION, new_figure, save
@@ -70,6 +71,7 @@ def plot_design(
     Delta_G: Matrix,
     T: float,
     ports: Sequence[str],
+    units: Units = TRANSLATING,
     W1: Filter | None = None,
     W2: Filter | None = None,
     objective: str | None = None,
@@ -93,6 +95,7 @@ def plot_design(
         Delta_G: share Delta_D, the level of G_hat, m x m, N*s/m.
         T: period, s.
         ports: names of the m ports.
+        units: of the ports.
         W1: weight on the left; None for 1.
         W2: weight on the right; None for 1.
         objective: "loop-shaping" for W1 E V W2, "closed-loop" for W1 (F(E,V) - E) W2; anything else shows E V.
@@ -124,14 +127,14 @@ def plot_design(
             world_z, own_z = response(world, angles), V_z - response(C, angles)
         label, shaped = shaped_response(world_z, own_z, F_z, points, W1, W2, objective)
         report("pictures: singular values")
-        paths.append(plot_singular_values(folder, omega, {"E": world_z, "F(E,V)": F_z}, label, shaped, gamma))
+        paths.append(plot_singular_values(folder, omega, {"E": world_z, "F(E,V)": F_z}, label, shaped, gamma, units))
         report("pictures: passivity")
         E_hat = (T * points / (points - 1.0))[:, None, None] * E_z
         V_hat = ((points - 1.0) / (T * points))[:, None, None] * (V_z - K)
-        paths.append(plot_passivity(folder, omega, E_hat, Phi_E, V_hat, Delta_V, Delta_G))
+        paths.append(plot_passivity(folder, omega, E_hat, Phi_E, V_hat, Delta_V, Delta_G, units))
     report("pictures: structure")
     static = coupling_response(blocks, partition, np.zeros(1))[0].real
-    paths.append(plot_structure(folder, static, partition, ports))
+    paths.append(plot_structure(folder, static, partition, ports, units))
     if len(history):
         report("pictures: convergence")
         paths.append(plot_convergence(folder, history, history_label))
@@ -145,6 +148,7 @@ def plot_singular_values(
     label: str,
     shaped: Complex,
     gamma: float | None,
+    units: Units,
 ) -> Path:
     """singular-values.png: what the hands feel, E and F(E,V), above; what the objective keeps small, below.
 
@@ -155,10 +159,11 @@ def plot_singular_values(
         label: name of ``shaped``.
         shaped: points x m x m.
         gamma: the level to draw; None for none.
+        units: of the ports.
     """
     figure = new_figure(8.0, 7.0)
     above, below = figure.subplots(2, 1, sharex=True)
-    draw_impedances(above, omega, impedances)
+    draw_impedances(above, omega, impedances, units)
     above.set_xlabel("")
     largest = _singular_band(below, omega, shaped, label, GREEN, "-")
     peak = int(np.argmax(largest))
@@ -175,18 +180,19 @@ def plot_singular_values(
     return save(figure, folder / "singular-values.png")
 
 
-def draw_impedances(axes: Axes, omega: NDArray[np.float64], impedances: Mapping[str, Complex]) -> None:
+def draw_impedances(axes: Axes, omega: NDArray[np.float64], impedances: Mapping[str, Complex], units: Units) -> None:
     """Draw the singular values of two impedances over frequency: that of the environment, and the one that is felt.
 
     Args:
         axes: where.
         omega: frequencies, rad/s.
         impedances: name and response (points x m x m, N/m).
+        units: of the ports.
     """
     for (name, values), colour, line in zip(impedances.items(), (BLUE, VERMILLION), ("-", "--"), strict=True):
         _singular_band(axes, omega, values, name, colour, line)
     axes.set_xlabel("frequency [rad/s]")
-    axes.set_ylabel("singular values [N/m]")
+    axes.set_ylabel(f"singular values [{units('N/m')}]")
     axes.set_title("stiffness: of the environment, and as the hands feel it", loc="left", fontsize="medium")
     axes.set_xscale("log")
     axes.set_yscale("log")
@@ -201,6 +207,7 @@ def plot_passivity(
     V_hat: Complex,
     Delta_V: Matrix,
     Delta_G: Matrix,
+    units: Units,
 ) -> Path:
     """passivity.png: each party's promise over frequency, as a least eigenvalue that must not be negative.
 
@@ -215,6 +222,7 @@ def plot_passivity(
         V_hat: response of the coupling, points x m x m, m/(N*s).
         Delta_V: its level, m x m, N*s/m.
         Delta_G: level of the devices behind their samplers, m x m, N*s/m.
+        units: of the ports.
     """
     figure = new_figure(8.0, 7.0)
     above, below = figure.subplots(2, 1, sharex=True)
@@ -226,7 +234,7 @@ def plot_passivity(
     above.axhline(0.0, color="black", linewidth=1.0)
     above.axhline(-bound, color="0.35", linewidth=1.2, linestyle=":", label=f"−(devices' level), {-bound:.3g}")
     above.set_yscale("symlog", linthresh=max(bound, 1e-300))  # linear near zero, logarithmic above
-    above.set_ylabel("least eigenvalue of He [N·s/m]")
+    above.set_ylabel(f"least eigenvalue of He [{units('N·s/m')}]")
     above.set_title(
         "environment: passive where Ê is above 0, not certifiable below the dotted line", loc="left", fontsize="medium"
     )
@@ -234,7 +242,7 @@ def plot_passivity(
     rounding = _ROUNDING * np.linalg.norm(V_hat, axis=(1, 2))
     _signed(below, omega, _least(V_hat), rounding, "He V̂", BLUE, "-")
     _signed(below, omega, _least(V_hat - supplied), rounding, "He V̂ − V̂* Δ_V V̂, promised ≥ 0", VERMILLION, "--")
-    below.set_ylabel("least eigenvalue [m/(N·s)]")
+    below.set_ylabel(f"least eigenvalue [{units('m/(N·s)')}]")
     below.set_xlabel("frequency [rad/s]")
     below.set_title("coupling: output strictly passive at level Δ_V", loc="left", fontsize="medium")
     for axes in (above, below):
@@ -243,7 +251,7 @@ def plot_passivity(
     return save(figure, folder / "passivity.png")
 
 
-def plot_structure(folder: Path, static: Matrix, partition: Partition, ports: Sequence[str]) -> Path:
+def plot_structure(folder: Path, static: Matrix, partition: Partition, ports: Sequence[str], units: Units) -> Path:
     """structure.png: |V(1)| entry by entry, with the ports of a block side by side and the blocks outlined.
 
     Args:
@@ -251,13 +259,14 @@ def plot_structure(folder: Path, static: Matrix, partition: Partition, ports: Se
         static: V(1), m x m, m/N.
         partition: the structure of V.
         ports: names of the m ports.
+        units: of the ports.
     """
     figure = new_figure(7.0, 6.0)
-    draw_structure(figure.subplots(), static, partition, ports)
+    draw_structure(figure.subplots(), static, partition, ports, units)
     return save(figure, folder / "structure.png")
 
 
-def draw_structure(axes: Axes, static: Matrix, partition: Partition, ports: Sequence[str]) -> None:
+def draw_structure(axes: Axes, static: Matrix, partition: Partition, ports: Sequence[str], units: Units) -> None:
     """Draw |V(1)| entry by entry as a map; arguments as of :func:`plot_structure`."""
     order = [port for block in partition.blocks for port in block]
     shown = np.abs(static[np.ix_(order, order)])
@@ -267,7 +276,7 @@ def draw_structure(axes: Axes, static: Matrix, partition: Partition, ports: Sequ
     colours = colormaps["cividis"].reversed()
     image = axes.imshow(masked, cmap=colours, norm=LogNorm(least / 1.001, most * 1.001), interpolation="nearest")
     if axes.figure is not None:
-        axes.figure.colorbar(image, ax=axes, label="|V(1)| [m/N]", shrink=0.8)
+        axes.figure.colorbar(image, ax=axes, label=f"|V(1)| [{units('m/N')}]", shrink=0.8)
     outlines, at = [], 0
     for name, block in zip(partition.names, partition.blocks, strict=True):
         size = len(block)

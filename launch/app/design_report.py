@@ -20,6 +20,7 @@ from rich.table import Table
 from manyhands.design.certificate import Certificate, asked_text, load
 from manyhands.design.errors import CertificateError
 from manyhands.design.levels.held_torque import HeldTorque
+from manyhands.design.models.axis import Units
 from manyhands.design.models.brief import brief_names
 from manyhands.design.models.coupling import SpringDamper
 from manyhands.design.models.statespace import Matrix
@@ -113,18 +114,18 @@ def infeasible_object(loop: HapticLoop, reason: str) -> dict[str, Any]:
 
 def held_text(loop: HapticLoop, device: DeviceLevel, held: HeldTorque) -> str:
     """What the held torques of a device take of its level, in words."""
-    d = held.damping(loop.period, loop.tau, loop.period_tolerance)
+    d, u = held.damping(loop.period, loop.tau, loop.period_tolerance), device.units
     least = float(np.linalg.eigvalsh(device.level)[0])
     proved = "believed" if held.linkage is None else "proved of its kinematics"
     return (
-        f"{device.name}: {d:.4g} of {least:.4g} N·s/m, up to {held.force:.4g} N and {held.speed:.4g} m/s, "
-        f"with κ = {held.kappa:.4g}/m {proved}"
+        f"{device.name}: {d:.4g} of {least:.4g} {u('N·s/m')}, up to {held.force:.4g} {u('N')} and "
+        f"{held.speed:.4g} {u('m/s')}, with κ = {held.kappa:.4g}/m {proved}"
     )
 
 
 def print_certificate(console: Console, certificate: Certificate) -> None:
     """Print a certificate's id, structure, coupling and margins."""
-    loop = certificate.loop
+    loop, units = certificate.loop, certificate.loop.units()
     if loop.speed is not None:
         console.print(f"{loop.session}: holds{below_speed(loop)}")
     console.print(f"certificate {certificate.id}")  # outside the table, which could cut it
@@ -143,7 +144,7 @@ def print_certificate(console: Console, certificate: Certificate) -> None:
     if not loop.punctual:
         table.add_row("left of Δ_D", f"{levels.device.share:.4f}, with κ = {levels.device.kappa:.4f}")
     if certificate.spring_damper is not None:
-        _coupling_rows(table, certificate.spring_damper, of_run=bool(loop.series))
+        _coupling_rows(table, certificate.spring_damper, units, of_run=bool(loop.series))
     else:
         orders = ", ".join(
             f"{name} {b.order}" for name, b in zip(loop.partition.names, certificate.blocks, strict=True)
@@ -155,15 +156,17 @@ def print_certificate(console: Console, certificate: Certificate) -> None:
     claim = certificate.transparency
     if claim is not None:
         norm = "‖W1 E V W2‖" if claim.aim.objective == "loop-shaping" else "‖W1 (F(E,V) − E) W2‖"
-        table.add_row(norm, f"< {claim.gamma:.4f}" + ("" if claim.aim.objective == "loop-shaping" else " N/m"))
-    kept = loop.environment.rows(certificate.margins)
+        table.add_row(
+            norm, f"< {claim.gamma:.4f}" + ("" if claim.aim.objective == "loop-shaping" else f" {units('N/m')}")
+        )
+    kept = loop.environment.rows(certificate.margins, units)
     for what, value in kept.items():
         table.add_row(what, value if isinstance(value, str) else _matrix_text(value, ".4f"))
     if not kept:
         energy = isinstance(levels.P_E, str)
         by = "its mechanical energy" if energy else f"a storage matrix of order {len(levels.P_E)}"
         table.add_row("environment proved by", by)
-    table.add_row("margin of (10)", f"{certificate.margins[CONDITION_10]:.4f} N·s/m")
+    table.add_row("margin of (10)", f"{certificate.margins[CONDITION_10]:.4f} {units('N·s/m')}")
     for key, margin in certificate.margins.items():
         if key not in (CONDITION_10, FELT_STIFFNESS):
             table.add_row(f"  {key}", f"{margin:.3e}")
@@ -264,10 +267,10 @@ def _account(node: Mapping[str, Any], report: Mapping[str, Any]) -> str:
     return f"{node['interface']['min']:.1e}{bound}"
 
 
-def _coupling_rows(table: Table, coupling: SpringDamper, of_run: bool) -> None:
+def _coupling_rows(table: Table, coupling: SpringDamper, units: Units, of_run: bool) -> None:
     run = ", run" if of_run else ""
-    table.add_row(f"K{run} [N/m]", _matrix_text(coupling.stiffness, ".4f"))
-    table.add_row(f"B{run} [N·s/m]", _matrix_text(coupling.damping, ".4f"))
+    table.add_row(f"K{run} [{units('N/m')}]", _matrix_text(coupling.stiffness, ".4f"))
+    table.add_row(f"B{run} [{units('N·s/m')}]", _matrix_text(coupling.damping, ".4f"))
 
 
 def series_rows(certificate: Certificate) -> dict[str, dict[str, float]]:
@@ -296,25 +299,30 @@ def series_rows(certificate: Certificate) -> dict[str, dict[str, float]]:
 
 def _series_rows(table: Table, certificate: Certificate) -> None:
     """What is counted in series, and whose stiffness the hand feels at rest."""
-    rows = series_rows(certificate)
+    rows, at = series_rows(certificate), certificate.loop.units
     if not rows:
         return
     few = list(rows.items())[:_LARGEST_SHOWN]
     more = [f"and {len(rows) - len(few)} more"] if len(rows) > len(few) else []
     if any("compliance" in row for row in rows.values()):
-        springs = [f"{port} {1e3 * row['compliance']:g} mm/N of the world" for port, row in few]
+        springs = [f"{port} {1e3 * row['compliance']:g} {at(port)('mm/N')} of the world" for port, row in few]
         table.add_row("counted in series", "\n".join([*springs, *more]))
-        table.add_row("coupling at rest", "\n".join([*(f"{p} {row['coupling']:.0f} N/m" for p, row in few), *more]))
+        table.add_row(
+            "coupling at rest", "\n".join([*(f"{p} {row['coupling']:.0f} {at(p)('N/m')}" for p, row in few), *more])
+        )
         return
-    counted = [f"{port} {row['part']:g} of {row['contact']:.6g} N/m" for port, row in few]
-    felt = [f"{port} {row['coupling']:.0f}, {row['contact']:.0f}, {row['together']:.0f} N/m" for port, row in few]
+    counted = [f"{port} {row['part']:g} of {row['contact']:.6g} {at(port)('N/m')}" for port, row in few]
+    felt = [
+        f"{port} {row['coupling']:.0f}, {row['contact']:.0f}, {row['together']:.0f} {at(port)('N/m')}"
+        for port, row in few
+    ]
     table.add_row("counted in series", "\n".join([*counted, *more]))
     table.add_row("coupling, contact,\nboth, at rest", "\n".join([*felt, *more]))
 
 
 def below_speed(loop: HapticLoop) -> str:
     """The speed below which a claim about this loop holds, to be added to a verdict; empty for every speed."""
-    return "" if loop.speed is None else f" below {loop.speed:g} m/s on every axis, and not beyond"
+    return "" if loop.speed is None else f" below {loop.speed:g} {loop.units()('m/s')} on every axis, and not beyond"
 
 
 def encoder_lines(certificate: Certificate) -> list[str]:
@@ -331,7 +339,10 @@ def encoder_lines(certificate: Certificate) -> list[str]:
     rows = []
     for port, w, own in zip(loop.ports, claim.force, one_step.tolist(), strict=True):
         if w > 0.0:
-            rows.append(f"{port} at most {1e3 * w:.3g} mN" + (f", {w / own:.3g} steps" if own > 0.0 else ""))
+            rows.append(
+                f"{port} at most {1e3 * w:.3g} m{loop.units(port)('N')}"
+                + (f", {w / own:.3g} steps" if own > 0.0 else "")
+            )
     more = [f"and {len(rows) - _LARGEST_SHOWN} more"] if len(rows) > _LARGEST_SHOWN else []
     covered = "covered by dry friction" if claim.covered else "not covered: no dry friction of that force is stated"
     return [*rows[:_LARGEST_SHOWN], *more, covered]
@@ -353,7 +364,7 @@ def about_text(certificate: Certificate) -> str:
     covered = claim is not None and claim.covered
     counts = "not counted" if not covered else "for encoder steps alone"
     if loop.speed is not None:
-        counts = f"as damping below {loop.speed:g} m/s"
+        counts = f"as damping below {loop.speed:g} {loop.units()('m/s')}"
     of_steps = f"samples in encoder steps of {step} ({'covered by dry friction' if covered else 'not covered'})"
     return (
         f"format {certificate.version}, about "
@@ -475,7 +486,7 @@ def run_budget(session: Session, out: Console, err: Console, picture: Path | Non
         print_json(budget_object(found) | {"rates": rates_object(rates)} | own)
     else:
         print_budget(out, found)
-        print_series(out, series_budget(found), loop.tau)
+        print_series(out, series_budget(found), loop)
         print_steps(out, found)
         print_wave_links(out, links)
         print_rates(out, session.name, rates)

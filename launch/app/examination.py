@@ -112,7 +112,7 @@ def print_worth(console: Console, measured: Measured, worth: Worth, found: tuple
     """Print the stiffness that can be certified with the measured delays, and the advice."""
     loop = worth.loop
     title = f"{loop.session}: weakest device, T = {loop.period * 1e3:g} ms"
-    table = titled_table(title, ["certified stiffness below [N/m]"], ("at the median", "at p99.9"))
+    table = titled_table(title, [f"certified stiffness below [{loop.units()('N/m')}]"], ("at the median", "at p99.9"))
     limit = f"{worth.no_delay:.0f}"
     table.add_row("no delay", limit, limit)
     for ticking in measured.ticking:
@@ -127,7 +127,8 @@ def print_worth(console: Console, measured: Measured, worth: Worth, found: tuple
 def compiled_sentence(found: CompiledWorth, worth: Worth) -> str:
     """What the compiled tick is worth here, as a sentence."""
     (compiled, pure), (least, most) = found.medians, found.spread
-    gain = " in place of ".join(f"{worth.weakest(median * 1e-6):.0f} N/m" for median in (compiled, pure))
+    unit = worth.loop.units()("N/m")
+    gain = " in place of ".join(f"{worth.weakest(median * 1e-6):.0f} {unit}" for median in (compiled, pure))
     return (
         f"The compiled tick takes {found.ratio:.2f} of the time of pure Python here ({least:.2f} to {most:.2f} in "
         f"{TURNS} turns; medians {compiled:.0f} µs and {pure:.0f} µs): {gain} at the median."

@@ -17,6 +17,7 @@ from rich.table import Table
 from manyhands.design.certificate import Certificate, certificate_of, read_plain, save
 from manyhands.design.environments import environment_of
 from manyhands.design.errors import CertificateError, DesignError, TriedChange
+from manyhands.design.models.axis import Units
 from manyhands.design.models.weights import Filter
 from manyhands.design.world import CONDITION_A, World, save_world
 from manyhands.launch.app.design_report import (
@@ -105,7 +106,7 @@ def run_design(
             objects[name] = _infeasible(session, error, could_help(err, with_remedies(error, session, name)))
             code = EXIT_NOT_CERTIFIED
             break
-        objects[name] = _keep(designed, files.get(name), out, err, as_json)
+        objects[name] = _keep(designed, session.units(), files.get(name), out, err, as_json)
         for line in () if isinstance(designed, World) else feel_lines(session, [designed.certificate]):
             say(err, line)
         if pictures is not None and not isinstance(designed, World) and not several:
@@ -131,7 +132,9 @@ def _infeasible(session: Session, error: DesignError, helps: Sequence[TriedChang
     return {"status": INFEASIBLE, "reason": str(error)} | relax
 
 
-def _keep(designed: World | Designed, path: Path | None, out: Console, err: Console, as_json: bool) -> dict[str, Any]:
+def _keep(
+    designed: World | Designed, units: Units, path: Path | None, out: Console, err: Console, as_json: bool
+) -> dict[str, Any]:
     """Write a part's certificate if it has a file, and print it; returns its object for ``--json``."""
     made = designed if isinstance(designed, World) else designed.certificate
     if path is not None:
@@ -140,13 +143,13 @@ def _keep(designed: World | Designed, path: Path | None, out: Console, err: Cons
         else:
             save(made, path)
     if not as_json:
-        _print(out, made)
+        _print(out, made, units)
     if path is not None:
         say(err, f"written to {path}; prove it again with: manyhands verify {path}")
     return world_object(made) if isinstance(made, World) else certificate_object(made)
 
 
-def _print(console: Console, made: World | Certificate) -> None:
+def _print(console: Console, made: World | Certificate, units: Units) -> None:
     if isinstance(made, Certificate):
         print_certificate(console, made)
         return
@@ -158,7 +161,9 @@ def _print(console: Console, made: World | Certificate) -> None:
     if made.in_tick is not None:
         table.add_row("users in the tick", f"{', '.join(made.in_tick.ports)}: {made.in_tick.id}")
     table.add_row("assumes", f"T = {made.period:g} s")
-    table.add_row("margin of (A)", f"{made.margins[CONDITION_A]:.4f} N·s/m{_strictness(made.margins[CONDITION_A])}")
+    table.add_row(
+        "margin of (A)", f"{made.margins[CONDITION_A]:.4f} {units('N·s/m')}{_strictness(made.margins[CONDITION_A])}"
+    )
     console.print(table)
 
 
@@ -202,6 +207,7 @@ def _draw(designed: Designed, folder: Path, err: Console) -> None:
             Delta_G=levels.device.share * embed(levels.Delta_D),
             T=loop.period,
             ports=loop.ports,
+            units=loop.units(),
             W1=None if claim is None else _at_points(claim.aim.W1),
             W2=None if claim is None else _at_points(claim.aim.W2),
             objective=None if claim is None else claim.aim.objective,

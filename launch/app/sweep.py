@@ -64,17 +64,19 @@ def designed(session: Session) -> Row:
         found = whole(session).design().certificate
     except DesignError as error:
         return {"certified": False, "reason": str(error)}
-    partition = found.loop.partition
+    partition, units = found.loop.partition, found.loop.units
     each = {
-        f"stiffness_{name}_N/m": float(np.linalg.eigvalsh(found.stiffness[np.ix_(ports, ports)])[0])
+        f"stiffness_{name}_{units(*(found.loop.ports[p] for p in ports))('N/m')}": float(
+            np.linalg.eigvalsh(found.stiffness[np.ix_(ports, ports)])[0]
+        )
         for name, ports in zip(partition.names, partition.blocks, strict=True)
         if len(partition.names) > 1
     }
     return {
         "certified": True,
-        "stiffness_N/m": float(np.linalg.eigvalsh(found.stiffness)[0]),
+        f"stiffness_{units()('N/m')}": float(np.linalg.eigvalsh(found.stiffness)[0]),
         **each,
-        "margin_N·s/m": found.margins["(10)"],
+        f"margin_{units()('N·s/m')}": found.margins["(10)"],
         "gamma": None if found.transparency is None else found.transparency.gamma,
         "certificate": found.id,
     }

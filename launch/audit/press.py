@@ -18,6 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from manyhands.design.models.axis import TRANSLATING, TURNING
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.run import RecordedRun, changed_after, rows_of
 from manyhands.launch.session.session import ENVIRONMENT
@@ -52,6 +53,7 @@ class Press:
         force: the mean force on the device, N; greater than 0.
         delivered: the force over the distance from the device to its tool, N/m.
         certified: the static stiffness of the coupling, N/m.
+        turns: whether the axis turns: what is in N and N/m otherwise is in N·m and N·m/rad.
     """
 
     port: str
@@ -60,12 +62,14 @@ class Press:
     force: float
     delivered: float
     certified: float
+    turns: bool = False
 
     def sentence(self) -> str:
         """The press in words."""
+        units = TURNING if self.turns else TRANSLATING
         return (
-            f"{self.port} was held still for {self.seconds:.1f} s at {self.force:.3g} N from {self.since:.1f} s on: "
-            f"{self.delivered:.4g} N/m delivered of {self.certified:.4g} certified"
+            f"{self.port} was held still for {self.seconds:.1f} s at {self.force:.3g} {units('N')} from "
+            f"{self.since:.1f} s on: {self.delivered:.4g} {units('N/m')} delivered of {self.certified:.4g} certified"
         )
 
     def as_plain(self) -> dict[str, Any]:
@@ -103,7 +107,8 @@ def _of_device(prepared: Prepared, run: RecordedRun, device: str) -> Iterator[Pr
         certified = abs(float(force[axis])) / abs(float((compliance @ force)[axis]))
         if distance * force[axis] > 0.0:  # otherwise it is no spring that pushed it back
             delivered = float(force[axis]) / distance
-            yield Press(port, begin * BLOCK, (end - begin) * BLOCK, abs(float(force[axis])), delivered, certified)
+            held, turns = (end - begin) * BLOCK, port in session.turning
+            yield Press(port, begin * BLOCK, held, abs(float(force[axis])), delivered, certified, turns)
 
 
 def averaged(rows: Array, period: float) -> Array:

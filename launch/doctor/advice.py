@@ -151,7 +151,7 @@ def advice(machine: Machine, measured: Measured, worth: Worth, chains: int) -> t
 def _tail(tau: Spread, worth: Worth) -> str:
     """The most that removing the slowest ticks can gain in stiffness, as a text."""
     now, even = (worth.weakest(getattr(tau, q) * 1e-6) for q in reversed(QUANTILES))
-    return f"at most {now:.0f} -> {even:.0f} N/m, were every tick like the median one"
+    return f"at most {now:.0f} -> {even:.0f} {worth.loop.units()('N/m')}, were every tick like the median one"
 
 
 def _rights(machine: Machine, measured: Measured, best: Ticking, worth: Worth) -> list[Advice]:

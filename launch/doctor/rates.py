@@ -101,7 +101,8 @@ def form_advice(session: Session, figures: Sequence[FormFigures]) -> tuple[Advic
         session.replace(changes)
     except SessionError:  # its weights, or a delay that it states, need its own period
         return ()
-    gives = f"{_newtons(own.certified or 0.0)} -> {_newtons(best.certified)} N/m, with the delays measured of either"
+    unit = session.units()("N/m")
+    gives = f"{_newtons(own.certified or 0.0)} -> {_newtons(best.certified)} {unit}, with the delays measured of either"
     return (Advice(f"run it with {settings(changes)}", gives, tried=True),)
 
 
@@ -194,7 +195,7 @@ def _certified(certificate: Certificate, session: Session, profile: Profile | No
         profile: this machine's for the session; None where there is none.
         now: s since the epoch.
     """
-    loop, T = certificate.loop, certificate.loop.period
+    loop, T, unit = certificate.loop, certificate.loop.period, certificate.loop.units()("N/m")
     tau = certificate.tau
     if profile is None:
         measured = "not measured here"
@@ -206,14 +207,14 @@ def _certified(certificate: Certificate, session: Session, profile: Profile | No
     share = needed_share(loop.Delta_D, certificate.levels.Phi_E)
     worth = Worth(loop, share)
     given = stiffness_range(certificate)
-    text = "" if given is None else f"; stiffness {_between(*given)}"
+    text = "" if given is None else f"; stiffness {_between(*given, unit)}"
     if (felt := certificate.margins.get(FELT_STIFFNESS)) is not None:
-        text += f", felt as {felt:.4g} N/m through the wave link"
+        text += f", felt as {felt:.4g} {unit} through the wave link"
     periods = f" and periods up to {_ms((1.0 + loop.period_tolerance) * T)}" if loop.period_tolerance else ""
-    here = "" if loop.punctual else f"{worth.weakest(tau):.4g} N/m for these and "
+    here = "" if loop.punctual else f"{worth.weakest(tau):.4g} {unit} for these and "
     yield (
         f"certified for delays up to {_ms(tau)}{periods} ({measured}){text}; the limit is {here}"
-        f"{worth.no_delay:.4g} N/m without delay"
+        f"{worth.no_delay:.4g} {unit} without delay"
     )
     if profile is not None and not allowance(profile, T).covered and tau >= T:
         found, ticks = profile.tau.p995 * 1e-6, round(1.0 / (1.0 - QUANTILE))
@@ -223,9 +224,9 @@ def _certified(certificate: Certificate, session: Session, profile: Profile | No
         )
 
 
-def _between(least: float, greatest: float) -> str:
+def _between(least: float, greatest: float, unit: str) -> str:
     low, high = f"{least:.4g}", f"{greatest:.4g}"
-    return f"{low} N/m" if low == high else f"{low} to {high} N/m"
+    return f"{low} {unit}" if low == high else f"{low} to {high} {unit}"
 
 
 def _ms(seconds: float) -> str:

@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from manyhands.design.certificate import Certificate
+from manyhands.design.models.axis import Units
 from manyhands.design.models.statespace import symmetric_part
 from manyhands.launch.session import Session
 from manyhands.nodes.kernel.bundle import SIMULATED
@@ -31,11 +32,13 @@ class Softened:
         port: where it is felt.
         contact: its stiffness, k in N/m.
         coupling: of the coupling there, K in N/m.
+        units: of the port.
     """
 
     port: str
     contact: float
     coupling: float
+    units: Units
 
     @property
     def felt(self) -> float:
@@ -45,8 +48,9 @@ class Softened:
     @property
     def sentence(self) -> str:
         """What is felt, and why."""
+        unit = self.units("N/m")
         return (
-            f"{self.port}: a contact of {self.contact:g} N/m will feel like {self.felt:.3g} N/m: "
+            f"{self.port}: a contact of {self.contact:g} {unit} will feel like {self.felt:.3g} {unit}: "
             "the coupling is the limit"
         )
 
@@ -63,7 +67,7 @@ def softened(session: Session, certificates: Iterable[Certificate]) -> list[Soft
     for certificate in certificates:
         for port, K in zip(certificate.loop.ports, np.diag(certificate.stiffness).tolist(), strict=True):
             if FAR_SOFTER * hardest.get(port, 0.0) > K:
-                found.append(Softened(port, hardest[port], K))
+                found.append(Softened(port, hardest[port], K, session.units(port)))
     return sorted(found, key=lambda one: one.felt / one.contact)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from manyhands.design.models.axis import AxisKind
 from manyhands.design.models.coupling import Partition, SpringDamper
 from manyhands.design.models.weights import Filter, Transparency
 from manyhands.design.problem import (
@@ -74,7 +75,8 @@ def device_level(session: Session, name: str, ports: tuple[int, ...]) -> DeviceL
     device = session.devices[name]
     step = device.step if device.step is not None and any(device.step) else None
     friction = None if device.friction is None else device.friction.least
-    return DeviceLevel(name, ports, session.osp_level(name), device.held_torque, step, friction)
+    turning = tuple(port for port, kind in zip(ports, device.kinds, strict=True) if kind is AxisKind.ROTATION) or None
+    return DeviceLevel(name, ports, session.osp_level(name), device.held_torque, step, friction, turning)
 
 
 def stated_delay(session: Session) -> float:

@@ -104,6 +104,7 @@ class Cap:
         damping: B by port, N·s/m, which is lowered in proportion; 0 where it does not count.
         level: Delta_D by port, N·s/m, which the limits follow.
         period: T, s.
+        units: of a stiffness, by port.
     """
 
     ports: tuple[str, ...]
@@ -111,6 +112,7 @@ class Cap:
     damping: tuple[float, ...]
     level: tuple[float, ...]
     period: float
+    units: tuple[str, ...]
 
     @property
     def what(self) -> str:
@@ -135,8 +137,8 @@ class Cap:
     def limit(self, share: float) -> str:
         """The quantity with the limits that it exceeds, in words."""
         limits = {
-            port: f"{share * top:.4g} N/m"
-            for port, (used, top) in zip(self.ports, self._used(), strict=True)
+            port: f"{share * top:.4g} {unit}"
+            for port, unit, (used, top) in zip(self.ports, self.units, self._used(), strict=True)
             if used > share * top
         }
         if len({*limits.values()}) == 1:
@@ -246,12 +248,13 @@ def _gives(session: Session, name: str) -> str:
         DesignError: it is not certified.
     """
     if name == ENVIRONMENT:
-        return f"with a margin of {world(session).margins[CONDITION_A]:.3g} N·s/m"
+        return f"with a margin of {world(session).margins[CONDITION_A]:.3g} {session.units()('N·s/m')}"
     found = stiffness_range(part(session, name).design().certificate)
     if found is None:
         return "without a static stiffness"
     least, most = (f"{value:.4g}" for value in found)
-    return f"at {least} N/m" if least == most else f"at {least} to {most} N/m"
+    unit = part(session, name).loop.units()("N/m")
+    return f"at {least} {unit}" if least == most else f"at {least} to {most} {unit}"
 
 
 def _limit(helps: Callable[[float], bool]) -> float | None:
@@ -316,10 +319,17 @@ def _numbers(value: Any) -> tuple[float, ...]:
     return () if isinstance(value, bool | str) or not value else (abs(float(value)),)
 
 
-def _lever(what: str, unit: str, values: Mapping[str, Any], own: tuple[float, ...] | None = None, **more: Any) -> Ways:
-    """The lever of these values, stated of all their numbers; no way where none is a number other than 0."""
-    numbers = _numbers(values)
-    return (Lever(what, unit, values, numbers if own is None else own, **more),) if numbers else ()
+def _lever(
+    session: Session, what: str, unit: str, values: Mapping[str, Any], own: tuple[float, ...] | None = None, **more: Any
+) -> Ways:
+    """The lever of these values, stated of all their numbers; no way where none is a number other than 0.
+
+    Where they have two units, because some axes turn and others do not, no one number states their limit.
+    """
+    numbers, units = _numbers(values), session.units()
+    if own is None:
+        own = () if len({unit, units(unit)}) > 1 and len(units.kinds) > 1 else numbers
+    return (Lever(what, units(unit), values, own, **more),) if numbers else ()
 
 
 # What can be changed
@@ -337,7 +347,7 @@ def _softer(session: Session, plain: dict[str, Any], name: str) -> Ways:
             for key in ("C", "D", "static")
             if _numbers(block.get(key, 0.0))
         }
-        return _lever("a stiffness of the coupling", "", compliance, own=(), inverse=frozenset(compliance))
+        return _lever(session, "a stiffness of the coupling", "", compliance, own=(), inverse=frozenset(compliance))
     stiffness, damping = session.given_stiffness, session.given_damping
     if stiffness is None or damping is None:
         raise AssertionError("a validated session gives stiffness and damping, or matrices")
@@ -346,10 +356,11 @@ def _softer(session: Session, plain: dict[str, Any], name: str) -> Ways:
         damping - np.diag(np.diag(damping))
     ):
         values = {f"design.{key}": design[key] for key in ("stiffness", "damping") if key in design}
-        return _lever("a stiffness of the coupling", "", values, own=())
+        return _lever(session, "a stiffness of the coupling", "", values, own=())
     K, B, by_port = (tuple(one.tolist()) for one in (np.diag(stiffness), np.diag(damping), level))
-    springs = Cap(session.ports, K, (0.0,) * len(K), by_port, session.period)
-    return (springs, Cap(session.ports, K, B, by_port, session.period)) if any(B) else (springs,)
+    units = tuple(session.units(port)("N/m") for port in session.ports)
+    springs = Cap(session.ports, K, (0.0,) * len(K), by_port, session.period, units)
+    return (springs, Cap(session.ports, K, B, by_port, session.period, units)) if any(B) else (springs,)
 
 
 def _damped(session: Session, plain: dict[str, Any], name: str) -> Ways:
@@ -359,8 +370,8 @@ def _damped(session: Session, plain: dict[str, Any], name: str) -> Ways:
         return ()
     values = {"design.damping": damping}
     return (
-        *_lever("a damping of the coupling", "N·s/m", values),
-        *_lever("a damping of the coupling", "N·s/m", values, up=True),
+        *_lever(session, "a damping of the coupling", "N·s/m", values),
+        *_lever(session, "a damping of the coupling", "N·s/m", values, up=True),
     )
 
 
@@ -405,7 +416,7 @@ def _level(osp: Any) -> Any:
 def _stronger(session: Session, plain: dict[str, Any], name: str) -> Ways:
     """Devices that damp more."""
     values = {f"devices.{device}.osp": _level(plain["devices"][device]["osp"]) for device in _devices(session, name)}
-    return _lever("devices with an osp", "N·s/m", values, up=True)
+    return _lever(session, "devices with an osp", "N·s/m", values, up=True)
 
 
 def _quicker(session: Session, plain: dict[str, Any], name: str) -> Ways:
@@ -414,7 +425,7 @@ def _quicker(session: Session, plain: dict[str, Any], name: str) -> Ways:
     if name in session.wave_links and session.wave_links[name].period is not None:
         key = f"couplings.{name}.wave_link.period"
     period = session.wave_links[name].period_in(session.period) if name in session.wave_links else session.period
-    return _lever("a period", "ms", {key: period}, scale=1e3)
+    return _lever(session, "a period", "ms", {key: period}, scale=1e3)
 
 
 def _sooner(session: Session, plain: dict[str, Any], name: str) -> Ways:
@@ -434,7 +445,7 @@ def _sooner(session: Session, plain: dict[str, Any], name: str) -> Ways:
             for key in stated
             if key in plain["devices"][device]
         }
-    return _lever("a delay inside the tick", "ms", values, scale=1e3, note=", if every force comes so soon")
+    return _lever(session, "a delay inside the tick", "ms", values, scale=1e3, note=", if every force comes so soon")
 
 
 def _steadier(session: Session, plain: dict[str, Any], name: str) -> Ways:
@@ -442,7 +453,7 @@ def _steadier(session: Session, plain: dict[str, Any], name: str) -> Ways:
     if name == ENVIRONMENT:
         return ()
     values = {"design.period_tolerance": session.design.period_tolerance}
-    return _lever("a period_tolerance", "of the period", values, note=", if every period keeps to it")
+    return _lever(session, "a period_tolerance", "of the period", values, note=", if every period keeps to it")
 
 
 def _less_harvest(session: Session, plain: dict[str, Any], name: str) -> Ways:
@@ -450,7 +461,7 @@ def _less_harvest(session: Session, plain: dict[str, Any], name: str) -> Ways:
     if name not in session.wave_links:
         return ()
     harvest = plain["couplings"][name]["wave_link"].get("harvest", 0.0)
-    return _lever("a harvest", "N·s/m", {f"couplings.{name}.wave_link.harvest": harvest})
+    return _lever(session, "a harvest", "N·s/m", {f"couplings.{name}.wave_link.harvest": harvest})
 
 
 def _softer_world(session: Session, plain: dict[str, Any], name: str) -> Ways:
@@ -463,7 +474,7 @@ def _softer_world(session: Session, plain: dict[str, Any], name: str) -> Ways:
                 for i, link in enumerate(world["links"])
                 if _numbers(link.get("stiffness", 0.0))
             }
-            return _lever("springs of the world", "N/m", springs)
+            return _lever(session, "springs of the world", "N/m", springs)
         case "transfer-function":
             forces = {
                 f"environment.entries.{i}.{j}.num": entry["num"]
@@ -471,13 +482,13 @@ def _softer_world(session: Session, plain: dict[str, Any], name: str) -> Ways:
                 for j, entry in enumerate(row)
                 if _numbers(entry["num"])
             }
-            return _lever("forces of the world", "", forces, own=())
+            return _lever(session, "forces of the world", "", forces, own=())
         case "state-space":
             forces = {f"environment.{key}": world[key] for key in ("C", "D", "static") if _numbers(world.get(key, 0.0))}
-            return _lever("forces of the world", "", forces, own=())
+            return _lever(session, "forces of the world", "", forces, own=())
         case _:
             level = world.get("level", 0.0)
-            return _lever("a declared level", "N·s/m", {"environment.level": level})
+            return _lever(session, "a declared level", "N·s/m", {"environment.level": level})
 
 
 def _damped_world(session: Session, plain: dict[str, Any], name: str) -> Ways:
@@ -488,7 +499,7 @@ def _damped_world(session: Session, plain: dict[str, Any], name: str) -> Ways:
         for i, link in enumerate(world.get("links", ()))
         if isinstance(link, Mapping) and _numbers(link.get("damping", 0.0))
     }
-    return _lever("dampers of the world", "N·s/m", dampers, up=True)
+    return _lever(session, "dampers of the world", "N·s/m", dampers, up=True)
 
 
 def _prompt_world(session: Session, plain: dict[str, Any], name: str) -> Ways:
@@ -523,7 +534,7 @@ def _of_mechanism(key: str, what: str, unit: str, up: bool = False) -> Callable[
                 value = value.get(step) if isinstance(value, Mapping) else None
             if value is not None:
                 values[f"devices.{device}.{key}"] = value
-        return _lever(what, unit, values, up=up)
+        return _lever(session, what, unit, values, up=up)
 
     return ways
 

@@ -20,7 +20,7 @@ import functools
 import json
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
@@ -34,13 +34,13 @@ from pydantic import (
     field_validator,
     model_validator,
 )
-from pydantic.json_schema import SkipJsonSchema
 from pydantic_core import PydanticCustomError
 
 from manyhands.design.levels.held_torque import HeldTorque
+from manyhands.design.models.axis import AxisKind, Units
 from manyhands.design.models.linkage import LENGTHS, LinkageError, greatest_bending, linkage_of
 from manyhands.design.passivity.operators import PassivityFinding, RationalMatrix
-from manyhands.launch.session.errors import listed, show
+from manyhands.launch.session.errors import listed, one_of, show
 from manyhands.launch.session.fields import (
     AXIS_NAME,
     BETWEEN,
@@ -51,6 +51,7 @@ from manyhands.launch.session.fields import (
     OSP_ENTRY,
     OSP_LEVEL,
     STIFFNESS,
+    Axes,
     Completed,
     Described,
     Dof,
@@ -58,17 +59,24 @@ from manyhands.launch.session.fields import (
     Items,
     LevelInterval,
     Name,
+    NamedParts,
+    OnAxes,
     PerAxis,
     PortLimits,
     Problem,
     Quantity,
     Rows,
     SessionModel,
+    ValueCheck,
+    axis_kinds,
+    axis_units,
     between,
     defaulted,
     each,
+    each_named,
     ends,
     is_interval,
+    kinds_of_axes,
     matrix,
     ordered,
     problems_of,
@@ -118,7 +126,7 @@ _OPERATOR_FORM: Final = either(_entry.json_schema, list_of(list_of(_entry.json_s
 
 def _operator(value: object, info: ValidationInfo) -> object:
     """H(s) as rows of entries; a single entry applies to every axis, without cross terms."""
-    dof: int = info.data.get("dof", 1)
+    dof = len(axis_kinds(info) or (None,))
     if isinstance(value, list | tuple):
         return matrix(_entry, value, dof, dof)
     own, cross = _entry(value), Rational(num=(0.0,), den=(1.0,))
@@ -141,21 +149,39 @@ class Intents(FieldCheck):
     @property
     def json_schema(self) -> JsonSchema:
         """By axis a number, a formula or a trace."""
-        return self._checked_in(Path()).json_schema
+        return PerAxis(Intent(self.what, Path())).json_schema
 
     def in_part(self, value: object, info: ValidationInfo) -> Any:
         """The intention of each axis; the files of traces are in the folder of the session file."""
-        return self._checked_in((info.context or {}).get("folder", Path())).in_part(value, info)
+        return PerAxis(Intent(self.what, (info.context or {}).get("folder", Path()))).in_part(value, info)
 
-    def _checked_in(self, folder: Path) -> PerAxis:
-        return PerAxis(self.of_axis(folder))
 
-    def of_axis(self, folder: Path) -> Described:
-        """The check of one axis; the files of traces are in ``folder``."""
+@dataclass(frozen=True, slots=True)
+class Intent(ValueCheck):
+    """The check of an intended force or motion of one axis.
+
+    Attributes:
+        what: the quantity.
+        folder: of the files of traces.
+    """
+
+    what: Quantity
+    folder: Path
+
+    @property
+    def json_schema(self) -> JsonSchema:
+        """A number, a formula or a trace."""
         numbers = dict.fromkeys(("times", "values"), _SAMPLES.json_schema)
         traces = (mapping_of({"trace": {"type": "string", "minLength": 1}}), mapping_of(numbers))
-        form = either(self.what.json_schema, {"type": "string"}, *traces)
-        return Described(lambda intent: _intent(self.what, intent, folder), form)
+        return either(self.what.json_schema, {"type": "string"}, *traces)
+
+    def at(self, units: Units) -> Self:
+        """The same on axes with these units."""
+        return replace(self, what=self.what.at(units))
+
+    def __call__(self, value: object) -> float | str | TraceData:
+        """The intention."""
+        return _intent(self.what, value, self.folder)
 
 
 def _intent(what: Quantity, value: object, folder: Path) -> float | str | TraceData:
@@ -200,14 +226,13 @@ _MOTION: Final = Intents(Quantity("an intended motion", "m"))
 _AXES: Final = "one for all axes, or a list with one for each"
 
 
-class Hand(SessionModel):
+class Hand(OnAxes):
     """A simulated hand; every tuple has one entry for each axis of the device.
 
     Raises:
         PydanticCustomError: the operator is not passive, or another value is wrong.
     """
 
-    dof: SkipJsonSchema[Dof] = Field(alias=DEVICE_AXES, exclude=True, repr=False)
     operator: Annotated[tuple[tuple[Rational, ...], ...], Completed(_operator, _OPERATOR_FORM)] = defaulted(
         0.0, "the passive operator H(s) in N·s/m, from velocity to force"
     )
@@ -294,6 +319,7 @@ def _osp(value: object, info: ValidationInfo) -> object:
     The ends of an interval are numbers or lists by axis: two matrices have no lower end that a proof could use.
     """
     dof: int = info.data.get("dof", 1)
+    units = axis_units(info)
     if isinstance(value, LevelInterval):
         value = _plain_level(value)
     if is_interval(value):
@@ -305,12 +331,12 @@ def _osp(value: object, info: ValidationInfo) -> object:
         return _diagonal(low) if low == high else LevelInterval(_diagonal(low), _diagonal(high))
     if not isinstance(value, list | tuple) or not any(isinstance(row, list | tuple) for row in value):
         return _diagonal(_per_axis.in_part(value, info))
-    rows: Rows = matrix(OSP_ENTRY, value, dof, dof)
+    rows: Rows = matrix(OSP_ENTRY.at(units), value, dof, dof)
     if problem := unsymmetric(rows):
         raise refusal(problem)
     least = float(np.linalg.eigvalsh(np.array(rows))[0])
     if least <= _ROUNDING * np.abs(rows).max():
-        raise refuse(f"a matrix with the eigenvalue {least:.3g}", "a positive definite matrix in N·s/m")
+        raise refuse(f"a matrix with the eigenvalue {least:.3g}", f"a positive definite matrix in {units('N·s/m')}")
     return rows
 
 
@@ -407,7 +433,29 @@ def _kappa_of(kinematics: str) -> float:
     return _SEARCHED * greatest_bending(linkage_of(json.loads(kinematics)))
 
 
-_axis_names: Final = Items("axis names", MAX_DOF, AXIS_NAME)
+_NAMES: Final = Items("axis names", MAX_DOF, AXIS_NAME)
+_BY_NAME: Final = NamedParts(AXIS_NAME, MAX_DOF)
+_KINDS: Final = tuple(kind.value for kind in AxisKind)
+_AXES_FORM: Final = either(_NAMES.json_schema, {**_BY_NAME.json_schema, "additionalProperties": {"enum": [*_KINDS]}})
+
+
+def _axes(value: object) -> Axes:
+    """The names of the axes, or by name what each of them does."""
+    if not isinstance(value, Mapping):
+        return _NAMES(value)
+
+    def kind(word: object) -> AxisKind:
+        if word not in _KINDS:
+            raise refuse(show(word), one_of(_KINDS, word))
+        return AxisKind(str(word))
+
+    _BY_NAME(value)
+    return each_named(kind, value)
+
+
+def _plain_axes(axes: Axes | None) -> object:
+    """The axes in the notation of a session file."""
+    return {name: kind.value for name, kind in axes.items()} if isinstance(axes, Mapping) else axes
 
 
 def ports_by_device(ports: tuple[str, ...]) -> dict[str, list[str]]:
@@ -447,8 +495,8 @@ class Device(SessionModel):
     )
 
     dof: Dof = Field(description="the number of degrees of freedom")
-    axes: Annotated[tuple[str, ...] | None, _axis_names] = Field(
-        default=None, description="names of the axes, for its ports"
+    axes: Annotated[Axes | None, Described(_axes, _AXES_FORM), PlainSerializer(_plain_axes)] = Field(
+        default=None, description="names of the axes, for its ports; or {NAME: rotation} by axis, for N·m and rad"
     )
     osp: Annotated[Rows | LevelInterval, Completed(_osp, _OSP_FORM), PlainSerializer(_plain_level)] = Field(
         description="the OSP level Delta_D in N·s/m: a number, one for each axis, a matrix, or an interval"
@@ -506,6 +554,16 @@ class Device(SessionModel):
         default=None, description="with held: torque, the linkage from its motors to its tip"
     )
     hand: Hand | None = defaulted(None, "the simulated hand that holds it")
+
+    @property
+    def kinds(self) -> tuple[AxisKind, ...]:
+        """What each of its axes does."""
+        return kinds_of_axes(self.axes, self.dof)
+
+    @property
+    def units(self) -> Units:
+        """The units of its axes together."""
+        return Units.of(self.kinds)
 
     @property
     def factory(self) -> str | None:
@@ -585,15 +643,20 @@ class Device(SessionModel):
             return (name,)
         return tuple(f"{name}.{axis}" for axis in self.axes or range(self.dof))
 
+    def turning(self, name: str) -> tuple[str, ...]:
+        """Those of its ports that turn."""
+        return tuple(port for port, kind in zip(self.ports(name), self.kinds, strict=True) if kind is AxisKind.ROTATION)
+
     @field_validator("axes", mode="after")
     @classmethod
-    def _one_name_for_each_axis(cls, axes: tuple[str, ...] | None, info: ValidationInfo) -> tuple[str, ...] | None:
+    def _one_name_for_each_axis(cls, axes: Axes | None, info: ValidationInfo) -> Axes | None:
         dof = info.data.get("dof")
         if axes is None or dof is None:
             return axes
-        if len(axes) != dof:
-            raise refuse(f"{len(axes)} axis names", f"{dof}, one for each degree of freedom")
-        if twice := [name for i, name in enumerate(axes) if name in axes[:i]]:
+        names = tuple(axes)
+        if len(names) != dof:
+            raise refuse(f"{len(names)} axis names", f"{dof}, one for each degree of freedom")
+        if twice := [name for i, name in enumerate(names) if name in names[:i]]:
             raise refuse(f"the axis {twice[0]!r} twice", "each name once")
         return axes
 
@@ -608,17 +671,18 @@ class Device(SessionModel):
         least = float(np.linalg.eigvalsh(np.diag(damping) - osp)[0])
         if least < -_ROUNDING * np.abs(osp).max():
             against = f"{osp[0, 0]:g}" if osp.size == 1 else "the one given"
+            unit = axis_units(info)("N·s/m")
             raise refuse(
                 f"the damping {', '.join(f'{value:g}' for value in damping)} for an OSP level of {against}, "
                 "so the device would not be Delta_D-OSP at the declared level",
-                "a damping in N·s/m with diag(damping) - osp positive semidefinite, or a smaller osp",
+                f"a damping in {unit} with diag(damping) - osp positive semidefinite, or a smaller osp",
             )
         return damping
 
     @field_validator("limits", "hand", "friction", mode="wrap")
     @classmethod
     def _on_every_axis(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> object:
-        """Pass the number of axes to a part with values by axis; without a valid ``dof`` it cannot be checked."""
+        """Pass what the axes do to a part with values by axis; without a valid ``dof`` it cannot be checked."""
         if "dof" not in info.data:
             return value
         if info.field_name == "hand":
@@ -628,9 +692,12 @@ class Device(SessionModel):
             if driver in PERSONS and (value is None or isinstance(value, Mapping)):
                 value = {**BROWSER_HAND, **(value or {})}
         if info.field_name == "friction" and not isinstance(value, Mapping | Friction):
-            raise refuse(show(value), "{least: c}, with the least dry friction in N: a number, or one for each axis")
+            unit = axis_units(info)("N")
+            raise refuse(
+                show(value), f"{{least: c}}, with the least dry friction in {unit}: a number, or one for each axis"
+            )
         written = DEFAULT_HAND if value is None else value
-        return handler({**written, DEVICE_AXES: info.data["dof"]} if isinstance(written, Mapping) else written)
+        return handler({**written, DEVICE_AXES: axis_kinds(info)} if isinstance(written, Mapping) else written)
 
     @model_validator(mode="after")
     def _fits_its_driver(self) -> Self:
@@ -682,7 +749,8 @@ class Device(SessionModel):
                     expected = f"no {key}: the intention comes from the person"
                     yield Problem(("hand", key), f"{key} {here}", expected)
             if 0.0 in self.hand.stiffness:
-                expected = "a stiffness in N/m greater than 0: it ties the device to the goal, a pointer's for one"
+                unit = self.units("N/m")
+                expected = f"a stiffness in {unit} greater than 0: it ties the device to the goal, a pointer's for one"
                 yield Problem(("hand", "stiffness"), f"0 {here}", expected)
 
     def _friction_problems(self, here: str) -> Iterator[Problem]:

@@ -25,7 +25,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from types import NoneType
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, TypeAlias, get_args, get_origin
@@ -42,6 +42,7 @@ from pydantic import (
 from pydantic.json_schema import SkipJsonSchema
 from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError, core_schema
 
+from manyhands.design.models.axis import AxisKind, Units
 from manyhands.launch.session.errors import SessionError, key_text, listed, one_of, show
 from manyhands.launch.session.forms import JsonSchema, either, list_of, mapping_of
 from manyhands.launch.session.limits import (
@@ -63,7 +64,7 @@ PROBLEMS: Final = "session_problems"
 """Type of the pydantic errors that carry a tuple of :class:`Problem` as ``ctx["problems"]``."""
 
 DEVICE_AXES: Final = "(axes of the device)"
-"""Key under which a device passes its number of axes to its parts; no session file can sensibly use it."""
+"""Key under which a device passes to its parts what its axes do; no session file can sensibly use it."""
 
 Rows: TypeAlias = tuple[tuple[float, ...], ...]
 """A matrix, row by row."""
@@ -113,6 +114,10 @@ class ValueCheck(FieldCheck):
 
         def __call__(self, value: object, /) -> Any:
             """The value."""
+
+    def at(self, units: Units) -> ValueCheck:
+        """The same check on axes with these units; the check itself where it names none."""
+        return self
 
     def in_part(self, value: object, info: ValidationInfo) -> Any:
         """The value of a field."""
@@ -226,6 +231,11 @@ class Quantity(ValueCheck):
         low = least if self.above is None else {"exclusiveMinimum": self.above}
         return {"type": "number", **low, "maximum": self.magnitude if self.most is None else self.most}
 
+    def at(self, units: Units) -> Quantity:
+        """The same quantity of axes with these units."""
+        unit = units(self.unit)
+        return self if unit == self.unit else replace(self, unit=unit)
+
     def __call__(self, value: object) -> float:
         """The value as a float."""
         if isinstance(value, bool) or not isinstance(value, int | float):
@@ -280,6 +290,37 @@ class Whole(ValueCheck):
 
 
 Dof: TypeAlias = Annotated[int, Whole("degrees of freedom", 1, MAX_DOF)]
+
+Axes: TypeAlias = tuple[str, ...] | dict[str, AxisKind]
+"""The names of a device's axes; or by name what each of them does."""
+
+
+def kinds_of_axes(axes: Axes | None, dof: int) -> tuple[AxisKind, ...]:
+    """What each of ``dof`` axes does; those that only have names translate."""
+    return tuple(axes.values()) if isinstance(axes, Mapping) else (AxisKind.TRANSLATION,) * dof
+
+
+class OnAxes(SessionModel):
+    """A part of a device whose tuples have one entry for each of its axes.
+
+    Attributes:
+        kinds: what each axis does.
+    """
+
+    kinds: SkipJsonSchema[tuple[AxisKind, ...]] = Field(alias=DEVICE_AXES, exclude=True, repr=False)
+
+
+def axis_kinds(info: ValidationInfo) -> tuple[AxisKind, ...] | None:
+    """What the axes of the device do whose part is checked; None where that was refused."""
+    if "kinds" in info.data:
+        kinds: tuple[AxisKind, ...] = info.data["kinds"]
+        return kinds
+    return kinds_of_axes(info.data.get("axes"), info.data["dof"]) if "dof" in info.data else None
+
+
+def axis_units(info: ValidationInfo) -> Units:
+    """The units of the axes of the device whose part is checked."""
+    return Units.of(axis_kinds(info) or ())
 
 
 @dataclass(frozen=True, slots=True)
@@ -416,7 +457,10 @@ def each_named(check: Callable[[object], Any], values: Mapping[str, object]) -> 
 
 @dataclass(frozen=True, slots=True)
 class PerAxis(FieldCheck):
-    """One value for all axes, or a list with one for each; the result is a tuple of ``dof`` values."""
+    """One value for all axes, or a list with one for each; the result is a tuple with one value for each.
+
+    Its messages have the units of the axes: see :class:`.Units`.
+    """
 
     check: ValueCheck
 
@@ -427,12 +471,15 @@ class PerAxis(FieldCheck):
 
     def in_part(self, value: object, info: ValidationInfo) -> Any:
         """The values, one for each axis."""
-        dof = info.data.get("dof", 1)
+        kinds = axis_kinds(info)
         if not isinstance(value, list | tuple):
-            return (self.check(value),) * dof
-        if len(value) != dof and "dof" in info.data:
-            raise refuse(show(value), f"one value, or a list of {dof}, one for each axis")
-        return each(self.check, value[:MAX_DOF])
+            return (self.check.at(Units.of(kinds or ()))(value),) * len(kinds or (None,))
+        if kinds is None:  # another error has been reported
+            return each(self.check, value[:MAX_DOF])
+        if len(value) != len(kinds):
+            raise refuse(show(value), f"one value, or a list of {len(kinds)}, one for each axis")
+        checks = iter([self.check.at(Units.of([kind])) for kind in kinds])
+        return each(lambda entry: next(checks)(entry), value)
 
 
 def matrix(check: Callable[[object], Any], value: object, rows: int, columns: int) -> tuple[tuple[Any, ...], ...]:
@@ -606,7 +653,7 @@ def _products(info: ValidationInfo, quantity: str) -> float:
     return float(sum(force * other for force, other in zip(forces, others, strict=True)))
 
 
-class PortLimits(SessionModel):
+class PortLimits(OnAxes):
     """The limits at a device's ports; every tuple has one entry for each axis.
 
     The units are those of a translational axis; a rotational axis has N·m, rad and rad/s. The device clips a force that
@@ -614,7 +661,6 @@ class PortLimits(SessionModel):
     believed until a motion shows more. Power and energy are limits of the whole device.
     """
 
-    dof: SkipJsonSchema[Dof] = Field(alias=DEVICE_AXES, exclude=True, repr=False)
     force: Annotated[tuple[float, ...], PerAxis(_FORCE)] = defaulted(
         DEFAULT_FORCE, "the greatest force in N that is applied, either way: a number, or one for each axis"
     )

@@ -11,15 +11,13 @@ from collections.abc import Iterator
 from typing import Annotated, Final, Self
 
 from pydantic import Field, model_validator
-from pydantic.json_schema import SkipJsonSchema
 
+from manyhands.design.models.axis import Units
 from manyhands.launch.session.fields import (
-    DEVICE_AXES,
-    Dof,
+    OnAxes,
     PerAxis,
     Problem,
     Quantity,
-    SessionModel,
     refusal,
 )
 from manyhands.launch.session.limits import MIN_POSITIVE
@@ -34,7 +32,7 @@ SIMULATED_ALONE: Final = tuple(key for pair in _TOGETHER for key in pair)
 """Keys that say what a simulated device burns beyond its least; no claim rests on them."""
 
 
-class Friction(SessionModel):
+class Friction(OnAxes):
     """The dry friction of a device; every tuple has one entry for each axis.
 
     The level at the place x and the speed v is :meth:`manyhands.nodes.kernel.friction_curve.FrictionCurve.level`.
@@ -43,7 +41,6 @@ class Friction(SessionModel):
         PydanticCustomError: a level is below the least, or one of two keys that belong together is missing.
     """
 
-    dof: SkipJsonSchema[Dof] = Field(alias=DEVICE_AXES, exclude=True, repr=False)
     least: Annotated[tuple[float, ...], _LEVEL] = Field(
         description=f"the least dry friction in N, over every pose and direction: {_EACH}"
     )
@@ -83,6 +80,7 @@ class Friction(SessionModel):
                 (stated,) = {*pair} - {*missing}
                 yield Problem((stated,), f"{stated} alone", f"{missing[0]} as well, or no {stated}")
         for key in ("most", "static"):
-            for level, least in zip(getattr(self, key) or (), self.least, strict=False):
+            for level, least, kind in zip(getattr(self, key) or (), self.least, self.kinds, strict=False):
                 if level < least:
-                    yield Problem((key,), f"{level:g} N", f"at least the least friction, {least:g} N")
+                    unit = Units.of([kind])("N")
+                    yield Problem((key,), f"{level:g} {unit}", f"at least the least friction, {least:g} {unit}")

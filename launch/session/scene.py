@@ -29,7 +29,7 @@ from manyhands.design.models.scene import (
     SceneLink,
     ToolSphere,
 )
-from manyhands.launch.session.device import Intents, ports_by_device
+from manyhands.launch.session.device import Intent, ports_by_device
 from manyhands.launch.session.errors import listed, one_of, show
 from manyhands.launch.session.fields import (
     DAMPING,
@@ -160,18 +160,18 @@ class ShapedThing(SessionModel):
 class _Motion(FieldCheck):
     """The check of a driven body's motion: x, y and z, each a number, a formula in t or a trace."""
 
-    _axis: ClassVar[Intents] = Intents(Quantity("a motion", "m"))
+    _axis: ClassVar[Quantity] = Quantity("a motion", "m")
 
     @property
     def json_schema(self) -> JsonSchema:
         """A list of three."""
-        return list_of(self._axis.of_axis(Path()).json_schema, 3, 3)
+        return list_of(Intent(self._axis, Path()).json_schema, 3, 3)
 
     def in_part(self, value: object, info: ValidationInfo) -> Any:
         """The three motions; the files of traces are in the folder of the session file."""
         if not isinstance(value, list | tuple) or len(value) != len(_XYZ):
             raise refuse(show(value), "a motion [x, y, z], each a number in m, a formula in t, or a trace")
-        motions = each(self._axis.of_axis((info.context or {}).get("folder", Path())), value)
+        motions = each(Intent(self._axis, (info.context or {}).get("folder", Path())), value)
         for axis, motion in zip(_XYZ, motions, strict=True):
             start = intent_from(plain_intent(motion))(0.0)  # type: ignore[arg-type]  # what plain_intent returns
             if abs(start) > TOUCH:

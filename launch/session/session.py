@@ -28,6 +28,7 @@ from typing import Annotated, Any, Final, Literal, Self, TypeAlias
 import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field, PlainSerializer, ValidationError, model_validator
 
+from manyhands.design.models.axis import AxisKind, Units
 from manyhands.design.models.brief import brief_names
 from manyhands.design.models.contacts import GROUND
 from manyhands.launch.session.design import AUTO, TRANSPARENCY, Design, full_matrix
@@ -187,7 +188,7 @@ def with_single_ports(value: object) -> object:
     for name, device in devices.items():
         if isinstance(device, Mapping) and device.get("dof") == 1:
             axes = device.get("axes")
-            has_name = isinstance(axes, list | tuple) and len(axes) == 1
+            has_name = isinstance(axes, list | tuple | Mapping) and len(axes) == 1
             single[f"{name}.0"] = ".".join([str(name), *map(str, axes)]) if axes and has_name else str(name)
 
     def renamed(part: object, key: str) -> object:
@@ -391,6 +392,16 @@ class Session(SessionModel):
     def ports(self) -> tuple[str, ...]:
         """The m ports, in the order of devices, then of axes: the order of x, p and f_v."""
         return tuple(port for name in self.devices for port in self.ports_of(name))
+
+    @cached_property
+    def turning(self) -> tuple[str, ...]:
+        """Those of the ports that turn, in the session's order: their units are N·m, rad and what follows from them."""
+        return tuple(port for name, device in self.devices.items() for port in device.turning(name))
+
+    def units(self, *ports: str) -> Units:
+        """The units of what is said of these ports together; of all of them, if none is named."""
+        kinds = dict.fromkeys(self.turning, AxisKind.ROTATION)
+        return Units.of(kinds.get(port, AxisKind.TRANSLATION) for port in ports or self.ports)
 
     @cached_property
     def roles(self) -> Mapping[str, Role]:
