@@ -278,6 +278,7 @@ class MotorAxis(DeviceDriver):
             speed=(speed,),
             timing=self._timing,
             axes=("rz",),
+            turning=("rz",),
             mass=None if inertia is None else (inertia,),
             step=None if counts is None else (max(TURN / counts, self._found.step),),
             holds_torque=False,  # the torque is the port's own force, whatever the angle

@@ -30,6 +30,7 @@ from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.environment.model import ModelFailure
 from manyhands.nodes.kernel.bundle import SIMULATED, DeviceBundle
 from manyhands.nodes.recorder.coverage import Coverage
+from manyhands.nodes.rows.units import unit_of_all
 from manyhands.protocol.channels import DISPLACEMENT, LEDGER, TAU
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Figures
@@ -262,7 +263,7 @@ def _compared(run: RecordedRun, ticks: int, traces: Traces, given: Sequence[str]
         numbers, differing, done = numbers + recorded.size, differing + int(wrong.sum()), max(done, last)
         if first is not None:
             at = Difference(int(rows[first.tick]), first.column, first.recorded, first.recomputed)
-            deviations.append(Deviation(node, topic, trace.topic.unit, at))
+            deviations.append(Deviation(node, topic, unit_of_all(trace.topic, (at.column,), run.recorded.turning), at))
     unrecorded = {
         f"{node}/{kept.topic.name}": ticks
         for node, topics in traces.by_node.items()

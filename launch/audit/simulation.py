@@ -16,6 +16,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from manyhands.design.models.axis import AxisKind
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.recorded import Traces, recorded_of
@@ -123,13 +124,19 @@ class LinkInside:
         self._holding = holding
         return self._f
 
-    def felt(self, impedance: tuple[float, float]) -> FeltLink:
-        """What is felt of it now, with the least and the greatest eigenvalue of b, N·s/m."""
+    def felt(self, impedance: tuple[float, float], kinds: tuple[AxisKind, ...] = ()) -> FeltLink:
+        """What is felt of it now.
+
+        Args:
+            impedance: the least and the greatest eigenvalue of b, N·s/m.
+            kinds: what its ports do.
+        """
         ends = self.user, self.world
         R = sum(end.lag for end in ends)
         return FeltLink(
             R, *stiffness_and_mass(impedance, R), (self.user.tank.level, self.world.tank.level),
             limited=sum(end.tank.clipped for end in ends), silences=self._silences, holding=any(self._holding),
+            kinds=kinds,
         )  # fmt: skip
 
     def book(self) -> None:
@@ -266,7 +273,9 @@ class Simulation:
                 self._keep(traces, k, ways)
             if progress is not None and (k + 1) % _PROGRESS_TICKS == 0:
                 progress(k + 1)
-        return Recording(session.name, self._prepared.id, session.period, session.ports, x, f_v)
+        return Recording(
+            session.name, self._prepared.id, session.period, session.ports, x, f_v, turning=session.turning
+        )
 
     def _tick(self, k: int, ways: Mapping[str, Sequence[TwoPort]], tool: Array) -> tuple[Array, Array]:
         """Motion goes up, the environment answers, and force comes down.

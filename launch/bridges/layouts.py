@@ -24,6 +24,7 @@ from manyhands.nodes.monitor.session_state import About
 from manyhands.nodes.recorder.format import FIGURES, SUPERVISOR, Recorded
 from manyhands.nodes.recorder.scene_messages import SCENE
 from manyhands.nodes.rows.figures import FIGURES as DECLARED
+from manyhands.nodes.rows.units import unit_of_all
 from manyhands.protocol.channels import CONDITION, TELEMETRY, Columns, Topic, topic_name
 from manyhands.protocol.messages import Role
 
@@ -109,8 +110,8 @@ def _plot(title: str, wanted: Sequence[str], recorded: Recorded, there: Topics) 
         for topic in recorded.topics(node):
             if topic.name in wanted and (node, topic.name) in there:
                 curves += _curves(recorded, node, topic)
-                units.append(topic.unit)
-    return Plot(title, units[0] if units else "", tuple(curves))
+                units.append(unit_of_all(topic, recorded.columns(node, topic), recorded.turning))
+    return Plot(title, " or ".join(dict.fromkeys(units)), tuple(curves))
 
 
 def _curves(recorded: Recorded, node: str, topic: Topic) -> Iterator[Series]:

@@ -101,7 +101,8 @@ def device_file(
         keys["parameters"] = parameters, "as given to identify"
     keys["dof"] = m, "as given to identify, and the driver's"
     if stated.axes != tuple(map(str, range(m))):
-        keys["axes"] = list(stated.axes), said
+        kinds = {axis: kind.value for axis, kind in zip(stated.axes, stated.kinds, strict=True)}
+        keys["axes"] = kinds if stated.turning else list(stated.axes), said
     if of.osp is not None:
         sure = "bounded errors, no probability"
         keys["osp"] = of.osp, f"{where}, least eigenvalue, {ends}, class {CLASS}, confidence: {sure}"

@@ -46,6 +46,7 @@ from manyhands.launch.run.states import is_summary
 from manyhands.nodes.kernel.bundle import REALTIME
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
 from manyhands.nodes.rows.own_ticks import own_tick
+from manyhands.nodes.rows.units import unit_of_all
 from manyhands.protocol.channels import INSTANTS, INTERFACE, LEDGER, TAU, TOPICS
 from manyhands.protocol.messages import Condition, Role, presentable
 
@@ -152,7 +153,10 @@ def picture_of_run(run: RecordedRun, quantities: Sequence[str] | None = None) ->
     """
     recorded, ticks = run.recorded, run.ticks
     realtime = recorded.clock == REALTIME
-    there = {panel.name: panel for panel in _panels(run.traces, recorded.period, run.ticks_of, recorded.rate_of)}
+    there = {
+        panel.name: panel
+        for panel in _panels(run.traces, recorded.turning, recorded.period, run.ticks_of, recorded.rate_of)
+    }
     delays = there.pop("tau", None)
     wanted = _wanted(quantities, [*there, *(["tau"] if delays and realtime else [])], realtime)
     name = f"{recorded.session}, {recorded.clock} clock, certificate {recorded.certificate:.12}"
@@ -186,7 +190,8 @@ def picture_of_recording(recording: Recording, quantities: Sequence[str] | None 
         for name, values in (("sample", recording.x), ("force", recording.f_v))
     }
     ticks = len(recording.x)
-    there = {panel.name: panel for panel in _panels(traces, recording.period, lambda _node: ticks, lambda _node: 1.0)}
+    panels = _panels(traces, recording.turning, recording.period, lambda _node: ticks, lambda _node: 1.0)
+    there = {panel.name: panel for panel in panels}
     wanted = _wanted(quantities, list(there), realtime=True)
     certificate = f", certificate {recording.certificate:.12}" if recording.certificate else ""
     title = f"{recording.session}{certificate}, {ticks} ticks, {ticks * recording.period:g} s"
@@ -255,6 +260,7 @@ def _wanted(quantities: Sequence[str] | None, there: Collection[str], realtime: 
 
 def _panels(
     traces: Mapping[tuple[str, str], RecordedTrace],
+    turning: Collection[str],
     period: float,
     ticks_of: Callable[[str], int],
     rate_of: Callable[[str], float],
@@ -263,6 +269,7 @@ def _panels(
 
     Args:
         traces: by node and topic name.
+        turning: the ports and masses that turn.
         period: T of the picture, s.
         ticks_of: the number of a node's ticks.
         rate_of: ticks of a node in one of the picture's.
@@ -293,7 +300,9 @@ def _panels(
                     values, period / rate, None if instants is None else _of_length(instants.values[:, :1], ticks)
                 )
             curves += [Curve(label, column, rate) for label, column in zip(labels, values.T, strict=True)]
-        axis = f"velocity [{topic.unit}/s]" if name == VELOCITY else f"{topic.symbol} [{topic.unit}]"
+        unit = unit_of_all(topic, [column for trace in found[source] for column in trace.columns], turning)
+        axis = f"velocity [{' or '.join(f'{one}/s' for one in unit.split(' or '))}]"
+        axis = axis if name == VELOCITY else f"{topic.symbol} [{unit}]"
         panels.append(Panel(name, title, axis, tuple(curves), zero=topic.trace in (LEDGER, INTERFACE)))
     return panels
 

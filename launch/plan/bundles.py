@@ -154,17 +154,17 @@ def _require_measured(session: Session, name: str, below: float) -> None:
     """Refuse a driver of another package whose displacements tell too little of its ways, or of speeds ``below``."""
     device = session.devices[name]
     least = session.period_of(name) - device.timing.jitter  # between two samples, s
-    at = f"{session.name}: devices.{name}.step"
+    at, unit = f"{session.name}: devices.{name}.step", device.units("m")
     if device.step is None:
         raise NotCertified(
             f"{at}: found none beside a driver's factory, friction and design.speed; expected the step to which its "
-            "displacements are measured, in m: friction counts on ways alone that are no noise"
+            f"displacements are measured, in {device.units('m')}: friction counts on ways alone that are no noise"
         )
     if not max(device.step) < below * least:
         raise NotCertified(
-            f"{at}: found {max(device.step):g} m; expected less than the {max(0.0, below * least):.3g} m that "
-            f"{below:g} m/s are in {max(0.0, least):g} s, the least time between two samples: a finer step, or a "
-            "greater design.speed. One step would look like a faster motion"
+            f"{at}: found {max(device.step):g} {unit}; expected less than the {max(0.0, below * least):.3g} {unit} "
+            f"that {below:g} {unit}/s are in {max(0.0, least):g} s, the least time between two samples: a finer step, "
+            "or a greater design.speed. One step would look like a faster motion"
         )
 
 
@@ -470,6 +470,7 @@ def _common(prepared: Prepared, run: RunPlan, name: str, links_of: Mapping[str, 
         telemetry_first=_telemetry_first(every, list(graph.nodes).index(name) if name in graph.nodes else 0, graph),
         rate=prepared.session.period / period,
         phase=_phase(prepared.session, name) if run.clock == REALTIME else 0.0,
+        turning=tuple(port for port in ports if port in prepared.session.turning),
     )
 
 

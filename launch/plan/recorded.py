@@ -37,6 +37,7 @@ def recorded_of(prepared: Prepared, clock: str) -> Recorded:
         periods=session.own_periods,
         linked=tuple(session.wave_links),
         scene=session.environment.geometry(session.ports),
+        turning=session.turning,
     )
 
 

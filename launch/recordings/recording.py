@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.design.files import replacing
+from manyhands.design.models.axis import units_by_port
 from manyhands.design.models.brief import brief_names
 from manyhands.extras import require
 from manyhands.launch.files import require_target
@@ -48,6 +49,7 @@ class Recording:
         f_v: ticks x m, N.
         missing: number of ticks that were not recorded, NaN in x and f_v, by device, for devices that miss some.
         cut: why the file it was read from is not whole, and up to which tick it is; None for a whole file.
+        turning: the ports that turn: their x is in rad, and their f_v in N·m.
     """
 
     session: str
@@ -58,6 +60,7 @@ class Recording:
     f_v: Array
     missing: Mapping[str, int] = field(default_factory=dict)
     cut: str | None = None
+    turning: tuple[str, ...] = ()
 
     @property
     def time(self) -> Array:
@@ -70,8 +73,12 @@ class Recording:
         return backward_difference(self.x, self.period)
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """The recording as a table: ``tick``, ``time_s``, ``x[PORT]_m`` and ``f_v[PORT]_N``, by name."""
-        ports = [*(f"x[{p}]_m" for p in self.ports), *(f"f_v[{p}]_N" for p in self.ports)]
+        """The recording as a table: ``tick``, ``time_s``, ``x[PORT]_m`` and ``f_v[PORT]_N``, by name.
+
+        A port that turns has ``x[PORT]_rad`` and ``f_v[PORT]_N·m``.
+        """
+        units = units_by_port(self.ports, self.turning)
+        ports = [f"{signal}[{p}]_{units[p](unit)}" for signal, unit in (("x", "m"), ("f_v", "N")) for p in self.ports]
         values = dict(zip(ports, np.hstack([self.x, self.f_v]).T, strict=True))
         return {"tick": np.arange(len(self.x)), "time_s": self.time, **values}
 
@@ -105,6 +112,8 @@ class Recording:
         about = {"session": self.session, "certificate": self.certificate, "period": repr(self.period)}
         names = {"session": self.session, "certificate": self.certificate}
         arrays = {"x": self.x, "f_v": self.f_v, "ports": np.array(self.ports), "period": self.period} | names
+        if self.turning:
+            arrays["turning"] = np.array(self.turning)
         return TableOfRun(self.columns(), arrays, about)
 
 
@@ -222,8 +231,11 @@ class Collector:
         """
         return missing_by_party(self._coverage, spans_by_party(self._coverage, lambda _device: 1.0, 0))
 
-    def recording(self, session: str, certificate: str, period: float) -> Recording:
-        """The whole run; ticks that a device did not report are NaN, up to the last tick of any device."""
+    def recording(self, session: str, certificate: str, period: float, turning: tuple[str, ...] = ()) -> Recording:
+        """The whole run, of which these ports turn; ticks that a device did not report are NaN.
+
+        It ends with the last tick of any device.
+        """
         columns = [self._column(device, self.tick) for device in self._ports]
         return Recording(
             session,
@@ -233,6 +245,7 @@ class Collector:
             np.hstack([x for x, _ in columns]),
             np.hstack([f for _, f in columns]),
             self.missing,
+            turning=turning,
         )
 
     def _column(self, device: str, ticks: int) -> tuple[Array, Array]:

@@ -11,7 +11,7 @@ of that node's rows.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from functools import cached_property
@@ -32,6 +32,7 @@ from manyhands.nodes.recorder.format import Recorded
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.own_ticks import own_span, own_tick, own_ticks_before, session_tick
 from manyhands.nodes.rows.tick_events import Kind, events_in
+from manyhands.nodes.rows.units import units_of_columns
 from manyhands.protocol.channels import DISPLACEMENT, FORCE, INSTANTS, Topic, topic_name
 from manyhands.protocol.messages import Condition, Figures, Role
 
@@ -407,9 +408,10 @@ def missing_sentence(run: RecordedRun, traces: Traces) -> str | None:
     return f"ticks are missing in the recording: {'; '.join(parts)}" if parts else None
 
 
-def column_names(node: str, trace: RecordedTrace) -> list[str]:
-    """The names of a trace's columns in a table."""
-    return [f"{node}.{trace.topic.name}[{column}]_{trace.topic.unit}" for column in trace.columns]
+def column_names(node: str, trace: RecordedTrace, turning: Collection[str] = ()) -> list[str]:
+    """The names of a trace's columns in a table; ``turning`` are the session's ports and masses that turn."""
+    units = units_of_columns(trace.topic, trace.columns, turning)
+    return [f"{node}.{trace.topic.name}[{column}]_{unit}" for column, unit in zip(trace.columns, units, strict=True)]
 
 
 def about(recorded: Recorded) -> dict[str, str]:
@@ -450,7 +452,9 @@ def table_columns(run: RecordedRun, traces: Traces) -> dict[str, NDArray[Any]]:
     """The columns of a table of these traces by name: the session's ticks, their time in s, and every column."""
     out: dict[str, NDArray[Any]] = {TICK: np.arange(run.first, run.first + run.ticks, dtype=np.int64), TIME: run.time}
     for key, trace in traces.items():
-        out |= dict(zip(column_names(key[0], trace), _at_session_ticks(run, key[0], trace).T, strict=True))
+        out |= dict(
+            zip(column_names(key[0], trace, run.recorded.turning), _at_session_ticks(run, key[0], trace).T, strict=True)
+        )
     return out
 
 

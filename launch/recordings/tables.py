@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.design.files import open_regular
+from manyhands.design.models.axis import units_by_port
 from manyhands.launch.recordings.arrays import read_arrays
 from manyhands.launch.recordings.reading import MOST_MISSING, Gatherer, cut_at, read_topics, require_beginning, span_of
 from manyhands.launch.recordings.recording import Array, Recording, RecordingError, one_period, require_format
@@ -33,7 +34,7 @@ MOST_BYTES: Final = 4 * 2**30
 """The longest file that is read; of ``.npz``, the most unpacked bytes."""
 
 _ARRAYS: Final = ("x", "f_v", "ports", "period", "session", "certificate")
-_COLUMN = re.compile(r"(x|f_v)\[(.+)\]_(m|N)")
+_COLUMN = re.compile(r"(x|f_v)\[(.+)\]_(m|N|rad|N·m)")
 _LINES_TOLD = 10_000  # lines between two reports of progress
 
 
@@ -62,7 +63,7 @@ def read_saved(path: Path, progress: Callable[[float], None] | None = None) -> R
 
 
 def _npz(path: Path) -> Recording:
-    data = read_arrays(path, (_ARRAYS,), MOST_BYTES)
+    data = read_arrays(path, ((*_ARRAYS, "turning"), _ARRAYS), MOST_BYTES)
     x, f_v = (np.asarray(data[name], dtype=np.float64) for name in ("x", "f_v"))
     ports = tuple(str(port) for port in data["ports"])
     period = float(data["period"])
@@ -71,13 +72,16 @@ def _npz(path: Path) -> Recording:
         raise ValueError(f"x of shape {x.shape} and f_v of {f_v.shape} for {len(ports)} ports")
     if not 0.0 < period < math.inf:
         raise ValueError(f"the period {period:g} s")
-    return Recording(session, certificate, period, ports, x, f_v)
+    turning = tuple(str(port) for port in data.get("turning", ()))
+    if not {*turning} <= {*ports}:
+        raise ValueError(f"turning ports {turning} that are none of {ports}")
+    return Recording(session, certificate, period, ports, x, f_v, turning=turning)
 
 
 def _csv(path: Path, progress: Callable[[float], None]) -> Recording:
     with TextIOWrapper(open_regular(path, MOST_BYTES), newline="", encoding="utf-8") as file:
         size = os.fstat(file.fileno()).st_size
-        ports, values = _rows(file, lambda: progress(os.lseek(file.fileno(), 0, os.SEEK_CUR) / max(size, 1)))
+        ports, turning, values = _rows(file, lambda: progress(os.lseek(file.fileno(), 0, os.SEEK_CUR) / max(size, 1)))
     m = len(ports)
     table: Array = np.frombuffer(values, dtype=np.float64).reshape(-1, 2 + 2 * m)
     ticks, time = table[:, 0], table[:, 1]
@@ -86,18 +90,22 @@ def _csv(path: Path, progress: Callable[[float], None]) -> Recording:
     period = float(time[-1] / (len(time) - 1))
     if not np.array_equal(ticks, np.arange(len(table))) or not 0.0 < period < math.inf:
         raise ValueError("ticks that do not count up from 0, or no times beside them")
-    return Recording(path.stem, "", period, ports, table[:, 2 : 2 + m], table[:, 2 + m :])
+    x, f_v = table[:, 2 : 2 + m], table[:, 2 + m :]
+    return Recording(path.stem, "", period, ports, x, f_v, turning=turning)
 
 
-def _rows(file: TextIO, progress: Callable[[], None]) -> tuple[tuple[str, ...], array[float]]:
-    """The ports of the heading, and every number below it."""
+def _rows(file: TextIO, progress: Callable[[], None]) -> tuple[tuple[str, ...], tuple[str, ...], array[float]]:
+    """The ports of the heading, those of them that turn, and every number below it."""
     reader = csv.reader(file, strict=True)
     try:
         head = next(reader, [])
         found = [_COLUMN.fullmatch(name) for name in head[2:]]
-        names = [(match[1], match[2]) for match in found if match]
-        ports = tuple(port for kind, port in names if kind == "x")
-        if head[:2] != ["tick", "time_s"] or names != [(kind, port) for kind in ("x", "f_v") for port in ports]:
+        names = [match.groups() for match in found if match]
+        ports = tuple(port for kind, port, _ in names if kind == "x")
+        turning = tuple(port for kind, port, unit in names if kind == "x" and unit == "rad")
+        units = units_by_port(ports, turning)
+        wanted = [(kind, port, units[port](unit)) for kind, unit in (("x", "m"), ("f_v", "N")) for port in ports]
+        if head[:2] != ["tick", "time_s"] or names != wanted:
             raise ValueError(f"the heading {','.join(head)[:80]!r}")
         values: array[float] = array("d")
         for row in reader:
@@ -108,7 +116,7 @@ def _rows(file: TextIO, progress: Callable[[], None]) -> tuple[tuple[str, ...], 
                 progress()
     except csv.Error as error:
         raise ValueError(f"line {reader.line_num}: {error}") from error
-    return ports, values
+    return ports, turning, values
 
 
 _SIGNALS = (DISPLACEMENT, FORCE)
@@ -148,6 +156,7 @@ def read_recording(path: Path) -> Recording:
         np.hstack([f_v[:ticks] for _, f_v, _ in columns]),
         missing_by_party(coverages, dict.fromkeys(coverages, range(ticks))),
         None if reading.why is None else cut_at(reading.why, ticks),
+        tuple(port for port in recorded.turning if any(port in own for own in recorded.devices.values())),
     )
 
 

@@ -38,6 +38,7 @@ from typing import Final, Protocol
 
 import numpy as np
 
+from manyhands.design.models.axis import TRANSLATING, Units
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.topology import Topology
 from manyhands.launch.session.session import ENVIRONMENT
@@ -545,6 +546,7 @@ class Assumptions:
         self.notices: dict[Cause, str] = {}
         self.waited_for: list[str] = []
         self._to_begin = {*devices}
+        self._units = {device: session.devices[device].units for device in devices}
         self._away: list[str] = []  # devices that began elsewhere than in 0, and what follows, in words
 
     def forget(self, node: str) -> None:
@@ -576,7 +578,8 @@ class Assumptions:
             return
         away = float(np.abs(x[0]).max())
         if away > NEAR and offset > away / 2.0:
-            self._away.append(f"{device} {away:.3g} m (its tool {offset:.3g} m behind)")
+            unit = self._units.get(device, TRANSLATING)("m")
+            self._away.append(f"{device} {away:.3g} {unit} (its tool {offset:.3g} {unit} behind)")
             self.notices[Cause.BEGINNING] = (
                 f"a device began away from 0, where the world expects it: {', '.join(self._away)}; it gets a part of "
                 "the force until its tool has caught up. Take the zero of its driver at the start, or bring the "
@@ -615,6 +618,7 @@ _NO_TAU: Final = np.empty((0, 1))
 
 
 _NO_PERIODS: Final[Mapping[str, float]] = MappingProxyType({})
+_NO_UNITS: Final[Mapping[str, Units]] = MappingProxyType({})
 
 QUIET: Final = 10.0
 """Seconds between two incidents of the same party: a user that returns by a ramp may be beyond its limits again at
@@ -636,14 +640,22 @@ LIGHTEST: Final = 1e-6
 class UserIncidents:
     """The incidents of one run's users: pure, telemetry goes in and sentences come out."""
 
-    def __init__(self, graph: Topology, period: float, periods: Mapping[str, float] = _NO_PERIODS) -> None:
+    def __init__(
+        self,
+        graph: Topology,
+        period: float,
+        periods: Mapping[str, float] = _NO_PERIODS,
+        units: Mapping[str, Units] = _NO_UNITS,
+    ) -> None:
         """Begin without any telemetry.
 
         Args:
             graph: the nodes and links.
             period: T of the session, s.
             periods: T of the nodes that have one of their own, s.
+            units: of each device's axes; those that are left out translate.
         """
+        self._units = units
         self._rates = {node: period / own for node, own in periods.items()}
         devices = [name for name, role in graph.nodes.items() if role is Role.DEVICE]
         self._couplings = {device: graph.couplings_of(device) for device in devices}
@@ -736,10 +748,10 @@ class UserIncidents:
         mover = self._causes.mover(self._couplings[device], since * self._period, until * self._period)
         if mover is None:
             return f"{text}; nobody else has moved it"
-        speed = self._speeds[device]
+        speed, unit = self._speeds[device], self._units.get(device, TRANSLATING)("m/s")
         if mover.total < 0.5 * LIGHTEST * speed**2:
             return (
-                f"{text}; it seemed to move at {speed:.3g} m/s, for which the {mover.total:.3g} J that it had "
+                f"{text}; it seemed to move at {speed:.3g} {unit}, for which the {mover.total:.3g} J that it had "
                 "received from others are far too little: see its sensor, and the units of its driver"
             )
         return (

@@ -115,6 +115,7 @@ def describe(
         observers={name: tuple(observer.reads) for name, observer in session.observers.items()},
         seats={name: session.carriers[name] for name in session.wave_links if name in seats},
         scene=session.environment.geometry(session.ports),
+        turning=session.turning,
     )
 
 

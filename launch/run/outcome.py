@@ -263,7 +263,7 @@ def felt_links(session: Session, figures: Mapping[str, Figures]) -> dict[str, Fe
         impedance = session.impedance_of(name)
         if impedance is None or not {name, ENVIRONMENT} <= figures.keys():
             continue
-        felt = felt_link(name, impedance, figures[name], figures[ENVIRONMENT])
+        felt = felt_link(name, impedance, figures[name], figures[ENVIRONMENT], session.kinds_of(name))
         if felt is not None:
             out[name] = felt
     return out

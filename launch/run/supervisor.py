@@ -207,7 +207,9 @@ class Supervisor:
             seats=reach.seats,
         )
         self._assumptions = Assumptions(prepared, self._graph, clock, self.conductor.rungs)
-        self._users = UserIncidents(self._graph, session.period, session.own_periods)
+        self._users = UserIncidents(
+            self._graph, session.period, session.own_periods, {n: device.units for n, device in session.devices.items()}
+        )
         self._clock = RealtimeClock()
         self._log = Log(None, session.name, SUPERVISOR, self._clock)
         self._observer_broadcast = ObserverBroadcast(session)
@@ -573,7 +575,9 @@ class Supervisor:
         recording = None
         if self._record:
             period = one_period({device: self._session.period_of(device) for device in self._session.devices})
-            recording = self._collector.recording(self._session.name, conductor.certificate, period)
+            recording = self._collector.recording(
+                self._session.name, conductor.certificate, period, self._session.turning
+            )
         self._health.conclude()
         promises = self._promises()
         return Outcome(

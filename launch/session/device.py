@@ -436,12 +436,14 @@ def _kappa_of(kinematics: str) -> float:
 _NAMES: Final = Items("axis names", MAX_DOF, AXIS_NAME)
 _BY_NAME: Final = NamedParts(AXIS_NAME, MAX_DOF)
 _KINDS: Final = tuple(kind.value for kind in AxisKind)
-_AXES_FORM: Final = either(_NAMES.json_schema, {**_BY_NAME.json_schema, "additionalProperties": {"enum": [*_KINDS]}})
+_AXES_FORM: Final = either(
+    _NAMES.json_schema, {**_BY_NAME.json_schema, "additionalProperties": {"enum": [*_KINDS]}}, {"enum": [*_KINDS]}
+)
 
 
 def _axes(value: object) -> Axes:
-    """The names of the axes, or by name what each of them does."""
-    if not isinstance(value, Mapping):
+    """The names of the axes, by name what each of them does, or what all of them do."""
+    if not isinstance(value, Mapping | str):
         return _NAMES(value)
 
     def kind(word: object) -> AxisKind:
@@ -449,12 +451,16 @@ def _axes(value: object) -> Axes:
             raise refuse(show(word), one_of(_KINDS, word))
         return AxisKind(str(word))
 
+    if isinstance(value, str):
+        return kind(value)
     _BY_NAME(value)
     return each_named(kind, value)
 
 
 def _plain_axes(axes: Axes | None) -> object:
     """The axes in the notation of a session file."""
+    if isinstance(axes, AxisKind):
+        return axes.value
     return {name: kind.value for name, kind in axes.items()} if isinstance(axes, Mapping) else axes
 
 
@@ -496,7 +502,7 @@ class Device(SessionModel):
 
     dof: Dof = Field(description="the number of degrees of freedom")
     axes: Annotated[Axes | None, Described(_axes, _AXES_FORM), PlainSerializer(_plain_axes)] = Field(
-        default=None, description="names of the axes, for its ports; or {NAME: rotation} by axis, for N·m and rad"
+        default=None, description="names of the axes, for its ports; {NAME: rotation} or rotation, for N·m and rad"
     )
     osp: Annotated[Rows | LevelInterval, Completed(_osp, _OSP_FORM), PlainSerializer(_plain_level)] = Field(
         description="the OSP level Delta_D in N·s/m: a number, one for each axis, a matrix, or an interval"
@@ -639,9 +645,10 @@ class Device(SessionModel):
 
     def ports(self, name: str) -> tuple[str, ...]:
         """The ports of this device under the name ``name``: ``dx``, or ``d.0``, ``d.1``, or ``d.x``, ``d.y``."""
-        if self.axes is None and self.dof == 1:
+        named = () if isinstance(self.axes, AxisKind) else self.axes or ()
+        if not named and self.dof == 1:
             return (name,)
-        return tuple(f"{name}.{axis}" for axis in self.axes or range(self.dof))
+        return tuple(f"{name}.{axis}" for axis in named or range(self.dof))
 
     def turning(self, name: str) -> tuple[str, ...]:
         """Those of its ports that turn."""
@@ -651,7 +658,7 @@ class Device(SessionModel):
     @classmethod
     def _one_name_for_each_axis(cls, axes: Axes | None, info: ValidationInfo) -> Axes | None:
         dof = info.data.get("dof")
-        if axes is None or dof is None:
+        if axes is None or dof is None or isinstance(axes, AxisKind):
             return axes
         names = tuple(axes)
         if len(names) != dof:

@@ -291,12 +291,14 @@ class Whole(ValueCheck):
 
 Dof: TypeAlias = Annotated[int, Whole("degrees of freedom", 1, MAX_DOF)]
 
-Axes: TypeAlias = tuple[str, ...] | dict[str, AxisKind]
-"""The names of a device's axes; or by name what each of them does."""
+Axes: TypeAlias = tuple[str, ...] | dict[str, AxisKind] | AxisKind
+"""The names of a device's axes; by name what each of them does; or what all of them do, without names."""
 
 
 def kinds_of_axes(axes: Axes | None, dof: int) -> tuple[AxisKind, ...]:
     """What each of ``dof`` axes does; those that only have names translate."""
+    if isinstance(axes, AxisKind):
+        return (axes,) * dof
     return tuple(axes.values()) if isinstance(axes, Mapping) else (AxisKind.TRANSLATION,) * dof
 
 

@@ -11,6 +11,7 @@ opens no file that the session's author named, and a session that a run keeps ne
 
 import csv
 import io
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, NamedTuple
@@ -114,7 +115,7 @@ def _number(cell: str) -> float | None:
 Array = NDArray[np.float64]
 
 _TIME_COLUMN: Final = "time_s"
-_FIRST, _LAST = "x[", "]_m"  # a column's heading has the port between these
+_HEADING: Final = re.compile(r"x\[(.+)\]_(?:m|rad)")  # of a column: it has the port
 
 
 class Table(NamedTuple):
@@ -170,8 +171,9 @@ def _from_csv(path: Path) -> Table:
             heading = first if any(cell and _number(cell) is None for cell in first) else None
             if heading is not None and _TIME_COLUMN in heading:
                 columns = [heading.index(_TIME_COLUMN)]
-                columns += [i for i, cell in enumerate(heading) if cell.startswith(_FIRST) and cell.endswith(_LAST)]
-                ports = tuple(heading[i][len(_FIRST) : -len(_LAST)] for i in columns[1:])
+                found = [_HEADING.fullmatch(cell) for cell in heading]
+                columns += [i for i, match in enumerate(found) if match]
+                ports = tuple(match[1] for match in found if match)
                 values = _rows(rows, columns)
                 return Table(values[:, 0], values[:, 1:], ports)
             values = _rows(rows if heading is not None else [first, *rows], list(range(len(first))))

@@ -398,6 +398,15 @@ class Session(SessionModel):
         """Those of the ports that turn, in the session's order: their units are N·m, rad and what follows from them."""
         return tuple(port for name, device in self.devices.items() for port in device.turning(name))
 
+    def kinds_of(self, coupling: str) -> tuple[AxisKind, ...]:
+        """What the axes of a coupling's ports do; nothing where all axes of the session translate."""
+        if not self.turning:
+            return ()
+        turn = {*self.turning}
+        return tuple(
+            AxisKind.ROTATION if port in turn else AxisKind.TRANSLATION for port in self.blocks_by_name[coupling]
+        )
+
     def units(self, *ports: str) -> Units:
         """The units of what is said of these ports together; of all of them, if none is named."""
         kinds = dict.fromkeys(self.turning, AxisKind.ROTATION)

@@ -48,6 +48,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from manyhands.design.models.axis import TRANSLATING, AxisKind, Units
 from manyhands.nodes.kernel.arithmetic import Floats, Saturation, dot, linear_map, minus, plus
 from manyhands.nodes.kernel.bundle import Limits
 from manyhands.nodes.kernel.passivity import Ledger
@@ -132,15 +133,17 @@ class Guard:
         why: which limit it exceeded when it let go last, in one sentence; empty if it never did.
     """
 
-    def __init__(self, limits: Limits, T: float, axes: Sequence[str]) -> None:
+    def __init__(self, limits: Limits, T: float, axes: Sequence[str], kinds: Sequence[AxisKind] = ()) -> None:
         """Watch from the first sample on.
 
         Args:
             limits: displacement, speed and force, one entry for each axis.
             T: period, s.
             axes: the device's ports, for the sentences.
+            kinds: what each axis does, likewise; without them all translate.
         """
         self._axes, self._T = tuple(axes), T
+        self._units = [Units.of([kind]) for kind in kinds] or [TRANSLATING] * len(axes)
         self._displacement, self._speed = limits.displacement, limits.speed
         self._saturation = Saturation(limits.force)
         self._before: Floats | None = None
@@ -234,8 +237,9 @@ class Guard:
         self._ratio = 1.0 if self._rises == RETURN else math.sin(0.5 * math.pi * self._rises / RETURN) ** 2
 
     def _sentence(self, axis: int, quantity: str, found: float, limit: float, unit: str) -> str:
+        own = self._units[axis](unit)
         return (
-            f"found a {quantity} of {found:.6g} {unit} at {self._axes[axis]}; expected at most {limit:g} {unit}, its "
+            f"found a {quantity} of {found:.6g} {own} at {self._axes[axis]}; expected at most {limit:g} {own}, its "
             "limit; see what moved it, or raise the limit in the session file"
         )
 

@@ -26,7 +26,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from manyhands.nodes.device.specification import AxisMap, DeviceSpecification, promises_too_much
+from manyhands.nodes.device.specification import AxisMap, DeviceSpecification, other_kinds, promises_too_much
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import SIMULATED, WALL, DeviceBundle, PluginDevice
 from manyhands.nodes.kernel.driver_statement import DeviceTiming
@@ -454,6 +454,11 @@ def plugin_driver(device: PluginDevice, bundle: DeviceBundle) -> PluginDriver:
             raise FactoryError(
                 f"devices.{bundle.common.name}: found the driver {name} without a method work; expected the work of "
                 "its motors in J, for they hold torques, and the account of lateness rests on it"
+            )
+        if found := list(other_kinds(stated, axis_map, ports, bundle.common.kinds)):
+            raise FactoryError(
+                f"devices.{bundle.common.name}: the driver {name} states what its axes do, and the session says "
+                f"otherwise: {'; '.join(found)}"
             )
         if found := list(promises_too_much(stated, axis_map, limits, device.timing, bundle.inertia, device.step)):
             raise FactoryError(

@@ -11,10 +11,11 @@ so that the power f^T dx = F^T dX is the same on both sides.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from manyhands.design.models.axis import AxisKind, Units
 from manyhands.nodes.kernel.driver_statement import NO_DELAY, DeviceTiming
 from manyhands.nodes.kernel.inertia import Inertia
 from manyhands.protocol.limits import MAX_BY_ITSELF, MAX_SENTENCE
@@ -36,6 +37,8 @@ class DeviceSpecification:
         speed: the greatest speed of each axis that the driver measures rightly, m/s.
         timing: the age of its samples and the delay of its forces.
         axes: names of its axes in their order, which a session's ``axis_map`` refers to; numbers from 0 unless given.
+        turning: the names of those that turn, whose numbers are in N·m and rad; None where the driver does not say it.
+            A session has to say the same (``axes: {NAME: rotation}``).
         mass: the least moving mass that a push meets on each axis, kg (or kg·m²); None where it is not known. A session
             may state no greater one.
         moved_by_force: whether its forces move it. A source of motion, such as a tracker or a driven stage, states
@@ -58,6 +61,7 @@ class DeviceSpecification:
     speed: tuple[float, ...]
     timing: DeviceTiming = NO_DELAY
     axes: tuple[str, ...] = ()
+    turning: tuple[str, ...] | None = None
     mass: tuple[float, ...] | None = None
     holds_torque: bool = False
     step: tuple[float, ...] | None = None
@@ -78,10 +82,23 @@ class DeviceSpecification:
                 raise ValueError(f"{what}: found {values!r:.60}; expected {expected}")
         if len(self.axes) != m or len(set(self.axes)) != m:
             raise ValueError(f"axes: found {self.axes!r:.60}; expected {m} names, each once")
+        if not {*(self.turning or ())} <= {*self.axes}:
+            raise ValueError(f"turning: found {self.turning!r:.60}; expected some of its axes {self.axes!r:.60}")
         fit = all(0 < len(one) <= MAX_SENTENCE and one.isprintable() for one in self.by_itself)
         if isinstance(self.by_itself, str) or len(self.by_itself) > MAX_BY_ITSELF or not fit:
             expected = f"at most {MAX_BY_ITSELF} sentences, each printable and of at most {MAX_SENTENCE} characters"
             raise ValueError(f"by_itself: found {self.by_itself!r:.60}; expected {expected}")
+
+    @property
+    def kinds(self) -> tuple[AxisKind, ...]:
+        """What each axis does; it translates where the driver does not say it."""
+        turn = self.turning or ()
+        return tuple(AxisKind.ROTATION if axis in turn else AxisKind.TRANSLATION for axis in self.axes)
+
+    @property
+    def units(self) -> Units:
+        """The units of its axes together."""
+        return Units.of(self.kinds)
 
     def session_keys(self) -> dict[str, Any]:
         """The keys of a session's device that keep to what is stated; by axis as tuples."""
@@ -125,6 +142,23 @@ class AxisMap:
         return tuple(self.scale * sign for sign in self.signs)
 
 
+def other_kinds(
+    stated: DeviceSpecification, axis_map: AxisMap, ports: Sequence[str], kinds: Sequence[AxisKind]
+) -> Iterator[str]:
+    """A sentence for each port whose axis does something else than its driver states.
+
+    Args:
+        stated: by the driver, in its own axes.
+        axis_map: of the session.
+        ports: their names.
+        kinds: what the session says of each port.
+    """
+    for port, axis, kind in zip(ports, axis_map.axes, kinds, strict=True):
+        if stated.turning is not None and kind is not (own := stated.kinds[axis]):
+            name = port.partition(".")[2]
+            yield f"axes: found {kind} for {port}; expected {f'{{{name}: {own}}}' if name else own}"
+
+
 def promises_too_much(
     stated: DeviceSpecification,
     axis_map: AxisMap,
@@ -143,25 +177,28 @@ def promises_too_much(
         inertia: of the session; None where it states none.
         step: of the session's encoders, by port, m; None where it states none.
     """
-    c = axis_map.scale
+    c, units = axis_map.scale, [Units.of([stated.kinds[axis]]) for axis in axis_map.axes]
     own = ((stated.force, 1.0 / c, "N"), (stated.displacement, c, "m"), (stated.speed, c, "m/s"))
     for what, promised, (of_driver, factor, unit) in zip(("force", "displacement", "speed"), limits, own, strict=True):
         for port, axis in enumerate(axis_map.axes):
             most = factor * of_driver[axis]
             if promised[port] > most * (1.0 + ROUNDING):
-                yield f"limits.{what}: found {promised[port]:g} {unit}; expected at most {most:g} {unit}"
+                at = units[port](unit)
+                yield f"limits.{what}: found {promised[port]:g} {at}; expected at most {most:g} {at}"
                 break
     if inertia is not None and stated.mass is not None:
         for port, axis in enumerate(axis_map.axes):
             least = stated.mass[axis] / (c * c)  # x = c X and f = F/c
             if inertia.mass[port] > least * (1.0 + ROUNDING):
-                yield f"mass: found {inertia.mass[port]:g} kg; expected at most {least:g} kg"
+                at = units[port]("kg")
+                yield f"mass: found {inertia.mass[port]:g} {at}; expected at most {least:g} {at}"
                 break
     if step is not None and stated.step is not None:
         for port, axis in enumerate(axis_map.axes):
             least = c * stated.step[axis]
             if step[port] < least * (1.0 - ROUNDING):
-                yield f"step: found {step[port]:g} m; expected at least {least:g} m"
+                at = units[port]("m")
+                yield f"step: found {step[port]:g} {at}; expected at least {least:g} {at}"
                 break
     for what, promise, own_time in (
         ("sample_age", timing.sample_age, stated.timing.sample_age),

@@ -87,7 +87,7 @@ class DeviceTick(ABC):
         simulated = bundle.inertia if isinstance(bundle.source, SimulatedHand) else None
         self._steps = simulated.step if simulated is not None and any(simulated.step) else None
         self.driver = driver
-        self.guard = Guard(bundle.limits, common.period, common.ports)
+        self.guard = Guard(bundle.limits, common.period, common.ports, common.kinds)
         self.core = DeviceCore(*bundle.promises[0], common.period, bundle.allowed.energy)
         self.below = None if bundle.friction is None else bundle.friction.speed
         self.known_to = self._zero if bundle.measured is None else list(bundle.measured)

@@ -28,6 +28,7 @@ from typing import Final
 
 import numpy as np
 
+from manyhands.design.models.axis import TRANSLATING, Units
 from manyhands.nodes.coupling.node import CouplingNode
 from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.node import DeviceNode
@@ -81,12 +82,14 @@ class FeltDistance:
         play_out: what both ends wait so that waves that are late come in time, and half a period of each, s.
         stiffness: K, N/m, of the spring in series with the coupling; in the softest direction.
         mass: M, kg; in the heaviest direction.
+        units: of its ports.
     """
 
     network: float
     play_out: float
     stiffness: float
     mass: float
+    units: Units = TRANSLATING
 
     @property
     def round_trip(self) -> float:
@@ -98,8 +101,8 @@ class FeltDistance:
         return (
             f"round trip R of about {1e3 * self.round_trip:.3g} ms: {1e3 * self.network:.3g} ms of network and "
             f"{1e3 * self.play_out:.3g} ms of play-out\n"
-            f"a wall will feel no stiffer than about K = {self.stiffness:.4g} N/m, and free space will weigh about "
-            f"M = {kilograms(self.mass)} more"
+            f"a wall will feel no stiffer than about K = {self.stiffness:.4g} {self.units('N/m')}, and free space "
+            f"will weigh about M = {kilograms(self.mass, self.units)} more"
         )
 
 
@@ -126,7 +129,9 @@ def felt(coupling: CouplingBundle, trips: Sequence[Duration]) -> FeltDistance:
     play_out = float(depth + turn + 0.5 * periods.sum())
     R = seconds(least) + play_out
     b = np.linalg.eigvalsh(wave.b)
-    return FeltDistance(seconds(least), play_out, *stiffness_and_mass((float(b[0]), float(b[-1])), R))
+    return FeltDistance(
+        seconds(least), play_out, *stiffness_and_mass((float(b[0]), float(b[-1])), R), Units.of(coupling.common.kinds)
+    )
 
 
 def is_calm(trips: Sequence[Duration]) -> bool:
@@ -263,7 +268,11 @@ def with_force(device: DeviceBundle, most: float | None) -> DeviceBundle:
 def force_sentence(device: DeviceBundle) -> str:
     """The greatest force that a device may exert on its user, in words."""
     most = max(device.limits.force)
-    return f"the device may push with up to {most:.4g} N" if math.isfinite(most) else "no limit bounds the force"
+    return (
+        f"the device may push with up to {most:.4g} {Units.of(device.common.kinds)('N')}"
+        if math.isfinite(most)
+        else "no limit bounds the force"
+    )
 
 
 def take_seat(

@@ -29,6 +29,7 @@ from manyhands.design.levels.contract import DeviceShare
 from manyhands.design.levels.dry_friction import DryFriction
 from manyhands.design.levels.held_torque import HeldTorque
 from manyhands.design.levels.mechanism import promised_level
+from manyhands.design.models.axis import AxisKind
 from manyhands.design.models.coupling import loop_gain
 from manyhands.design.models.scene import ContactScene, scene_of
 from manyhands.design.models.statespace import Matrix, StateSpace
@@ -118,6 +119,7 @@ class Common:
         rate: ticks of the node in one of the session's; not 1 at a wave link's site with a period of its own.
         phase: when its tick 0 is, after the session's, s. Sites and their world need no common instant, so they take
             turns at the processors.
+        turning: those of its ports that turn.
 
     Raises:
         ValueError: the first telemetry has more ticks than the others, whose number a node has room for.
@@ -140,6 +142,7 @@ class Common:
     telemetry_first: Annotated[int, _TICKS]
     rate: Annotated[Added[float], _SPAN] = 1.0
     phase: Annotated[Added[float], _TIME] = 0.0
+    turning: Added[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
         if self.telemetry_first > self.telemetry_ticks:
@@ -147,6 +150,11 @@ class Common:
                 f"found {self.telemetry_first} ticks to the first telemetry; expected at most {self.telemetry_ticks}, "
                 "as to every other"
             )
+
+    @property
+    def kinds(self) -> tuple[AxisKind, ...]:
+        """What the axis of each port does."""
+        return tuple(AxisKind.ROTATION if port in self.turning else AxisKind.TRANSLATION for port in self.ports)
 
     @property
     def folder(self) -> Path | None:

@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Final
 
+from manyhands.design.models.axis import TRANSLATING, Units
 from manyhands.nodes.kernel.driver_statement import DriverWord, outside
 from manyhands.nodes.monitor.causes import BEFORE, Causes
 from manyhands.nodes.monitor.given import MEASURE, WINDOW, GivenForce
@@ -74,6 +75,7 @@ class Terms:
         seats: the device of each seat, by its coupling.
         drivers: the devices that drivers of other packages move, with what rests on their word.
         couplings: of each device.
+        units: of each node's ports; those that are left out translate.
     """
 
     period: float
@@ -89,6 +91,7 @@ class Terms:
     seats: Mapping[str, str] = field(default_factory=dict)
     drivers: Mapping[str, DriverWord] = field(default_factory=dict)
     couplings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    units: Mapping[str, Units] = field(default_factory=dict)
 
     @property
     def promises(self) -> Iterator[Promise]:
@@ -277,7 +280,8 @@ class HealthModel:
         if (entry := self._entries.get((Promise.SPEED, node))) is not None:
             fastest = figures.get(names.FASTEST, math.nan)
             moved = "may have moved" if node in self._terms.drivers else "moved"  # measured, to a step
-            entry.remark = f"{node} {moved} at up to {fastest:.3g} m/s on an axis" if math.isfinite(fastest) else ""
+            unit = self._terms.units.get(node, TRANSLATING)("m/s")
+            entry.remark = f"{node} {moved} at up to {fastest:.3g} {unit} on an axis" if math.isfinite(fastest) else ""
         if figures.get(names.WAVE_HOLDING, 0.0) > 0.0:
             self._go_on(Promise.LINK, node, at)
         self._energy(node, at, figures)
@@ -550,9 +554,10 @@ class HealthModel:
         if entry is None or entry.state is not state:
             entry = self._begin(Promise.DRIVER, node, state, at)
             entry.cost.clear()
-        most = max(entry.cost.get((node, "N"), 0.0), most)
-        entry.cost |= {(node, "ticks"): ticks, (node, "N"): most if math.isfinite(most) else 0.0}
-        entry.remark = f"{node}: {what}, in {ticks:.0f} ticks and by up to {most:.3g} N"
+        unit = self._terms.units.get(node, TRANSLATING)("N")
+        most = max(entry.cost.get((node, unit), 0.0), most)
+        entry.cost |= {(node, "ticks"): ticks, (node, unit): most if math.isfinite(most) else 0.0}
+        entry.remark = f"{node}: {what}, in {ticks:.0f} ticks and by up to {most:.3g} {unit}"
 
     def _senseless(self, promise: Promise, node: str, at: float, what: str) -> None:
         """An account that is no finite number shows nothing, so nobody may say that its promise is kept."""

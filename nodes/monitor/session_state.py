@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final
 
 from manyhands.design.files import read_regular, replacing
+from manyhands.design.models.axis import AxisKind, Units
 from manyhands.design.models.contacts import coordinates
 from manyhands.design.models.scene import ContactScene, geometry_of
 from manyhands.nodes.environment.drawing import WorldDrawing
@@ -169,6 +170,7 @@ class About:
         scene: the geometry of the virtual world's tools, bodies and obstacles; None if it is no scene and no mesh.
         force: the limit of the force at each port's device, N.
         drawing: what the world of a physics engine looks like; None for other worlds, and where no engine says it.
+        turning: the ports and bodies that turn, whose traces are in rad and N·m.
     """
 
     session: str
@@ -192,6 +194,7 @@ class About:
     scene: Annotated[ContactScene, GEOMETRY] | None = None
     force: Added[Mapping[str, float]] = field(default_factory=dict)
     drawing: Added[WorldDrawing | None] = None
+    turning: Added[tuple[str, ...]] = ()
 
     @property
     def terms(self) -> Terms:
@@ -211,7 +214,19 @@ class About:
             seats=self.seats,
             drivers={name: node.driver for name, node in self.nodes.items() if node.driver is not None},
             couplings=self._couplings,
+            units={name: self.units_at(name) for name in self.nodes} if self.turning else {},
         )
+
+    def units_at(self, node: str) -> Units:
+        """The units of a node's ports together."""
+        return Units.of(self.kinds_at(node))
+
+    def kinds_at(self, node: str) -> tuple[AxisKind, ...]:
+        """What the axis of each of a node's ports does; nothing where all axes of the session translate."""
+        if not self.turning:
+            return ()
+        turn = {*self.turning}
+        return tuple(AxisKind.ROTATION if port in turn else AxisKind.TRANSLATION for port in self.nodes[node].ports)
 
     @property
     def _couplings(self) -> Mapping[str, tuple[str, ...]]:
@@ -505,7 +520,9 @@ class LiveSession:
             for world in worlds:
                 if node.impedance is None:
                     continue
-                felt = felt_link(name, node.impedance, self.nodes[name].figures, world.figures)
+                felt = felt_link(
+                    name, node.impedance, self.nodes[name].figures, world.figures, self.about.kinds_at(name)
+                )
                 if felt is not None:
                     out[name] = felt
         return out

@@ -23,6 +23,7 @@ from manyhands.nodes.monitor.session_state import GEOMETRY, PERIOD, About
 from manyhands.nodes.recorder.scene_messages import SCENE_SCHEMAS, SceneMessages
 from manyhands.nodes.rows.figures import FIGURES as DECLARED
 from manyhands.nodes.rows.figures import WAVE_HOLDING
+from manyhands.nodes.rows.units import unit_of_all
 from manyhands.protocol.channels import CONDITION, TELEMETRY, Columns, Topic, links_at, topic_name, topics_of
 from manyhands.protocol.messages import Condition, Figures, PromiseStatus, Role
 from manyhands.protocol.plain import Added, read, written
@@ -88,11 +89,11 @@ _PROMISE: Final = {
 }
 
 
-def schema_of(topic: Topic) -> tuple[str, str]:
-    """Name and text of the JSON schema of a topic's messages."""
+def schema_of(topic: Topic, unit: str) -> tuple[str, str]:
+    """Name and text of the JSON schema of a topic's messages, whose values have this unit."""
     one = topic.columns is Columns.ONE
     value = _NUMBER if one else {"type": "array", "items": _NUMBER}
-    about = f"{topic.symbol}, {topic.unit}{'' if one else ', in the order of the columns'}; null: not a finite number"
+    about = f"{topic.symbol}, {unit}{'' if one else ', in the order of the columns'}; null: not a finite number"
     return object_schema(topic.name, {TIME: _TIME, topic.trace: {**value, "description": about}})
 
 
@@ -222,7 +223,7 @@ class ChannelAbout:
 _KEYS: Final[Mapping[str, str]] = {"version": "manyhands", "linked": "wave_links"}
 """The keys of a recording's metadata that are not named as the fields of :class:`Recorded`."""
 
-_MAY_BE_EMPTY: Final = ("periods", "linked", "scene")
+_MAY_BE_EMPTY: Final = ("periods", "linked", "scene", "turning")
 """The fields of which metadata have nothing where they are empty."""
 
 
@@ -242,6 +243,7 @@ class Recorded:
         periods: T of the nodes that have a period of their own, s: those at the site of a wave link with one.
         linked: the couplings that have a wave link, in the session's order.
         scene: the geometry of its tools, bodies and obstacles; None if the environment is neither a scene nor a mesh.
+        turning: the ports and masses that turn, whose columns are in rad and N·m.
     """
 
     session: str
@@ -255,6 +257,7 @@ class Recorded:
     periods: Added[Mapping[str, Annotated[float, PERIOD]]] = field(default_factory=dict)
     linked: Added[tuple[str, ...]] = ()
     scene: Added[Annotated[ContactScene | None, GEOMETRY]] = None
+    turning: Added[tuple[str, ...]] = ()
 
     @property
     def devices(self) -> dict[str, tuple[str, ...]]:
@@ -282,8 +285,9 @@ class Recorded:
         if isinstance(topic, str):
             return ChannelAbout(topic_name(self.session, node, topic), *OTHER_SCHEMAS[topic], metadata)
         columns = json.dumps(self.columns(node, topic), ensure_ascii=False)
-        metadata |= {"symbol": topic.symbol, "unit": topic.unit, "columns": columns}
-        return ChannelAbout(topic_name(self.session, node, topic.name), *schema_of(topic), metadata)
+        unit = unit_of_all(topic, self.columns(node, topic), self.turning)
+        metadata |= {"symbol": topic.symbol, "unit": unit, "columns": columns}
+        return ChannelAbout(topic_name(self.session, node, topic.name), *schema_of(topic, unit), metadata)
 
     def scene_messages(self) -> SceneMessages | None:
         """What makes the messages that show the scene; None without one.
@@ -346,7 +350,14 @@ class Recorded:
             raise ValueError("found a wave link of another node than a coupling in the metadata; expected couplings")
         things = () if out.scene is None else (*out.scene.things, *out.scene.obstacles)
         own = (thing.name for thing in things)
-        for name in (out.session, *out.roles, *out.masses, *chain.from_iterable(out.ports.values()), *own):
+        for name in (
+            out.session,
+            *out.roles,
+            *out.masses,
+            *chain.from_iterable(out.ports.values()),
+            *out.turning,
+            *own,
+        ):
             if not _NAME.fullmatch(name):
                 raise ValueError(
                     f"found the name {name!r:.60} in the metadata; expected letters, digits, '_', '.', '-'"
@@ -374,4 +385,5 @@ def recorded_of(about: About) -> Recorded:
         periods={name: node.period for name, node in about.nodes.items() if node.period is not None},
         linked=about.linked,
         scene=about.scene,
+        turning=about.turning,
     )

@@ -6,9 +6,10 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from manyhands.design.models.axis import TRANSLATING, AxisKind, Units
 from manyhands.nodes.rows import figures as names
 from manyhands.protocol.messages import Figures
-from manyhands.protocol.plain import written
+from manyhands.protocol.plain import Added, written
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,7 @@ class FeltLink:
         limited: ticks in which a tank limited a wave, at both ends.
         silences: how often an end heard nothing for so long that it held the tool, at both ends.
         holding: whether an end does so now.
+        kinds: what its ports do; stiffness and mass are in the units of these.
     """
 
     round_trip: float
@@ -33,20 +35,23 @@ class FeltLink:
     limited: int
     silences: int
     holding: bool
+    kinds: Added[tuple[AxisKind, ...]] = ()
 
     def figures(self) -> str:
         """Round trip, felt stiffness and felt mass, with their units."""
-        return f"R = {1e3 * self.round_trip:.3g} ms, K = {self.stiffness:.4g} N/m, M = {kilograms(self.mass)}"
+        unit = Units.of(self.kinds)
+        felt = f"K = {self.stiffness:.4g} {unit('N/m')}, M = {kilograms(self.mass, unit)}"
+        return f"R = {1e3 * self.round_trip:.3g} ms, {felt}"
 
     def sentence(self, coupling: str, over: bool = False) -> str:
         """The figures as a sentence about the link of ``coupling``.
 
         Where the run is ``over``, it is no news that an end hears nothing: sites end one after the other.
         """
-        tanks = " and ".join(f"{1e3 * tank:.3g}" for tank in self.tanks)
+        tanks, unit = " and ".join(f"{1e3 * tank:.3g}" for tank in self.tanks), Units.of(self.kinds)
         text = (
             f"wave link of {coupling}: a round trip of {1e3 * self.round_trip:.3g} ms is felt as {self.stiffness:.4g} "
-            f"N/m in series with the coupling, and as {kilograms(self.mass)}; {tanks} mJ in its tanks"
+            f"{unit('N/m')} in series with the coupling, and as {kilograms(self.mass, unit)}; {tanks} mJ in its tanks"
         )
         if self.limited:
             text += f"; waves limited by a tank in {self.limited} {'tick' if self.limited == 1 else 'ticks'}"
@@ -60,9 +65,9 @@ class FeltLink:
         return plain
 
 
-def kilograms(mass: float) -> str:
-    """A mass, kg, for a sentence: in kg, or in g below 1 kg."""
-    return f"{mass:.3g} kg" if mass >= 1.0 else f"{1e3 * mass:.3g} g"
+def kilograms(mass: float, units: Units = TRANSLATING) -> str:
+    """A mass, kg, for a sentence: in kg, or in g below 1 kg; of ports that turn an inertia."""
+    return f"{mass:.3g} {units('kg')}" if mass >= 1.0 else f"{1e3 * mass:.3g} {units('g')}"
 
 
 def stiffness_and_mass(impedance: tuple[float, float], R: float) -> tuple[float, float]:
@@ -81,6 +86,7 @@ def felt_link(
     impedance: tuple[float, float],
     user: Figures,
     world: Figures,
+    kinds: tuple[AxisKind, ...] = (),
 ) -> FeltLink | None:
     """The wave link of ``coupling``; None where an end has not reported, or figures make no sense.
 
@@ -89,6 +95,7 @@ def felt_link(
         impedance: the least and the greatest eigenvalue of b, N*s/m.
         user: the figures of the coupling.
         world: the figures of the environment.
+        kinds: what the ports of the coupling do.
     """
     lags = user.get(names.WAVE_LAG, math.nan), world.table(names.of(names.WAVE_LAG)).get(coupling, math.nan)
     R = 1e-6 * sum(lags)
@@ -98,4 +105,4 @@ def felt_link(
         return None
     tanks, limited, silences, holding = found
     felt = stiffness_and_mass(impedance, R)
-    return FeltLink(R, *felt, tanks, int(sum(limited)), int(sum(silences)), any(holding))
+    return FeltLink(R, *felt, tanks, int(sum(limited)), int(sum(silences)), any(holding), kinds)

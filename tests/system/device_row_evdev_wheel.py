@@ -118,6 +118,7 @@ EVDEV_WHEEL: Final = Row(
     ),
     keys={
         "dof": 1,
+        "axes": "rotation",
         "osp": 0.05,
         "driver": "evdev-wheel",
         "sample_age": AGE,

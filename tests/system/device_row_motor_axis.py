@@ -109,7 +109,7 @@ def motor_row(driver: str, fake: Fake, wire: Callable[[], Wire], faults: Mapping
         ),
         keys={
             "dof": 1,
-            "axes": ["rz"],
+            "axes": {"rz": "rotation"},
             "osp": 0.01,
             "driver": driver,
             "sample_age": 0.001,

@@ -20,6 +20,7 @@ period: 0.008
 devices:
   wheel:
     dof: 1
+    axes: rotation
     osp: 0.05
     driver: evdev-wheel
     parameters: {{device: {device}, range: 15.0, most: 2.0, sample_age: 0.002, actuation_delay: 0.004}}

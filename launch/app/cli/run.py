@@ -105,14 +105,16 @@ def simulate(
             recording.save(record)
             say(err, f"written to {record}")
         for name, device in simulation.devices.items():
+            unit = loaded.devices[name].units("m/s")
             say(
                 out,
-                f"{name}: peak speed {device.core.peak_speed:.3g} m/s, speed at the end {device.core.speed:.3g} m/s, "
+                f"{name}: peak speed {device.core.peak_speed:.3g} {unit}, "
+                f"speed at the end {device.core.speed:.3g} {unit}, "
                 f"ledger {device.ledger.total:.3g} J (least {device.ledger.minimum:.3g} J)",
             )
         for name, link in simulation.links.items():
             if (impedance := loaded.impedance_of(name)) is not None and ticks:
-                say(out, link.felt(impedance).sentence(name, over=True))
+                say(out, link.felt(impedance, loaded.kinds_of(name)).sentence(name, over=True))
         for line in network_lines(loaded, SIMULATED):
             say(err, line)
         world, parties = simulation.environment, tuple(simulation.couplings)
@@ -123,11 +125,11 @@ def simulate(
             say(out, line)
         for name, device in simulation.devices.items():
             if device.beyond:
-                was = "may have been" if any(device.known_to) else "was"
+                was, unit = "may have been" if any(device.known_to) else "was", loaded.devices[name].units("m/s")
                 say(
                     err,
-                    f"warning: {name} {was} faster than the {device.below:g} m/s below which its certificate holds "
-                    f"(times: {device.beyond}, up to {device.fastest:.3g} m/s); beyond, only its account counts",
+                    f"warning: {name} {was} faster than the {device.below:g} {unit} below which its certificate holds "
+                    f"(times: {device.beyond}, up to {device.fastest:.3g} {unit}); beyond, only its account counts",
                 )
             if (guard := device.guard).let_go:
                 say(err, f"warning: {name} was beyond its limits and let go (times: {guard.let_go}); last: {guard.why}")

@@ -35,7 +35,7 @@ from manyhands.launch.session import (
     limits,
     load_session,
 )
-from manyhands.launch.session.fields import SessionModel, keys_of
+from manyhands.launch.session.fields import OnAxes, SessionModel, keys_of
 from manyhands.launch.session.friction import Friction
 from manyhands.launch.session.kind import EnvironmentKind
 from manyhands.launch.session.scene import (
@@ -101,7 +101,7 @@ def test_every_part_of_a_session_has_a_section() -> None:
         return set(model.__subclasses__()).union(*(parts(part) for part in model.__subclasses__()))
 
     own = {part for part in parts(SessionModel) if part.__module__.startswith("manyhands.")}
-    assert own - {ModelEnvironment, EnvironmentKind, ShapedThing} == {
+    assert own - {ModelEnvironment, EnvironmentKind, OnAxes, ShapedThing} == {
         model for models in MODELS.values() for model in models
     }
 

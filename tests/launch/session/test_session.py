@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from manyhands.design.models.axis import AxisKind
 from manyhands.launch.audit.simulation import Simulation
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import DEFAULT_HAND, Session, SessionError, load_session
@@ -155,7 +156,7 @@ def test_one_operator_on_three_axes_is_only_just_passive() -> None:
     assert session.ports == ("d.x", "d.y", "d.z")
     assert session.blocks == (("d.x",), ("d.y",), ("d.z",))
     hand = session.devices["d"].hand
-    assert hand.dof == 3
+    assert hand.kinds == (AxisKind.TRANSLATION,) * 3
     finding = hand.rational.passivity()
     assert finding.passive
     assert finding.smallest == pytest.approx(4.6e-5, rel=0.02)

@@ -12,6 +12,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from manyhands.design.models.axis import AxisKind
 from manyhands.launch.audit.simulation import Simulation
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import prepare
@@ -25,9 +26,11 @@ from manyhands.protocol.clock import Duration
 MS = 1_000_000
 
 
-def coupling(b: list[float], period: float = 1e-3, peer: float = 1e-3) -> CouplingBundle:
+def coupling(
+    b: list[float], period: float = 1e-3, peer: float = 1e-3, kinds: tuple[AxisKind, ...] = ()
+) -> CouplingBundle:
     wave = SimpleNamespace(b=np.diag(b), peer_period=peer, depth=None, every=1, peer_every=1)
-    return cast(CouplingBundle, SimpleNamespace(common=SimpleNamespace(period=period), wave=wave))
+    return cast(CouplingBundle, SimpleNamespace(common=SimpleNamespace(period=period, kinds=kinds), wave=wave))
 
 
 def test_the_law_of_distance() -> None:
@@ -41,6 +44,11 @@ def test_the_law_of_distance() -> None:
         "round trip R of about 50 ms: 40 ms of network and 10 ms of play-out\n"
         "a wall will feel no stiffer than about K = 400 N/m, and free space will weigh about M = 500 g more"
     )
+
+
+def test_a_seat_that_turns_is_told_in_its_units() -> None:
+    sentence = felt(coupling([10.0], kinds=(AxisKind.ROTATION,)), [Duration(40 * MS)] * 3).sentence()
+    assert "K = 487.8 N·m/rad, and free space will weigh about M = 205 g·m² more" in sentence
 
 
 def test_a_rare_late_frame_is_no_part_of_what_is_felt() -> None:
