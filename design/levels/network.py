@@ -50,12 +50,12 @@ def link_matrices(network: Network) -> tuple[csc_array, csc_array]:
     signs: list[float] = []
     of_link: list[int] = []
     for number, link in enumerate(network.links):
-        ends = [index[end] for end in link.ends if end != GROUND]
-        for i in ends:
-            for j in ends:
+        ends = [(index[end], arm) for end, arm in zip(link.ends, link.arms, strict=True) if end != GROUND]
+        for i, a in ends:
+            for j, b in ends:
                 rows.append(i)
                 columns.append(j)
-                signs.append(1.0 if i == j else -1.0)
+                signs.append(a * b if i == j else -a * b)
                 of_link.append(number)
     shape = (len(index), len(index))
     weights = np.array([(link.stiffness, link.damping) for link in network.links]).reshape(-1, 2)
@@ -79,17 +79,18 @@ def dissipation_matrix(network: Network, T: float) -> csc_array:
     return Z
 
 
-def port_dissipation(Z: csc_array, m: int) -> Matrix:
+def port_dissipation(Z: csc_array, m: int, together: Matrix | None = None) -> Matrix:
     """S = Z_uu - Z_uq Z_qq^{-1} Z_qu, m x m, N*s/m: E_hat is S-ISP, and Phi_E = -S is the least that Z admits.
 
     Args:
         Z: :func:`dissipation_matrix` of the network.
         m: number of ports.
+        together: :meth:`.Network.together`; all 1 unless given.
 
     Raises:
         SolverFailure: links are so far apart that Z_qq is singular in floats.
     """
-    tied = _tied_masses(Z, m)
+    tied = _tied_masses(Z, m, together)
     S = Z[:m, :m].toarray()
     if len(tied):
         Z_qu = csc_array(Z[tied][:, :m])
@@ -120,7 +121,7 @@ def physical_level(
     Returns:
         Phi_E, m x m with the structure, N*s/m; Z + blockdiag(Phi_E, 0) >= 0.
     """
-    m = partition.size
+    m, moves = partition.size, network.together()
     Z = dissipation_matrix(network, T)
     together = coo_array(
         (
@@ -141,7 +142,7 @@ def physical_level(
         ports = [port for number in numbers for port in partition.blocks[number]]
         order = [*ports, *nodes[nodes >= m]]
         try:
-            S = port_dissipation(csc_array(Z[order][:, order]), len(ports))
+            S = port_dissipation(csc_array(Z[order][:, order]), len(ports), moves[order])
         except SolverFailure:
             continue
         at = iter(range(len(ports)))
@@ -165,7 +166,7 @@ def diagonal_level(network: Network, T: float) -> Matrix:
     Returns:
         Phi_E, m x m and diagonal, N*s/m; Z + blockdiag(Phi_E, 0) >= 0.
     """
-    m = len(network.ports)
+    m, moves = len(network.ports), network.together()
     Z = dissipation_matrix(network, T)
     _, group = connected_components(Z, directed=False)
     kept = np.zeros(m)
@@ -175,10 +176,10 @@ def diagonal_level(network: Network, T: float) -> Matrix:
         own = csc_array(Z[nodes][:, nodes])
         if len(nodes) > MOST_EXACT:
             singles = Partition(tuple(map(str, ports)), tuple((i,) for i in range(len(ports))))
-            kept[ports] = [float(block[0, 0]) for block in structured_level(own, singles).blocks]
+            kept[ports] = [float(block[0, 0]) for block in structured_level(own, singles, together=moves[nodes]).blocks]
             continue
         try:
-            values = np.linalg.eigvalsh(port_dissipation(own, len(ports)))
+            values = np.linalg.eigvalsh(port_dissipation(own, len(ports), moves[nodes]))
         except SolverFailure:
             continue  # its ports keep nothing, which needs no proof
         if values[0] > _RESERVE * values[-1]:  # less may be rounding
@@ -202,7 +203,9 @@ class StructuredLevel:
     __repr__ = brief_repr
 
 
-def structured_level(Z: csc_array, partition: Partition, weights: Matrix | None = None) -> StructuredLevel:
+def structured_level(
+    Z: csc_array, partition: Partition, weights: Matrix | None = None, together: Matrix | None = None
+) -> StructuredLevel:
     """A level with the structure of V by weighted diagonal dominance, for networks of any size.
 
     Inverse iteration y = Z^{-1} (weights * y at the ports, 0 at the masses) keeps y > 0 and approaches the motion in
@@ -214,6 +217,7 @@ def structured_level(Z: csc_array, partition: Partition, weights: Matrix | None 
         Z: :func:`dissipation_matrix` of the network.
         partition: of its m ports.
         weights: m entries > 0, such as the devices' levels; the levels are to be proportional to them. None: all equal.
+        together: :meth:`.Network.together`; all 1 unless given.
 
     Example:
         >>> from manyhands import passivity
@@ -226,8 +230,9 @@ def structured_level(Z: csc_array, partition: Partition, weights: Matrix | None 
     _, component = connected_components(Z, directed=False)
     inner = _INNER_SLACK * Z.diagonal()
     load = np.concatenate([np.ones(m) if weights is None else weights, np.zeros(size - m)])
-    solved = np.flatnonzero(np.isin(component, component[_grounded(Z)]))
-    y, kept = np.ones(size), np.zeros(m)
+    solved = np.flatnonzero(np.isin(component, component[_grounded(Z, together)]))
+    y = np.ones(size) if together is None else together.copy()
+    kept = np.zeros(m)
     solver = None
     with suppress(SolverFailure):  # then the network keeps nothing
         solver = _factored(csc_array(Z[solved][:, solved])) if len(solved) else None
@@ -240,7 +245,7 @@ def structured_level(Z: csc_array, partition: Partition, weights: Matrix | None 
         kept = (1.0 - _OUTER_SLACK) * (Z[:m] @ y) / y[:m]
     # A level as small as the masses' slack may be rounding: its component then keeps nothing, with y = 1 as witness.
     empty = np.isin(component, component[:m][kept <= inner[:m]])
-    y[empty] = 1.0
+    y[empty] = 1.0 if together is None else together[empty]
     kept = np.where(empty[:m], 0.0, kept)
     blocks = []
     for block in partition.blocks:
@@ -258,15 +263,16 @@ def _factored(Z: csc_array) -> SuperLU:
         raise SolverFailure(f"the network's links are too far apart for floating point: {error}") from error
 
 
-def _grounded(Z: csc_array) -> NDArray[np.bool_]:
-    """Which ports and masses have a link to ground: the sum of their row of Z is positive."""
-    return np.asarray(Z @ np.ones(Z.shape[0]) > _ROUNDING * Z.diagonal())
+def _grounded(Z: csc_array, together: Matrix | None) -> NDArray[np.bool_]:
+    """Which ports and masses have a link to ground: only that answers a motion in which no other link stretches."""
+    moves = np.ones(Z.shape[0]) if together is None else together
+    return np.asarray(Z @ moves > _ROUNDING * Z.diagonal() * moves)
 
 
-def _tied_masses(Z: csc_array, m: int) -> NDArray[np.intp]:
+def _tied_masses(Z: csc_array, m: int, together: Matrix | None) -> NDArray[np.intp]:
     """Indices of the masses whose part of Z is regular: all masses that links join to a port or to ground."""
     _, component = connected_components(Z, directed=False)
-    anchored = _grounded(Z)
+    anchored = _grounded(Z, together)
     anchored[:m] = True
     tied = np.isin(component, component[anchored])
     tied[:m] = False

@@ -103,7 +103,7 @@ class NetworkBox(Environment):
         same = (
             low.ports == high.ports
             and [name for name, _ in low.masses] == [name for name, _ in high.masses]
-            and [link.ends for link in low.links] == [link.ends for link in high.links]
+            and [(link.ends, link.arms) for link in low.links] == [(link.ends, link.arms) for link in high.links]
         )
         if not same:
             raise ValueError("expected two networks of the same structure")
@@ -136,7 +136,7 @@ class NetworkBox(Environment):
             low.ports,
             tuple((name, (a + b) / 2.0) for (name, a), (_, b) in zip(low.masses, high.masses, strict=True)),
             tuple(
-                NetworkLink(a.ends, (a.stiffness + b.stiffness) / 2.0, (a.damping + b.damping) / 2.0)
+                a.with_values((a.stiffness + b.stiffness) / 2.0, (a.damping + b.damping) / 2.0)
                 for a, b in zip(low.links, high.links, strict=True)
             ),
         )
@@ -393,9 +393,9 @@ def _network_at(data: Mapping[str, Any], ports: tuple[str, ...], end: int) -> Ne
         ports,
         tuple((str(name), at(mass)) for name, mass in data["masses"].items()),
         tuple(
-            NetworkLink((str(a), str(b)), at(link["stiffness"]), at(link["damping"]))
+            NetworkLink((str(a), str(b)), at(link["stiffness"]), at(link["damping"]), (float(of_a), float(of_b)))
             for link in data["links"]
-            for a, b in [link["between"]]
+            for (a, b), (of_a, of_b) in [(link["between"], link.get("arms", (1.0, 1.0)))]
         ),
     )
 

@@ -1,7 +1,8 @@
 """Environments made of masses, springs and dampers, in any topology, discretised by backward Euler.
 
 Links of stiffness k_l (N/m) and damping b_l (N*s/m) join the tool positions u = x_e (m ports) and the masses'
-positions q (n masses). With the incidence of the links they give
+positions q (n masses). A link is as long as its ends are apart, e = a_1 u_1 - a_2 u_2, where a is the lever arm of an
+end that turns (m/rad), and 1 otherwise. With the incidence of the links they give
 
     K, B in R^{(m+n) x (m+n)},    energy = 1/2 [u; q]^T K [u; q] + 1/2 q'^T M q',
 
@@ -28,8 +29,9 @@ The design does not assume any of this: it computes Phi_E for the E that results
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -53,16 +55,27 @@ class NetworkLink:
         ends: two of the network's ports, masses, or :data:`GROUND`.
         stiffness: k >= 0, N/m.
         damping: b >= 0, N*s/m.
+        arms: by how much the link's length changes with each end, > 0: 1, or of an end that turns its lever arm, m/rad.
 
     Example:
         >>> from manyhands import passivity
         >>> passivity.NetworkLink(("hand", "ground"), stiffness=500.0, damping=0.2)
-        NetworkLink(ends=('hand', 'ground'), stiffness=500.0, damping=0.2)
+        NetworkLink(ends=('hand', 'ground'), stiffness=500.0, damping=0.2, arms=(1.0, 1.0))
     """
 
     ends: tuple[str, str]
     stiffness: float
     damping: float
+    arms: tuple[float, float] = (1.0, 1.0)
+
+    @property
+    def levers(self) -> bool:
+        """Whether an end has a lever arm."""
+        return self.arms != (1.0, 1.0)
+
+    def with_values(self, stiffness: float, damping: float) -> NetworkLink:
+        """The same link with another spring and damper."""
+        return NetworkLink(self.ends, stiffness, damping, self.arms)
 
 
 @dataclass(frozen=True)
@@ -76,7 +89,8 @@ class Network(Environment):
 
     Raises:
         ValueError: a name used twice, a link to an unknown end or to itself, a parameter that is negative or not
-            finite, a mass that is not positive.
+            finite, a mass or a lever arm that is not positive, or lever arms that contradict each other
+            (:func:`scales`).
 
     Example:
         >>> from manyhands import passivity
@@ -108,6 +122,10 @@ class Network(Environment):
                     f"link between {link.ends}: found stiffness {link.stiffness}, damping {link.damping}, "
                     "expected finite ones >= 0"
                 )
+            if not all(0.0 < arm < np.inf for arm in link.arms):
+                raise ValueError(f"link between {link.ends}: found the arms {link.arms}; expected finite ones > 0")
+        if any(link.levers for link in self.links):
+            scales(self.links)
         for name, mass in self.masses:
             if not 0.0 < mass < np.inf:
                 raise ValueError(f"mass {name}: found {mass} kg; expected a finite one > 0")
@@ -116,7 +134,7 @@ class Network(Environment):
         """The link by which a port meets the rest of the world, by port; links in parallel are added.
 
         A port is left out if its links lead to several ends, or to another port, or if it has no stiffness: then no
-        spring of its own is in series with whatever moves the port.
+        spring of its own is in series with whatever moves the port. It is left out as well where a link has a lever.
         """
         ports = set(self.ports)
         found: dict[str, NetworkLink] = {}
@@ -126,7 +144,7 @@ class Network(Environment):
                 if port not in ports:
                     continue
                 before = found.get(port)
-                if end in ports or (before is not None and before.ends[1] != end):
+                if end in ports or link.levers or (before is not None and before.ends[1] != end):
                     several.add(port)
                 k, b = (0.0, 0.0) if before is None else (before.stiffness, before.damping)
                 found[port] = NetworkLink((port, end), k + link.stiffness, b + link.damping)
@@ -144,7 +162,7 @@ class Network(Environment):
         links = []
         for link in self.links:
             factor = 1.0 / (1.0 - max(parts.get(end, 0.0) for end in link.ends))
-            links.append(NetworkLink(link.ends, factor * link.stiffness, factor * link.damping))
+            links.append(link.with_values(factor * link.stiffness, factor * link.damping))
         return Network(self.ports, self.masses, tuple(links))
 
     def counted(self, parts: Mapping[str, float], T: float) -> StateSpace:
@@ -165,6 +183,13 @@ class Network(Environment):
     def terms(self) -> dict[str, Any]:
         """Masses and links, without a delay."""
         return network_terms(self, self, 0)
+
+    def together(self) -> Matrix:
+        """M + n motions with which no link changes its length, except those to ground: all 1 without lever arms."""
+        if not any(link.levers for link in self.links):
+            return np.ones(len(self.ports) + len(self.masses))
+        found = scales(self.links)
+        return np.array([1.0 / found.get(end, 1.0) for end in (*self.ports, *(name for name, _ in self.masses))])
 
     def stiffness_matrix(self) -> Matrix:
         """K, (m+n) x (m+n), N/m; ports first, then masses."""
@@ -329,13 +354,51 @@ class Network(Environment):
         index = {name: i for i, name in enumerate([*self.ports, *(name for name, _ in self.masses)])}
         out = np.zeros((len(index), len(index)))
         for link, weight in zip(self.links, weights, strict=True):
-            ends = [index[end] for end in link.ends if end != GROUND]
-            for i in ends:
-                out[i, i] += weight
+            ends = [(index[end], arm) for end, arm in zip(link.ends, link.arms, strict=True) if end != GROUND]
+            for i, arm in ends:
+                out[i, i] += weight * (arm * arm)
             if len(ends) == 2:
-                out[ends[0], ends[1]] -= weight
-                out[ends[1], ends[0]] -= weight
+                (i, a), (j, b) = ends
+                out[i, j] -= weight * (a * b)
+                out[j, i] -= weight * (a * b)
         return out
+
+
+def scales(links: Sequence[NetworkLink]) -> dict[str, float]:
+    """By end, s > 0 with which every link's length is a multiple of the difference of the ends' s u.
+
+    In the coordinates s u a network with lever arms is one without, so that whatever holds of springs between equal
+    coordinates holds of it. Ends that no links join have scales of their own, and the first of each group has 1.
+
+    Raises:
+        ValueError: there are none: two ways between two ends multiply their motions by different numbers, and such
+            gears could not turn.
+    """
+    beside: dict[str, list[tuple[str, Fraction]]] = {}
+    for link in links:
+        (a, b), (of_a, of_b) = link.ends, (Fraction(repr(float(arm))) for arm in link.arms)  # the decimals as written
+        if GROUND not in link.ends:
+            beside.setdefault(a, []).append((b, of_b / of_a))
+            beside.setdefault(b, []).append((a, of_a / of_b))
+    found: dict[str, Fraction] = {}
+    for start in beside:
+        if start in found:
+            continue
+        found[start] = Fraction(1)
+        waiting = [start]
+        while waiting:
+            end = waiting.pop()
+            for other, ratio in beside[end]:
+                wanted = ratio * found[end]
+                if other not in found:
+                    found[other] = wanted
+                    waiting.append(other)
+                elif found[other] != wanted:
+                    raise ValueError(
+                        f"lever arms: found two ways from {start} to {other} that multiply its motion by "
+                        f"{1 / float(found[other]):.6g} and by {1 / float(wanted):.6g}; expected the same by every way"
+                    )
+    return {end: float(scale) for end, scale in found.items()}
 
 
 def network_terms(low: Network, high: Network, delay: int) -> dict[str, Any]:
@@ -348,6 +411,7 @@ def network_terms(low: Network, high: Network, delay: int) -> dict[str, Any]:
                 "between": list(a.ends),
                 "stiffness": _interval(a.stiffness, b.stiffness),
                 "damping": _interval(a.damping, b.damping),
+                **({"arms": list(a.arms)} if a.levers else {}),
             }
             for a, b in zip(low.links, high.links, strict=True)
         ],

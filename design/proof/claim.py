@@ -12,7 +12,7 @@ data that the theorem about it needs.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,11 +49,13 @@ class LinkData:
         ends: indices of ports and masses; None is the ground.
         stiffness: N/m.
         damping: N*s/m.
+        arms: > 0, by how much the link's length changes with each end: the lever arm of one that turns, m/rad, or 1.
     """
 
     ends: tuple[int | None, int | None]
     stiffness: Span
     damping: Span
+    arms: tuple[fmpq, fmpq] = (fmpq(1), fmpq(1))
 
 
 @dataclass(frozen=True)
@@ -277,6 +279,37 @@ def read_environment(item: Item, ports: tuple[str, ...]) -> EnvironmentData:
             return _transfer(item, len(ports))
 
 
+_ONES = (fmpq(1), fmpq(1))
+
+
+def _consistent(links: Sequence[LinkData]) -> bool:
+    """Whether, in coordinates that are multiples of the given ones, every link has arms of 1: exactly, in rationals.
+
+    What is said of groups that springs join (:func:`manyhands.design.proof.environment.carriers`) is true then alone.
+    """
+    beside: dict[int, list[tuple[int, fmpq]]] = {}
+    for link in links:
+        a, b = link.ends
+        if a is not None and b is not None:
+            beside.setdefault(a, []).append((b, link.arms[1] / link.arms[0]))
+            beside.setdefault(b, []).append((a, link.arms[0] / link.arms[1]))
+    found: dict[int, fmpq] = {}
+    for start in beside:
+        if start in found:
+            continue
+        found[start] = fmpq(1)
+        waiting = [start]
+        while waiting:
+            end = waiting.pop()
+            for other, ratio in beside[end]:
+                if other not in found:
+                    found[other] = ratio * found[end]
+                    waiting.append(other)
+                elif found[other] != ratio * found[end]:
+                    return False
+    return True
+
+
 def _network(item: Item, ports: tuple[str, ...]) -> NetworkData:
     parts = item.fields(("type", "masses", "links", "delay"))
     masses = parts["masses"].entries(MAX_LINKS)
@@ -286,11 +319,21 @@ def _network(item: Item, ports: tuple[str, ...]) -> NetworkData:
     index[GROUND] = None
     links = []
     for entry in parts["links"].items(MAX_LINKS):
-        link = entry.fields(("between", "stiffness", "damping"))
+        link = entry.fields(("between", "stiffness", "damping"), ("arms",))
         names = [end.text() for end in link["between"].items(2, exactly=2)]
         if names[0] == names[1] or not all(name in index for name in names):
             raise link["between"].refusal("two different names of ports, masses or the ground")
-        links.append(LinkData((index[names[0]], index[names[1]]), link["stiffness"].span(), link["damping"].span()))
+        arms = (
+            _ONES
+            if "arms" not in link
+            else tuple(exact_decimal(arm.number()) for arm in link["arms"].items(2, exactly=2))
+        )
+        if not all(arm > 0 for arm in arms):
+            raise link["arms"].refusal("two numbers greater than 0")
+        ends = index[names[0]], index[names[1]]
+        links.append(LinkData(ends, link["stiffness"].span(), link["damping"].span(), (arms[0], arms[1])))
+    if any(link.arms != _ONES for link in links) and not _consistent(links):
+        raise parts["links"].refusal("lever arms with which two ways between two ends multiply motions equally")
     return NetworkData(
         len(ports),
         tuple(mass.span() for mass in masses.values()),

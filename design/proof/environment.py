@@ -138,17 +138,18 @@ MOST_SEARCHED = 200  # the same, where dominance is equivalent
 
 
 def laplacian(links: tuple[LinkData, ...], weights: list[fmpq]) -> Sparse:
-    """The matrix of the quadratic form sum over the links of weight (difference of its ends)^2."""
+    """The matrix of the quadratic form sum over the links of weight (a_1 end_1 - a_2 end_2)^2, with their arms a."""
     out: Sparse = {}
     for link, weight in zip(links, weights, strict=True):
-        ends = [end for end in link.ends if end is not None]
+        ends = [(end, arm) for end, arm in zip(link.ends, link.arms, strict=True) if end is not None]
         if weight == 0:
             continue
-        for end in ends:
-            exact.add_entry(out, end, end, weight)
+        for end, arm in ends:
+            exact.add_entry(out, end, end, weight * arm * arm)
         if len(ends) == 2:
-            exact.add_entry(out, ends[0], ends[1], -weight)
-            exact.add_entry(out, ends[1], ends[0], -weight)
+            (i, a), (j, b) = ends
+            exact.add_entry(out, i, j, -weight * a * b)
+            exact.add_entry(out, j, i, -weight * a * b)
     return out
 
 

@@ -86,6 +86,8 @@ def _fault(claim: Claim) -> str:
             return f"the link of {name} leads to another port"
         if not any(exact_decimal(link.stiffness[0]) > 0 for link in own):
             return f"the link of {name} has no stiffness"
+        if any(arm != 1 for link in own for arm in link.arms):
+            return f"the link of {name} has a lever arm"
     return ""
 
 
@@ -112,7 +114,7 @@ def cut(claim: Claim) -> Claim:
         if factor is None:
             return link
         low_k, high_k, low_b, high_b = (exact_decimal(end) * factor for end in (*link.stiffness, *link.damping))
-        return LinkData(link.ends, (low_k, high_k), (low_b, high_b))
+        return LinkData(link.ends, (low_k, high_k), (low_b, high_b), link.arms)
 
     return replace(claim, environment=replace(network, links=tuple(map(stiffened, network.links))), series={})
 

@@ -262,7 +262,7 @@ def _energy(data: NetworkData, Phi_E: Sparse, m: int, bits: float, T: fmpq) -> l
             joined[ends[0], ends[1]] = fmpq(1)
     for i, _ in Phi_E:
         entries[i] += 1
-    b = bits + height(T) + _bits_of([x for link in data.links for x in (*link.stiffness, *link.damping)])
+    b = bits + height(T) + _bits_of([x for link in data.links for x in (*link.stiffness, *link.damping, *link.arms)])
     positive = any(i != j and value > 0 for (i, j), value in Phi_E.items())
     most = environment.MOST_DENSE if positive else environment.MOST_SEARCHED
     negative = {i for i, _ in Phi_E}

@@ -12,7 +12,7 @@ import hashlib
 import json
 import re
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, Self, TypeAlias, Union
@@ -25,7 +25,7 @@ from manyhands.design.models import environment as designed
 from manyhands.design.models.contacts import GROUND, coordinates
 from manyhands.design.models.declared import DeclaredEnvironment, ProxyEnvironment
 from manyhands.design.models.distance_grid import grid_of_text
-from manyhands.design.models.network import Network, NetworkLink
+from manyhands.design.models.network import Network, NetworkLink, scales
 from manyhands.design.models.scene import MOST_DRIVE, MOST_POINTS, ContactScene, Obstacle
 from manyhands.launch.session.assets import ASSETS, model_assets, model_text, text_in
 from manyhands.launch.session.design import OneOrMany, full_matrix, one_or_many
@@ -41,10 +41,12 @@ from manyhands.launch.session.fields import (
     Quantity,
     SessionModel,
     UncertainDamping,
+    UncertainInertia,
     UncertainMass,
     UncertainStiffness,
     Whole,
     defaulted,
+    each_named,
     part_name,
     problems_in,
     refusal,
@@ -65,6 +67,7 @@ from manyhands.launch.session.limits import (
     MAX_MODEL_BYTES,
     MAX_PORTS,
     MAX_STIFFNESS,
+    MIN_POSITIVE,
 )
 from manyhands.launch.session.matrices import (
     D_OR_STATIC,
@@ -221,6 +224,8 @@ _NAMES: Final = either({"type": "string"}, list_of({"type": "string"}, MAX_DOF))
 class EngineEnvironment(ModelEnvironment):
     """A physics engine with a model file: the tools are joined by springs to avatars, bodies of the engine."""
 
+    turns: ClassVar[bool] = False
+
     type: Literal["engine"] = Field(description="the kind of environment: engine")
     model: Annotated[str, Completed(model_text, {"type": "string"})] = Field(
         description="the model's file, by its name in the session file's folder, or its text"
@@ -284,6 +289,8 @@ class MeshEnvironment(ModelEnvironment):
 
     The tools are joined by springs to proxies on its surface.
     """
+
+    turns: ClassVar[bool] = False
 
     type: Literal["mesh"] = Field(description="the kind of environment: mesh")
     model: Annotated[str, Completed(_grid_text, {"type": "string"})] = Field(
@@ -363,6 +370,17 @@ def _two_ends(value: object) -> tuple[str, str]:
     return value[0], value[1]
 
 
+_ARM: Final = Quantity("a lever arm", "m/rad", above=0.0, smallest=MIN_POSITIVE)
+_LEVERS: Final = {"type": "object", "additionalProperties": _ARM.json_schema, "minProperties": 1, "maxProperties": 2}
+
+
+def _levers(value: object) -> dict[str, float]:
+    """Lever arms by end."""
+    if not isinstance(value, Mapping) or not value:
+        raise refuse(show(value), "{END: ARM} for each end that turns, in m/rad")
+    return each_named(_ARM, value)
+
+
 _TWO_ENDS: Final = Described(_two_ends, list_of({"type": "string"}, 2, 2))
 
 
@@ -374,13 +392,39 @@ class SessionLink(SessionModel):
     between: Annotated[tuple[str, str], _TWO_ENDS] = Field(
         description=f"the two ends [a, b], each a port, a mass or {GROUND}"
     )
-    stiffness: UncertainStiffness = Field(default=0.0, description="the stiffness in N/m, or an interval")
-    damping: UncertainDamping = Field(default=0.0, description="the damping in N·s/m, or an interval")
+    stiffness: UncertainStiffness = Field(
+        default=0.0, description="the stiffness in N/m, or an interval; N·m/rad where ends turn without a lever"
+    )
+    damping: UncertainDamping = Field(
+        default=0.0, description="the damping in N·s/m, or an interval; N·m·s/rad where ends turn without a lever"
+    )
+    lever: Annotated[dict[str, float] | None, Described(_levers, _LEVERS)] = Field(
+        default=None, description="the lever arm of each end that turns, m/rad: the link is in N/m then"
+    )
 
     @model_validator(mode="after")
     def _has_spring_or_damper(self) -> Self:
         require_spring_or_damper(self.stiffness, self.damping)
         return self
+
+    @property
+    def arms(self) -> tuple[float, float]:
+        """By end, its lever arm, or 1."""
+        a, b = (1.0 if self.lever is None else self.lever.get(end, 1.0) for end in self.between)
+        return a, b
+
+    def turning_problems(self, turning: Collection[str]) -> Iterator[Problem]:
+        """What is wrong with its lever arms where these ports and masses turn."""
+        ends = [end for end in self.between if end != GROUND]
+        turn = [end for end in ends if end in turning]
+        for end in self.lever or ():
+            if end not in turn:
+                found = "the ground" if end == GROUND else f"{show(end)}, which is no end of it or does not turn"
+                yield Problem(("lever", end), found, f"an end that turns: {listed(turn) or 'here none does'}")
+        lacking = [end for end in turn if end not in (self.lever or {})]
+        if lacking and (self.lever or len(turn) < len(ends)):
+            found = f"no lever arm of {show(lacking[0])}, which turns, beside an end with one or that translates"
+            yield Problem((), found, f"lever: {{{lacking[0]}: m/rad}}: a torque is the arm times the force")
 
 
 class NetworkEnvironment(EnvironmentKind):
@@ -392,6 +436,9 @@ class NetworkEnvironment(EnvironmentKind):
     masses: Annotated[dict[str, UncertainMass], NamedParts(part_name("a mass name"), MAX_MASSES, least=0)] = Field(
         default={}, description="the masses in kg, or intervals, by name"
     )
+    inertias: Annotated[
+        dict[str, UncertainInertia], NamedParts(part_name("an inertia's name"), MAX_MASSES, least=0)
+    ] = Field(default={}, description="the inertias of what turns in kg·m², or intervals, by name")
     links: Annotated[tuple[SessionLink, ...], Items("links", MAX_LINKS)] = Field(description="the springs and dampers")
     delay: Delay = Field(default=0, description="whole ticks by which its forces are late")
     enforce: Enforce = Field(default=False, description=ENFORCE_MEANING)
@@ -399,8 +446,32 @@ class NetworkEnvironment(EnvironmentKind):
     @property
     def uncertain(self) -> bool:
         """Whether any mass, stiffness or damping is an interval."""
-        parameters = [*self.masses.values(), *(v for link in self.links for v in (link.stiffness, link.damping))]
+        parameters = [*self._bodies.values(), *(v for link in self.links for v in (link.stiffness, link.damping))]
         return any(isinstance(value, Interval) for value in parameters)
+
+    @property
+    def _bodies(self) -> dict[str, float | Interval]:
+        """Masses, and then inertias."""
+        return {**self.masses, **self.inertias}
+
+    @property
+    def turning(self) -> tuple[str, ...]:
+        """The inertias."""
+        return tuple(self.inertias)
+
+    def turning_problems(self, ports: tuple[str, ...], turning: Collection[str]) -> Iterator[Problem]:
+        """The problems of lever arms where these ports turn."""
+        turn, found = {*turning, *self.inertias}, not any(link.lever for link in self.links)
+        for index, link in enumerate(self.links):
+            for problem in link.turning_problems(turn):
+                found = True
+                yield problem._replace(at=("links", index, *problem.at))
+        if not found:  # otherwise nothing contradicts itself
+            try:
+                scales([NetworkLink(link.between, 1.0, 0.0, link.arms) for link in self.links])
+            except ValueError as error:
+                text = str(error).removeprefix("lever arms: found ").partition("; expected ")
+                yield Problem(("links",), text[0], text[2])
 
     @model_validator(mode="after")
     def _late_or_uncertain(self) -> Self:
@@ -413,12 +484,15 @@ class NetworkEnvironment(EnvironmentKind):
     def problems(self, ports: tuple[str, ...]) -> Iterator[Problem]:
         """The problems of masses and links in a session with these ports."""
         taken = frozenset(ports)
-        for name in self.masses:
-            if name in taken or name == GROUND:
-                owner = "the ground" if name == GROUND else "a port"
-                expected = f"a name that no port has, other than {GROUND}"
-                yield Problem(("masses", name), f"the name {name!r} of {owner}", expected)
-        valid = (*ports, *self.masses, GROUND)
+        for key, names in (("masses", self.masses), ("inertias", self.inertias)):
+            for name in names:
+                if name in taken or name == GROUND:
+                    owner = "the ground" if name == GROUND else "a port"
+                    expected = f"a name that no port has, other than {GROUND}"
+                    yield Problem((key, name), f"the name {name!r} of {owner}", expected)
+                elif key == "inertias" and name in self.masses:
+                    yield Problem((key, name), f"the name {name!r} of a mass", "a name that no mass has")
+        valid = (*ports, *self._bodies, GROUND)
         known = frozenset(valid)
         dangling = False
         attached = {end for link in self.links for end in link.between}
@@ -433,9 +507,12 @@ class NetworkEnvironment(EnvironmentKind):
         for port in ports:
             if port not in attached and not dangling:
                 yield Problem(("links",), f"no link to the port {port!r}", "at least one link to every port")
-        for mass in self.masses:
-            if mass not in attached and not dangling:
-                yield Problem(("masses", mass), "a mass without a link", "at least one link to every mass")
+        for key, what, names in (("masses", "a mass", self.masses), ("inertias", "an inertia", self.inertias)):
+            for name in names:
+                if name not in attached and not dangling:
+                    yield Problem(
+                        (key, name), f"{what} without a link", f"at least one link to every {what.split()[1]}"
+                    )
 
     def for_design(self, ports: tuple[str, ...]) -> Network | designed.DelayedNetwork | designed.NetworkBox:
         """The network, or with intervals every network between two."""
@@ -453,21 +530,21 @@ class NetworkEnvironment(EnvironmentKind):
 
         return Network(
             ports,
-            tuple((name, end(mass)) for name, mass in self.masses.items()),
-            tuple(NetworkLink(link.between, end(link.stiffness), end(link.damping)) for link in self.links),
+            tuple((name, end(mass)) for name, mass in self._bodies.items()),
+            tuple(NetworkLink(link.between, end(link.stiffness), end(link.damping), link.arms) for link in self.links),
         )
 
     def reported(self, ports: tuple[str, ...]) -> tuple[str, ...]:
-        """The masses."""
-        return tuple(self.masses)
+        """The masses, and then the inertias."""
+        return tuple(self._bodies)
 
     def masses_and_springs(self, ports: tuple[str, ...]) -> tuple[dict[str, float], tuple[NetworkLink, ...]]:
         """Masses and links, an interval by its middle, which is what runs."""
         springs = (
-            NetworkLink(link.between, Interval.of(link.stiffness).nominal, Interval.of(link.damping).nominal)
+            NetworkLink(link.between, Interval.of(link.stiffness).nominal, Interval.of(link.damping).nominal, link.arms)
             for link in self.links
         )
-        return {name: Interval.of(mass).nominal for name, mass in self.masses.items()}, tuple(springs)
+        return {name: Interval.of(mass).nominal for name, mass in self._bodies.items()}, tuple(springs)
 
 
 def _method(value: object, info: ValidationInfo) -> object:

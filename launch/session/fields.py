@@ -259,6 +259,7 @@ class Quantity(ValueCheck):
 
 
 MASS: Final = Quantity("a mass", "kg", above=0.0, smallest=MIN_POSITIVE)
+INERTIA: Final = Quantity("an inertia", "kg·m²", above=0.0, smallest=MIN_POSITIVE)
 HAND_MASS: Final = Quantity("a mass", "kg", least=0.0)
 DAMPING: Final = Quantity("a damping", "N·s/m", least=0.0)
 STIFFNESS: Final = Quantity("a stiffness", "N/m", least=0.0)
@@ -618,6 +619,7 @@ def plain(value: float | Interval) -> float | dict[str, list[float]]:
 
 
 _AS_WRITTEN: Final = PlainSerializer(plain)
+UncertainInertia: TypeAlias = Annotated[float | Interval, UncertainQuantity(INERTIA), _AS_WRITTEN]
 UncertainMass: TypeAlias = Annotated[float | Interval, UncertainQuantity(MASS), _AS_WRITTEN]
 UncertainDamping: TypeAlias = Annotated[float | Interval, UncertainQuantity(DAMPING), _AS_WRITTEN]
 UncertainStiffness: TypeAlias = Annotated[float | Interval, UncertainQuantity(STIFFNESS), _AS_WRITTEN]

@@ -6,7 +6,7 @@ asked; a kind states only where its own differ. A kind is one line in the table 
 """
 
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeAlias
 
 from manyhands.design.models.kind import Environment
@@ -45,6 +45,21 @@ class EnvironmentKind(SessionModel):
     def problems(self, ports: tuple[str, ...]) -> Iterator[Problem]:
         """What is wrong with it in a session with these ports."""
 
+    turns: ClassVar[bool] = True
+    """Whether a port may turn; otherwise its coordinates are those of places."""
+
+    def turning_problems(self, ports: tuple[str, ...], turning: Collection[str]) -> Iterator[Problem]:
+        """What is wrong with it where these of the session's ports turn."""
+        if not self.turns and turning:
+            port = next(port for port in ports if port in turning)
+            expected = f"ports that translate, or another type: a tool of a {self.type} moves along axes"
+            yield Problem((), f"the port {port!r}, which turns", expected)
+
+    @property
+    def turning(self) -> tuple[str, ...]:
+        """The names in :meth:`reported` of what turns."""
+        return ()
+
     @abstractmethod
     def for_design(self, ports: tuple[str, ...]) -> Environment:
         """The same as design has it, in a session with these ports and without :meth:`problems`.
@@ -76,7 +91,12 @@ class EnvironmentKind(SessionModel):
 
     def hardest(self, ports: tuple[str, ...]) -> dict[str, float]:
         """By port the stiffness of the hardest thing that it meets, N/m; without those that meet nothing known here."""
-        met = [(port, link.stiffness) for link in self.masses_and_springs(ports)[1] for port in {*link.ends} & {*ports}]
+        met = [
+            (port, arm * arm * link.stiffness)
+            for link in self.masses_and_springs(ports)[1]
+            for port, arm in zip(link.ends, link.arms, strict=True)
+            if port in ports
+        ]
         if (scene := self.geometry(ports)) is not None:
             moved = {tool.name: tool.ports for tool in scene.tools}
             met += [

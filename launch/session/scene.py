@@ -340,6 +340,8 @@ def tool_spheres(tools: Mapping[str, SceneTool], ports: tuple[str, ...]) -> tupl
 class SceneEnvironment(EnvironmentKind):
     """Tools, bodies and obstacles in space, with springs, gravity, contacts and friction."""
 
+    turns: ClassVar[bool] = False
+
     type: Literal["scene"] = Field(description="the kind of environment: scene")
     tools: Annotated[dict[str, SceneTool], NamedParts(part_name("a device's name"), MOST_POINTS)] = Field(
         description="the tool of each device, by the device's name"

@@ -369,6 +369,9 @@ class Session(SessionModel):
         problems = list(islice(structure_problems(device_ports, self.couplings), MAX_PROBLEMS))
         for problem in islice(self.environment.problems(self.ports), MAX_PROBLEMS):
             problems.append(problem._replace(at=("environment", *problem.at)))
+        if not problems:
+            for problem in islice(self.environment.turning_problems(self.ports, self.turning_ports), MAX_PROBLEMS):
+                problems.append(problem._replace(at=("environment", *problem.at)))
         problems += islice(observer_problems(self.observers, self.roles), MAX_PROBLEMS)
         motions = {name: (d.trace, d.limits) for name, d in self.devices.items() if d.trace is not None}
         problems += islice(motion_problems(motions, self.period), MAX_PROBLEMS)
@@ -394,9 +397,17 @@ class Session(SessionModel):
         return tuple(port for name in self.devices for port in self.ports_of(name))
 
     @cached_property
-    def turning(self) -> tuple[str, ...]:
-        """Those of the ports that turn, in the session's order: their units are N·m, rad and what follows from them."""
+    def turning_ports(self) -> tuple[str, ...]:
+        """The ports that turn, in the session's order."""
         return tuple(port for name, device in self.devices.items() for port in device.turning(name))
+
+    @cached_property
+    def turning(self) -> tuple[str, ...]:
+        """The ports that turn, and then what else turns in the environment.
+
+        Their units are N·m, rad and what follows from them.
+        """
+        return self.turning_ports + self.environment.turning
 
     def kinds_of(self, coupling: str) -> tuple[AxisKind, ...]:
         """What the axes of a coupling's ports do; nothing where all axes of the session translate."""
