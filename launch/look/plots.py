@@ -46,7 +46,7 @@ from manyhands.launch.run.states import is_summary
 from manyhands.nodes.kernel.bundle import REALTIME
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE
 from manyhands.nodes.rows.own_ticks import own_tick
-from manyhands.nodes.rows.units import unit_of_all
+from manyhands.nodes.rows.units import units_of_columns
 from manyhands.protocol.channels import INSTANTS, INTERFACE, LEDGER, TAU, TOPICS
 from manyhands.protocol.messages import Condition, Role, presentable
 
@@ -153,11 +153,8 @@ def picture_of_run(run: RecordedRun, quantities: Sequence[str] | None = None) ->
     """
     recorded, ticks = run.recorded, run.ticks
     realtime = recorded.clock == REALTIME
-    there = {
-        panel.name: panel
-        for panel in _panels(run.traces, recorded.turning, recorded.period, run.ticks_of, recorded.rate_of)
-    }
-    delays = there.pop("tau", None)
+    there = _by_name(_panels(run.traces, recorded.turning, recorded.period, run.ticks_of, recorded.rate_of))
+    delays = next(iter(there.pop("tau", ())), None)
     wanted = _wanted(quantities, [*there, *(["tau"] if delays and realtime else [])], realtime)
     name = f"{recorded.session}, {recorded.clock} clock, certificate {recorded.certificate:.12}"
     return Picture(
@@ -165,7 +162,7 @@ def picture_of_run(run: RecordedRun, quantities: Sequence[str] | None = None) ->
         period=recorded.period,
         first=run.first,
         ticks=ticks,
-        panels=tuple(there[name] for name in wanted if name in there),
+        panels=tuple(panel for name in wanted for panel in there.get(name, ())),
         delays=Delays(
             delays.curves,
             _certified_tau(run.attachments),
@@ -191,11 +188,20 @@ def picture_of_recording(recording: Recording, quantities: Sequence[str] | None 
     }
     ticks = len(recording.x)
     panels = _panels(traces, recording.turning, recording.period, lambda _node: ticks, lambda _node: 1.0)
-    there = {panel.name: panel for panel in panels}
+    there = _by_name(panels)
     wanted = _wanted(quantities, list(there), realtime=True)
     certificate = f", certificate {recording.certificate:.12}" if recording.certificate else ""
     title = f"{recording.session}{certificate}, {ticks} ticks, {ticks * recording.period:g} s"
-    return Picture(title, recording.period, 0, ticks, tuple(there[name] for name in wanted), cut=recording.cut)
+    shown = tuple(panel for name in wanted for panel in there[name])
+    return Picture(title, recording.period, 0, ticks, shown, cut=recording.cut)
+
+
+def _by_name(panels: Iterable[Panel]) -> dict[str, list[Panel]]:
+    """The panels of each quantity: one for each of its units."""
+    found: dict[str, list[Panel]] = {}
+    for panel in panels:
+        found.setdefault(panel.name, []).append(panel)
+    return found
 
 
 def between(picture: Picture, start: float | None, end: float | None) -> Picture:
@@ -265,7 +271,7 @@ def _panels(
     ticks_of: Callable[[str], int],
     rate_of: Callable[[str], float],
 ) -> list[Panel]:
-    """A panel for every recorded quantity, in the order of the table; a node with fewer rows than ticks has a gap.
+    """A panel for every recorded quantity and unit, in the order of the table; a node with fewer rows has a gap.
 
     Args:
         traces: by node and topic name.
@@ -288,6 +294,7 @@ def _panels(
             continue
         topic = found[source][0].topic
         curves: list[Curve] = []
+        units: list[str] = []
         for node, trace in zip(nodes[source], found[source], strict=True):
             labels = (node,) if topic.trace in (LEDGER, TAU, INTERFACE) else trace.columns
             ticks, rate = ticks_of(node), rate_of(node)
@@ -300,10 +307,11 @@ def _panels(
                     values, period / rate, None if instants is None else _of_length(instants.values[:, :1], ticks)
                 )
             curves += [Curve(label, column, rate) for label, column in zip(labels, values.T, strict=True)]
-        unit = unit_of_all(topic, [column for trace in found[source] for column in trace.columns], turning)
-        axis = f"velocity [{' or '.join(f'{one}/s' for one in unit.split(' or '))}]"
-        axis = axis if name == VELOCITY else f"{topic.symbol} [{unit}]"
-        panels.append(Panel(name, title, axis, tuple(curves), zero=topic.trace in (LEDGER, INTERFACE)))
+            units += units_of_columns(topic, trace.columns, turning)
+        for unit in dict.fromkeys(units):
+            own = tuple(curve for curve, its in zip(curves, units, strict=True) if its == unit)
+            axis = f"velocity [{unit}/s]" if name == VELOCITY else f"{topic.symbol} [{unit}]"
+            panels.append(Panel(name, title, axis, own, zero=topic.trace in (LEDGER, INTERFACE)))
     return panels
 
 

@@ -29,7 +29,7 @@ from manyhands.nodes.monitor.session_state import About, LiveSession
 from manyhands.nodes.monitor.tracks import BUCKETS, WINDOW, Decimated, Tracks
 from manyhands.nodes.recorder.format import MAX_TIME_NS, Recorded
 from manyhands.nodes.rows.promises import Promise
-from manyhands.nodes.rows.units import unit_of_all
+from manyhands.nodes.rows.units import units_of_columns
 from manyhands.protocol.clock import Clock, Duration, Instant
 from manyhands.protocol.messages import Observation, PromiseStatus, Role
 from manyhands.protocol.transport.broadcast import Visit
@@ -84,7 +84,7 @@ class Feed:
                 "node": key.node,
                 "topic": key.topic.name,
                 "symbol": key.topic.symbol,
-                "unit": unit_of_all(key.topic, columns, about.turning),
+                "units": units_of_columns(key.topic, columns, about.turning),
                 "columns": columns,
                 "seconds": self._tracks.sizes[key.node] * about.period_of(key.node),
             }

@@ -1,7 +1,7 @@
 /** The list of the force on each hand, by axis. */
 
 import { byId, html, place, tell } from "./elements.js";
-import { axisOf, quantity } from "./format.js";
+import { axisOf, quantity, unitsOf } from "./format.js";
 
 export class Forces {
   constructor(session) {
@@ -14,7 +14,8 @@ export class Forces {
   draw() {
     for (const { device, ports, item } of this.items) {
       const forces = ports.map((_, axis) => this.session.known(`${device}/force`, axis));
-      tell(item, `${device}: f ${forces.map((f, axis) => `${axisOf(ports[axis])} ${quantity(f, "N")}`).join(", ")}`);
+      const told = forces.map((f, axis) => `${axisOf(ports[axis])} ${quantity(f, unitsOf(this.session.turns(ports[axis]))[1])}`);
+      tell(item, `${device}: f ${told.join(", ")}`);
       place(item, { "data-force": forces.join(" ") });
     }
   }

@@ -8,6 +8,9 @@ export function prefixOf(most, unit) {
   return PREFIXES.find(([factor]) => most >= factor * 0.9995) ?? PREFIXES.at(-1);
 }
 
+/** The unit of a place, and of a force, on an axis that turns or does not. */
+export const unitsOf = (turns) => (turns ? ["rad", "N·m"] : ["m", "N"]);
+
 const LEAST = 1e-12; // in any unit: what is smaller is the rounding of a sum, and shown as 0
 
 export const unitOf = (unit) => (unit === "us" ? "µs" : unit);

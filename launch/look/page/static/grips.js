@@ -1,7 +1,7 @@
 /** Holds devices by pointer or by keys. The page repeats each hold ten times a second, since a hold that is not repeated ends. */
 
 import { byId, place, say, svg } from "./elements.js";
-import { quantity } from "./format.js";
+import { quantity, unitsOf } from "./format.js";
 
 const AGAIN = 100; // ms
 const STEPS = 40; // key presses from the middle to the edge of the drawing
@@ -134,8 +134,9 @@ export class Grips {
 
   /** The text of a handle for screen readers. */
   text(device) {
-    const where = this.position(device).map((x) => quantity(x, "m")).join(", ");
-    const wanted = this.held.get(device);
-    return wanted ? `held at ${wanted.map((x) => quantity(x, "m")).join(", ")}; is at ${where}` : `free at ${where}`;
+    const units = this.session.about.nodes[device].ports.map((port) => unitsOf(this.session.turns(port))[0]);
+    const told = (position) => position.map((x, axis) => quantity(x, units[axis])).join(", ");
+    const [where, wanted] = [told(this.position(device)), this.held.get(device)];
+    return wanted ? `held at ${told(wanted)}; is at ${where}` : `free at ${where}`;
   }
 }

@@ -36,6 +36,7 @@ function tracesOf(quantity_, session) {
         traces.push({
           key,
           column: c,
+          unit: track.units[c],
           track,
           label: `${track.symbol} ${name}`,
           on: (quantity_.shown ?? quantity_.topics).includes(topic) && place < AT_FIRST,
@@ -48,11 +49,22 @@ function tracesOf(quantity_, session) {
   return traces;
 }
 
+/** The quantity once for each unit of its traces: what turns has another axis than what translates. */
+function byUnit(q, traces) {
+  const units = [...new Set(traces.map((trace) => trace.unit))];
+  return units.map((unit, i) => ({
+    ...q,
+    id: i ? `${q.id}-${i}` : q.id,
+    unit,
+    traces: traces.filter((trace) => trace.unit === unit),
+  }));
+}
+
 export class Plots {
   constructor(session) {
     this.session = session;
     this.panel = byId("plot");
-    this.quantities = QUANTITIES.map((q) => ({ ...q, traces: tracesOf(q, session) })).filter((q) => q.traces.length);
+    this.quantities = QUANTITIES.flatMap((q) => byUnit(q, tracesOf(q, session)));
     this.tabs = this.quantities.map((q, i) => this.tab(q, i));
     byId("plot-tabs").replaceChildren(...this.tabs);
     this.select(0);
@@ -64,7 +76,7 @@ export class Plots {
     const tab = html(
       "button",
       { type: "button", role: "tab", id: `tab-${q.id}`, "aria-controls": "plot-panel" },
-      `${q.label} (${unitOf(q.traces[0].track.unit)})`,
+      `${q.label} (${unitOf(q.unit)})`,
     );
     tab.addEventListener("click", () => this.select(i));
     tab.addEventListener("keydown", (event) => {
@@ -86,7 +98,7 @@ export class Plots {
     });
     byId("plot-panel").setAttribute("aria-labelledby", this.tabs[i].id);
     this.traces = this.quantities[i].traces;
-    this.unit = this.traces[0].track.unit;
+    this.unit = this.quantities[i].unit;
     this.legend();
     this.build();
   }

@@ -8,6 +8,7 @@ const LATELY = 3; // s that scales are fitted to
 export class Session {
   constructor(about) {
     this.about = about;
+    this.turning = new Set(about.turning);
     this.tracks = new Map(Object.entries(about.tracks).map(([key, facts]) => [key, new Track(facts, about.buckets)]));
     this.nodes = new Map(Object.keys(about.nodes).map((name) => [name, { state: "", health: "waiting", figures: {} }]));
     this.picture = null;
@@ -59,12 +60,19 @@ export class Session {
     return Number.isNaN(value) ? 0 : value;
   }
 
-  /** The greatest magnitude of some topics in the last seconds. */
-  greatest(topics) {
+  /** Whether a port or a body turns: its place is an angle, and its force a torque. */
+  turns(name) {
+    return this.turning.has(name);
+  }
+
+  /** The greatest magnitude of some topics in the last seconds, of what turns or of what does not. */
+  greatest(topics, turns = false) {
     let most = 0;
     for (const track of this.tracks.values()) {
       if (!topics.includes(track.topic)) continue;
-      for (let c = 0; c < track.columns.length; c += 1) most = Math.max(most, track.most(c, Math.ceil(LATELY / track.seconds)));
+      track.columns.forEach((column, c) => {
+        if (this.turns(column) === turns) most = Math.max(most, track.most(c, Math.ceil(LATELY / track.seconds)));
+      });
     }
     return most;
   }

@@ -2,7 +2,7 @@
 
 export class Track {
   constructor(facts, buckets) {
-    Object.assign(this, facts); // node, topic, symbol, unit, columns, and the seconds of a bucket
+    Object.assign(this, facts); // node, topic, symbol, columns with their units, and the seconds of a bucket
     this.buckets = buckets;
     this.begin = this.end = 0; // numbers of the first kept bucket, and of the one after the latest
     this.rings = facts.columns.map(() => new Float64Array(2 * buckets).fill(NaN));

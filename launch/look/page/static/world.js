@@ -1,12 +1,12 @@
 /** The moving virtual world in its plane: tools, masses and springs, and the devices that move the tools through their couplings. */
 
 import { buttons, height, place, say, svg } from "./elements.js";
-import { axisOf, fitted, quantity } from "./format.js";
+import { axisOf, fitted, quantity, unitsOf } from "./format.js";
 import { Labels } from "./labels.js";
 import { layout } from "./layout.js";
 
-const LEAST = 2e-3; // m, the smallest motion that may fill the drawing: numerical noise must not look like motion
-const LEAST_FORCE = 0.1; // N, the same for forces
+const LEAST = 2e-3; // m or rad, the smallest motion that may fill the drawing: numerical noise must not look like motion
+const LEAST_FORCE = { false: 0.1, true: 0.01 }; // N, and N·m of what turns, the same for forces
 const LIFT = 26; // px at least that a device of one axis is drawn above its tool
 const ROW = 64; // px at least that a row of bodies is high
 const SWING = 220; // px at most from a body's middle to its greatest displacement
@@ -22,7 +22,11 @@ export class World {
     Object.assign(this, { parent, session, grips });
     const { bodies, pairs, columns, rows } = layout(session.about);
     Object.assign(this, { bodies, pairs, columns, rows });
-    this.most = this.mostForce = 0;
+    // the greatest motion and force that fill the drawing, of what does not turn (false) and of what does (true)
+    this.most = { false: 0, true: 0 };
+    this.mostForce = { false: 0, true: 0 };
+    const ports = Object.values(session.about.nodes).flatMap((node) => node.ports);
+    this.kinds = [false, true].filter((turns) => ports.some((port) => session.turns(port) === turns));
     this.looked = -Infinity;
     this.planar = [...bodies.values()].some((body) => body.planar);
     this.drawing = svg("svg", { role: "group", "aria-label": "The virtual world" });
@@ -71,18 +75,18 @@ export class World {
     const shown = body.ports.slice(0, 2);
     const axes = shown.map((port) => svg("text", { class: "dim" }, axisOf(port)));
     const upright = svg("path", { class: "axis" });
-    const handle = this.grips.handle(body.name, { start: (event, x) => this.drag(event, x), most: () => this.most });
+    const handle = this.grips.handle(body.name, { start: (event, x) => this.drag(event, x, body.ports), most: () => this.most[this.session.turns(body.ports[0])] });
     this.drawing.append(upright, ...axes, lag, tool, target, force, head, label, handle);
     return { id, body, lag, tool, target, force, head, label, axes, upright, handle };
   }
 
   /** Where a device that is at x shall be while the pointer is dragged from where it is. */
-  drag(event, x) {
+  drag(event, x, ports) {
     const from = this.point(event);
     return (later) => {
       const to = this.point(later);
       const moved = [to.x - from.x, from.y - to.y];
-      return x.map((value, axis) => value + (moved[axis] ?? 0) / this.pixels);
+      return x.map((value, axis) => value + (moved[axis] ?? 0) / this.pixels(ports[axis]));
     };
   }
 
@@ -115,7 +119,7 @@ export class World {
       const [a, b] = this.ends(spring.ends, this.spots);
       spring.turns = 2 * Math.max(4, Math.round(Math.hypot(a.x - b.x, a.y - b.y) / TURN)); // as many, however it is stretched
     }
-    if (this.pixels) this.draw();
+    if (this.kinds.every((turns) => this.most[turns])) this.draw();
   }
 
   /** Scales that fit the latest motions: they grow at once, shrink when a third would do, and stay while a device is held. */
@@ -124,13 +128,20 @@ export class World {
     this.looked = now;
     const { about } = this.session;
     // where a hand can move a device, its motion has room
-    const gripped = about.grips.length ? Math.min(0.02, Math.max(...about.grips.map((d) => about.reach[about.nodes[d].ports[0]] ?? 0))) : 0;
-    if (this.grips.held.size === 0) this.most = fitted(this.most, Math.max(LEAST, gripped, this.session.greatest(["sample", "tools", "masses"])));
-    this.mostForce = fitted(this.mostForce, Math.max(LEAST_FORCE, this.session.greatest(["force"])));
+    for (const turns of this.kinds) {
+      const held = about.grips.map((d) => about.nodes[d].ports[0]).filter((port) => this.session.turns(port) === turns);
+      const gripped = held.length ? Math.min(turns ? 0.5 : 0.02, Math.max(...held.map((port) => about.reach[port] ?? 0))) : 0;
+      const moved = this.session.greatest(["sample", "tools", "masses"], turns);
+      if (this.grips.held.size === 0) this.most[turns] = fitted(this.most[turns], Math.max(LEAST, gripped, moved));
+      const force = Math.max(LEAST_FORCE[turns], this.session.greatest(["force"], turns));
+      this.mostForce[turns] = fitted(this.mostForce[turns], force);
+    }
   }
 
-  get pixels() {
-    return this.most ? this.swing / this.most : 0;
+  /** Pixels a metre, or a radian, of a port or a body. */
+  pixels(name) {
+    const most = this.most[this.session.turns(name)];
+    return most ? this.swing / most : 0;
   }
 
   /** The present position of a body, px. */
@@ -139,15 +150,14 @@ export class World {
     const spot = this.spots.get(id);
     const moved = [0, 0];
     if (body.kind === "tool") {
-      body.ports.slice(0, 2).forEach((port, axis) => (moved[axis] = this.tool_of(port)));
+      body.ports.slice(0, 2).forEach((port, axis) => (moved[axis] = this.pixels(port) * this.tool_of(port)));
     } else if (body.kind === "mass") {
-      for (const { axis, index } of body.axes) if (axis < 2) moved[axis] = this.session.known("environment/masses", index);
+      const { columns } = this.session.tracks.get("environment/masses");
+      for (const { axis, index } of body.axes) {
+        if (axis < 2) moved[axis] = this.pixels(columns[index]) * this.session.known("environment/masses", index);
+      }
     }
-    return this.offset(spot, moved);
-  }
-
-  offset(spot, [x, y]) {
-    return { x: spot.x + this.pixels * x, y: spot.y - this.pixels * y };
+    return offset(spot, moved);
   }
 
   tool_of(port) {
@@ -162,7 +172,7 @@ export class World {
       place(line, { x1: from.x, x2: to.x, y1: from.y, y2: to.y });
     }
     this.lines = this.parts.lanes.map(({ body }) => this.lane(body));
-    this.taken = [[0, this.height - 26, this.swing + 200, this.height], buttons(this.width)];
+    this.taken = [[0, this.height - 26, this.swing + (this.kinds.length > 1 ? 300 : 200), this.height], buttons(this.width)];
     for (const { ends, path, turns } of this.parts.springs) {
       const [a, b] = this.ends(ends, places);
       path.setAttribute("d", zigzag(a, b, turns));
@@ -217,27 +227,30 @@ export class World {
   draw_tool({ body, lag, tool, target, force, head, upright, handle }, at) {
     const spot = this.spots.get(`tool ${body.name}`);
     const lift = body.planar ? 0 : this.lift;
-    const x = this.grips.position(body.name);
-    const here = this.offset({ x: spot.x, y: spot.y - lift }, [x[0], body.planar ? (x[1] ?? 0) : 0]);
+    const on = (position) => {
+      const px = position.map((value, axis) => value * this.pixels(body.ports[axis]));
+      return offset({ x: spot.x, y: spot.y - lift }, [px[0], body.planar ? (px[1] ?? 0) : 0]);
+    };
+    const here = on(this.grips.position(body.name));
     const forces = body.ports.map((_, axis) => this.session.known(`${body.name}/force`, axis));
     place(tool, { x: at.x - 7, y: at.y - 7, "data-at": body.ports.map((port) => this.tool_of(port)).join(" ") });
     place(lag, { x1: here.x, y1: here.y, x2: at.x, y2: at.y });
     this.lines.push([here, at, 2]);
     this.taken.push(around(here, 12, 12), around(at, 8, 8));
-    const arrow = this.arrow(force, head, here, forces);
+    const arrow = this.arrow(force, head, here, forces.map((f, axis) => f / (this.mostForce[this.session.turns(body.ports[axis])] || 1)));
     if (arrow) this.lines.push(arrow);
     if (body.planar) {
       upright.setAttribute("d", `M${spot.x} ${spot.y - this.swing - 12}V${spot.y + this.swing + 12}`);
       this.lines.push([{ x: spot.x, y: spot.y - this.swing - 12 }, { x: spot.x, y: spot.y + this.swing + 12 }, 0]);
     }
     handle.setAttribute("transform", `translate(${here.x.toFixed(1)} ${here.y.toFixed(1)})`);
-    this.grips.show(handle, body.name, this.most);
+    this.grips.show(handle, body.name, this.most[this.session.turns(body.ports[0])]);
     const wanted = this.grips.held.get(body.name);
     if (wanted === undefined) {
       target.setAttribute("d", "");
       return;
     }
-    const to = this.offset({ x: spot.x, y: spot.y - lift }, [wanted[0], body.planar ? (wanted[1] ?? 0) : 0]);
+    const to = on(wanted);
     target.setAttribute("d", `M${to.x - 9} ${to.y}h18M${to.x} ${to.y - 9}v18`);
   }
 
@@ -250,12 +263,12 @@ export class World {
   legend() {
     const { springs, environment } = this.session.about;
     const inside = springs.length ? "zigzags are its springs, boxes its masses" : `inside, it is of the kind ${environment}`;
-    return `Ring: device (x). Square: its tool in the world (x_e). Dashed: the difference that its coupling permits. Arrow: the force it exerts on the hand (f), whose scale is below, in N; a third axis is in the list alone. The world: ${inside}.`;
+    return `Ring: device (x). Square: its tool in the world (x_e). Dashed: the difference that its coupling permits. Arrow: the force it exerts on the hand (f), whose scale is below; a third axis is in the list alone. The world: ${inside}.`;
   }
 
-  /** Draw a force; returns its line, or null where it is too small to be seen. */
-  arrow(path, head, from, forces) {
-    const [fx, fy] = [forces[0], -(forces[1] ?? 0)].map((f) => ARROW * Math.max(-1.2, Math.min(1.2, f / (this.mostForce || 1))));
+  /** Draw a force, in parts of the greatest; returns its line, or null where it is too small to be seen. */
+  arrow(path, head, from, parts) {
+    const [fx, fy] = [parts[0], -(parts[1] ?? 0)].map((part) => ARROW * Math.max(-1.2, Math.min(1.2, part)));
     const length = Math.hypot(fx, fy);
     if (length < 2) {
       path.setAttribute("d", "");
@@ -274,13 +287,17 @@ export class World {
     const y = this.height - 10;
     this.bar.setAttribute("d", `M10 ${y - 4}v8M10 ${y}h${this.swing}v-4v8`);
     place(this.barText, { x: this.swing + 16, y: y + 4 });
-    say(this.barText, quantity(this.most, "m"));
-    const from = { x: this.swing + 84, y };
-    this.arrow(this.forceBar, this.forceHead, { x: from.x - 13, y }, [this.mostForce]);
+    const told = (most, which) => this.kinds.map((turns) => quantity(most[turns], unitsOf(turns)[which])).join(", ");
+    say(this.barText, told(this.most, 0));
+    const from = { x: this.swing + (this.kinds.length > 1 ? 128 : 84), y };
+    this.arrow(this.forceBar, this.forceHead, { x: from.x - 13, y }, [1]);
     place(this.forceText, { x: from.x + ARROW + 14, y: y + 4 });
-    say(this.forceText, quantity(this.mostForce, "N"));
+    say(this.forceText, told(this.mostForce, 1));
   }
 }
+
+/** A place that is moved to the right and up, px. */
+const offset = (spot, [x, y]) => ({ x: spot.x + x, y: spot.y - y });
 
 /** The box around a place. */
 const around = ({ x, y }, wide, high) => [x - wide, y - high, x + wide, y + high];
