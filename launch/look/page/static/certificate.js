@@ -1,7 +1,7 @@
 /** The values of the certificate, beside the measured values. */
 
 import { byId, html, say, tell, told } from "./elements.js";
-import { number, quantity } from "./format.js";
+import { dampingUnit, number, quantity } from "./format.js";
 import { isBroken } from "./promises.js";
 
 const us = (seconds) => `${number(1e6 * seconds)} µs`;
@@ -18,11 +18,12 @@ export class Certificate {
     byId("certificate-table").hidden = certificate === null;
     byId("parties").hidden = certificate === null;
     if (certificate === null) return;
+    const ports = Object.values(about.nodes).flatMap((node) => node.ports);
     this.worst = html("td", { id: "tau-worst" }, "–");
     const rows = [
       row("delays, τ", this.lateness(), { id: "lateness" }),
       html("tr", {}, html("th", { scope: "row" }, "delay measured (worst now, p99)"), this.worst),
-      ...Object.entries(certificate.margins).map(([name, margin]) => row(`margin ${name}`, `${number(margin)} N·s/m`)),
+      ...Object.entries(certificate.margins).map(([name, margin]) => row(`margin ${name}`, `${number(margin)} ${dampingUnit(about, ports)}`)),
       row("transparency, γ", certificate.gamma === null ? "no objective" : number(certificate.gamma)),
       row("ladder covers", certificate.ladder.map(us).join(", ") || "no softer couplings"),
       row("levels", certificate.enforced.length ? `proved; enforced at run time: ${certificate.enforced.join(", ")}` : "all proved"),
@@ -47,7 +48,7 @@ export class Certificate {
     const cell = (attributes, ...texts) => html("td", { role: "cell", ...attributes }, ...texts);
     const [total, least, account] = [cell(), cell(), cell({ "data-account": name })];
     const given = cell({ "data-given": name });
-    const shown = level === undefined ? "as designed" : `Δ ${number(level)} N·s/m`;
+    const shown = level === undefined ? "as designed" : `Δ ${number(level)} ${dampingUnit(this.about, this.about.nodes[name].ports)}`;
     const head = told("th", { role: "rowheader", scope: "row" }, name);
     const cells = [head, cell({ class: "level" }, shown), total, least, account, given];
     return { name, total, least, account, given, row: html("tr", { role: "row" }, ...cells) };

@@ -14,7 +14,10 @@ export class Forces {
   draw() {
     for (const { device, ports, item } of this.items) {
       const forces = ports.map((_, axis) => this.session.known(`${device}/force`, axis));
-      const told = forces.map((f, axis) => `${axisOf(ports[axis])} ${quantity(f, unitsOf(this.session.turns(ports[axis]))[1])}`);
+      const told = forces.map((f, axis) => {
+        const turns = this.session.turns(ports[axis]);
+        return `${axisOf(ports[axis], turns)} ${quantity(f, unitsOf(turns)[1])}`;
+      });
       tell(item, `${device}: f ${told.join(", ")}`);
       place(item, { "data-force": forces.join(" ") });
     }

@@ -11,6 +11,12 @@ export function prefixOf(most, unit) {
 /** The unit of a place, and of a force, on an axis that turns or does not. */
 export const unitsOf = (turns) => (turns ? ["rad", "N·m"] : ["m", "N"]);
 
+/** The unit of a damping at some ports, of which all, none or some turn. */
+export function dampingUnit(about, ports) {
+  const kinds = new Set(ports.map((port) => about.turning.includes(port)));
+  return [...kinds].sort().map((turns) => (turns ? "N·m·s/rad" : "N·s/m")).join(" or ");
+}
+
 const LEAST = 1e-12; // in any unit: what is smaller is the rounding of a sum, and shown as 0
 
 export const unitOf = (unit) => (unit === "us" ? "µs" : unit);
@@ -41,5 +47,5 @@ export function rounded(most) {
 /** The end of a scale: it grows at once with what it shows, and shrinks when a third of it would do. */
 export const fitted = (before, most) => (most > before || most < 0.3 * before ? rounded(most) : before);
 
-/** The name of a port's axis: what follows the device's name; a device of one axis moves along x. */
-export const axisOf = (port) => (port.includes(".") ? port.slice(port.lastIndexOf(".") + 1) : "x");
+/** The name of a port's axis: what follows the device's name; a device of one axis moves along x, or turns by φ. */
+export const axisOf = (port, turns) => (port.includes(".") ? port.slice(port.lastIndexOf(".") + 1) : turns ? "φ" : "x");

@@ -73,7 +73,7 @@ export class World {
     const head = svg("path", { class: "force-head" });
     const label = svg("text", {}, body.name);
     const shown = body.ports.slice(0, 2);
-    const axes = shown.map((port) => svg("text", { class: "dim" }, axisOf(port)));
+    const axes = shown.map((port) => svg("text", { class: "dim" }, axisOf(port, this.session.turns(port))));
     const upright = svg("path", { class: "axis" });
     const handle = this.grips.handle(body.name, { start: (event, x) => this.drag(event, x, body.ports), most: () => this.most[this.session.turns(body.ports[0])] });
     this.drawing.append(upright, ...axes, lag, tool, target, force, head, label, handle);
@@ -172,7 +172,7 @@ export class World {
       place(line, { x1: from.x, x2: to.x, y1: from.y, y2: to.y });
     }
     this.lines = this.parts.lanes.map(({ body }) => this.lane(body));
-    this.taken = [[0, this.height - 26, this.swing + (this.kinds.length > 1 ? 300 : 200), this.height], buttons(this.width)];
+    this.taken = [[0, this.height - 26, this.swing + (this.kinds.length > 1 ? 330 : 200), this.height], buttons(this.width)];
     for (const { ends, path, turns } of this.parts.springs) {
       const [a, b] = this.ends(ends, places);
       path.setAttribute("d", zigzag(a, b, turns));
@@ -289,7 +289,7 @@ export class World {
     place(this.barText, { x: this.swing + 16, y: y + 4 });
     const told = (most, which) => this.kinds.map((turns) => quantity(most[turns], unitsOf(turns)[which])).join(", ");
     say(this.barText, told(this.most, 0));
-    const from = { x: this.swing + (this.kinds.length > 1 ? 128 : 84), y };
+    const from = { x: this.swing + (this.kinds.length > 1 ? 150 : 84), y };
     this.arrow(this.forceBar, this.forceHead, { x: from.x - 13, y }, [1]);
     place(this.forceText, { x: from.x + ARROW + 14, y: y + 4 });
     say(this.forceText, told(this.mostForce, 1));
