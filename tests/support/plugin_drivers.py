@@ -44,6 +44,7 @@ class Counterpart(DeviceDriver):
         self.age, self.delay = (round(1e9 * parameters.get(key, 0.0)) for key in ("age", "delay"))
         self.stated = DeviceTiming(**parameters["timing"]) if "timing" in parameters else NO_DELAY
         self.hardware = bool(parameters.get("hardware", False))
+        self.turning = tuple(parameters["turning"]) if "turning" in parameters else None
         self.push, self.hertz = (
             parameters.get("push", 0.0),
             parameters.get("hertz", 1.5),
@@ -61,6 +62,7 @@ class Counterpart(DeviceDriver):
         return DeviceSpecification(
             *((8.0,) * n, (0.2,) * n, (2.0,) * n, self.stated),
             mass=(self.mass,) * n, step=(self.step,) * n if self.step else None, hardware=self.hardware,
+            turning=self.turning,
         )  # fmt: skip
 
     def sample(self, tick: int, at: Instant) -> Sequence[float]:

@@ -79,7 +79,9 @@ def broken(done: Audit) -> dict[tuple[str, str], int]:
     return {(check.party, check.name): -1 if check.first is None else check.first.tick for check in done.broken}
 
 
-@pytest.mark.parametrize("kind", ["example1", "example1-operator", "linear", "enforced", "series", "carry", "stroke"])
+@pytest.mark.parametrize(
+    "kind", ["example1", "example1-operator", "linear", "enforced", "series", "carry", "steering", "stroke"]
+)
 def test_an_honest_recording_holds_to_the_last_bit(kind: str, tmp_path: Path) -> None:
     prepared = prepared_as(kind)
     rows = simulated(prepared, TICKS)

@@ -36,7 +36,7 @@ def replayed(prepared: Prepared, path: Path) -> Replayed:
     return replay(prepared, read_run(path))
 
 
-@pytest.mark.parametrize("name", ["example1-operator", "linear", "enforced", "carry", "stroke"])
+@pytest.mark.parametrize("name", ["example1-operator", "linear", "enforced", "carry", "steering", "stroke"])
 def test_every_number_is_the_same(name: str, tmp_path: Path) -> None:
     prepared = prepared_as(name)
     rows = simulated(prepared, TICKS)

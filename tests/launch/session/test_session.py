@@ -60,6 +60,7 @@ def test_the_shipped_sessions() -> None:
         "example2-linear": "example-2-linear",
         "peg": "peg",
         "rub": "rub",
+        "steering": "steering",
         "stroke": "stroke",
         "tray": "tray",
     }

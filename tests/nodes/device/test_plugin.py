@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 
 from manyhands.design.levels.held_torque import HeldTorque
+from manyhands.design.models.axis import AxisKind
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.session import load_session
 from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.plugin import DriverFailure, GivenForces, PluginDriver, made_driver
-from manyhands.nodes.device.specification import AxisMap, DeviceSpecification
+from manyhands.nodes.device.specification import AxisMap, DeviceSpecification, other_kinds
 from manyhands.nodes.device.tick import WallTimeTick
 from manyhands.nodes.kernel.bundle import REALTIME, SIMULATED, DeviceBundle, Limits, PluginDevice, load, save
 from manyhands.nodes.kernel.driver_statement import DeviceTiming
@@ -170,6 +171,7 @@ def test_maps_that_are_none(axes: tuple[int, ...], signs: tuple[float, ...], sca
         ({"mass": (-1.0,)}, "mass: found"),
         ({"step": (0.0,)}, "step: found"),
         ({"axes": ("x", "y")}, "axes: found"),
+        ({"turning": ("phi",)}, "turning: found"),
         ({"force": ()}, "force: found"),
         ({"by_itself": "one sentence"}, "by_itself: found"),
         ({"by_itself": ("",)}, "by_itself: found"),
@@ -226,6 +228,36 @@ def test_a_session_that_promises_more_than_its_driver_states_is_refused(
     with pytest.raises(FactoryError) as caught:
         driver_of(bundle_for(device, **limits))
     assert str(caught.value) == f"devices.dx: the session promises more than its driver {MADE} states: {found}"
+
+
+def test_a_session_has_to_say_of_each_axis_what_its_driver_says() -> None:
+    bundle = bundle_for(PluginDevice(named(turning=["0"]), 1))
+    with pytest.raises(FactoryError) as caught:
+        driver_of(bundle)
+    assert str(caught.value) == (
+        f"devices.dx: the driver {MADE} states what its axes do, and the session says otherwise: "
+        "axes: found translation for dx; expected rotation"
+    )
+    turning = replace(bundle, common=replace(bundle.common, turning=("dx",)))
+    driver_of(turning).close()
+    beyond = replace(turning, limits=Limits((9.0,), (0.3,), (2.0,)))
+    with pytest.raises(
+        FactoryError, match=r"found 9 N·m; expected at most 8 N·m; limits\.displacement: found 0\.3 rad;"
+    ):
+        driver_of(beyond)
+    driver_of(replace(turning, source=PluginDevice(named(), 1))).close()  # it does not say what they do
+    with pytest.raises(FactoryError, match="found rotation for dx; expected translation"):
+        driver_of(replace(turning, source=PluginDevice(named(turning=[]), 1)))
+
+
+def test_a_port_that_has_a_name_is_told_with_it() -> None:
+    stated = DeviceSpecification((1.0, 1.0), (1.0, 1.0), (1.0, 1.0), axes=("x", "rz"), turning=("rz",))
+    swapped = AxisMap((1, 0), (1.0, -1.0))
+    kinds = (AxisKind.TRANSLATION, AxisKind.TRANSLATION)
+    assert list(other_kinds(stated, swapped, ("d.phi", "d.x"), kinds)) == [
+        "axes: found translation for d.phi; expected {phi: rotation}"
+    ]
+    assert list(other_kinds(stated, swapped, ("d.phi", "d.x"), (AxisKind.ROTATION, AxisKind.TRANSLATION))) == []
 
 
 def test_limits_are_compared_at_the_ports() -> None:
