@@ -87,8 +87,8 @@ MAX_STRAY_FRAMES: Final = 512
 """Frames that a loop reads from one link without admitting one, while it waits for the signal of one tick.
 
 This is twice the length of a link's queue; it takes a millisecond or two to read as many. A peer that sends more is no
-part of the session any more, and the node ends rather than read on. An honest peer that waits for an answer repeats its
-signal once a period, and so comes near it where this process has had no turn for half a second.
+part of the session any more, and the node ends rather than read on. Repeats of a signal may be more after a long wait
+(:mod:`manyhands.nodes.link.repeats`).
 """
 
 LINGER_MS: Final = 500

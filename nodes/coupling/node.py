@@ -24,6 +24,7 @@ from manyhands.nodes.kernel.timeouts import LISTEN_TICKS, timeouts
 from manyhands.nodes.link.join import Join, OwnEnd, Received, await_all
 from manyhands.nodes.link.peer_link import bounds_by_peer
 from manyhands.nodes.link.relink import follow
+from manyhands.nodes.link.repeats import Repeats
 from manyhands.nodes.link.supervisor_line import NOT_AT_ALL, ControlLine, Word
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock
 from manyhands.protocol.messages import Absent, Figures, Force, Report, Role, Rung, Start
@@ -241,7 +242,8 @@ class CouplingNode:
         Returns:
             The tick answered: ``tick``, or a later one. None if the node should end.
         """
-        asked = began = self._clock.now()
+        began = self._clock.now()
+        repeats = Repeats(self._timeouts.again, began)
         while True:
             self._forget_after(began)
             if received is Received.SIGNAL:
@@ -256,9 +258,7 @@ class CouplingNode:
             self._pause(block, life, control, idle=block.environment.link is None)
             if life.stopping:
                 return None
-            now = self._clock.now()
-            if now - asked >= self._timeouts.again:
-                asked = now
+            if repeats.due(self._clock.now()):
                 block.send_again(tick)
             received = block.hear(tick, self._timeouts.look)
 

@@ -6,8 +6,8 @@ was due. The schedule then goes on at the next multiple of T, so that devices st
 age of its samples and the delay of its forces, both count in tau, and not in the loop's lateness.
 
 A device whose force is stale lets go and runs free: in every period it samples, guards and keeps its ledger, without
-force. It sends its x(k) again in every period until a coupling answers, by the force of this tick or of a later one,
-with which the device goes on.
+force. It sends its x(k) again, in every period at first and then more rarely (:mod:`manyhands.nodes.link.repeats`),
+until a coupling answers, by the force of this tick or of a later one, with which the device goes on.
 
 What the device itself does in a tick, from driver to ledger, is in :mod:`manyhands.nodes.device.tick`. A device in wall
 time feels lateness. Between it and its couplings stands its interface (:mod:`manyhands.nodes.device.interface`), which
@@ -34,6 +34,7 @@ from manyhands.nodes.kernel.realtime import way_giver
 from manyhands.nodes.kernel.timeouts import LISTEN_TICKS, timeouts
 from manyhands.nodes.link.join import Inner, Join, OwnEnd, Received, await_all
 from manyhands.nodes.link.relink import follow
+from manyhands.nodes.link.repeats import Repeats
 from manyhands.nodes.link.supervisor_line import NOT_AT_ALL, ControlLine
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, SimulatedClock, from_seconds
 from manyhands.protocol.messages import Absent, Report, Rung, Sample, Start
@@ -129,6 +130,7 @@ class DeviceNode:
         f = self._zero.copy()
         tick, turns, slot, turn = start.tick, 0, 0, self._timeouts.turn
         sent_tick = -1  # the tick of the last sample
+        repeats = Repeats(period, clock.now())
         waited = clock.now()  # when it waited last for a sample to be due
         if tick > 0:  # the session runs already, so this device joins at the next multiple of T
             slot = max(0, -((epoch - clock.now()) // period))
@@ -149,13 +151,17 @@ class DeviceNode:
             clock.sleep_until(due)
             sampled = clock.now()
             let_go = guard.let_go
-            x = device.sample(turns, Instant(sampled - epoch), sent_tick != tick)
-            sent_tick = tick
+            first = sent_tick != tick
+            x = device.sample(turns, Instant(sampled - epoch), first)
+            if first:
+                sent_tick = tick
+                repeats.begin(sampled)
             if guard.let_go != let_go:
                 control.log.note(LogEvent.BREACH, tick=tick, reason=guard.why)
-            for join in joins:
-                if join.tick != tick:
-                    join.send(Sample, tick, sampled, x)
+            if first or repeats.due(sampled):
+                for join in joins:
+                    if join.tick != tick:
+                        join.send(Sample, tick, sampled, x)
             sent = clock.now()
             turns += 1
             answered: int | None = tick
@@ -245,7 +251,7 @@ class DeviceNode:
             time and the device has let go, and where the node should end.
         """
         timeouts, joins = self._timeouts, self.joins
-        asked = self._realtime.now()
+        repeats = Repeats(timeouts.again, self._realtime.now())
         due = None if timeouts.stale is None else Instant(sampled + (self._period if self._free else timeouts.stale))
 
         def react(join: Join, result: Received, tick: int) -> int:
@@ -261,7 +267,6 @@ class DeviceNode:
             return tick
 
         def pause(tick: int) -> Duration | None:
-            nonlocal asked
             now = self._realtime.now()
             life.check()
             self._listen(control, idle=due is None and not self._anybody)
@@ -270,8 +275,7 @@ class DeviceNode:
                 return None
             if life.stopping:
                 return None
-            if due is None and now - asked >= timeouts.again:
-                asked = now
+            if due is None and repeats.due(now):
                 for join in joins:
                     if join.tick != tick:
                         join.send_again()

@@ -273,13 +273,11 @@ class Join(ABC):
     def _begin_life(self) -> None:
         """Begin anew with a peer that has shaken hands, or that is lost."""
 
-    def _flood(self, tick: int) -> str:
+    def _flood(self, tick: int, most: int = MAX_STRAY_FRAMES) -> str:
         kinds = ", ".join(f"{reason} {count}" for reason, count in self.dropped.items() if count)
         return (
-            f"{self.own.name}: {self.peer.name} sent {MAX_STRAY_FRAMES + 1} stray frames while its signal of tick "
-            f"{tick} was awaited (in all: {kinds}); expected at most {MAX_STRAY_FRAMES}. See what runs as "
-            f"{self.peer.name}; where all are repeats of an old tick, this process had no turn for half a second or "
-            "more"
+            f"{self.own.name}: {self.peer.name} sent {most + 1} stray frames while its signal of tick {tick} was "
+            f"awaited (in all: {kinds}); expected at most {most}. See what runs as {self.peer.name}"
         )
 
 

@@ -8,6 +8,7 @@ tells these cases apart (:class:`~manyhands.nodes.link.join.Received`); the node
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Final
@@ -17,6 +18,7 @@ import numpy as np
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import SIMULATED, Common, Peer
 from manyhands.nodes.link.join import Indices, Join, JoinKind, Listener, Received, positions
+from manyhands.nodes.link.repeats import TICKS_BACK, most_strays
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
 from manyhands.protocol.codec import LAYOUTS, SignalWriter, decode, encode, type_of
 from manyhands.protocol.gate import Bounds, Gate
@@ -72,6 +74,8 @@ class PeerLink(Join):
         self._writer: SignalWriter | None = None  # made with the first signal sent, whose kind is known only then
         self._last: bytes = b""
         self._junk_tick, self._junk = -1, 0  # an awaited tick, and the frames during its wait that were no signals
+        self._newest = -1  # the latest tick of which a signal was admitted
+        self._admissions = deque([clock.now()], TICKS_BACK)  # when the first signal of each such tick was
 
     @property
     def dropped(self) -> Mapping[str, int]:
@@ -138,7 +142,7 @@ class PeerLink(Join):
                     self.put(values, admitted)
                 else:
                     values[part] = admitted
-                self.tick = tick
+                self._has(tick)
                 return Received.SIGNAL
         return self._hear_on(frame, values, tick, timeout, listener)
 
@@ -148,7 +152,7 @@ class PeerLink(Join):
         if admitted is None:
             return False
         self.put(values, admitted)
-        self.tick = tick
+        self._has(tick)
         return True
 
     def take_other(self, values: Floats, counted: str) -> bool:
@@ -164,11 +168,13 @@ class PeerLink(Join):
         """Handle a frame that was not the signal of the tick, and listen on for the rest of the time.
 
         Every frame that is read here costs time in the tick, so their number is bounded. A peer that is only behind
-        repeats its valid signal as long as it waits, so such frames count for one call alone. Frames that are no
-        signals count for the whole wait of a tick.
+        repeats its valid signal as long as it waits, so such frames count for one call alone, and there may be more of
+        them where the wait was long (:mod:`manyhands.nodes.link.repeats`). No honest peer sends many frames that are no
+        signals, however long the wait; these count for the whole wait of a tick.
         """
-        due = Instant(self._clock.now() + timeout)
-        strays = 0
+        now = self._clock.now()
+        due = Instant(now + timeout)
+        strays, most = 0, most_strays(Duration(now - self._admissions[0]))
         if self._junk_tick != tick:
             self._junk_tick, self._junk = tick, 0
         while True:
@@ -178,8 +184,8 @@ class PeerLink(Join):
                 return received
             strays += 1
             self._junk += signal is None  # a peer that is only behind repeats valid signals, and is no flood
-            if max(strays, self._junk) > MAX_STRAY_FRAMES:
-                listener.flooded(self._flood(tick))
+            if strays > most or self._junk > MAX_STRAY_FRAMES:
+                listener.flooded(self._flood(tick, most if strays > most else MAX_STRAY_FRAMES))
                 return Received.NOTHING
             link = self.link
             left = Duration(max(0, due - self._clock.now())) if timeout else timeout
@@ -193,8 +199,16 @@ class PeerLink(Join):
                 admitted = self.gate.admitted(frame, tick)
                 if admitted is not None:
                     self.put(values, admitted)
-                    self.tick, self._junk_tick = tick, -1
+                    self._has(tick)
+                    self._junk_tick = -1
                     return Received.SIGNAL
+
+    def _has(self, tick: int) -> None:
+        """Note that the peer's signal of ``tick`` was admitted; a node that has no use for it may take it again."""
+        self.tick = tick
+        if tick > self._newest:
+            self._newest = tick
+            self._admissions.append(self._clock.now())
 
     def _take(self, frame: bytes, signal: tuple[int, bool] | None, tick: int, listener: Listener) -> Received | None:
         if self.handshake is not None:
@@ -213,7 +227,8 @@ class PeerLink(Join):
         """Begin anew with a peer that has shaken hands."""
         before, self.gate = self.gate, Gate(self._admits, len(self.peer.ports), self._bounds, self._clock)
         self.gate.dropped.update(before.dropped)
-        self._last, self.tick = b"", -1
+        self._last, self.tick, self._newest = b"", -1, -1
+        self._admissions = deque([self._clock.now()], TICKS_BACK)
 
 
 _WORDS = {LAYOUTS[kind][0] for kind in (Rung, Absent)}
