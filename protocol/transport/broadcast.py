@@ -15,7 +15,7 @@ from manyhands.protocol.clock import Duration
 from manyhands.protocol.limits import LINK_QUEUE_FRAMES, MAX_CONTROL_BYTES
 from manyhands.protocol.transport import milliseconds, require_path, require_sendable
 from manyhands.protocol.transport.descriptors import require_room
-from manyhands.protocol.transport.zeromq import failed
+from manyhands.protocol.transport.zeromq import failed, refuse_old_versions
 
 BROADCAST: Final = "gallery"
 """The socket's name in its session's directory."""
@@ -37,6 +37,7 @@ class Broadcast:
         require_room()
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.PUB)
+        refuse_old_versions(self._socket)
         self._socket.setsockopt(zmq.SNDHWM, LINK_QUEUE_FRAMES)
         self._socket.setsockopt(zmq.MAXMSGSIZE, MAX_CONTROL_BYTES)
         self._socket.setsockopt(zmq.LINGER, _FAREWELL_MS)
@@ -80,6 +81,7 @@ class Visit:
         require_room()
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.SUB)
+        refuse_old_versions(self._socket)
         self._socket.setsockopt(zmq.RCVHWM, LINK_QUEUE_FRAMES)
         self._socket.setsockopt(zmq.MAXMSGSIZE, MAX_CONTROL_BYTES)
         self._socket.setsockopt(zmq.LINGER, 0)

@@ -354,6 +354,20 @@ def _left_ms(wait_ms: int, deadline: int) -> int:
     return wait_ms if wait_ms < 0 else max(0, -(-(deadline - time.monotonic_ns()) // 1_000_000))
 
 
+def refuse_old_versions(socket: "zmq.Socket[bytes]") -> None:
+    """Have a socket without keys, in a context without a door, end each connection that speaks no ZMTP of version 3.
+
+    libzmq takes whatever does not begin as ZMTP, such as a request of HTTP, for a peer of version 1. It hands the first
+    message of such a peer on before it knows whether it may (``process_routing_id_msg``), and aborts the process where
+    the socket is being closed just then. A socket with a domain of ZAP refuses such versions in their first byte.
+    Without a door nobody answers for the domain, and libzmq admits all others as before.
+    """
+    socket.setsockopt_string(zmq.ZAP_DOMAIN, _VERSION_3)
+
+
+_VERSION_3: Final = "zmtp-3"
+
+
 def failed(what: str, error: zmq.ZMQError) -> TransportError:
     """The TransportError for an error of ZeroMQ; ``what`` names the action that failed."""
     return TransportError(f"cannot {what}: {error.strerror}")
@@ -533,6 +547,8 @@ class ZmqTransport:
         socket.setsockopt(zmq.CONNECT_TIMEOUT, CONNECT_MS)
         socket.setsockopt(zmq.SNDHWM, queue_frames)
         socket.setsockopt(zmq.RCVHWM, queue_frames)
+        if self._door is None:
+            refuse_old_versions(socket)
         overhead = 0 if self._door is None else _CURVE_BYTES  # ZeroMQ measures what comes over the wire
         socket.setsockopt(zmq.MAXMSGSIZE, MAX_CONTROL_BYTES + overhead)
         return socket

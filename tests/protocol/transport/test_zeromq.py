@@ -5,6 +5,8 @@ import struct
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from socket import AF_INET, AF_UNIX
+from socket import socket as raw_socket
 
 import pytest
 import zmq
@@ -200,6 +202,30 @@ def test_an_oversized_frame_ends_the_strangers_connection_and_nothing_else(
     assert node.send(b"still here")
     hub.wait(LONG)
     assert hub.recv() == ("dx", b"still here")
+
+
+@pytest.mark.parametrize("end", ["link", "hub", "outlet"])
+def test_a_stranger_without_zeromq_is_no_peer_of_an_old_version(transport: ZmqTransport, end: str) -> None:
+    """libzmq would abort the process if it closed the socket just when such a peer's first message came."""
+    match end:
+        case "link":
+            _, endpoint = transport.bind("cx", "dx")
+        case "hub":
+            _, endpoint = transport.bind_hub("supervisor", ("dx",))
+        case _:
+            _, endpoint = transport.bind_outlet("cx", "dx")
+    scheme, _, place = endpoint.partition("://")
+    host, _, port = place.rpartition(":")
+    over_tcp = scheme == "tcp"
+    with raw_socket(AF_INET if over_tcp else AF_UNIX) as outside:
+        outside.settimeout(LONG_MS / 1000)
+        outside.connect((host, int(port)) if over_tcp else place)
+        outside.sendall(b"GET / HTTP/1.1\r\n\r\n" * 100)
+        try:
+            while outside.recv(4096):
+                pass
+        except ConnectionResetError:  # it was closed with bytes unread
+            pass
 
 
 def test_a_second_peer_of_a_link_is_not_heard(transport: ZmqTransport, stranger: ForeignProgram) -> None:
