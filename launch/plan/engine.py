@@ -7,11 +7,14 @@ that has begun. Engines of other packages are their authors' code, which no comm
 
 from __future__ import annotations
 
+import json
+from functools import lru_cache
 from typing import Any
 
 from manyhands.launch.session import Session
 from manyhands.nodes.environment.drawing import WorldDrawing
 from manyhands.nodes.environment.model import PROXY, make_model
+from manyhands.nodes.kernel.factory import FactoryName
 
 
 def require_engine(session: Session) -> None:
@@ -20,8 +23,7 @@ def require_engine(session: Session) -> None:
     Raises:
         FactoryError: the model is refused, or the engine is not installed.
     """
-    if session.environment.tried_first:
-        make_model(session.foreign_code["environment.model"], session.ports, session.period, PROXY)
+    drawing_of(session)
 
 
 def drawing_of(session: Session) -> WorldDrawing | None:
@@ -32,6 +34,12 @@ def drawing_of(session: Session) -> WorldDrawing | None:
     """
     if not session.environment.tried_first:
         return None
-    engine: Any = make_model(session.foreign_code["environment.model"], session.ports, session.period, PROXY)
+    code = session.foreign_code["environment.model"]
+    return _drawing(code.factory, json.dumps(code.parameters), code.folder, session.ports, session.period)
+
+
+@lru_cache(maxsize=1)  # a start asks twice, and an engine of a large model takes long to make
+def _drawing(factory: str, parameters: str, folder: str, ports: tuple[str, ...], period: float) -> WorldDrawing | None:
+    engine: Any = make_model(FactoryName(factory, json.loads(parameters), folder), ports, period, PROXY)
     drawing: WorldDrawing | None = engine.drawing() if hasattr(engine, "drawing") else None
     return drawing

@@ -10,12 +10,15 @@ import numpy as np
 import pytest
 
 from manyhands.design.models.distance_grid import MOST_DRAWN
+from manyhands.launch.plan import engine
 from manyhands.launch.plan.engine import drawing_of
 from manyhands.launch.plan.prepare import unproved
 from manyhands.launch.run.broadcast import describe
 from manyhands.launch.session.shipped import load_named
 from manyhands.nodes.environment.drawing import Frame, Shape, WorldDrawing
+from manyhands.nodes.environment.model import make_model
 from manyhands.nodes.environment.mujoco import MujocoEngine
+from manyhands.nodes.kernel.factory import FactoryName
 from manyhands.nodes.monitor.session_state import About, AboutError
 
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
@@ -84,6 +87,24 @@ def test_a_mesh_has_its_triangles_and_one_that_is_too_large_is_named() -> None:
         text.replace('<geom type="mesh" mesh="piece"/>', '<geom type="mesh" mesh="piece"/>' * (MOST_DRAWN // 4 + 1))
     )
     assert many.large == ("piece",)
+
+
+def test_a_start_makes_the_engine_once_and_another_model_is_made_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[FactoryName] = []
+
+    def count(name: FactoryName, *rest: Any) -> Any:
+        made.append(name)
+        return make_model(name, *rest)
+
+    monkeypatch.setattr(engine, "make_model", count)
+    engine._drawing.cache_clear()
+    session = load_named("mujoco", ["design={coupling: given, stiffness: 900, damping: 0.2}"])
+    engine.require_engine(session)
+    assert drawing_of(session.with_delay(0.0)) == drawing_of(session)
+    assert len(made) == 1
+    assert made[0] == session.foreign_code["environment.model"]
+    drawing_of(load_named("mujoco", ["period=0.002", "design={coupling: given, stiffness: 900, damping: 0.2}"]))
+    assert len(made) == 2
 
 
 def test_the_shipped_session_is_described_with_its_drawing(tmp_path: Path) -> None:
