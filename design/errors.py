@@ -38,6 +38,7 @@ class Infeasible(DesignError):
     Attributes:
         condition: the condition that fails, with its number in [Bianchini2010]_ if it has one.
         search: tries what would help, and yields what does as soon as it was tried.
+        untried: what the latest search has not tried to the end, for lack of time.
 
     Example:
         >>> import manyhands as mh
@@ -55,6 +56,7 @@ class Infeasible(DesignError):
     def __init__(self, condition: str) -> None:
         self.condition = condition
         self.search: Callable[[], Iterable[TriedChange]] = tuple
+        self.untried: list[str] = []
         super().__init__(condition)
 
     def searching(self, search: Callable[[], Iterable[TriedChange]]) -> Self:

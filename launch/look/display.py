@@ -247,6 +247,8 @@ def could_help(err: Console, error: BaseException | None) -> tuple[TriedChange, 
             for one in error.search():
                 say(err, f"  could help: {one}")
                 found.append(one)
+        if error.untried:
+            say(err, f"  not tried to the end, for lack of time: {', '.join(error.untried)}")
     return tuple(found)
 
 

@@ -7,6 +7,9 @@ only where that succeeds, with the values that were tried and with what they giv
 
 A quantity with a limit is a :class:`Lever`. Its limit is searched with what a design begins with
 (:func:`.synthesis.finds_levels`), and the design itself then decides a little inside of it.
+
+Fifteen trials find a limit. In a session of many ports each takes seconds, so there the search has
+:data:`MOST_SECONDS`, and names what it has not tried to the end.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from __future__ import annotations
 import json
 import math
 import shlex
+import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -27,10 +31,15 @@ from manyhands.launch.plan.loop import NotCertified, stated_delay
 from manyhands.launch.plan.sites import IN_TICK, part, world
 from manyhands.launch.session import ENVIRONMENT, Session, SessionError
 
-MOST_PORTS: Final = 12
-"""Ports of a session up to which changes are tried."""
+FEW_PORTS: Final = 12
+"""Ports of a session up to which all changes are tried, however long it takes: some seconds."""
 
-_STATES = 48  # of a part's environment, likewise
+FEW_STATES: Final = 48
+"""States of its environment, likewise."""
+
+MOST_SECONDS: Final = 60.0
+"""For how long changes of a larger session are tried; a trial that has begun is finished."""
+
 _MOST_TEXT = 300  # characters of what is to be set: more is no advice to type
 _DIGITS = 5  # of a value that is tried
 _CLOSE = 2e-4  # relative: how closely a limit is found
@@ -163,6 +172,33 @@ Ways = tuple[Lever | Cap | Option, ...]
 """Ways to one end, of which the first that helps is offered."""
 
 
+class OutOfTime(Exception):
+    """The time of a kind of change is over."""
+
+
+class TimeLeft:
+    """The time of a search. Each kind of change has half of what is left, so that none takes it from all others."""
+
+    def __init__(self, most: float, now: Callable[[], float]) -> None:
+        """Begin; ``most`` is in s, infinite for no end, and ``now`` returns the present time, s."""
+        self._now, self._end = now, now() + most
+        self._due = self._end
+
+    def begin(self) -> None:
+        """Begin a kind of change."""
+        now = self._now()
+        self._due = now + max(0.0, self._end - now) / 2.0
+
+    def check(self) -> None:
+        """Called before each trial.
+
+        Raises:
+            OutOfTime: no other trial may begin.
+        """
+        if self._now() >= self._due:
+            raise OutOfTime
+
+
 def with_remedies(error: DesignError, session: Session, name: str = IN_TICK) -> DesignError:
     """The error that searches what helps when it is asked, :func:`remedies`; as it is where it is about no condition.
 
@@ -171,37 +207,56 @@ def with_remedies(error: DesignError, session: Session, name: str = IN_TICK) -> 
         session: the session.
         name: of the part.
     """
-    return error.searching(lambda: remedies(session, name)) if isinstance(error, Infeasible) else error
+    if not isinstance(error, Infeasible):
+        return error
+    return error.searching(lambda: remedies(session, name, error.untried))
 
 
-def remedies(session: Session, name: str = IN_TICK) -> Iterator[Remedy]:
+def remedies(
+    session: Session, name: str = IN_TICK, untried: list[str] | None = None, now: Callable[[], float] = time.monotonic
+) -> Iterator[Remedy]:
     """What would help a part of a session that cannot be certified, each as soon as it was tried.
 
     Args:
         session: the session.
         name: of the part.
+        untried: receives what was not tried to the end for lack of time; None where nobody asks.
+        now: returns the present time, s.
     """
-    if len(session.ports) > MOST_PORTS or _order(session, name) > _STATES:
-        return
+    untried = [] if untried is None else untried
+    untried.clear()
+    few = len(session.ports) <= FEW_PORTS and _order(session) <= FEW_STATES
+    left = TimeLeft(math.inf if few else MOST_SECONDS, now)
     plain = session.to_dict()
     for kind in _KINDS:
+        left.begin()
         for way in kind(session, plain, name):
-            if (found := _tried(session, name, way)) is not None:
+            try:
+                found = _tried(session, name, way, left)
+            except OutOfTime:
+                untried.append(way.what)
+                break
+            if found is not None:
                 yield found
                 break
 
 
-def _order(session: Session, name: str) -> int:
+def _order(session: Session) -> int:
     try:
         return session.environment.for_design(session.ports).order
     except _REFUSED:
         return 0
 
 
-def _tried(session: Session, name: str, way: Lever | Cap | Option) -> Remedy | None:
-    """The remedy that a way is, if the design accepts it."""
+def _tried(session: Session, name: str, way: Lever | Cap | Option, left: TimeLeft) -> Remedy | None:
+    """The remedy that a way is, if the design accepts it.
+
+    Raises:
+        OutOfTime: the time left is over before that is known.
+    """
 
     def designed(changes: Mapping[str, Any]) -> str | None:
+        left.check()
         try:
             return _gives(session.replace(changes), name)
         except _REFUSED:
@@ -214,6 +269,7 @@ def _tried(session: Session, name: str, way: Lever | Cap | Option) -> Remedy | N
         return None
 
     def levels(share: float) -> bool:
+        left.check()
         try:
             return _finds_levels(session.replace(way.at(share)), name)
         except _REFUSED:

@@ -126,9 +126,53 @@ def test_what_only_a_solver_refuses_has_no_remedies() -> None:
     assert with_remedies(error, mh.load("example1")) is error
 
 
-def test_a_large_session_has_none_tried(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "MOST_PORTS", 2)
-    assert refused({"design": {"coupling": "given", "stiffness": 3000.0}}).remedies == ()
+def large(monkeypatch: pytest.MonkeyPatch, trial: float) -> tuple[list[str], list[str]]:
+    """What is offered, and what is not tried to the end, where few ports are many and each trial takes so long, s."""
+    time, untried = [0.0], list[str]()
+
+    def slow(trying: Any) -> Any:
+        def run(*args: Any) -> Any:
+            time[0] += trial
+            return trying(*args)
+
+        return run
+
+    monkeypatch.setattr(module, "FEW_PORTS", 2)
+    monkeypatch.setattr(module, "_gives", slow(module._gives))
+    monkeypatch.setattr(module, "_finds_levels", slow(module._finds_levels))
+    session = mh.load("example1", {"design": {"coupling": "given", "stiffness": 3000.0}})
+    offered = [one.what for one in module.remedies(session, untried=untried, now=lambda: time[0])]
+    assert time[0] <= module.MOST_SECONDS + trial * (2 + len(untried))  # a trial that has begun is finished
+    return offered, untried
+
+
+def test_a_large_session_is_tried_as_long_as_there_is_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    every = large(monkeypatch, 0.0)
+    assert every[1] == []
+    monkeypatch.undo()
+    assert every == large(monkeypatch, 0.1)
+    monkeypatch.undo()
+    offered, untried = large(monkeypatch, 3.0)
+    assert offered == ["a coupling that is designed"]  # it takes one trial, and limits take many
+    assert untried[:2] == ["a stiffness", "devices with an osp"]
+    monkeypatch.undo()
+    offered, untried = large(monkeypatch, 61.0)
+    assert offered == []
+    assert untried[:2] == ["a stiffness", "a coupling that is designed"]
+
+
+def test_what_was_not_tried_to_the_end_is_said(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from rich.console import Console
+
+    from manyhands.launch.look.display import could_help
+
+    monkeypatch.setattr(module, "FEW_PORTS", 2)
+    monkeypatch.setattr(module, "MOST_SECONDS", 0.0)
+    error = refused({"design": {"coupling": "given", "stiffness": 3000.0}})
+    assert could_help(Console(width=200), error) == ()
+    assert capsys.readouterr().out.startswith("  not tried to the end, for lack of time: a stiffness, a coupling that")
 
 
 def test_a_lever_keeps_zeros_signs_and_forms_and_rounds_towards_help() -> None:
