@@ -292,6 +292,11 @@ BOXES: Final = """() => {
 """The texts that overlap, or that leave their drawing, by their boxes on the screen; and what is too wide."""
 
 
+_FRAME: Final = 20  # ms
+_MOST_FRAMES: Final = 500
+_STANDS: Final = 3600.0  # s of the page's time, where it stands: later than it can be by itself
+
+
 class ShownPage:
     """The page of a session that exists only as a feed of given frames, without a server and without processes.
 
@@ -302,16 +307,29 @@ class ShownPage:
     """
 
     def __init__(
-        self, browser: Browser, feed: Feed, width: int, scheme: Any, before: str = "", height: int = 900
+        self,
+        browser: Browser,
+        feed: Feed,
+        width: int,
+        scheme: Any,
+        before: str = "",
+        height: int = 900,
+        stepped: bool = False,
     ) -> None:
-        """Open the page, and show the feed's present state; the page's scripts run after the script ``before``."""
+        """Open the page, and show the feed's present state; the page's scripts run after the script ``before``.
+
+        Where it is ``stepped``, the page's time stands still from then on, and goes on by :meth:`step` alone.
+        """
         self.wrong: list[str] = []
         self.demands: list[dict[str, Any]] = []
         self._feed, self._cursor, self._sent = feed, Cursor(), 0
+        self._stepped = False  # until the first picture is drawn, in its own time
         self._sockets: list[WebSocketRoute] = []
         self.page = browser.new_page(viewport={"width": width, "height": height}, color_scheme=scheme)
         self.page.set_default_timeout(60_000)
         self.page.add_init_script(before)
+        if stepped:
+            self.page.clock.install(time=0)
         self.page.on("pageerror", lambda error: self.wrong.append(f"error {error}"))
         self.page.on("console", lambda told: self.wrong.append(told.text) if is_wrong(told) else None)
         assets = load_assets()
@@ -335,6 +353,13 @@ class ShownPage:
         self.page.route_web_socket("**/socket", connected)
         self.page.goto(NOWHERE)
         self._await_drawing()
+        self._stepped = stepped
+        if stepped:
+            self.page.clock.pause_at(_STANDS)
+
+    def step(self, ms: int) -> None:
+        """Let the page's time go on by so many ms, with all its frames, however long they take to draw."""
+        self.page.clock.run_for(ms)
 
     def show(self) -> None:
         """Show what the feed has taken in since."""
@@ -356,5 +381,9 @@ class ShownPage:
 
     def _await_drawing(self) -> None:
         until(self.page, "body", "data-pictures", equals=str(self._sent))
-        tick = self._feed.live.tick
-        until(self.page, "body", "data-tick", equals=str(tick))
+        tick = str(self._feed.live.tick)
+        for _ in range(_MOST_FRAMES if self._stepped else 0):
+            if self.page.get_attribute("body", "data-tick") == tick:
+                return
+            self.step(_FRAME)
+        until(self.page, "body", "data-tick", equals=tick)
