@@ -131,11 +131,38 @@ class LastMessages:
         return [name for name in names if now - self._came.setdefault(name, now) > after]
 
 
+class Listening:
+    """For how long a supervisor has listened, and no node has said a word.
+
+    A supervisor that gets no turn has not listened. So only turns count after which nothing was left to read, and of a
+    longer one no more than :data:`LONGEST_TURN`.
+
+    Attributes:
+        unheard: that time, ns.
+    """
+
+    def __init__(self, now: Instant) -> None:
+        """Listening begins at ``now``."""
+        self._since = now
+        self.unheard = Duration(0)
+
+    def turn(self, now: Instant, empty: bool) -> None:
+        """A turn of the supervisor's loop ends at ``now``; ``empty`` is whether it has read all that had come."""
+        if empty:
+            self.unheard = Duration(self.unheard + min(now - self._since, LONGEST_TURN))
+        self._since = now
+
+    def hear(self) -> None:
+        """Telemetry has come."""
+        self.unheard = Duration(0)
+
+
 STARTUP_TIME = from_seconds(60.0)
 ENDING_TIME = from_seconds(5.0)
 ENDING_ELSEWHERE = 3.0  # s; for a node on another machine, and its ssh, to end after its last message
 REFRESH = from_seconds(0.2)
 READING_TIME = from_seconds(0.05)  # the longest time between two checks of processes, signals and deadlines
+LONGEST_TURN = Duration(REFRESH + READING_TIME)  # of a loop that gets the processor when it needs it
 CLOSING_TIME = from_seconds(10.0)  # for the nodes that are not done, after the last report
 REMOTE_SILENCE = from_seconds(3.0)  # an honest remote node sends a frame every second
 JOINING_SILENCE = Duration(HANDSHAKE_TIME + REMOTE_SILENCE)  # it sends nothing while it shakes hands
@@ -218,6 +245,7 @@ class Supervisor:
         self._places = self._choose_places() if places is None else places
         self._to_start: set[str] = set()
         self._refused: Mapping[str, int] = {}
+        self._listening = Listening(self._clock.now())
         self._untimely = 0  # telemetry messages of ticks that cannot have run yet
         self._telemetry: dict[str, Telemetry] = {}
         self._began: Instant | None = None
@@ -301,14 +329,16 @@ class Supervisor:
                 interrupt.clear()
                 self.carry_out(conductor.interrupt(), hub, processes)
             # reading is bounded in frames and in time: processes, signals and deadlines are served even in a flood
-            until = clock.now() + READING_TIME
+            until, empty = clock.now() + READING_TIME, False
             while allowance.pause(clock.now()) == 0 and clock.now() < until and recorder.has_room:
                 before = hub.handled
                 received = hub.recv()
                 allowance.spend(hub.handled - before, clock.now())  # frames that the hub dropped count, too
                 if received is None:
+                    empty = True
                     break
                 self.receive(*received, hub, processes)
+            self._listening.turn(clock.now(), empty)
             self._note_incident(recorder.attend(ready))
             if not recorder.has_room:  # we do not read now, so no node counts as silent
                 for name in self._reach.remote:
@@ -330,6 +360,7 @@ class Supervisor:
                 deadline = Instant(clock.now() + ENDING_TIME if phase is SessionPhase.ENDING else 2**62)
                 if phase is SessionPhase.RUNNING:
                     self._began = clock.now()
+                    self._listening = Listening(self._began)
                     for name in self._reach.remote:
                         self._received.note(name, self._began)  # a node that was ready early had nothing to send
             elif conductor.phase is SessionPhase.STARTING and conductor.awaited:
@@ -410,6 +441,7 @@ class Supervisor:
         if isinstance(message, Telemetry) and self.conductor.states.get(sender) is NodeState.RUNNING:
             self._telemetry[sender] = message
             self._health.take(sender, message.tick, message.figures)
+            self._listening.hear()
             self._reported.note(sender, self._clock.now())
             for deed in self._assumptions.check(sender, message):
                 match deed:
@@ -523,7 +555,7 @@ class Supervisor:
         states = {name: conductor.shown_state(name) for name in conductor.states}
         if conductor.phase is SessionPhase.RUNNING and not conductor.finished:
             sent = {name: latest.tick * self._session.period_of(name) for name, latest in self._telemetry.items()}
-            self._health.look(states, left_behind(silent, sent), elapsed)
+            self._health.look(states, left_behind(silent, sent), seconds(self._listening.unheard))
         promises = self._promises()
         return Progress(
             conductor.phase,

@@ -126,7 +126,7 @@ class DeviceNode:
         driver, guard, in_wall_time = device.driver, device.guard, device.interface is not None
         account, joins = self._account, self.joins
         self._life, give_way = life, way_giver()
-        epoch = self._epoch = Instant(start.epoch) if clock is self._realtime else Instant(0)
+        epoch = self._epoch = account.epoch = Instant(start.epoch) if clock is self._realtime else Instant(0)
         f = self._zero.copy()
         tick, turns, slot, turn = start.tick, 0, 0, self._timeouts.turn
         sent_tick = -1  # the tick of the last sample

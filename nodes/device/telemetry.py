@@ -29,7 +29,7 @@ import numpy as np
 
 from manyhands.nodes.device.given import ForceGiven, Loss
 from manyhands.nodes.device.tick import DeviceTick
-from manyhands.nodes.kernel.bundle import Common, DeviceRung
+from manyhands.nodes.kernel.bundle import REALTIME, Common, DeviceRung
 from manyhands.nodes.kernel.driver_statement import NO_DELAY, DeviceTiming
 from manyhands.nodes.link.join import Join, dropped_frames, stray_frames
 from manyhands.nodes.link.supervisor_line import ControlLine
@@ -125,6 +125,7 @@ class DeviceTelemetry:
 
     Attributes:
         ticks: the tick after the latest.
+        epoch: the instant of tick 0, by the clock that paces the device.
         stale: how often the device let go because its force was stale.
         released: periods without force for that reason.
         jumps: how often the session had gone on to a later tick without the device.
@@ -149,6 +150,8 @@ class DeviceTelemetry:
         """
         self._latency, self._jitter = from_seconds(timing.latency), from_seconds(timing.jitter)
         self._common, self._device, self._interface = common, device, device.interface
+        self.epoch, self._applied = Instant(0), Instant(0)
+        self._paced = common.clock == REALTIME
         self.ticks = self.stale = self.released = self.jumps = 0
         self._late = self._tau_breaches = self._period_breaches = 0
         self.suspended, self._suspended_time, self._suspended_energy = 0, 0, 0.0
@@ -192,6 +195,7 @@ class DeviceTelemetry:
     def tick(self, tick: int, times: Times) -> None:
         """Keep the row of a tick that was answered; ``times`` are the instants of the device's loop."""
         due, _, sampled, _, _, applied = times
+        self._applied = applied
         tau = applied - sampled + self._latency
         microseconds = tau / 1e3
         self._tau.add(microseconds)
@@ -254,6 +258,7 @@ class DeviceTelemetry:
         numbers = {
             names.SPEED: max(self._speeds[:rows]),
             names.TAU_WORST: self._tau_worst / 1e3,
+            **({names.ELAPSED: (self._applied - self.epoch) / 1e3} if self._paced else {}),
             **self._numbers(),
             **stray_frames(joins),
             **self._events.take(self.ticks - rows, self.ticks),

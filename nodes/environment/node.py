@@ -36,7 +36,7 @@ from manyhands.nodes.environment.membership import Member, Members, Membership
 from manyhands.nodes.environment.pace import Pace
 from manyhands.nodes.joins import establish
 from manyhands.nodes.kernel.arithmetic import Floats, feedthrough_digest
-from manyhands.nodes.kernel.bundle import Common, EnvironmentBundle
+from manyhands.nodes.kernel.bundle import REALTIME, Common, EnvironmentBundle
 from manyhands.nodes.kernel.lifetime import Life
 from manyhands.nodes.kernel.realtime import way_giver
 from manyhands.nodes.kernel.timeouts import LISTEN_TICKS, timeouts
@@ -576,6 +576,7 @@ class EnvironmentNode:
             names.FROZEN: float(members.frozen),
             names.FROZEN_TICKS: float(self._frozen_ticks),
             **self._late_ticks(),
+            **({names.ELAPSED: (self._now - self._epoch) / 1e3} if self._common.clock == REALTIME else {}),
             **({names.CHANGING: float(members.changing)} if members.changing else {}),
             **self._numbers(),
             **stray_frames(self.joins),

@@ -8,6 +8,9 @@ gives no tick. So what is only counted has begun up to a tenth of a second befor
 the environment has reported the same ticks (:mod:`manyhands.nodes.monitor.causes`). A force that was cut while another
 party moved the node is not the node's: the row names the mover if the environment held that one to its energy budget,
 and otherwise the session as a whole. Ticks in which a coupling made the others wait are that coupling's.
+
+**The pace** is judged by what the nodes say of their own clocks, for the supervisor may be late itself: its telemetry
+then comes late, and nobody's ticks are. Only where nothing comes at all does its clock count.
 """
 
 from __future__ import annotations
@@ -55,6 +58,9 @@ PACE_SHARE: Final = 0.05
 
 PACE_LEAST: Final = 0.25
 """The time in s that it must fall behind by at least, which is more than two batches of telemetry."""
+
+PACE_SILENCE: Final = 1.0
+"""The time in s, ten batches of telemetry, in which nothing must come before the silence counts as standing still."""
 
 
 @dataclass(frozen=True)
@@ -217,7 +223,8 @@ class HealthModel:
         # by node, figure and key of its table: of former processes, latest
         self._counts: dict[tuple[str, str, str], tuple[float, float]] = {}
         self._seen: dict[tuple[str, str, str], float] = {}
-        self._pace = _Pace(terms.period)
+        self._paces: dict[str, _Pace] = {}  # by node, of its present process
+        self._unbegun = _Pace(terms.period)  # while nobody has told of a tick
         self._free: frozenset[str] = frozenset()
         self._made = {*terms.promises, Promise.BUDGET}
         self._stated: set[Promise] = set()  # of which only a device's telemetry says that they are made
@@ -236,6 +243,7 @@ class HealthModel:
                 self._counts[key] = before + latest, 0.0
         if node in self._given:
             self._given[node] = _Given()
+        self._paces.pop(node, None)
         if self._terms.roles.get(node) is Role.ENVIRONMENT:
             self._causes.forget()
 
@@ -262,6 +270,8 @@ class HealthModel:
             self.forget(node)
         at = self._time(node, tick)
         self.now = max(self.now, at)
+        if 0.0 <= (elapsed := figures.get(names.ELAPSED, math.nan)) <= _MOST:
+            self._paces.setdefault(node, _Pace(self._terms.period, elapsed / 1e6, at)).take(elapsed / 1e6, at)
         since = min(at, self._told.get(node, 0.0))
         self._told[node] = at
         if names.BEYOND in figures and Promise.SPEED not in self._stated:
@@ -303,13 +313,13 @@ class HealthModel:
         """No more telemetry comes: what the environment has not reported on has no cause that is known."""
         self._explain(lambda _: True)
 
-    def look(self, states: Mapping[str, str], silent: Collection[str], elapsed: float) -> None:
+    def look(self, states: Mapping[str, str], silent: Collection[str], unheard: float = 0.0) -> None:
         """Take in what the supervisor knows while the session runs.
 
         Args:
             states: of each node, as the supervisor names them.
             silent: the nodes that run, and have sent no telemetry for a while, in which the others went on.
-            elapsed: the time since the first tick by the supervisor's clock, s.
+            unheard: for how long the supervisor has listened without a word of any node, s.
         """
         self._free = frozenset(name for name, state in states.items() if state == FREE_STATE)
         for name in self._free:
@@ -327,7 +337,7 @@ class HealthModel:
                 word = "no telemetry has come from it for a while" if name in silent else state
                 self._entries[Promise.PRESENCE, name].remark = f"{name}: {word}"
         if self._terms.realtime:
-            self._keep_pace(elapsed)
+            self._keep_pace(unheard)
 
     def rows(self, remarks: Mapping[Promise, str] = MappingProxyType({})) -> tuple[PromiseStatus, ...]:
         """How each promise stands: a row for each party that does not keep it by itself, and one for all others.
@@ -618,17 +628,19 @@ class HealthModel:
             entry.cost["", "s"] = entry.cost.get(("", "s"), 0.0) + max(at, entry.since) - entry.since
         entry.lasts, entry.until = False, max(at, entry.since)
 
-    def _keep_pace(self, elapsed: float) -> None:
-        found = self._pace.look(elapsed, self.now)
+    def _keep_pace(self, unheard: float) -> None:
+        """Judge the session by the node that is furthest: one that is held up alone is judged by its presence."""
         key = (Promise.PACE, SESSION)
+        pace = max(self._paces.values(), key=lambda pace: pace.now, default=self._unbegun)
+        found = pace.look(unheard if unheard > PACE_SILENCE else 0.0)
         if found is None:
             self._end(*key, self.now)
             return
         if key not in self._entries or not self._entries[key].lasts:
             before = self._entries.get(key)
             entry = self._begin(*key, PromiseState.BROKEN, self.now)
-            entry.remark = self._pace.sentence() if before is None else before.remark  # it is reported once
-        self._entries[key].cost = {("", "x"): found, ("", "s"): self._pace.behind}
+            entry.remark = pace.sentence() if before is None else before.remark  # it is reported once
+        self._entries[key].cost = {("", "x"): found, ("", "s"): pace.behind}
 
 
 _NOTHING_GIVEN: Final = GivenForce(0.0, 0.0, 0.0)
@@ -659,26 +671,40 @@ class _Given:
 
 
 class _Pace:
-    """How fast a session goes by the clock."""
+    """How fast one process goes, by the clock of its own machine.
 
-    def __init__(self, period: float) -> None:
+    Attributes:
+        now: the session's time up to which it has told its ticks, s.
+        behind: by how much it has fallen behind since its first telemetry, s.
+    """
+
+    def __init__(self, period: float, elapsed: float = 0.0, now: float = 0.0) -> None:
+        """Its first telemetry tells its ticks up to the session's time ``now``, at ``elapsed`` of its own, s."""
         self._period = period
-        self._seen: deque[tuple[float, float]] = deque()  # elapsed and session's time, s
-        self._first: tuple[float, float] | None = None
-        self.behind = 0.0  # s, since the first look
+        self._first = elapsed, now
+        self._seen = deque([self._first])
+        self.now, self.behind = now, 0.0
         self._ratio = 1.0
 
-    def look(self, elapsed: float, now: float) -> float | None:
-        """The part of its own speed at which the session went lately; None while that is enough or not yet known."""
-        if now <= 0.0 or (self._seen and elapsed <= self._seen[-1][0]):
-            return None if not self._seen or self._ratio >= 1.0 else self._ratio
-        self._first = self._first or (elapsed, now)
+    def take(self, elapsed: float, now: float) -> None:
+        """Take in that it has done its ticks up to the session's time ``now`` when its own was ``elapsed``, s."""
+        if elapsed <= self._seen[-1][0] or now < self.now:
+            return
         self._seen.append((elapsed, now))
+        self.now = now
         while len(self._seen) > 2 and elapsed - self._seen[1][0] >= PACE_WINDOW:
             self._seen.popleft()
-        then, began = self._seen[0]
-        over, done = elapsed - then, now - began
-        self.behind = max(0.0, elapsed - self._first[0] - (now - self._first[1]))
+
+    def look(self, silence: float) -> float | None:
+        """The part of its own speed at which it went lately; None while that is enough.
+
+        Args:
+            silence: the time since its last telemetry in which it has stood still, s.
+        """
+        (then, began), elapsed = self._seen[0], self._seen[-1][0] + silence
+        over, done = elapsed - then, self.now - began
+        first, start = self._first
+        self.behind = max(0.0, elapsed - first - (self.now - start))
         slow = over - done > max(PACE_SHARE * over, PACE_LEAST)
         self._ratio = done / over if slow else 1.0
         return self._ratio if slow else None

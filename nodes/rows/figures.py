@@ -172,6 +172,9 @@ PERIOD: str = _figure(Figure(
 LATE_CAUSE: str = _figure(Figure(
     "late_cause", Unit.TICKS, "that were late, by what took longest: the device itself (own), a processor that was not "
     "available (descheduled), or its couplings (partner)", Key.CAUSE, report=_at("late_causes")))
+ELAPSED: str = _figure(Figure(
+    "elapsed_us", Unit.MICROSECONDS, "from tick 0 until its latest tick, by the clock of its machine; a device and the "
+    "environment tell it, under the realtime clock"))
 TAU_WORST: str = _figure(Figure("tau_worst_us", Unit.MICROSECONDS, "the longest delay since the last telemetry"))
 TAU_BREACHES: str = _figure(Figure(
     "tau_breaches", Unit.TICKS, "whose force came later after the sample than the certificate assumes",

@@ -66,7 +66,7 @@ def judged(*frames: bytes, about: About = ABOUT) -> bytes:
             model.take(message.node, message.tick, message.figures)
         elif isinstance(message, Condition):
             shown = message
-    model.look(shown.states, shown.silent, shown.elapsed)
+    model.look(shown.states, shown.silent)
     model.conclude()  # the environment has no frame of its own here, so nobody else is found to have moved anyone
     return encode(replace(shown, promises=model.rows()))
 

@@ -74,7 +74,7 @@ class Shown:
                 model.take(name, end, figures)
                 feed.take(encode(message), now)
             running = dict.fromkeys(self.about.nodes, "running")
-            model.look(running, (), end * self.about.period)
+            model.look(running, ())
             rows = model.rows({Promise.DELAY: DELAY} if loaded else {})
             notices = tuple(row.remark for row in rows if row.remark == DELAY)
             incidents = tuple(self._incidents()) if loaded else ()

@@ -104,7 +104,7 @@ class Played:
                 }
                 self.take(Observation(name, self.tick, as_figures(figures.get(node.role.value, {})), values))
         running = dict.fromkeys(self.about.nodes, "running") | states
-        self.model.look(running, (), self.tick * self.about.period)
+        self.model.look(running, ())
         rows = self.model.rows({Promise.DELAY: NOTICE})
         notices = (NOTICE,) if any(row.remark == NOTICE for row in rows) else ()
         self.take(Condition("running", 1.0, running, (), notices, (), (), rows))

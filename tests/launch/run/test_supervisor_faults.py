@@ -21,10 +21,10 @@ from manyhands.launch.run.breaches import CertifiedLadder
 from manyhands.launch.run.outcome import Progress
 from manyhands.launch.run.processes import Processes
 from manyhands.launch.run.states import MOST_INCIDENTS, Incidents, NodeState, SessionPhase
-from manyhands.launch.run.supervisor import TELEMETRY_SILENCE, LastMessages, Supervisor
+from manyhands.launch.run.supervisor import REFRESH, TELEMETRY_SILENCE, LastMessages, Listening, Supervisor
 from manyhands.launch.session import load_session
 from manyhands.nodes.rows import figures as names
-from manyhands.protocol.clock import Duration, Instant
+from manyhands.protocol.clock import Duration, Instant, from_seconds
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import (
@@ -85,6 +85,7 @@ class Faulty:
         self.supervisor = Supervisor(prepared, clock=clock, reach=IPC, ticks=0, record=False)
         self.clock = StoppedClock()
         self.supervisor._clock = self.clock  # type: ignore[assignment]
+        self.supervisor._listening = Listening(self.clock.now())
         self.conductor = self.supervisor.conductor
         self.graph = topology(prepared.session)
         self.transport = MemoryTransport()
@@ -104,6 +105,11 @@ class Faulty:
 
     def say(self, sender: str, message: Message) -> None:
         self.supervisor.receive(sender, encode(message), self.hub, self.processes)  # type: ignore[arg-type]
+
+    def tell(self, tick: int, elapsed: float) -> None:
+        """Every node tells its telemetry up to ``tick``, ``elapsed`` s after tick 0 by its own clock."""
+        for name in self.graph.nodes:
+            self.say(name, Telemetry(tick, Figures({names.ELAPSED: 1e6 * elapsed}), {}))
 
     def dies(self, node: str) -> None:
         told = self.conductor.exited(node, -9, self.clock.at)
@@ -307,8 +313,7 @@ def test_a_session_slower_than_its_period_reports_so_once_and_at_once(faulty: Fa
     faulty.supervisor._began = Instant(0)
     for second in range(1, 30):
         faulty.clock.at = second * 10**9
-        for name in faulty.graph.nodes:
-            faulty.say(name, Telemetry(250 * second, Figures(), {}))
+        faulty.tell(250 * second, float(second))
         table(faulty.progress())
     outcome = faulty.supervisor.outcome(None)
     [notice] = outcome.notices
@@ -318,6 +323,53 @@ def test_a_session_slower_than_its_period_reports_so_once_and_at_once(faulty: Fa
     [row] = [row for row in outcome.report["promises"] if row["promise"] == "pace" and row["state"] == "broken"]
     assert row["cost"] == pytest.approx({"x": 0.25, "s": 0.75 * 28})
     assert outcome.code == 0  # nobody promised a rate to the certificate
+
+
+def test_a_supervisor_without_a_turn_says_nothing_of_the_sessions_pace(faulty: Faulty) -> None:
+    """For three seconds it reads nothing; then it looks before the first frame is there, and in the midst of them."""
+    faulty.supervisor._began = Instant(0)
+    for tick in range(100, 4001, 100):
+        faulty.clock.at = tick * 10**6
+        faulty.tell(tick, tick / 1000)
+    faulty.clock.at = 7 * 10**9
+    faulty.supervisor._listening.turn(faulty.clock.now(), True)  # its transport has not delivered yet
+    told = [faulty.progress()]
+    for tick in range(4100, 7001, 100):
+        faulty.tell(tick, tick / 1000 + 0.008)
+        told.append(faulty.progress())
+    assert {row.state for progress in told for row in progress.promises if row.promise == "pace"} == {"kept"}
+    assert faulty.supervisor.outcome(None).notices == ()
+
+
+def test_a_session_of_which_nothing_comes_while_the_supervisor_listens_has_no_pace(faulty: Faulty) -> None:
+    faulty.tell(100, 0.1)
+    for _ in range(10):
+        faulty.clock.at += REFRESH
+        faulty.supervisor._listening.turn(faulty.clock.now(), True)
+    states = {row.state for row in faulty.progress().promises if row.promise == "pace"}
+    assert states == {"kept", "broken"}
+
+
+@pytest.mark.parametrize(
+    ("turns", "unheard"),
+    [
+        ([(0.2, True), (0.2, True)], 0.4),
+        ([(0.2, True), (5.0, True)], 0.45),  # it had no turn
+        ([(0.2, False), (0.2, True)], 0.2),  # something was left to be read
+        ([], 0.0),
+    ],
+)
+def test_only_what_a_supervisor_has_listened_for_counts_as_silence(
+    turns: list[tuple[float, bool]], unheard: float
+) -> None:
+    now = Instant(7)
+    listening = Listening(now)
+    for time, empty in turns:
+        now = Instant(now + from_seconds(time))
+        listening.turn(now, empty)
+    assert listening.unheard == from_seconds(unheard)
+    listening.hear()
+    assert listening.unheard == 0
 
 
 def test_a_dead_node_is_named_since_its_death_in_the_sessions_time(faulty: Faulty) -> None:

@@ -23,7 +23,7 @@ from manyhands.nodes.monitor.health import (
     session_health,
     summary,
 )
-from manyhands.nodes.monitor.health_model import HOLD, HealthModel, Terms
+from manyhands.nodes.monitor.health_model import HOLD, PACE_SILENCE, HealthModel, Terms
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.promises import Promise
 from manyhands.protocol.codec import decode, encode
@@ -221,14 +221,14 @@ def test_a_node_of_its_own_period_counts_the_sessions_time() -> None:
 
 def test_a_node_that_is_away_or_silent_breaks_its_presence_until_it_is_back() -> None:
     found = model(TERMS, ("world", 1000, {}))
-    found.look(RUNNING | {"dx": "lost"}, (), 1.1)
+    found.look(RUNNING | {"dx": "lost"}, ())
     row = only(found)
     assert (row.promise, row.state, row.who, row.since, row.remark) == ("presence", "broken", ("dx",), 1.0, "dx: lost")
     assert session_health(found.rows()) is Health.OK  # the node shows it itself
-    found.look(RUNNING | {"dx": "starting"}, (), 1.2)
+    found.look(RUNNING | {"dx": "starting"}, ())
     assert only(found).until is None
     found.take("world", 1500, Figures({}))
-    found.look(RUNNING, ("cy",), 1.6)
+    found.look(RUNNING, ("cy",))
     back, silent = sorted(missed(found.rows()), key=lambda row: row.who, reverse=True)
     assert (back.who, back.until, back.cost) == (("dx",), 1.5, {"s": 0.5})
     assert (silent.who, silent.since, silent.remark) == (("cy",), 1.5, "cy: no telemetry has come from it for a while")
@@ -237,23 +237,23 @@ def test_a_node_that_is_away_or_silent_breaks_its_presence_until_it_is_back() ->
 @pytest.mark.parametrize("state", ["lost", "starting", "connecting", "shaking hands", "ready", "leaving", "failed"])
 def test_who_is_on_the_way_back_is_away_but_for_the_user_of_a_seat(state: str) -> None:
     found = model(TERMS, ("world", 1000, {}))
-    found.look(RUNNING | {"dx": state}, (), 1.1)
+    found.look(RUNNING | {"dx": state}, ())
     assert (only(found).who, only(found).remark) == (("dx",), f"dx: {state}")
     seated = model(SEATED, ("world", 1000, {}))
-    seated.look(RUNNING | {"dx": state}, (), 1.1)
+    seated.look(RUNNING | {"dx": state}, ())
     assert missed(seated.rows()) == []
 
 
 @pytest.mark.parametrize("state", ["running", "done", "ended", "free"])
 def test_who_has_done_its_part_is_not_away(state: str) -> None:
     found = model(SEATED, ("world", 1000, {}))
-    found.look(dict.fromkeys(ROLES, state), (), 1.1)
+    found.look(dict.fromkeys(ROLES, state), ())
     assert missed(found.rows()) == []
 
 
 def test_a_frozen_coupling_whose_process_dies_is_away_since_it_froze() -> None:
     found = model(TERMS, ("world", 200, {"frozen:cx@150": 1.0}))
-    found.look(RUNNING | {"cx": "lost"}, (), 0.3)
+    found.look(RUNNING | {"cx": "lost"}, ())
     row = only(found)
     assert (row.state, row.since) == (BROKEN, 0.15)
 
@@ -270,16 +270,16 @@ def test_an_account_that_is_no_number_is_not_called_kept(bad: float) -> None:
 def test_a_free_seat_breaks_no_promise() -> None:
     found = model(SEATED, ("world", 1000, Figures({"frozen": 1.0}, {"wave_holding_of": {"cx": 1.0}})))
     free = {"cx": "free", "dx": "free"}
-    found.look(RUNNING | free, (), 1.1)
+    found.look(RUNNING | free, ())
     assert missed(found.rows()) == []
-    found.look(RUNNING, (), 1.2)
+    found.look(RUNNING, ())
     found.take(
         "world",
         2000,
         Figures({"frozen:cx@1900": 1.0}, {"wave_silences_of": {"cx": 1.0}, "wave_holding_of": {"cx": 1.0}}),
     )
     assert {row.promise for row in missed(found.rows()) if row.until is None} == {"presence", "wave link"}
-    found.look(RUNNING | free, (), 2.2)
+    found.look(RUNNING | free, ())
     found.take(
         "world",
         9000,
@@ -288,13 +288,17 @@ def test_a_free_seat_breaks_no_promise() -> None:
     assert [row for row in missed(found.rows()) if is_present(row)] == []
 
 
+def ticking(elapsed: float) -> Figures:
+    """What a node tells of its clock, ``elapsed`` s after tick 0."""
+    return Figures({names.ELAPSED: 1e6 * elapsed})
+
+
 def paced(ratio: float, seconds: float, terms: Terms = TERMS) -> HealthModel:
-    """A session at a part of its own speed, whose telemetry comes in batches, seen five times a second."""
+    """A session at a part of its own speed, whose telemetry comes in batches of a tenth of its time."""
     found = HealthModel(terms)
-    for step in range(1, round(5 * seconds) + 1):
-        elapsed = step / 5
-        found.take("world", int(elapsed * ratio / T) // 100 * 100, Figures({}))
-        found.look(RUNNING, (), elapsed)
+    for tick in range(100, int(seconds * ratio / T) + 1, 100):
+        found.take("world", tick, ticking(tick * T / ratio))
+        found.look(RUNNING, ())
     return found
 
 
@@ -319,6 +323,58 @@ def test_a_session_slower_than_its_period_says_so_with_the_ratio(ratio: float) -
     assert "longer" not in row.remark  # nothing is advised that was not measured
 
 
+def test_a_supervisor_that_is_late_itself_blames_nobody() -> None:
+    """All telemetry of three seconds comes at once, after the supervisor had no turn."""
+    found = paced(1.0, 4.0)
+    found.look(RUNNING, ())
+    for tick in range(4100, 7001, 100):
+        found.take("world", tick, ticking(tick * T + 0.008))
+    found.look(RUNNING, ())
+    assert missed(found.rows()) == []
+
+
+@pytest.mark.parametrize("late", [0.0, 0.008])
+def test_a_device_that_is_slow_by_its_own_clock_is_named_however_late_the_supervisor_reads(late: float) -> None:
+    found = paced(1.0, 4.0)
+    for number in range(1, 31):
+        found.take("world", 4000 + 100 * number, ticking(4.0 + 0.3 * number + late))
+    found.look(RUNNING, ())
+    row = only(found)
+    assert (row.promise, row.state, row.who) == ("pace", "broken", ("session",))
+    assert row.cost["s"] == pytest.approx(6.0, abs=0.01)
+
+
+@pytest.mark.parametrize("told", [0.0, 4.0])
+def test_a_session_of_which_nothing_is_heard_stands_still(told: float) -> None:
+    found = paced(1.0, told)
+    found.look(RUNNING, (), 0.9 * PACE_SILENCE)
+    assert missed(found.rows()) == []
+    found.look(RUNNING, (), 2.0)
+    row = only(found)
+    assert (row.promise, row.state) == ("pace", "broken")
+    assert row.cost["s"] == pytest.approx(2.0)
+    found.take("world", 6100, ticking(6.1))  # it had gone on, and its telemetry was held up
+    found.look(RUNNING, ())
+    assert only(found).until is not None
+
+
+def test_a_node_that_is_left_behind_does_not_slow_the_session() -> None:
+    found = paced(1.0, 4.0)
+    found.take("dx", 100, ticking(0.1))
+    found.take("dx", 110, ticking(4.0))
+    found.look(RUNNING, ())
+    assert missed(found.rows()) == []
+
+
+def test_a_new_process_is_judged_from_its_own_first_word() -> None:
+    """Its clock may be set a little apart from the clocks of the others."""
+    found = paced(1.0, 4.0)
+    for tick in range(4100, 9000, 100):
+        found.take("dx", tick, ticking(tick * T + 0.5))
+        found.look(RUNNING, ())
+    assert missed(found.rows()) == []
+
+
 def test_the_pace_is_reported_once_however_often_it_is_lost() -> None:
     found = paced(0.5, 10.0)
     first = only(found).remark
@@ -326,8 +382,8 @@ def test_the_pace_is_reported_once_however_often_it_is_lost() -> None:
     for ratio, steps in ((1.0, 60), (0.3, 60)):
         for _ in range(steps):
             tick, elapsed = tick + round(200 * ratio), elapsed + 0.2
-            found.take("world", tick, Figures({}))
-            found.look(RUNNING, (), elapsed)
+            found.take("world", tick, ticking(elapsed))
+            found.look(RUNNING, ())
         over = only(found).until is not None
         assert over == (ratio == 1.0)
     assert only(found).remark == first
@@ -350,7 +406,8 @@ def test_remarks_belong_to_what_is_not_kept() -> None:
 
 NODES = st.sampled_from([*ROLES, "stranger"])
 FIGURES = drawn_figures(
-    ["tau_breaches", "clipped", "ledger_margin", "interface_min", "interface_ticks", "let_go", "frozen:cx@7",
+    ["tau_breaches", "elapsed_us", "clipped", "ledger_margin", "interface_min", "interface_ticks", "let_go",
+     "frozen:cx@7",
      "returned:cx@9", "frozen:dx@3", "began@5"],
     {name: ["cx", "x"] for name in
      ("wave_silences_of", "wave_holding_of", "scaled", "waited_ticks", "waited_us", "frozen_late")},

@@ -54,7 +54,7 @@ class Seen:
 
     def condition(self, silent: tuple[str, ...] = (), phase: str = "running", **states: str) -> None:
         stand = {"d": "running", "c": "running", "environment": "running", **states}
-        self.model.look(stand, silent, self.at / 1e9)
+        self.model.look(stand, silent)
         self.live.take(encode(Condition(phase, 1.0, stand, silent, promises=self.model.rows())), Instant(self.at))
 
     def telemetries(self, node: str, count: int, ticks: int = 100, late: int = 0) -> None:
