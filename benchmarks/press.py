@@ -34,7 +34,7 @@ import numpy as np
 from page import fill
 
 from manyhands.launch.doctor.probe import Way, measure_profile
-from manyhands.launch.doctor.profile import allowance, allowances_of_sites
+from manyhands.launch.doctor.profile import Stated, allowance, allowances_of_sites
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.plan.reach import reach
@@ -194,7 +194,8 @@ def designed(session: Session) -> Prepared:
     """The session, designed for what its ticks take on this machine now."""
     plan = Plan(session)
     profile = measure_profile(plan, Way.of_run(plan), PROBE)
-    chosen, sites = allowance(profile, session.device_period), allowances_of_sites(profile, session)
+    chosen = allowance(profile, session.device_period, Stated.of(session))
+    sites = {name: one.tau for name, one in allowances_of_sites(profile, session).items()}
     return prepare(session.with_delay(chosen.tau, chosen.period_tolerance, sites))
 
 

@@ -476,11 +476,13 @@ def run_budget(session: Session, out: Console, err: Console, picture: Path | Non
         wave_links_object,
     )
     from manyhands.launch.doctor.advice import Worth
+    from manyhands.launch.doctor.profile import Stated
     from manyhands.launch.doctor.rates import form_figures, kept_forms, print_rates, rates_object
 
     found = session_budget(session)
     loop, links = found.loop, found.wave_links
-    rates = list(form_figures(Worth(loop, found.share_at(loop.period)), kept_forms(session, time.time())))
+    worth = Worth(loop, found.share_at(loop.period), Stated.of(session))
+    rates = list(form_figures(worth, kept_forms(session, time.time())))
     if as_json:
         own = {"wave_links": wave_links_object(links)} if links else {}
         print_json(budget_object(found) | {"rates": rates_object(rates)} | own)

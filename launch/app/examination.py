@@ -24,6 +24,7 @@ from manyhands.launch.doctor.profile import (
     ProbeFailed,
     ProbeInterrupted,
     Profile,
+    Stated,
     cache_folder,
     keep_profile,
 )
@@ -116,7 +117,7 @@ def print_worth(console: Console, measured: Measured, worth: Worth, found: tuple
     limit = f"{worth.no_delay:.0f}"
     table.add_row("no delay", limit, limit)
     for ticking in measured.ticking:
-        values = (worth.weakest(getattr(ticking.tau, q) * 1e-6) for q in QUANTILES)
+        values = (worth.weakest_of_tick(getattr(ticking.tau, q)) for q in QUANTILES)
         table.add_row(ticking.way.text, *(f"{value:.0f}" if value > 0.0 else "none" for value in values))
     console.print(table)
     say(console, "This session is at rest among springs; the report of a run has its own delays (manyhands launch).")
@@ -128,7 +129,7 @@ def compiled_sentence(found: CompiledWorth, worth: Worth) -> str:
     """What the compiled tick is worth here, as a sentence."""
     (compiled, pure), (least, most) = found.medians, found.spread
     unit = worth.loop.units()("N/m")
-    gain = " in place of ".join(f"{worth.weakest(median * 1e-6):.0f} {unit}" for median in (compiled, pure))
+    gain = " in place of ".join(f"{worth.weakest_of_tick(median):.0f} {unit}" for median in (compiled, pure))
     return (
         f"The compiled tick takes {found.ratio:.2f} of the time of pure Python here ({least:.2f} to {most:.2f} in "
         f"{TURNS} turns; medians {compiled:.0f} µs and {pure:.0f} µs): {gain} at the median."
@@ -144,7 +145,7 @@ def compiled_object(found: CompiledWorth | None, worth: Worth) -> dict[str, Any]
         "ratio": found.ratio,
         "ratio_of_turns": list(found.spread),
         "tau_us": medians,
-        "stiffness": {tick: worth.weakest(median * 1e-6) for tick, median in medians.items()},
+        "stiffness": {tick: worth.weakest_of_tick(median) for tick, median in medians.items()},
     }
 
 
@@ -192,7 +193,7 @@ def run_doctor(session: Session, seconds: float, out: Console, err: Console, as_
         say(err, f"error: {session.name}: {found}; give a smaller session of the same kind")
         return EXIT_BAD_INPUT
     require_runnable(graph)
-    machine, worth = examine(), Worth.of(haptic_loop(session.with_delay(0.0)))
+    machine, worth = examine(), Worth.of(haptic_loop(session.with_delay(0.0)), Stated.of(session))
     part, compiled = _COMPILED_PART if machine.compiled else 0.0, None
     try:
         with measuring(err) as show:

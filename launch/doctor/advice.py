@@ -15,6 +15,7 @@ from manyhands.design.budget import certified_limit, environment_share
 from manyhands.design.problem import HapticLoop
 from manyhands.launch.doctor.machine import Machine
 from manyhands.launch.doctor.probe import Measured, Ticking
+from manyhands.launch.doctor.profile import NOTHING, Stated
 from manyhands.launch.doctor.wakeup import Spread
 from manyhands.nodes.kernel.realtime import FIFO_PRIORITY
 
@@ -31,19 +32,22 @@ class Worth:
     Attributes:
         loop: the loop.
         share: the share of the devices' levels that the environment takes, at the loop's period.
+        stated: what the session states of its delays beside its ticks.
     """
 
     loop: HapticLoop
     share: float
+    stated: Stated = NOTHING
 
     @classmethod
-    def of(cls, loop: HapticLoop) -> Worth:
+    def of(cls, loop: HapticLoop, stated: Stated = NOTHING) -> Worth:
         """The loop with its environment's share.
 
         Raises:
             SolverFailure: the search for the share did not converge.
         """
-        return cls(loop, environment_share(loop.environment, loop.Delta_D_at(loop.period, loop.tau), loop.period))
+        share = environment_share(loop.environment, loop.Delta_D_at(loop.period, loop.tau), loop.period)
+        return cls(loop, share, stated)
 
     def at(self, period: float) -> Worth | None:
         """The same at another period, s; None for an environment that is given in discrete time, at its own alone."""
@@ -51,7 +55,7 @@ class Worth:
             return self
         if not self.loop.environment.at_any_period:
             return None
-        return Worth.of(replace(self.loop, period=period, tau=0.0))
+        return Worth.of(replace(self.loop, period=period, tau=0.0), self.stated)
 
     def stiffness(self, tau: float, period_tolerance: float | None = None) -> dict[str, float]:
         """The supremum of the certified stiffness by device, N/m; 0 where the delay (s) permits none.
@@ -67,6 +71,14 @@ class Worth:
             device.name: certified_limit(loop, device, loop.period, tau, self.share, period_tolerance).certified
             for device in loop.devices
         }
+
+    def of_tick(self, microseconds: float) -> dict[str, float]:
+        """The stiffness by device, N/m, where a tick takes so long on this machine, beside what its devices state."""
+        return self.stiffness(self.stated.latency + microseconds * 1e-6)
+
+    def weakest_of_tick(self, microseconds: float) -> float:
+        """The smallest value of :meth:`of_tick`, N/m."""
+        return min(self.of_tick(microseconds).values())
 
     @property
     def no_delay(self) -> float:
@@ -96,7 +108,7 @@ class Advice:
 def stiffness_object(worth: Worth, ticking: tuple[Ticking, ...]) -> dict[str, Any]:
     """The object that ``--json`` prints: stiffness in N/m by device, without a delay and by way and quantile."""
     limit = worth.stiffness(0.0, 0.0)
-    by_way = {t.way.key: {q: worth.stiffness(getattr(t.tau, q) * 1e-6) for q in QUANTILES} for t in ticking}
+    by_way = {t.way.key: {q: worth.of_tick(getattr(t.tau, q)) for q in QUANTILES} for t in ticking}
     return {
         device: {"no_delay": limit[device]}
         | {way: {q: found[q][device] for q in QUANTILES} for way, found in by_way.items()}
@@ -150,7 +162,7 @@ def advice(machine: Machine, measured: Measured, worth: Worth, chains: int) -> t
 
 def _tail(tau: Spread, worth: Worth) -> str:
     """The most that removing the slowest ticks can gain in stiffness, as a text."""
-    now, even = (worth.weakest(getattr(tau, q) * 1e-6) for q in reversed(QUANTILES))
+    now, even = (worth.weakest_of_tick(getattr(tau, q)) for q in reversed(QUANTILES))
     return f"at most {now:.0f} -> {even:.0f} {worth.loop.units()('N/m')}, were every tick like the median one"
 
 

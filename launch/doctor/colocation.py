@@ -20,7 +20,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 
-from manyhands.launch.doctor.profile import Profile, allowance, kept_profile
+from manyhands.launch.doctor.profile import Profile, Stated, allowance, kept_profile
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.session import Session
 from manyhands.launch.session.design import AUTO
@@ -94,7 +94,7 @@ def process_counts(session: Session) -> tuple[int, int]:
 
 def _cost(profile: Profile, session: Session) -> tuple[float, float]:
     """What a design has to cover, s; where that is the same, the part of the ticks that were late."""
-    return allowance(profile, session.device_period).tau, profile.late
+    return allowance(profile, session.device_period, Stated.of(session)).tau, profile.late
 
 
 def _described(colocate: bool, apart: int, together: int, processors: int, measured: str) -> Colocation:

@@ -6,7 +6,15 @@ import time
 from collections.abc import Callable
 
 from manyhands.launch.doctor.colocation import Where, settle_colocation
-from manyhands.launch.doctor.profile import Profile, allowance, allowances_of_sites, keep_profile, kept_profile
+from manyhands.launch.doctor.profile import (
+    Allowance,
+    Profile,
+    Stated,
+    allowance,
+    allowances_of_sites,
+    keep_profile,
+    kept_profile,
+)
 from manyhands.launch.plan.loop import NotCertified
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import must_measure
@@ -67,32 +75,23 @@ def settle_delay(
             keep_profile(profile)
         except OSError as error:
             warn(f"the measurement is not kept: {error.filename}: {error.strerror}")
-    chosen, latency = allowance(profile, session.device_period), session.latency
-    tau = _with_latency(session, chosen.tau, latency, session.device_period)
-    sites = {
-        name: _with_latency(
-            session,
-            measured,
-            max(session.latencies[device] for device in session.devices_of(name)),
-            session.period_of(name),
-        )
-        for name, measured in allowances_of_sites(profile, session).items()
-    }
-    tolerance = min(1.0, chosen.period_tolerance + session.period_tolerance)
-    return session.with_delay(tau, tolerance if latency else chosen.period_tolerance, sites), profile
+    chosen = allowance(profile, session.device_period, Stated.of(session))
+    sites = allowances_of_sites(profile, session)
+    for one in (chosen, *sites.values()):
+        _require_covered(session, one)
+    taus = {name: one.tau for name, one in sites.items()}
+    return session.with_delay(chosen.tau, chosen.period_tolerance, taus), profile
 
 
-def _with_latency(session: Session, measured: float, latency: float, period: float) -> float:
-    """The delay to certify where so much was measured and devices state so much, s.
+def _require_covered(session: Session, found: Allowance) -> None:
+    """Refuse what was measured where devices state so much beside it that no certificate covers both.
 
     Raises:
-        NotCertified: it is longer than the period.
+        NotCertified: they are longer than the period together.
     """
-    tau = round(measured + latency, 12)
-    if latency and tau > period:
+    if found.latency and found.tau > found.period:
         raise NotCertified(
-            f"{session.name}: found a delay of {1e3 * measured:.3g} ms measured here, and {1e3 * latency:.3g} ms of "
-            f"sample_age and actuation_delay that a device states; expected at most the period of "
-            f"{1e3 * period:.3g} ms together; {MEASURE}"
+            f"{session.name}: found a delay of {1e3 * found.measured:.3g} ms measured here, and "
+            f"{1e3 * found.latency:.3g} ms of sample_age and actuation_delay that a device states; expected at most "
+            f"the period of {1e3 * found.period:.3g} ms together; {MEASURE}"
         )
-    return tau

@@ -17,7 +17,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Self
 
-from manyhands.launch.doctor.profile import Lateness, ProbeFailed, ProbeInterrupted, Profile, profile_key
+from manyhands.launch.doctor.profile import (
+    Lateness,
+    ProbeFailed,
+    ProbeInterrupted,
+    Profile,
+    Stated,
+    allowance,
+    profile_key,
+)
 from manyhands.launch.doctor.wakeup import Spread, Waking
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import Prepared, unproved
@@ -136,9 +144,18 @@ def forms_of(session: Session) -> tuple[Form, ...]:
     return tuple(Form(period, colocated) for period in periods for colocated in together)
 
 
-def longer_period(seconds: float) -> float:
-    """A period in which a tick of ``seconds`` fits: rounded up to a tenth of a millisecond, and a tenth in reserve."""
-    return (math.ceil(seconds * 1e4 - 1e-6) + 1) / 1e4
+_LONGER: Final = 1.5  # times its p99.5: what another measurement of the same ticks may give here
+
+
+def longer_period(profile: Profile, stated: Stated) -> float:
+    """A period in which such a tick fits: rounded up to a tenth of a millisecond, and a tenth or more in reserve."""
+    tau = profile.tau
+    # beside a stated latency little of the period is left, and the ticks of the next measurement may be longer
+    lasts = min(tau.p999, _LONGER * tau.p995) if stated.latency else tau.p995
+    tenths = math.ceil((lasts * 1e-6 + stated.latency) * 1e4 - 1e-6) + 1
+    while not allowance(profile, tenths / 1e4, stated).covered:
+        tenths += 1
+    return tenths / 1e4
 
 
 @dataclass(frozen=True)
@@ -221,8 +238,9 @@ def measure(
             if one.way.transport == "ipc" and one.way.places == usual:
                 found[own] = one
         first = found.get(own)
-        if isinstance(first, Ticking) and (lasts := first.slowest.p995 * 1e-6) > session.period:
-            longer = longer_period(lasts)  # no certificate covers such a tick: would one of this period?
+        profile, stated = first.profile(plan, each, 0.0) if isinstance(first, Ticking) else None, Stated.of(session)
+        if profile is not None and not allowance(profile, session.period, stated).covered:
+            longer = longer_period(profile, stated)  # no certificate covers such a tick: would one of this period?
             forms += tuple(Form(longer, form.colocated) for form in forms if form.period == session.period)
         left = [form for form in forms if form not in found]
         for number, form in enumerate(left):

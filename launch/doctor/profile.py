@@ -155,44 +155,90 @@ class Profile:
 
 
 @dataclass(frozen=True)
+class Stated:
+    """What a session states of its delays, which no measurement of ticks at rest contains.
+
+    Attributes:
+        latency: the greatest sample_age and actuation_delay of a device together, s.
+        tolerance: rho that the design asks for.
+        varies: the greatest part of its period by which the age of a device's samples varies.
+        period: T for which ``varies`` is, s.
+    """
+
+    latency: float = 0.0
+    tolerance: float = 0.0
+    varies: float = 0.0
+    period: float = 1.0
+
+    @classmethod
+    def of(cls, session: Session) -> Self:
+        """What a session states."""
+        return cls(session.latency, session.design.period_tolerance, session.greatest_jitter, session.device_period)
+
+    def tolerance_at(self, period: float) -> float:
+        """Rho beside the periods that are measured, at another period, s."""
+        varies = self.varies if period == self.period else self.varies * self.period / period
+        return max(self.tolerance, min(1.0, varies))
+
+
+NOTHING: Final = Stated()
+"""What a session states whose devices have no delay beside their loop."""
+
+
+@dataclass(frozen=True)
 class Allowance:
     """What a design has to cover on a machine.
 
     Attributes:
-        tau: the delay inside the tick, s; at most the period.
+        measured: the delay of a tick to cover, with the reserve, s; at most the period.
+        latency: what devices add to it, s (:attr:`Stated.latency`).
         period_tolerance: rho; periods of up to (1 + rho) T are covered.
         found: the measured quantile of the delay, s; it may be longer than the period.
         period: T, s.
     """
 
-    tau: float
+    measured: float
+    latency: float
     period_tolerance: float
     found: float
     period: float
 
     @property
+    def tau(self) -> float:
+        """The delay inside the tick to certify, s; with a latency it may be longer than the period."""
+        return round(self.measured + self.latency, 12)
+
+    @property
     def covered(self) -> bool:
-        """Whether tau covers the quantile that was measured: no certificate covers more than a whole period."""
-        return self.found <= self.period
+        """Whether a certificate can cover all of it: none covers more than a whole period."""
+        return self.found <= self.period and self.tau <= self.period
 
 
-def allowance(profile: Profile, period: float) -> Allowance:
-    """The delay and the period tolerance to design for, by the formulas of this module.
+def allowance(profile: Profile, period: float, stated: Stated = Stated()) -> Allowance:
+    """The delay and the period tolerance to design for: what was measured, by the formulas of this module, and what is
+    stated. Doctor, budget, design and launch have their delay from here.
 
     Args:
         profile: what was measured.
         period: T, s.
+        stated: what the session states beside it; nothing by default.
     """
     longer = _part(max(profile.period * 1e-6 / period - 1.0, 0.0))
-    return Allowance(_allowed(profile.tau, period), longer, profile.tau.p995 * 1e-6, period)
+    if stated.latency:
+        longer = min(1.0, longer + stated.tolerance_at(period))
+    tolerance = max(longer, stated.tolerance)
+    return Allowance(_allowed(profile.tau, period), stated.latency, tolerance, profile.tau.p995 * 1e-6, period)
 
 
-def allowances_of_sites(profile: Profile, session: Session) -> dict[str, float]:
-    """Tau of each site of another period than :attr:`Session.device_period`, s, by its coupling."""
-    periods = {name: link.period_in(session.period) for name, link in session.wave_links.items()}
-    return {
-        name: _allowed(profile.others[period], period) for name, period in periods.items() if period in profile.others
-    }
+def allowances_of_sites(profile: Profile, session: Session) -> dict[str, Allowance]:
+    """What to cover at each site of another period than :attr:`Session.device_period`, by its coupling."""
+    out = {}
+    for name, link in session.wave_links.items():
+        period = link.period_in(session.period)
+        if (delays := profile.others.get(period)) is not None:
+            latency = max(session.latencies[device] for device in session.devices_of(name))
+            out[name] = Allowance(_allowed(delays, period), latency, 0.0, delays.p995 * 1e-6, period)
+    return out
 
 
 def _allowed(delays: Lateness, period: float) -> float:

@@ -18,7 +18,7 @@ from manyhands.design.certificate import Certificate
 from manyhands.design.wave_link import FELT_STIFFNESS
 from manyhands.launch.doctor.advice import Advice, Worth
 from manyhands.launch.doctor.probe import Form, Way, forms_of
-from manyhands.launch.doctor.profile import QUANTILE, Profile, allowance, kept_profile
+from manyhands.launch.doctor.profile import QUANTILE, Allowance, Profile, allowance, kept_profile
 from manyhands.launch.plan.feel import stiffness_range
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.remedies import settings
@@ -35,6 +35,7 @@ class FormFigures:
         form: the rate, and whether couplings are co-located.
         profile: what was measured; None where nothing was.
         missing: why nothing was measured; empty where something was.
+        chosen: what a design has to cover; None where nothing was measured.
         certified: supremum of the certified stiffness of the weakest device at the tau to design for, N/m; 0 where
             no coupling covers the measured delay, None where the environment has no such period, or nothing was
             measured.
@@ -45,6 +46,7 @@ class FormFigures:
     form: Form
     profile: Profile | None
     missing: str
+    chosen: Allowance | None
     certified: float | None
     at_worst: float | None
     no_delay: float | None
@@ -63,22 +65,22 @@ def form_figures(worth: Worth, found: Mapping[Form, Profile | str]) -> Iterator[
     """The figures of each form.
 
     Args:
-        worth: the session's loop.
+        worth: the session's loop, with what the session states of its delays.
         found: the profile of each form, or why there is none.
     """
     for form, profile in found.items():
         at = worth.at(form.period)
         no_delay = None if at is None else at.no_delay
         if isinstance(profile, str):
-            yield FormFigures(form, None, profile, None, None, no_delay)
+            yield FormFigures(form, None, profile, None, None, None, no_delay)
             continue
-        chosen = allowance(profile, form.period)
+        chosen = allowance(profile, form.period, worth.stated)
         certified = at_worst = None if at is None else 0.0
         if at is not None and chosen.covered:
             certified = at.weakest(chosen.tau, chosen.period_tolerance)
-        if at is not None and (worst := max(chosen.tau, profile.tau.max * 1e-6)) <= form.period:
+        if at is not None and (worst := max(chosen.tau, chosen.latency + profile.tau.max * 1e-6)) <= form.period:
             at_worst = at.weakest(worst, chosen.period_tolerance)
-        yield FormFigures(form, profile, "", certified, at_worst, no_delay)
+        yield FormFigures(form, profile, "", chosen, certified, at_worst, no_delay)
 
 
 _BETTER = 1.01  # of its own stiffness: what two measurements of one form may differ by
@@ -117,10 +119,11 @@ def rates_object(figures: list[FormFigures]) -> list[dict[str, Any]]:
             "certified": one.certified,
             "at_worst": one.at_worst,
         }
-        if one.profile is not None:
-            chosen, tau = allowance(one.profile, one.form.period), one.profile.tau
+        if one.profile is not None and (chosen := one.chosen) is not None:
+            tau = one.profile.tau
             entry |= {
                 "tau": chosen.tau,
+                "latency": chosen.latency,
                 "period_tolerance": chosen.period_tolerance,
                 "covered": chosen.covered,
                 "tau_us": {"p50": tau.p50, "p995": tau.p995, "p999": tau.p999, "max": tau.max},
@@ -143,11 +146,10 @@ def print_rates(console: Console, session: str, figures: list[FormFigures]) -> N
     for column in columns:
         table.add_column(column, justify="right")
     for one in figures:
-        form, profile = one.form, one.profile
+        form, profile, chosen = one.form, one.profile, one.chosen
         name = f"{1e-3 / form.period:g} kHz", "co-located" if form.colocated else "separate"
-        if profile is None:
+        if profile is None or chosen is None:
             continue
-        chosen = allowance(profile, form.period)
         table.add_row(
             *name, f"{profile.tau.p50:.0f}", f"{profile.tau.p995:.0f}", f"{profile.tau.max:.0f}", f"{profile.late:.1%}",
             f"{chosen.tau * 1e3:.4g}" if chosen.covered else "longer than a tick",
@@ -156,6 +158,11 @@ def print_rates(console: Console, session: str, figures: list[FormFigures]) -> N
         )  # fmt: skip
     if table.row_count:
         console.print(table)
+    if latency := max((one.chosen.latency for one in figures if one.chosen is not None), default=0.0):
+        console.print(
+            f"{session}: τ contains the {_ms(latency)} of sample_age and actuation_delay that a device states",
+            markup=False, soft_wrap=True,
+        )  # fmt: skip
     for text in dict.fromkeys(one.missing for one in figures if one.missing):
         rows = [one.form for one in figures if one.missing == text]
         where = ", ".join(f"{1e-3 / form.period:g} kHz{' co-located' if form.colocated else ''}" for form in rows)
@@ -216,7 +223,7 @@ def _certified(certificate: Certificate, session: Session, profile: Profile | No
         f"certified for delays up to {_ms(tau)}{periods} ({measured}){text}; the limit is {here}"
         f"{worth.no_delay:.4g} {unit} without delay"
     )
-    if profile is not None and not allowance(profile, T).covered and tau >= T:
+    if profile is not None and profile.tau.p995 * 1e-6 > T and tau >= T:
         found, ticks = profile.tau.p995 * 1e-6, round(1.0 / (1.0 - QUANTILE))
         yield (
             f"one tick in {ticks} takes longer than {_ms(found)} here, and no certificate covers more than the "

@@ -517,10 +517,10 @@ class Session(SessionModel):
     @property  # not kept: the design changes in a copy (`with_delay`), and a copy has what is kept
     def period_tolerance(self) -> float:
         """Rho to certify: what the design states, and at least what the age of any device's samples varies by."""
-        return max(self.design.period_tolerance, min(1.0, self._greatest_jitter))
+        return max(self.design.period_tolerance, min(1.0, self.greatest_jitter))
 
     @cached_property
-    def _greatest_jitter(self) -> float:
+    def greatest_jitter(self) -> float:
         """The greatest part of its period by which the age of a device's samples varies."""
         return max(device.timing.jitter / self.period_of(name) for name, device in self.devices.items())
 

@@ -407,8 +407,7 @@ def test_remarks_belong_to_what_is_not_kept() -> None:
 NODES = st.sampled_from([*ROLES, "stranger"])
 FIGURES = drawn_figures(
     ["tau_breaches", "elapsed_us", "clipped", "ledger_margin", "interface_min", "interface_ticks", "let_go",
-     "frozen:cx@7",
-     "returned:cx@9", "frozen:dx@3", "began@5"],
+     "frozen:cx@7", "returned:cx@9", "frozen:dx@3", "began@5"],
     {name: ["cx", "x"] for name in
      ("wave_silences_of", "wave_holding_of", "scaled", "waited_ticks", "waited_us", "frozen_late")},
     st.floats(),

@@ -11,7 +11,10 @@ import pytest
 from rich.console import Console
 
 from manyhands.launch.app.start import SettledDelay, SettledForm, settle_delay
-from manyhands.launch.doctor.profile import Lateness, Profile, allowance
+from manyhands.launch.doctor.advice import Worth
+from manyhands.launch.doctor.probe import Form, longer_period
+from manyhands.launch.doctor.profile import Lateness, Profile, Stated, allowance
+from manyhands.launch.doctor.rates import form_figures
 from manyhands.launch.plan.loop import NotCertified, haptic_loop
 from manyhands.launch.plan.sites import site_loop
 from manyhands.launch.run.options import StartOptions
@@ -59,6 +62,46 @@ def test_a_stated_latency_is_added_to_the_measured_delay(tmp_path: Path, profile
     assert haptic_loop(late).period_tolerance == pytest.approx(chosen.period_tolerance + 0.2)
     steady = settled(session_of(tmp_path, sample_age=2e-4, age_jitter=0.0)).session
     assert haptic_loop(steady).period_tolerance == chosen.period_tolerance
+
+
+@pytest.mark.parametrize("stated", [
+    {}, {"sample_age": 2e-4, "actuation_delay": 1e-4}, {"sample_age": 3e-4, "age_jitter": 0.0},
+    {"actuation_delay": 6e-4}, {"actuation_delay": 7e-4},
+])  # fmt: skip
+@pytest.mark.parametrize("tolerance", [0.0, 0.3])
+def test_what_the_doctor_shows_is_what_a_launch_designs_for(
+    tmp_path: Path, profile: Profile, stated: dict[str, float], tolerance: float
+) -> None:
+    """One model of the delay: its figures are those of the loop that is launched, or both say that there is none."""
+    session = session_of(tmp_path, **stated)
+    session = session.replace({"design.period_tolerance": tolerance})
+    worth = Worth.of(haptic_loop(session.with_delay(0.0)), Stated.of(session))
+    (shown,) = form_figures(worth, {Form(T, session.colocated): profile})
+    assert shown.chosen is not None
+    try:
+        loop = haptic_loop(settled(session).session)
+    except NotCertified:
+        assert (shown.chosen.covered, shown.certified) == (False, 0.0)
+        assert stated == {"actuation_delay": 7e-4}
+        return
+    assert (shown.chosen.tau, shown.chosen.period_tolerance) == (loop.tau, loop.period_tolerance)
+    assert shown.certified == Worth.of(loop).weakest(loop.tau)
+    assert worth.weakest_of_tick(100.0) == pytest.approx(worth.weakest(session.latency + 1e-4))
+
+
+@pytest.mark.parametrize(
+    ("delay", "p995", "longer"),
+    [(7e-4, 320.0, 1.2e-3), (9e-4, 900.0, 2e-3)],  # in 1.9 ms, 0.9 ms are ten steps, and one in reserve: 1.045 ms
+)
+def test_where_the_stated_latency_leaves_no_room_the_doctor_measures_a_longer_period(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, delay: float, p995: float, longer: float
+) -> None:
+    profile = Profile({}, Lateness(200.0, p995, p995, p995), 1010.0, 0.0, 5.0, time.time())
+    monkeypatch.setattr("manyhands.launch.doctor.delay.kept_profile", lambda *_: profile)
+    session = session_of(tmp_path, actuation_delay=delay)
+    assert longer_period(profile, Stated.of(session)) == longer
+    slower = session.replace({"period": longer})
+    assert haptic_loop(settled(slower).session).tau <= longer
 
 
 def test_more_than_a_period_together_is_refused(tmp_path: Path) -> None:
