@@ -462,9 +462,9 @@ def _settled(session: Session) -> Session:
 
 def _prepared(form: SettledForm, options: StartOptions) -> Prepared:
     """The session with its delay, its couplings and its certificates."""
-    from manyhands.launch.app.start import prepare_settled, settle_delay
+    from manyhands.launch.app.start import settle_and_prepare
 
-    return prepare_settled(settle_delay(form, options, _quiet(), warnings.warn), options, _quiet())
+    return settle_and_prepare(form, options, _quiet(), warnings.warn)[1]
 
 
 def _quiet() -> Console:

@@ -223,8 +223,37 @@ def prepare_settled(settled: SettledDelay, options: StartOptions, console: Conso
         if not settled.measured:
             raise
         tau = f"{1e3 * (settled.session.design.stated_tau or 0.0):.3g} ms"
-        text = f"{error}; the delay of {tau} was measured here: design.tau=0 asks for a certificate without any"
+        when = "" if settled.profile is None else f" ({settled.profile.told(time.time())})"
+        text = (
+            f"{error}; the delay of {tau} is this machine's{when}: {delay.ANEW}; design.tau=0 asks for a certificate "
+            "without any"
+        )
         raise NotCertified(text) from error
+
+
+def settle_and_prepare(
+    form: SettledForm, options: StartOptions, console: Console, warn: Callable[[str], object] | None = None
+) -> tuple[SettledDelay, Prepared]:
+    """Settle the delay and design for it; where what was measured a while ago would refuse the session, measure anew.
+
+    Args:
+        form: the session in its form.
+        options: how it is started.
+        console: where measurements and the progress of a design are shown.
+        warn: as for :func:`settle_delay`.
+
+    Raises:
+        ReachError, ProbeFailed, ProbeInterrupted: as :func:`settle_delay`.
+        CertificateError, NotCertified: as :func:`prepare_settled`.
+    """
+    settled = settle_delay(form, options, console, warn)
+    try:
+        return settled, prepare_settled(settled, options, console)
+    except NotCertified:
+        profile = settled.profile if settled.measured else None
+        if profile is None or not delay.outdated(profile, form.session, partial(say, console)):
+            raise
+    return settle_and_prepare(form, options, console, warn)  # it measures: nothing is kept now
 
 
 def _prepare_again(session: Session, hosting: Hosting, console: Console) -> Prepared:
@@ -346,8 +375,7 @@ def start(
         form = settle_form(session, options)
         if options.insecure:
             warn_insecure(console)
-        settled = settle_delay(form, options, console)
-        prepared = prepare_settled(settled, options, console)
+        settled, prepared = settle_and_prepare(form, options, console)
         designed(prepared)
         announce(prepared, form, settled, options, console)
         outcome = run_session(prepared, console, form.ways, options)

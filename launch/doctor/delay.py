@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Final
 
 from manyhands.launch.doctor.colocation import Where, settle_colocation
 from manyhands.launch.doctor.profile import (
     Allowance,
     Profile,
     Stated,
+    ago,
     allowance,
     allowances_of_sites,
+    drop_profile,
     keep_profile,
     kept_profile,
 )
@@ -22,6 +25,9 @@ from manyhands.launch.plan.topology import require_runnable
 from manyhands.launch.session import Session
 from manyhands.launch.session.design import AUTO
 from manyhands.nodes.monitor.given import MEASURE
+
+ANEW: Final = "the same command measures it anew"
+"""What to do where a measurement refuses a session: :func:`outdated` has removed it."""
 
 
 def settle_delay(
@@ -64,10 +70,8 @@ def settle_delay(
     form, _ = settle_colocation(session, Where.HERE, transport, encrypted)  # launch has done so; design measures, too
     plan = Plan(form)
     way = Way.of_run(plan, transport, encrypted)
-    profile = kept_profile(way.profile_key(plan), time.time())
-    if not wanted:
-        return session, profile
-    if profile is None:
+
+    def measured() -> Profile:
         require_runnable(plan.graph)
         report(f"{session.name}: measuring the delay of a tick on this machine for {PROFILE_TIME:g} s")
         profile = measure_profile(plan, way)
@@ -75,15 +79,63 @@ def settle_delay(
             keep_profile(profile)
         except OSError as error:
             warn(f"the measurement is not kept: {error.filename}: {error.strerror}")
+        return profile
+
+    profile = kept_profile(way.profile_key(plan), time.time())
+    if not wanted:
+        return session, profile
+    profile = profile or measured()
+    try:
+        return _designed_for(session, profile), profile
+    except NotCertified:
+        if not outdated(profile, session, report):
+            raise
+    return settle_delay(  # nothing is kept now, so it measures; what is new refuses for good
+        session, report, warn, realtime=realtime, designed=designed, transport=transport, encrypted=encrypted
+    )
+
+
+RECENT: Final = 300.0
+"""The age in s up to which a measurement may refuse a session; an older one may be of a machine that was busy."""
+
+
+def outdated(profile: Profile, session: Session, report: Callable[[str], None]) -> bool:
+    """Whether what was measured is too old to refuse a session by it, so that it is to be measured anew.
+
+    A measurement by which a session is refused is not kept: the next command measures anew, whatever its age.
+
+    Args:
+        profile: what was measured.
+        session: the session that is refused.
+        report: called with a sentence about it.
+    """
+    try:
+        drop_profile(profile)
+    except OSError as error:
+        report(f"warning: {error.filename}: the measurement cannot be removed: {error.strerror}")
+        return False
+    age = profile.age(time.time())
+    if age <= RECENT:
+        return False
+    report(f"{session.name}: is refused for a delay that was measured {ago(age)}, so the delay is measured anew")
+    return True
+
+
+def _designed_for(session: Session, profile: Profile) -> Session:
+    """The session with the delay to design for, which was measured and stated.
+
+    Raises:
+        NotCertified: no certificate covers both.
+    """
     chosen = allowance(profile, session.device_period, Stated.of(session))
     sites = allowances_of_sites(profile, session)
     for one in (chosen, *sites.values()):
-        _require_covered(session, one)
+        _require_covered(session, one, profile)
     taus = {name: one.tau for name, one in sites.items()}
-    return session.with_delay(chosen.tau, chosen.period_tolerance, taus), profile
+    return session.with_delay(chosen.tau, chosen.period_tolerance, taus)
 
 
-def _require_covered(session: Session, found: Allowance) -> None:
+def _require_covered(session: Session, found: Allowance, profile: Profile) -> None:
     """Refuse what was measured where devices state so much beside it that no certificate covers both.
 
     Raises:
@@ -91,7 +143,7 @@ def _require_covered(session: Session, found: Allowance) -> None:
     """
     if found.latency and found.tau > found.period:
         raise NotCertified(
-            f"{session.name}: found a delay of {1e3 * found.measured:.3g} ms measured here, and "
-            f"{1e3 * found.latency:.3g} ms of sample_age and actuation_delay that a device states; expected at most "
-            f"the period of {1e3 * found.period:.3g} ms together; {MEASURE}"
+            f"{session.name}: found a delay of {1e3 * found.measured:.3g} ms ({profile.told(time.time())}), and "
+            f"{1e3 * found.latency:.3g} ms of sample_age and actuation_delay that a device states; "
+            f"expected at most the period of {1e3 * found.period:.3g} ms together; {ANEW}; {MEASURE}"
         )

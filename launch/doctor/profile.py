@@ -153,6 +153,10 @@ class Profile:
         """Seconds since the measurement at ``now``, in s since the epoch."""
         return now - self.measured
 
+    def told(self, now: float) -> str:
+        """When and where it was measured, and the quantile of the delay, for people."""
+        return f"measured here, {ago(self.age(now))}: p99.5 is {1e-3 * self.tau.p995:.3g} ms"
+
 
 @dataclass(frozen=True)
 class Stated:
@@ -302,6 +306,13 @@ def profile_key(plan: Plan, transport: str, encrypted: bool, places: Mapping[str
         "links": [[number[link.binder], number[link.connector], len(link.ports)] for link in graph.links],
         "places": [[number[name], processor] for name, processor in places.items()],
     }
+
+
+def ago(seconds: float) -> str:
+    """How long ago, in words; the age of a kept profile is at most a day."""
+    if seconds < 60.0:
+        return "just now"
+    return f"{seconds / 60.0:.0f} min ago" if seconds < 7200.0 else f"{seconds / 3600.0:.0f} h ago"
 
 
 def cache_folder(environ: Mapping[str, str] = os.environ) -> Path:

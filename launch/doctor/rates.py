@@ -210,7 +210,7 @@ def _certified(certificate: Certificate, session: Session, profile: Profile | No
         found, latency = profile.tau.p995 * 1e-6, session.latency
         longer = ", which is longer" if found + latency > tau else ""
         own = f" beside {_ms(latency)} that a driver states" if latency else ""
-        measured = f"measured here, {_ago(profile.age(now))}: p99.5 is {_ms(found)}{own}{longer}"
+        measured = f"{profile.told(now)}{own}{longer}"
     share = needed_share(loop.Delta_D, certificate.levels.Phi_E)
     worth = Worth(loop, share)
     given = stiffness_range(certificate)
@@ -238,10 +238,3 @@ def _between(least: float, greatest: float, unit: str) -> str:
 
 def _ms(seconds: float) -> str:
     return f"{1e3 * seconds:.3g} ms"
-
-
-def _ago(seconds: float) -> str:
-    """How long ago, in words; the age of a kept profile is at most a day."""
-    if seconds < 60.0:
-        return "just now"
-    return f"{seconds / 60.0:.0f} min ago" if seconds < 7200.0 else f"{seconds / 3600.0:.0f} h ago"

@@ -77,7 +77,7 @@ def simulate(
     A simulation shakes no hand: a session that cannot be certified is simulated with a warning.
     """
     with errors("design"), ExitStack() as claims:
-        from manyhands.launch.app.start import SettledForm, prepare_settled, settle_delay
+        from manyhands.launch.app.start import SettledForm, settle_and_prepare
         from manyhands.launch.audit.simulation import Simulation, require_one_period
 
         loaded = load_with_network(session, overrides, delay, jitter, loss)
@@ -95,7 +95,7 @@ def simulate(
             require_suffix(record)
             claims.enter_context(claimed(record))
         options = StartOptions(clock=SIMULATED, certificate=certificate, uncertified=True)
-        prepared = prepare_settled(settle_delay(SettledForm(loaded), options, err), options, err)
+        _, prepared = settle_and_prepare(SettledForm(loaded), options, err)
         if not prepared.certified and not uncertified:
             say(err, f"warning: {loaded.name} is not certified; launch refuses it without --uncertified")
         warn_of_code(err, loaded)

@@ -286,8 +286,64 @@ def test_a_coupling_that_is_too_stiff_for_the_machine_is_refused(machine: Machin
     assert command(*LAUNCH, *given, "--set", "design.tau=0").exit_code == 0
     result = command(*LAUNCH, *given)
     assert result.exit_code == 3
-    hint = "; the delay of 0.75 ms was measured here: design.tau=0 asks for a certificate without any"
+    hint = (
+        "; the delay of 0.75 ms is this machine's (measured here, just now: p99.5 is 0.68 ms): the same command "
+        "measures it anew; design.tau=0 asks for a certificate without any"
+    )
     assert result.stderr.splitlines()[-1].endswith(hint)
+
+
+GIVEN = ("--set", "design.coupling=given", "--set", "design.stiffness=800")
+LATE = ("--set", "devices.dx={dof: 1, osp: 1.37, driver: some.package:factory, actuation_delay: 0.0004}")
+
+
+def kept(machine: Machine, p995: float, age: float) -> None:
+    """A profile that was measured ``age`` s ago, when the machine took so long for a tick, us."""
+    before, machine.p995 = machine.p995, p995
+    plan = Plan(load_named("example1"))
+    keep_profile(machine.profile(plan, Way.of_run(plan), time.time() - age))
+    machine.p995 = before
+
+
+@pytest.mark.parametrize("asked", [GIVEN, LATE], ids=["too stiff", "too late a device"])
+def test_what_was_measured_long_ago_is_measured_anew_before_it_refuses(
+    asked: tuple[str, ...], machine: Machine
+) -> None:
+    kept(machine, 5000.0, 3 * 3600.0)
+    machine.p995 = 300.0
+    said = lines(command(*LAUNCH, *asked))
+    assert said[:2] == [
+        "example-1: is refused for a delay that was measured 3 h ago, so the delay is measured anew", MEASURING
+    ]  # fmt: skip
+    assert "(measured here, just now: p99.5 is 0.3 ms" in said[2]
+    assert len(machine.measured) == len(machine.ran) == 1
+    assert machine.ran[0].loop.tau >= 0.3e-3  # what was measured last is covered
+
+
+@pytest.mark.parametrize("asked", [GIVEN, LATE], ids=["too stiff", "too late a device"])
+def test_what_refuses_a_session_is_measured_once_and_not_kept(asked: tuple[str, ...], machine: Machine) -> None:
+    kept(machine, 5000.0, 3 * 3600.0)
+    machine.p995 = 4000.0  # the machine is still busy
+    result = command(*LAUNCH, *asked)
+    assert (result.exit_code, len(machine.measured), machine.ran) == (3, 1, [])
+    assert "just now" in result.stderr.splitlines()[-1]
+    assert "the same command measures it anew" in result.stderr.splitlines()[-1]
+    machine.p995 = 300.0
+    assert command(*LAUNCH, *asked).exit_code == 0
+    assert len(machine.measured) == 2
+
+
+@pytest.mark.parametrize("asked", [GIVEN, LATE], ids=["too stiff", "too late a device"])
+def test_what_was_measured_a_moment_ago_refuses_and_says_how_old_it_is(
+    asked: tuple[str, ...], machine: Machine
+) -> None:
+    kept(machine, 5000.0, 120.0)
+    machine.p995 = 300.0
+    result = command(*LAUNCH, *asked)
+    assert (result.exit_code, machine.measured, machine.ran) == (3, [], [])
+    assert "(measured here, 2 min ago: p99.5 is 5 ms)" in result.stderr
+    assert command(*LAUNCH, *asked).exit_code == 0, "the same command measures it anew"
+    assert len(machine.measured) == 1
 
 
 @pytest.mark.parametrize(
