@@ -31,10 +31,9 @@ from manyhands.launch.app.own_device import OwnDevice, session_of
 from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK
 from manyhands.launch.look.display import figure_table, printable, promise_lines, say, status, world_lines
 from manyhands.launch.output import print_json
-from manyhands.launch.run.outcome import given_sentences, lateness_sentence, rows_of, wave_link_sentences
+from manyhands.launch.run.outcome import given_sentences, last_line, lateness_sentence, rows_of, wave_link_sentences
 from manyhands.launch.session import Session
 from manyhands.nodes.monitor.given import shares_cell
-from manyhands.nodes.monitor.health import verdict
 from manyhands.nodes.rows import figures as names
 from manyhands.protocol.messages import Figures
 
@@ -235,7 +234,7 @@ def print_report(console: Console, report: Mapping[str, Any], faults: Sequence[s
         say(console, felt)
     if sentence := lateness_sentence(report):
         say(console, sentence)
-    last = f"failed: {faults[0].splitlines()[0]}" if faults else verdict(promises) if promises else ""
+    last = last_line(report, faults)
     for lack in given_sentences(report):
         if lack not in last:
             say(console, lack)

@@ -6,6 +6,7 @@ The report is one JSON object for people and other programs; docs/files.md lists
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,7 +21,7 @@ from manyhands.launch.run.states import Incidents, SessionPhase
 from manyhands.launch.session import Session
 from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes.monitor.given import GivenForce, percent
-from manyhands.nodes.monitor.health import PromiseState, condensed, missed
+from manyhands.nodes.monitor.health import MOST_ROWS, PromiseState, condensed, missed, verdict
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.figures import Figure, Unit
 from manyhands.nodes.rows.lateness import lateness_by_coupling
@@ -249,6 +250,56 @@ def lateness_sentence(report: Mapping[str, Any]) -> str | None:
     else:
         beyond = "only counted beyond"
     return f"{proved}, {beyond}; {lowest}, bound {joules(0.0 - promise['tank'])}{falling(promise)}{given}"
+
+
+LATE_WORTH_SAYING: Final = 0.01
+"""The part of a node's ticks that must be late before the last line says so: of a notice, too."""
+
+_BY_LATENESS: Final = (Promise.DELAY, Promise.PERIOD, Promise.LATENESS)
+"""Promises that are enforced by taking force away, where a device is late."""
+
+
+def last_line(report: Mapping[str, Any], faults: Sequence[str] = ()) -> str:
+    """How a run went, in one line: what made it fail, or what was worst; who was late, and what force that has cost.
+
+    Args:
+        report: the whole report of a run.
+        faults: what made the run fail.
+    """
+    if faults:
+        return f"failed: {faults[0].splitlines()[0]}"
+    rows = rows_of(report)
+    if not rows:
+        return ""
+    text, late = verdict(rows), _late(report["nodes"])
+    enforced = any(row.promise in _BY_LATENESS and row.state == PromiseState.ENFORCED for row in rows)
+    parts = [part for part in (late, _taken_away(report["nodes"]) if enforced else "") if part]
+    if not parts:
+        return text
+    said = "; ".join(parts)
+    return f"{text} {said[0].upper()}{said[1:]}." if text.endswith(".") else f"{text}; {said}"
+
+
+def _late(nodes: Mapping[str, Mapping[str, Any]]) -> str:
+    """The nodes of which many ticks were late, the latest first; empty where there are none."""
+    shares = {name: node["late"] / node["ticks"] for name, node in nodes.items() if node.get("late") and node["ticks"]}
+    often = sorted((name for name in shares if shares[name] >= LATE_WORTH_SAYING), key=lambda name: -shares[name])
+    words = ", ".join(f"{name} in {percent(min(1.0, shares[name]))} of its ticks" for name in often[:MOST_ROWS])
+    more = f" and {len(often) - MOST_ROWS} more" if len(often) > MOST_ROWS else ""
+    return f"late: {words}{more}" if often else ""
+
+
+def _taken_away(nodes: Mapping[str, Mapping[str, Any]]) -> str:
+    """For how much of the time lateness has taken force from a hand, of the hand that lacked it for longest."""
+    given = {name: node["given"] for name, node in nodes.items() if node.get("given", {}).get("seconds")}
+    if not given:
+        return ""
+    lacked = {name: (one["away"] + one["held_back"]) / one["seconds"] for name, one in given.items()}
+    most = max(lacked, key=lacked.__getitem__)
+    if not lacked[most]:
+        return "no force was taken away"
+    share = math.ceil(1000.0 * min(1.0, lacked[most]) - 1e-9) / 10.0  # up: what was lacking is never called nothing
+    return f"force was taken away for {share:.3g} % of the time ({most})"
 
 
 def felt_links(session: Session, figures: Mapping[str, Figures]) -> dict[str, FeltLink]:

@@ -17,7 +17,15 @@ from rich.console import Console
 
 from manyhands.launch.app.design_report import print_report
 from manyhands.launch.plan.prepare import prepare
-from manyhands.launch.run.outcome import Progress, lateness_entry, lateness_sentence, node_entry, run_report, save_json
+from manyhands.launch.run.outcome import (
+    Progress,
+    last_line,
+    lateness_entry,
+    lateness_sentence,
+    node_entry,
+    run_report,
+    save_json,
+)
 from manyhands.launch.run.states import Incidents, SessionPhase
 from manyhands.launch.session import load_session
 from manyhands.nodes.monitor.given import FIGURES
@@ -258,7 +266,7 @@ def test_a_hand_that_lacked_its_force_has_a_sentence_with_the_cause_and_what_hel
     shown = StringIO()
     print_report(Console(file=shown, width=250), made)
     said = shown.getvalue().splitlines()
-    assert said[-1] == f"worst: force given: broken at dx since 1.0 s (6 s). {remark}."
+    assert said[-1] == f"worst: force given: broken at dx since 1.0 s (6 s). {remark}. Late: dx in 3 % of its ticks."
     assert shown.getvalue().count(remark) == 1
     failed = StringIO()
     print_report(Console(file=failed, width=250), made, ("a fault",))
@@ -300,12 +308,51 @@ def test_the_last_line_says_what_was_worst() -> None:
 
     rows = [{"promise": "pace", "state": "kept", "who": [], "since": 0.0, "until": None, "cost": {}, "remark": ""}]
     whole_run = whole({"dx": HONEST}) | {"promises": rows}
-    assert last(whole_run) == "all promises kept"
+    assert last(whole_run) == "all promises kept; late: dx in 3 % of its ticks"
     assert last(whole_run, "dx was killed\nat once", "and more") == "failed: dx was killed"
     away = rows[0] | {"promise": "presence", "state": "broken", "who": ["dx"], "since": 0.5, "cost": {"s": 0.25}}
     assert last(whole_run | {"promises": [*rows, away]}).startswith(
         "worst: presence: broken by dx since 0.5 s (0.25 s). The others go on, still certified."
     )
+
+
+KEPT = {"promise": "pace", "state": "kept", "who": [], "since": 0.0, "until": None, "cost": {}, "remark": ""}
+ENFORCED = KEPT | {"promise": "delay", "state": "enforced", "who": ["dx"], "cost": {"ticks": 9.0}}
+AWAY = KEPT | {"promise": "presence", "state": "broken", "who": ["Cx"], "since": 0.5, "cost": {"s": 0.25}}
+CHECKED = "all promises kept, or enforced: delay (dx)"
+
+
+@pytest.mark.parametrize(
+    ("late", "given", "rows", "said"),
+    [
+        ({}, {}, [KEPT], "all promises kept"),
+        ({"dx": 9}, {}, [KEPT], "all promises kept"),  # as on any machine
+        ({"world": 455, "dx": 10}, {}, [KEPT],
+         "all promises kept; late: world in 45.5 % of its ticks, dx in 1 % of its ticks"),
+        ({"a": 600, "b": 500, "c": 400, "d": 300, "e": 200}, {}, [KEPT],
+         "all promises kept; late: a in 60 % of its ticks, b in 50 % of its ticks, c in 40 % of its ticks and 2 more"),
+        ({}, {"dx": (0.0, 0.0), "dy": (0.0, 0.0)}, [ENFORCED], f"{CHECKED}; no force was taken away"),
+        ({"dx": 400}, {"dx": (0.001, 0.0), "dy": (3.0, 1.25)}, [ENFORCED],
+         f"{CHECKED}; late: dx in 40 % of its ticks; force was taken away for 42.5 % of the time (dy)"),
+        ({}, {"dx": (0.001, 0.0)}, [ENFORCED], f"{CHECKED}; force was taken away for 0.1 % of the time (dx)"),
+        ({}, {"dx": (0.001, 0.0)}, [KEPT], "all promises kept"),  # not for being late
+        ({}, {}, [ENFORCED], CHECKED),
+    ],
+)  # fmt: skip
+def test_the_last_line_says_who_was_late_and_for_how_long_force_was_taken_away(
+    late: dict[str, int], given: dict[str, tuple[float, float]], rows: list[dict[str, Any]], said: str
+) -> None:
+    nodes: dict[str, dict[str, Any]] = {name: {"ticks": 1000} for name in {**late, **given, "cx": 0}}
+    for name, ticks in late.items():
+        nodes[name]["late"] = ticks
+    for name, (away, held_back) in given.items():
+        nodes[name]["given"] = {"seconds": 10.0, "away": away, "held_back": held_back, "cut": 5.0}
+    report = whole({}) | {"nodes": nodes, "promises": rows}
+    assert last_line(report) == said
+    after = said.removeprefix(CHECKED).removeprefix("all promises kept").removeprefix("; ")
+    worst = last_line(report | {"promises": [*rows, AWAY]})
+    assert worst.startswith("worst: presence: broken by Cx since 0.5 s (0.25 s). The others go on, still certified.")
+    assert worst.endswith(f" {after[0].upper()}{after[1:]}." if after else "let in again by a ramp.")
 
 
 def test_the_table_has_each_least_account_beside_its_bound() -> None:
