@@ -11,6 +11,7 @@ from manyhands.launch.audit.findings import Check, CheckVerdict, UncheckedTicks,
 from manyhands.launch.audit.replay import Replayed
 from manyhands.launch.look.display import promise_lines, say, titled_table
 from manyhands.launch.recordings.integrity import Damage
+from manyhands.nodes.kernel.words import counted
 from manyhands.nodes.monitor.health import PROMISES, PromiseState, grouped, missed, parties
 from manyhands.nodes.rows.promises import Promise
 
@@ -36,21 +37,22 @@ def print_replayed(out: Console, name: str, found: Replayed) -> None:
             f"{first.recorded!r} {deviation.unit}, recomputed {first.recomputed!r} {deviation.unit}",
         )
     for topic, ticks in found.missing.items():
-        say(out, f"{topic}: {ticks} ticks are missing from the recording")
+        say(out, f"{topic}: missing from the recording: {counted(ticks, 'tick')}")
     if found.ended:
         say(out, f"the replay ends before the recording does: {found.ended}")
     if found.identical:
-        say(out, f"{name}: identical: {found.numbers} numbers of {found.ticks} ticks, bit for bit")
+        say(out, f"{name}: identical: {found.numbers} numbers of {counted(found.ticks, 'tick')}, bit for bit")
         return
     for incident in found.incidents:
         say(out, f"incident in the recording, which a replay does not repeat: {incident}")
-    say(out, f"{name}: not identical: {found.differing} of {found.numbers} numbers of {found.ticks} ticks differ")
+    over = counted(found.ticks, "tick")
+    say(out, f"{name}: not identical: {found.differing} of {found.numbers} numbers of {over} differ")
 
 
 def print_audit(out: Console, name: str, audit: Audit) -> None:
     """Print a line for each party, then broken checks, broken assumptions, and the ticks that were not checked."""
     certificate, *checks = audit.checks
-    title = f"{audit.session} ({audit.clock}), {audit.ticks} ticks"
+    title = f"{audit.session} ({audit.clock}), {counted(audit.ticks, 'tick')}"
     table = titled_table(title, ("party", "recomputed and compared"), ("numbers", "least ledger [J]", "differ"))
     for party in dict.fromkeys(check.party for check in checks):
         own = [check for check in checks if check.party == party]
@@ -90,7 +92,7 @@ def verdict_text(audit: Audit) -> str:
     """What the audit has found, in one line: what it says holds is what the certificate needs."""
     count = verdicts(audit.checks)
     compared = len(audit.checks) - count[CheckVerdict.UNCHECKED]
-    kept = f"{compared - count[CheckVerdict.BROKEN] - count[CheckVerdict.MISSING]} of {compared} checks"
+    kept = f"{compared - count[CheckVerdict.BROKEN] - count[CheckVerdict.MISSING]} of {counted(compared, 'check')}"
     if count[CheckVerdict.ASSUMPTION]:
         missed_ones = count[CheckVerdict.ASSUMPTION]
         kept += f", {missed_ones} of them {'an assumption' if missed_ones == 1 else 'assumptions'} that did not hold"
@@ -115,7 +117,7 @@ def _unchecked(check: Check) -> list[str]:
     out = []
     for why, own in gaps.items():
         ticks = sum(gap.end - gap.begin for gap in own)
-        text = str(own[0]) if len(own) == 1 else f"{ticks} ticks, {own[0].begin} to {own[-1].end - 1}: {why}"
+        text = str(own[0]) if len(own) == 1 else f"{counted(ticks, 'tick')}, {own[0].begin} to {own[-1].end - 1}: {why}"
         out.append(f"{check.party}: {text}")
     return out
 

@@ -29,6 +29,7 @@ from manyhands.launch.plan.sites import site
 from manyhands.launch.recordings.recording import data_frame
 from manyhands.launch.session import Session
 from manyhands.nodes.kernel.json_number import json_number
+from manyhands.nodes.kernel.words import counted
 
 if TYPE_CHECKING:
     import pandas
@@ -303,7 +304,7 @@ def print_series(console: Console, found: Sequence[SeriesStiffness], loop: Hapti
         table.add_section()
     console.print(table)
     if len(ports) > _MOST_ROWS:
-        console.print(f"{len(ports) - _MOST_ROWS} more ports are not shown; --json has all", markup=False)
+        console.print(f"not shown: {counted(len(ports) - _MOST_ROWS, 'more port')}; --json has all", markup=False)
 
 
 def budget_object(found: DelayBudget) -> dict[str, Any]:
@@ -378,7 +379,10 @@ def print_steps(console: Console, found: DelayBudget) -> None:
             soft_wrap=True,
         )
     if len(rows) > _MOST_ROWS:
-        console.print(f"{len(rows) - _MOST_ROWS} more axes with encoders; --json has all", markup=False)
+        console.print(
+            f"not shown: {counted(len(rows) - _MOST_ROWS, 'more axis', 'more axes')} with encoders; --json has all",
+            markup=False,
+        )
 
 
 @dataclass(frozen=True, eq=False)

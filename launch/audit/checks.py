@@ -20,6 +20,7 @@ from manyhands.launch.audit.findings import Check, CheckVerdict, UncheckedTicks,
 from manyhands.launch.recordings.run import RecordedRun, rows_of, there
 from manyhands.nodes.kernel.allowance import LatenessAllowance
 from manyhands.nodes.kernel.bundle import NOTHING, SIMULATED, WALL, DeviceBundle
+from manyhands.nodes.kernel.words import counted
 from manyhands.nodes.rows import figures as names
 from manyhands.protocol.channels import INSTANT_NAMES
 
@@ -227,7 +228,7 @@ def delay_assumed(
     ticks, numbers = int(late.sum()), int(np.isfinite(trace).sum())
     remark = f"longest {float(np.nanmax(trace, initial=0.0)):.6g} us of {max(tau.values()) * 1e6:g}"
     if ticks:
-        remark = f"later in {ticks} of {numbers} ticks; {remark}"
+        remark = f"later in {ticks} of {counted(numbers, 'tick')}; {remark}"
     what = "the force acts no later after its sample than the certificate assumes"
     missed = CheckVerdict.ENFORCED if enforced else CheckVerdict.ASSUMPTION
     return within("tau", node, what, ("τ",), trace, covered, late, otherwise=missed, remark=remark)
@@ -249,7 +250,7 @@ def period_assumed(run: RecordedRun, node: str, period_tolerance: float, enforce
     if not counts:
         return Check("period", node, what, CheckVerdict.UNCHECKED)
     breaches = max(counts)
-    remark = f"not in {breaches:.0f} ticks" if breaches else ""
+    remark = f"not in {counted(breaches, 'tick')}" if breaches else ""
     missed = CheckVerdict.ENFORCED if enforced else CheckVerdict.ASSUMPTION
     verdict = missed if breaches else CheckVerdict.HOLDS
     return Check("period", node, what, verdict, len(counts), differing=int(breaches), remark=remark)

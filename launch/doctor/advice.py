@@ -18,6 +18,7 @@ from manyhands.launch.doctor.probe import Measured, Ticking
 from manyhands.launch.doctor.profile import NOTHING, Stated
 from manyhands.launch.doctor.wakeup import Spread
 from manyhands.nodes.kernel.realtime import FIFO_PRIORITY
+from manyhands.nodes.kernel.words import counted
 
 QUANTILES = ("p50", "p999")
 """The percentiles of the delay for which a stiffness is computed."""
@@ -132,7 +133,8 @@ def advice(machine: Machine, measured: Measured, worth: Worth, chains: int) -> t
     if usable < chains + 1:
         found.append(
             Advice(
-                f"give it more processors: {usable} usable, {chains} users and an environment need {chains + 1}",
+                f"give it more processors: {usable} usable, {counted(chains, 'user')} and an environment "
+                f"need {chains + 1}",
                 f"a separate processor for each chain; {tail}",
             )
         )

@@ -24,6 +24,7 @@ from manyhands.launch.doctor.profile import Profile, Stated, allowance, kept_pro
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.session import Session
 from manyhands.launch.session.design import AUTO
+from manyhands.nodes.kernel.words import counted
 
 
 class Where(Enum):
@@ -102,10 +103,8 @@ def _described(colocate: bool, apart: int, together: int, processors: int, measu
         what, own, word, other = "in their devices' processes", together, "false", apart
     else:
         what, own, word, other = "in processes of their own", apart, "true", together
-    number = f"{processors} processor{'' if processors == 1 else 's'}"
-    return Colocation(
-        colocate, f"couplings run {what}: {own} processes on {number} (colocate: {word} has {other}){measured}"
-    )
+    run, here = counted(own, "process", "processes"), counted(processors, "processor")
+    return Colocation(colocate, f"couplings run {what}: {run} on {here} (colocate: {word} has {other}){measured}")
 
 
 def settle_colocation(

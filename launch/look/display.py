@@ -19,6 +19,7 @@ from rich.text import Text
 
 from manyhands.design.errors import Infeasible, TriedChange
 from manyhands.nodes.environment.chatter import MOST as MOST_REVERSALS
+from manyhands.nodes.kernel.words import counted
 from manyhands.nodes.monitor.given import GivenForce, shares_cell
 from manyhands.nodes.monitor.health import PromiseState, condensed, is_present, missed, sentence
 from manyhands.nodes.rows import figures as names
@@ -128,7 +129,7 @@ def chatter_line(figures: Figures) -> str:
 
 def held_line(figures: Figures) -> str:
     """One line with the couplings whose proxies the proxy test held; empty without any."""
-    held = [f"{name} in {n:.0f} ticks" for name, n in figures.table(names.HELD).items() if n > 0.0]
+    held = [f"{name} in {counted(n, 'tick')}" for name, n in figures.table(names.HELD).items() if n > 0.0]
     return f"proxies held: {', '.join(held)}" if held else ""
 
 
@@ -136,10 +137,10 @@ def scene_line(figures: Mapping[str, float]) -> str:
     """One line with the ticks of a scene that were not solved or held its driven bodies; empty without any."""
     parts = []
     if (unfinished := figures.get(names.UNFINISHED, 0.0)) > 0.0:
-        parts.append(f"contacts not solved to the end in {unfinished:.0f} ticks")
+        parts.append(f"contacts not solved to the end in {counted(unfinished, 'tick')}")
     if (paused := figures.get(names.PAUSED, 0.0)) > 0.0:
         parts.append(
-            f"driven bodies paused in {paused:.0f} ticks, {figures.get(names.DRIVE_TANK, 0.0):.3g} J in the tank"
+            f"driven bodies paused in {counted(paused, 'tick')}, {figures.get(names.DRIVE_TANK, 0.0):.3g} J in the tank"
         )
     return "; ".join(parts)
 

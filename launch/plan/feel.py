@@ -19,6 +19,7 @@ from manyhands.design.models.axis import Units
 from manyhands.design.models.statespace import symmetric_part
 from manyhands.launch.session import Session
 from manyhands.nodes.kernel.bundle import SIMULATED
+from manyhands.nodes.kernel.words import counted
 
 FAR_SOFTER: Final = 0.1
 """A coupling of less than this part of its contact's stiffness is far softer: less than an eleventh of it is felt."""
@@ -90,7 +91,7 @@ def feel_lines(session: Session, certificates: Iterable[Certificate]) -> list[st
     found = softened(session, certificates)
     if not found:
         return []
-    others = f" (and {len(found) - 1} more ports)" if len(found) > 1 else ""
+    others = f" (and {counted(len(found) - 1, 'more port')})" if len(found) > 1 else ""
     return [f"{session.name}: {found[0].sentence}{others}"]
 
 

@@ -27,6 +27,7 @@ from manyhands.launch.run.states import (
     Terminate,
     ending,
 )
+from manyhands.nodes.kernel.words import counted
 from manyhands.nodes.monitor.health import FREE_STATE
 from manyhands.protocol.codec import ForeignHello, Malformed, Received
 from manyhands.protocol.handshake import check_node_hello
@@ -387,10 +388,12 @@ class Conductor:
         early = self.phase is SessionPhase.RUNNING and not 0 < self.ticks <= report.ticks
         if early and self._does_without(sender):
             self.left[sender] = report
-            return out + self._withstood(self._recovery.lose(sender, f"left after {report.ticks} ticks", now))
+            return out + self._withstood(
+                self._recovery.lose(sender, f"left after {counted(report.ticks, 'tick')}", now)
+            )
         self.reports[sender] = report
         if early:  # the other nodes would wait for its signals for ever
-            out += self._fail(f"{sender} left after {report.ticks} ticks, before the session was over")
+            out += self._fail(f"{sender} left after {counted(report.ticks, 'tick')}, before the session was over")
         elif self.phase is SessionPhase.RUNNING and self.graph.nodes[sender] is Role.ENVIRONMENT:
             out += self._recovery.close(now)
         self._gone_if_remote(sender)

@@ -20,6 +20,7 @@ from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.run.states import Incidents, SessionPhase
 from manyhands.launch.session import Session
 from manyhands.launch.session.session import ENVIRONMENT
+from manyhands.nodes.kernel.words import counted
 from manyhands.nodes.monitor.given import GivenForce, percent
 from manyhands.nodes.monitor.health import MOST_ROWS, PromiseState, condensed, missed, verdict
 from manyhands.nodes.rows import figures as names
@@ -169,7 +170,7 @@ def enforcement_sentence(figures: Mapping[str, float]) -> str:
     if not ticks:
         return ""
     kept = joules(figures[names.ENFORCED_ENERGY])
-    return f"the controller kept back {kept} of the environment's energy in {ticks:.0f} ticks"
+    return f"the controller kept back {kept} of the environment's energy in {counted(ticks, 'tick')}"
 
 
 def lateness_entry(prepared: Prepared, clock: str) -> dict[str, Any] | None:
@@ -246,7 +247,7 @@ def lateness_sentence(report: Mapping[str, Any]) -> str | None:
     proved = f"lateness: proved up to τ = {1e3 * promise['tau']:.4g} ms"
     if promise["enforced"]:
         changed, kept = (sum(entry[key] for entry in entries.values()) for key in ("changed_ticks", "kept_back"))
-        beyond = f"enforced beyond: {changed} {'tick' if changed == 1 else 'ticks'} changed, {joules(kept)} kept back"
+        beyond = f"enforced beyond: {counted(changed, 'tick')} changed, {joules(kept)} kept back"
     else:
         beyond = "only counted beyond"
     return f"{proved}, {beyond}; {lowest}, bound {joules(0.0 - promise['tank'])}{falling(promise)}{given}"

@@ -104,6 +104,7 @@ from manyhands.nodes.kernel.driver_statement import DeviceTiming, DriverWord
 from manyhands.nodes.kernel.factory import DRIVERS
 from manyhands.nodes.kernel.inertia import Inertia
 from manyhands.nodes.kernel.intent import ALLOWED, Formula, FormulaError
+from manyhands.nodes.kernel.words import counted
 from manyhands.protocol.limits import MAX_BY_ITSELF, MAX_SENTENCE
 
 DEFAULT_HAND: Final[Mapping[str, object]] = {
@@ -774,7 +775,9 @@ class Device(SessionModel):
         """The problems of kinematics beside the rest of the device."""
         axes = linkage_of(kinematics).axes
         if axes != self.dof:
-            yield Problem(("linkage",), f"a tip of {axes} axes", f"as many as the device has, {self.dof}")
+            yield Problem(
+                ("linkage",), f"a tip of {counted(axes, 'axis', 'axes')}", f"as many as the device has, {self.dof}"
+            )
         if (self.scale or 1.0) != 1.0:
             expected = "kappa alone, in the session's metres, or no scale"
             yield Problem(("linkage",), f"kinematics with a scale of {self.scale:g}", expected)
@@ -802,5 +805,7 @@ class Device(SessionModel):
         if self.axis_map is not None:
             axes = [axis.removeprefix("-") for axis in self.axis_map]
             if len(axes) != self.dof or len(set(axes)) != len(axes):
-                expected = f"{self.dof} axes of the driver, each once, one for each degree of freedom"
+                expected = (
+                    f"{counted(self.dof, 'axis', 'axes')} of the driver, each once, one for each degree of freedom"
+                )
                 yield Problem(("axis_map",), show(self.axis_map), expected)

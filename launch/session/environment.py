@@ -83,6 +83,7 @@ from manyhands.launch.session.matrices import (
 from manyhands.launch.session.scene import FRICTION, TOUCH, SceneEnvironment, SceneTool, tool_problems, tool_spheres
 from manyhands.nodes.environment.mesh import Lookup
 from manyhands.nodes.kernel.factory import ENGINES, MESH, MODELS, is_shipped
+from manyhands.nodes.kernel.words import counted
 
 _LEVEL: Final = Quantity("a level", "N·s/m")
 _STIFFNESS: Final = Quantity("a stiffness", "N/m", magnitude=MAX_STIFFNESS)
@@ -252,7 +253,7 @@ class EngineEnvironment(ModelEnvironment):
         for device, names in self.tools.items():
             own = devices.get(device, [])
             if len(own) != len(names):
-                expected = f"{len(own)} names, one for each of its axes" if own else "the name of a device"
+                expected = f"{counted(len(own), 'name')}, one for each of its axes" if own else "the name of a device"
                 yield Problem(("tools", device), show(names) if own else show(device), expected)
         missing = [port for device, own in devices.items() if device not in self.tools for port in own]
         if missing:
@@ -351,7 +352,7 @@ def _size_problems(key: str, value: OneOrMany, ports: tuple[str, ...]) -> Iterat
     m = len(ports)
     rows = value if isinstance(value, tuple) else (value,) * m
     if len(rows) != m or any(isinstance(row, tuple) and len(row) != m for row in rows):
-        expected = f"a number, {m} numbers, or {m} rows of {m}, for the ports {listed(ports)}"
+        expected = f"a number, {counted(m, 'number')}, or {counted(m, 'row')} of {m}, for the ports {listed(ports)}"
         yield Problem((key,), show(value), expected)
     elif isinstance(rows[0], tuple):
         matrix: Any = rows
@@ -502,7 +503,8 @@ class NetworkEnvironment(EnvironmentKind):
                     dangling = True
                     place = ("links", index, "between", position)
                     axes = [port for port in ports if port.startswith(f"{end}.")]
-                    each = f"{', '.join(axes)}: the device {end} has {len(axes)} axes, and a link for each"
+                    own = counted(len(axes), "axis", "axes")
+                    each = f"{', '.join(axes)}: the device {end} has {own}, and a link for each"
                     yield Problem(place, f"the unknown end {show(end)}", each if axes else one_of(valid, end))
         for port in ports:
             if port not in attached and not dangling:
@@ -651,11 +653,17 @@ class TransferFunctionEnvironment(EnvironmentKind):
         """The problems of the entries' number in a session with these ports."""
         m = len(ports)
         if len(self.entries) != m:
-            yield Problem(("entries",), show(self.entries), f"{m} rows of {m} entries, one for each port")
+            yield Problem(
+                ("entries",),
+                show(self.entries),
+                f"{counted(m, 'row')} of {counted(m, 'entry', 'entries')}, one for each port",
+            )
             return
         for i, row in enumerate(self.entries):
             if len(row) != m:
-                yield Problem(("entries", i), f"a row of {len(row)}", f"{m} entries, one for each port")
+                yield Problem(
+                    ("entries", i), f"a row of {len(row)}", f"{counted(m, 'entry', 'entries')}, one for each port"
+                )
 
     def for_design(self, ports: tuple[str, ...]) -> designed.TransferEnvironment:
         """The rational functions."""

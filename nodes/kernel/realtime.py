@@ -33,6 +33,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol
 
+from manyhands.nodes.kernel.words import counted
 from manyhands.protocol.clock import Duration, from_seconds
 from manyhands.protocol.transport.zeromq import NETWORK_THREAD
 
@@ -294,7 +295,9 @@ def prepare(wishes: RealtimeWishes, system: System | None = None) -> Granted:
     """
     asked = Linux() if system is None else system
     processors = asked.processors()
-    pinned = Grant(len(processors) == 1, f"may use the processors {', '.join(map(str, sorted(processors)))}")
+    alone = len(processors) == 1
+    which = f"the {'processor' if alone else 'processors'} {', '.join(map(str, sorted(processors)))}"
+    pinned = Grant(alone, f"may use {which}")
     fifo, before = _raise(wishes, asked, pinned.granted)
     return Granted(_lock(wishes, asked), fifo, _slack(asked), pinned, before)
 
@@ -425,7 +428,7 @@ def _raise(wishes: RealtimeWishes, system: System, pinned: bool) -> tuple[Grant,
         ), None
     wild = f"ended after {wishes.runaway / 1e9:g} s without a wait"
     network = _favour_network(system, NETWORK_NICE)
-    return Grant(True, f"SCHED_FIFO {priority} for {threads} threads, {wild}{network}"), before
+    return Grant(True, f"SCHED_FIFO {priority} for {counted(threads, 'thread')}, {wild}{network}"), before
 
 
 def _favour_network(system: System, nice: int) -> str:

@@ -12,6 +12,7 @@ from dataclasses import astuple, dataclass
 from operator import sub
 from typing import Any, Final
 
+from manyhands.nodes.kernel.words import counted
 from manyhands.nodes.rows import figures as names
 
 ENOUGH: Final = 0.9
@@ -120,7 +121,7 @@ class GivenForce:
             device: its name.
             frozen: how often each of its couplings was frozen for staying silent in that time.
         """
-        times = {name: f"{n:.0f} {'time' if n == 1.0 else 'times'}" for name, n in frozen.items() if n > 0.0}
+        times = {name: counted(n, "time") for name, n in frozen.items() if n > 0.0}
         often = ", ".join(f"{name} was frozen {count}" for name, count in times.items())
         remedy, most = f". {MEASURE}", max(self.away, self.held_back, self.cut)
         if most == 0.0:

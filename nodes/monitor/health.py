@@ -17,6 +17,7 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import Final
 
+from manyhands.nodes.kernel.words import counted
 from manyhands.nodes.monitor.given import ENOUGH, MEASURE
 from manyhands.nodes.rows.promises import Promise
 from manyhands.protocol.limits import MAX_SENTENCES
@@ -81,7 +82,7 @@ MOVED: Final = "another party moved it"
 
 UNKNOWN_MOVER: Final = "the environment has not reported who moved"
 
-_FASTER: Final = f"{MEASURE[0].upper()}{MEASURE[1:]}."
+_FASTER: Final = f"{MEASURE}."  # a command has no capital at the head of a sentence either
 PROMISES: Final[Mapping[Promise, PromiseText]] = MappingProxyType({
     Promise.CERTIFICATE: PromiseText(
         "the certificate is proved, and it is this session's", True, "Certify the session again: manyhands design."
@@ -298,7 +299,7 @@ def _cost_of(row: PromiseStatus) -> str:
 
 def _priced(unit: str, value: float) -> str:
     if unit in ("ticks", "times"):
-        return f"{value:.0f} {unit.removesuffix('s') if value == 1.0 else unit}"
+        return counted(value, unit.removesuffix("s"))
     if unit == "J":
         return f"{value:.3g} J" if value >= 1.0 else f"{1e3 * value:.3g} mJ"
     if unit == "x":

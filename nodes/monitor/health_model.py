@@ -24,6 +24,7 @@ from typing import Final
 
 from manyhands.design.models.axis import TRANSLATING, Units
 from manyhands.nodes.kernel.driver_statement import DriverWord, outside
+from manyhands.nodes.kernel.words import counted
 from manyhands.nodes.monitor.causes import BEFORE, Causes
 from manyhands.nodes.monitor.given import MEASURE, WINDOW, GivenForce
 from manyhands.nodes.monitor.health import (
@@ -567,7 +568,7 @@ class HealthModel:
         unit = self._terms.units.get(node, TRANSLATING)("N")
         most = max(entry.cost.get((node, unit), 0.0), most)
         entry.cost |= {(node, "ticks"): ticks, (node, unit): most if math.isfinite(most) else 0.0}
-        entry.remark = f"{node}: {what}, in {ticks:.0f} ticks and by up to {most:.3g} {unit}"
+        entry.remark = f"{node}: {what}, in {counted(ticks, 'tick')} and by up to {most:.3g} {unit}"
 
     def _senseless(self, promise: Promise, node: str, at: float, what: str) -> None:
         """An account that is no finite number shows nothing, so nobody may say that its promise is kept."""

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
+from manyhands.nodes.kernel.words import counted
 from manyhands.nodes.rows import figures as names
 from manyhands.protocol.messages import Figures
 
@@ -37,8 +38,9 @@ class CouplingLateness:
     def sentence(self, name: str) -> str:
         """The figures as a sentence; ``name`` is that of the coupling."""
         return (
-            f"the others waited for {name} in {self.ticks} ticks, {self.time / 1e6:.3g} s in all, and then no more; "
-            f"its tool rested for {self.held} ticks, and it was frozen {self.frozen} times"
+            f"the others waited for {name} in {counted(self.ticks, 'tick')}, {self.time / 1e6:.3g} s in all, and then "
+            f"no more; its tool rested for {counted(self.held, 'tick')}, and it was frozen "
+            f"{counted(self.frozen, 'time')}"
         )
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from manyhands.design.models.axis import TRANSLATING, AxisKind, Units
+from manyhands.nodes.kernel.words import counted
 from manyhands.nodes.rows import figures as names
 from manyhands.protocol.messages import Figures
 from manyhands.protocol.plain import Added, written
@@ -54,9 +55,9 @@ class FeltLink:
             f"{unit('N/m')} in series with the coupling, and as {kilograms(self.mass, unit)}; {tanks} mJ in its tanks"
         )
         if self.limited:
-            text += f"; waves limited by a tank in {self.limited} {'tick' if self.limited == 1 else 'ticks'}"
+            text += f"; waves limited by a tank in {counted(self.limited, 'tick')}"
         if self.silences:
-            text += f"; silent {self.silences} {'time' if self.silences == 1 else 'times'}"
+            text += f"; silent {counted(self.silences, 'time')}"
         return text + ("; an end hears nothing now, and holds the tool" if self.holding and not over else "")
 
     def as_plain(self) -> dict[str, Any]:

@@ -39,6 +39,7 @@ from manyhands.launch.recordings.run import export as write
 from manyhands.launch.run.outcome import joules
 from manyhands.launch.run.processes import Interrupt
 from manyhands.nodes.kernel.driver_statement import outside
+from manyhands.nodes.kernel.words import counted
 from manyhands.protocol.channels import TOPICS
 from manyhands.protocol.clock import RealtimeClock
 
@@ -108,7 +109,7 @@ def _print_end(done: AttachedRecording) -> None:
         lost = ", ".join(f"{device} {ticks}" for device, ticks in done.missing.items())
         say(err, f"warning: ticks missing from the recording: {lost}")
     if done.refused:
-        say(err, f"warning: {done.refused} frames could not be decoded")
+        say(err, f"warning: {counted(done.refused, 'frame')} could not be decoded")
     ticks = "no ticks" if done.first is None else f"ticks {done.first} to {done.ticks - 1}"
     say(err, f"{done.ending}; {ticks} written to {done.file}")
 
@@ -143,8 +144,8 @@ def _print(found: Info, damages: list[Damage]) -> None:
     begin = f", from tick {found.first}" if found.first else ""
     say(
         out,
-        f"{found.ticks - (found.first or 0)} ticks of {recorded.period:g} s{begin}: {found.duration:g} s; "
-        f"{recorded.clock} clock; {found.size} bytes",
+        f"{counted(found.ticks - (found.first or 0), 'tick')} of {recorded.period:g} s{begin}: {found.duration:g} s; "
+        f"{recorded.clock} clock; {counted(found.size, 'byte')}",
     )
     for period in sorted(set(recorded.periods.values())):
         own = ", ".join(name for name, one in recorded.periods.items() if one == period)
@@ -157,11 +158,11 @@ def _print(found: Info, damages: list[Damage]) -> None:
         table.add_row(Text(printable(channel.topic)), str(channel.messages), rate)
     out.print(table)
     for name, size in found.attachments.items():
-        say(out, f"attachment {name}: {size} bytes")
+        say(out, f"attachment {name}: {counted(size, 'byte')}")
     for device, ticks in found.missing.items():
         gaps = found.gaps[device]
         listed = ", ".join(f"{gap.begin}..{gap.end - 1}" for gap in gaps[:_GAPS_SHOWN])
-        say(out, f"missing of {device}: {ticks} ticks: {listed}{', …' if len(gaps) > _GAPS_SHOWN else ''}")
+        say(out, f"missing of {device}: {counted(ticks, 'tick')}: {listed}{', …' if len(gaps) > _GAPS_SHOWN else ''}")
     for device, least in found.accounts.items():
         say(out, f"least interface account of {device}: {joules(least)}")
     for device, by_itself in found.by_itself.items():
@@ -238,7 +239,7 @@ def export(
         if missing is not None:
             there = "the bag has no message" if format_ == ROSBAG else "the table has NaN"
             say(err, f"warning: {file}: {missing}; {there} there")
-        what = f"{messages} messages" if format_ == ROSBAG else f"{run.ticks} ticks"
+        what = counted(messages, "message") if format_ == ROSBAG else counted(run.ticks, "tick")
         say(err, f"{what} written to {target}")
 
 

@@ -64,7 +64,7 @@ CURVED = {"least": 0.1, "most": 0.2, "pitch": 0.01}
         ({"sample_age": -1}, "devices.d.sample_age", "-1", "a time in s from 0 to 0.1"),
         ({"age_jitter": 1e-4}, "devices.d.age_jitter", "0.0001", "at most the sample_age"),
         ({"sample_age": 2e-3}, "devices.d", "0.002 s of sample_age", "at most the period of 0.001 s"),
-        ({"axis_map": ["x", "y"]}, "devices.d.axis_map", "a list of 2", "1 axes of the driver"),
+        ({"axis_map": ["x", "y"]}, "devices.d.axis_map", "a list of 2", "1 axis of the driver"),
         ({"axis_map": ["+x"]}, "devices.d.axis_map.0", "'+x'", "after a minus"),
         ({"scale": 0}, "devices.d.scale", "0", "a scale greater than 0"),
     ],

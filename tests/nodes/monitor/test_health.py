@@ -46,6 +46,7 @@ def test_people_read_one_row_where_many_parties_are_alike() -> None:
     [
         ({}, ""),
         ({"ticks": 1.0, "J": 8e-4}, "1 tick, 0.8 mJ"),
+        ({"ticks": 4 / 3}, "1 tick"),  # a third of a tick may be another party's
         ({"J": 2.5, "s": 0.117, "times": 2.0}, "2.5 J, 0.117 s, 2 times"),
         ({"x": 0.25, "N": 3.0, "ticks": math.nan}, "0.25 of real time, 3 N"),
     ],
@@ -73,7 +74,7 @@ def row(promise: str, state: str, who: str, **cost: float) -> PromiseStatus:
 
 
 FASTER = (
-    "Manyhands doctor measures what helps on this machine: other periods, and couplings in their devices' processes."
+    "manyhands doctor measures what helps on this machine: other periods, and couplings in their devices' processes."
 )
 
 
