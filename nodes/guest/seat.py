@@ -24,7 +24,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import Final
+from typing import Final, TextIO
 
 import numpy as np
 
@@ -34,11 +34,20 @@ from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.node import DeviceNode
 from manyhands.nodes.guest.invitation import Invitation, InvitationError, read_invitation
 from manyhands.nodes.guest.seat_part import SeatPart, decoded_part
-from manyhands.nodes.kernel.bundle import BundleError, Common, CouplingBundle, DeviceBundle, elsewhere, foreign_code
+from manyhands.nodes.kernel.bundle import (
+    BundleError,
+    Common,
+    CouplingBundle,
+    DeviceBundle,
+    WaveEnd,
+    elsewhere,
+    foreign_code,
+)
 from manyhands.nodes.kernel.factory import FactoryError, require_allowed
 from manyhands.nodes.kernel.lifetime import Life, Sight, Stopped
 from manyhands.nodes.link.process import EXIT_BAD_INPUT, EXIT_OK, EXIT_REFUSED, Node, run_together
 from manyhands.nodes.link.supervisor_line import PATIENCE, REPEAT_WAITS, ControlLine, Refused, require_hub
+from manyhands.nodes.wave_link.ends import UserEnd
 from manyhands.nodes.wave_link.felt import kilograms, stiffness_and_mass
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds, seconds
 from manyhands.protocol.codec import decode, encode
@@ -65,6 +74,13 @@ COVERED: Final = 0.99
 
 TIME_TO_ANSWER: Final = 45.0
 """How long the question waits for its answer, s: the session keeps the seat for a minute."""
+
+SETTLED: Final = 3.0
+"""The time after joining at which both ends have measured how late waves come, s: for a third of a second, and for two
+windows of a second (nodes/wave_link/ends.py)."""
+
+DIFFERS: Final = 0.1
+"""The part by which a round trip must differ from the one foretold to be told anew."""
 
 _GLANCE: Final = 0.1  # s, between two looks at the life while waiting for the user
 _LONG_WAITS: Final = 50  # waits for a part before the user is told that nothing comes: ten seconds
@@ -96,14 +112,31 @@ class FeltDistance:
         """R, s."""
         return self.network + self.play_out
 
+    def differs(self, other: FeltDistance) -> bool:
+        """Whether the round trip is another than the one of ``other``, by more than :data:`DIFFERS` of that."""
+        return abs(self.round_trip - other.round_trip) > DIFFERS * other.round_trip
+
+    def correction(self, foretold: FeltDistance) -> str:
+        """What is felt in place of what was ``foretold``, as a sentence."""
+        return (
+            f"waves come in time with a round trip R of about {_ms(self.round_trip)}, and not "
+            f"{_ms(foretold.round_trip)}: a wall feels no stiffer than about K = {self.stiffness:.4g} N/m, and "
+            f"free space weighs about M = {kilograms(self.mass)} more, where the host's end waits as long as this one"
+        )
+
     def sentence(self) -> str:
         """What will be felt, in two lines."""
         return (
-            f"round trip R of about {1e3 * self.round_trip:.3g} ms: {1e3 * self.network:.3g} ms of network and "
-            f"{1e3 * self.play_out:.3g} ms of play-out\n"
+            f"round trip R of about {_ms(self.round_trip)}: {_ms(self.network)} of network and {_ms(self.play_out)} of "
+            "play-out\n"
             f"a wall will feel no stiffer than about K = {self.stiffness:.4g} {self.units('N/m')}, and free space "
             f"will weigh about M = {kilograms(self.mass, self.units)} more"
         )
+
+
+def _ms(time: float) -> str:
+    """A time, s, in ms for a sentence: three digits, and no power of ten."""
+    return f"{float(f'{1e3 * time:.3g}'):g} ms"
 
 
 def felt(coupling: CouplingBundle, trips: Sequence[Duration]) -> FeltDistance:
@@ -118,20 +151,45 @@ def felt(coupling: CouplingBundle, trips: Sequence[Duration]) -> FeltDistance:
     """
     if not trips or coupling.wave is None:
         raise ValueError(f"found {len(trips)} round trips; expected one at least, and a wave link")
-    wave, periods = coupling.wave, np.array([coupling.common.period, coupling.wave.peer_period])
-    least = min(trips)
-    turn = 0.5 * (np.array([wave.every, wave.peer_every]) - 1.0) @ periods
+    wave, least = coupling.wave, min(trips)
     if wave.depth is None:
         covered = Duration(int(np.quantile(trips, COVERED, method="higher")))
-        depth = seconds(Duration(covered - least)) + turn
+        depth = seconds(Duration(covered - least)) + _turn(wave, coupling.common.period)
     else:
-        depth = wave.depth * periods.sum()
-    play_out = float(depth + turn + 0.5 * periods.sum())
-    R = seconds(least) + play_out
+        depth = wave.depth * (coupling.common.period + wave.peer_period)
+    return _felt(wave, coupling.common.period, seconds(least), depth, Units.of(coupling.common.kinds))
+
+
+def felt_now(coupling: CouplingBundle, network: float, latency: float) -> FeltDistance:
+    """What is felt once waves come, and both ends' play-outs have measured how late they are.
+
+    No guest knows how long the host's end waits. It measures the same network, so it is taken to wait as long.
+
+    Args:
+        coupling: the seat's, with a wave link.
+        network: the shortest time that a frame took to the session and back, s.
+        latency: what play-out and smoothing of the guest's own end add to the round trip, s.
+
+    Raises:
+        ValueError: the coupling has no wave link.
+    """
+    if coupling.wave is None:
+        raise ValueError("found a coupling without a wave link; expected one with it")
+    units = Units.of(coupling.common.kinds)
+    return _felt(coupling.wave, coupling.common.period, network, 2.0 * latency, units)
+
+
+def _turn(wave: WaveEnd, period: float) -> float:
+    """How long waves wait for their turn, in the mean, at both ends together, s."""
+    return 0.5 * ((wave.every - 1.0) * period + (wave.peer_every - 1.0) * wave.peer_period)
+
+
+def _felt(wave: WaveEnd, period: float, network: float, depth: float, units: Units) -> FeltDistance:
+    """What is felt over a network, where the play-outs of both ends together wait for ``depth``, s."""
+    play_out = depth + _turn(wave, period) + 0.5 * (period + wave.peer_period)
     b = np.linalg.eigvalsh(wave.b)
-    return FeltDistance(
-        seconds(least), play_out, *stiffness_and_mass((float(b[0]), float(b[-1])), R), Units.of(coupling.common.kinds)
-    )
+    K, M = stiffness_and_mass((float(b[0]), float(b[-1])), network + play_out)
+    return FeltDistance(network, play_out, K, M, units)
 
 
 def is_calm(trips: Sequence[Duration]) -> bool:
@@ -146,11 +204,13 @@ class SeatLife(Life):
 
     Attributes:
         joined: called once the handshakes are done, before the first tick.
+        seen: called from time to time in the loop, which it must not hold up.
     """
 
     def __init__(self) -> None:
         """Handle the signals of this process."""
         self.joined: Callable[[], None] = lambda: None
+        self.seen: Callable[[], None] = lambda: None
         super().__init__(None)
 
     def enter_loop(self) -> None:
@@ -174,6 +234,8 @@ class SeatLife(Life):
         """Check that the session is still there."""
         sight = self.watch()
         if sight is Sight.PRESENT:
+            if not self._raises:
+                self.seen()
             return
         self.orphaned = sight is Sight.GONE
         if self._raises:
@@ -342,11 +404,12 @@ class _Visit:
         self._lines: Sequence[ControlLine] = ()
         self._distance: FeltDistance | None = None
         self._since: Instant | None = None  # when the guest was in; None before
+        self._told = False  # whether it was told, since then, how what is felt differs from what was foretold
 
     def stay(self, life: SeatLife) -> int:
         while True:
             life.begin()
-            self._lines, self._since = (), None
+            self._lines, self._since, self._told = (), None, False
             try:
                 code = self._attempt(life)
             finally:
@@ -360,6 +423,9 @@ class _Visit:
                 return code
             stops = [line.stop for line in self._lines if line.stop is not None]
             if not (any(stop.again for stop in stops) or (life.orphaned and not stops)):
+                if code == EXIT_OK:
+                    ended = "the host has ended the session" if stops else "the session is over: its last tick is done"
+                    _say(f"{self._invitation.session}: {ended}")
                 return code
             _say(f"{self._invitation.session}: the session was lost; joining again")
 
@@ -375,6 +441,7 @@ class _Visit:
             _say(f"error: {error}")
             return EXIT_BAD_INPUT
         life.joined = partial(self._joined, coupling.common.period)
+        life.seen = partial(self._correct, coupling, inside)
         nodes: list[tuple[Common, Node, KeyRing | None]] = [(device.common, node, part.ring(device.common)),
                  (coupling.common, inside, part.ring(coupling.common))]  # fmt: skip
         try:
@@ -428,8 +495,28 @@ class _Visit:
     def _joined(self, period: float) -> None:
         """Report that the guest is in: its rate, the delay and how to leave."""
         self._since = RealtimeClock().now()
-        delay = "" if self._distance is None else f", round trip R = {1e3 * self._distance.round_trip:.3g} ms"
+        delay = "" if self._distance is None else f", round trip R of about {_ms(self._distance.round_trip)}"
         _say(f"{self._invitation.seat}: in, at {1.0 / period:.4g} ticks a second{delay}; Ctrl-C leaves")
+
+    def _correct(self, coupling: CouplingBundle, node: CouplingNode) -> None:
+        """Tell once what is felt, if it is something else than was foretold; the loop waits for this."""
+        end = next((join for join in node.joins if isinstance(join, UserEnd)), None)
+        if self._told or self._since is None or self._distance is None or end is None or end.face.holding:
+            return
+        if RealtimeClock().now() - self._since < from_seconds(SETTLED) or not _has_room(sys.stderr):
+            return
+        self._told = True
+        now = felt_now(coupling, self._distance.network, end.face.latency)
+        if now.differs(self._distance):
+            _say(f"{self._invitation.seat}: {now.correction(self._distance)}")
+
+
+def _has_room(stream: TextIO) -> bool:
+    """Whether a line can be written without waiting: a terminal may have been stopped."""
+    try:
+        return bool(select.select([], [stream], [], 0.0)[1])
+    except (OSError, ValueError):  # it is no file, or closed
+        return True
 
 
 def answered_yes(question: str, look: Callable[[], None]) -> bool:

@@ -18,10 +18,13 @@ from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session.shipped import load_named
 from manyhands.nodes.guest import seat
-from manyhands.nodes.guest.seat import SeatLife, answered_yes, felt, force_sentence, is_calm, with_force
+from manyhands.nodes.guest.invitation import Invitation
+from manyhands.nodes.guest.seat import SeatLife, answered_yes, felt, felt_now, force_sentence, is_calm, with_force
 from manyhands.nodes.kernel.bundle import SIMULATED, CouplingBundle, DeviceBundle
 from manyhands.nodes.kernel.lifetime import Sight, Stopped
-from manyhands.protocol.clock import Duration
+from manyhands.nodes.wave_link.felt import stiffness_and_mass
+from manyhands.protocol.clock import Duration, Instant, from_seconds
+from manyhands.protocol.messages import Stop
 
 MS = 1_000_000
 
@@ -81,7 +84,83 @@ def test_what_is_foretold_is_what_the_wave_link_then_shows(link: str) -> None:
     under_way = 2.0 * own.network.delay + rng.uniform(0.0, own.network.jitter, (400, 2)).sum(axis=1)
     trips = [Duration(int(1e9 * one)) for one in under_way]
     bundle = cast(CouplingBundle, cut(prepared, RunPlan(SIMULATED, None, ""))["cx"])
-    assert felt(bundle, trips).round_trip == pytest.approx(shown.round_trip, rel=0.1)
+    foretold = felt(bundle, trips)
+    assert foretold.round_trip == pytest.approx(shown.round_trip, rel=0.1)
+    now = felt_now(bundle, foretold.network, simulation.links["cx"].user.latency)
+    assert now.round_trip == pytest.approx(shown.round_trip, rel=0.1)
+    impedance = session.impedance_of("cx")
+    assert impedance is not None
+    assert (now.stiffness, now.mass) == pytest.approx(stiffness_and_mass(impedance, now.round_trip))
+
+
+def test_what_was_foretold_is_corrected_where_it_differs() -> None:
+    burst = [Duration(1 * MS)] * 90 + [Duration(1101 * MS)] * 10
+    foretold = felt(coupling([10.0]), burst)
+    now = felt_now(coupling([10.0]), foretold.network, 0.0015)
+    assert now.round_trip == pytest.approx(0.001 + 0.003 + 0.001)
+    assert now.correction(foretold) == (
+        "waves come in time with a round trip R of about 5 ms, and not 1100 ms: a wall feels no stiffer than about K = "
+        "4000 N/m, and free space weighs about M = 25 g more, where the host's end waits as long as this one"
+    )
+    assert now.differs(foretold)
+    assert not felt_now(coupling([10.0]), 0.00141, 0.0015).differs(now)
+    assert felt_now(coupling([10.0]), 0.00159, 0.0015).differs(now)
+
+
+@pytest.fixture
+def visit() -> Any:
+    invitation = cast(Invitation, SimpleNamespace(session="ball", seat="right_seat", device="right", address="h:7400"))
+    return seat._Visit(invitation, "h", True, None, None, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("after", "latency", "holding", "told"),
+    [(2.9, 0.0015, False, False), (3.1, 0.0015, False, True), (3.1, 0.0015, True, False), (3.1, 0.0195, False, False)],
+)
+def test_a_guest_is_told_once_how_what_it_feels_differs(
+    after: float, latency: float, holding: bool, told: bool, visit: Any, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    end = SimpleNamespace(face=SimpleNamespace(latency=latency, holding=holding))
+    clock, at = SimpleNamespace(now=lambda: Instant(from_seconds(at))), 0.0
+    monkeypatch.setattr(seat, "UserEnd", SimpleNamespace)
+    monkeypatch.setattr(seat, "RealtimeClock", lambda: clock)
+    visit._distance = felt(coupling([10.0]), [Duration(1 * MS)] * 90 + [Duration(40 * MS)] * 10)
+    visit._correct(coupling([10.0]), SimpleNamespace(joins=[end]))  # before it has joined
+    visit._joined(1e-3)
+    assert capsys.readouterr().err == (
+        "right_seat: in, at 1000 ticks a second, round trip R of about 41 ms; Ctrl-C leaves\n"
+    )
+    at = after
+    for _ in range(3):
+        visit._correct(coupling([10.0]), SimpleNamespace(joins=[end]))
+    said = capsys.readouterr().err
+    assert said.count("R of about 5 ms, and not 41 ms") == told
+    assert said.count("\n") == told
+
+
+@pytest.mark.parametrize(
+    ("stop", "code", "says"),
+    [
+        (Stop("the session ends"), 0, "ball: the host has ended the session\n"),
+        (None, 0, "ball: the session is over: its last tick is done\n"),
+        (None, 1, ""),
+    ],
+)
+def test_a_guest_is_told_that_the_host_has_ended_the_session(
+    stop: Stop | None, code: int, says: str, visit: Any, life: SeatLife, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    def attempt(_: SeatLife) -> int:
+        visit._lines = [SimpleNamespace(stop=stop)]
+        visit._joined(1e-3)
+        return code
+
+    monkeypatch.setattr(visit, "_attempt", attempt)
+    assert visit.stay(life) == code
+    assert capsys.readouterr().err.endswith(f"right_seat: out, after 0.0 s\n{says}")
+    life.signal = signal.SIGINT  # its user has ended it, and knows that
+    monkeypatch.setattr(life, "begin", lambda: None)
+    visit.stay(life)
+    assert capsys.readouterr().err.endswith("right_seat: out, after 0.0 s\n")
 
 
 @pytest.mark.parametrize(
@@ -150,9 +229,14 @@ def test_before_the_loop_ctrl_c_ends_it_at_once(life: SeatLife) -> None:
 
 @pytest.mark.parametrize("sight", [Sight.GONE, Sight.ENDING])
 def test_in_the_loop_it_lets_go_first(life: SeatLife, sight: Any) -> None:
+    seen: list[int] = []
+    life.seen = lambda: seen.append(1)
+    life.check()
+    assert not seen, "nothing is felt before the loop"
     life.enter_loop()
     try:
         life.check()
+        assert seen
         assert not life.leaving
         life.watch = lambda: sight
         life.check()
