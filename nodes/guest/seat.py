@@ -117,11 +117,11 @@ class FeltDistance:
         return abs(self.round_trip - other.round_trip) > DIFFERS * other.round_trip
 
     def correction(self, foretold: FeltDistance) -> str:
-        """What is felt in place of what was ``foretold``, as a sentence."""
+        """What is felt in place of what was ``foretold``, as a sentence; it rests on what no guest can measure."""
         return (
-            f"waves come in time with a round trip R of about {_ms(self.round_trip)}, and not "
-            f"{_ms(foretold.round_trip)}: a wall feels no stiffer than about K = {self.stiffness:.4g} N/m, and "
-            f"free space weighs about M = {kilograms(self.mass)} more, where the host's end waits as long as this one"
+            f"waves come: if the host's end waits for late ones as long as this one, the round trip R is about "
+            f"{_ms(self.round_trip)}, and not {_ms(foretold.round_trip)}; then a wall feels no stiffer than about K = "
+            f"{self.stiffness:.4g} N/m, and free space weighs about M = {kilograms(self.mass)} more"
         )
 
     def sentence(self) -> str:

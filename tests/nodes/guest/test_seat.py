@@ -99,8 +99,8 @@ def test_what_was_foretold_is_corrected_where_it_differs() -> None:
     now = felt_now(coupling([10.0]), foretold.network, 0.0015)
     assert now.round_trip == pytest.approx(0.001 + 0.003 + 0.001)
     assert now.correction(foretold) == (
-        "waves come in time with a round trip R of about 5 ms, and not 1100 ms: a wall feels no stiffer than about K = "
-        "4000 N/m, and free space weighs about M = 25 g more, where the host's end waits as long as this one"
+        "waves come: if the host's end waits for late ones as long as this one, the round trip R is about 5 ms, and "
+        "not 1100 ms; then a wall feels no stiffer than about K = 4000 N/m, and free space weighs about M = 25 g more"
     )
     assert now.differs(foretold)
     assert not felt_now(coupling([10.0]), 0.00141, 0.0015).differs(now)
@@ -134,7 +134,7 @@ def test_a_guest_is_told_once_how_what_it_feels_differs(
     for _ in range(3):
         visit._correct(coupling([10.0]), SimpleNamespace(joins=[end]))
     said = capsys.readouterr().err
-    assert said.count("R of about 5 ms, and not 41 ms") == told
+    assert said.count("R is about 5 ms, and not 41 ms") == told
     assert said.count("\n") == told
 
 
