@@ -27,9 +27,9 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
 from manyhands.devices.serial_port import PortError, SerialPort
-from manyhands.devices.starting import checked, is_number, trips, up
+from manyhands.devices.starting import checked, is_number, measured_times, trips
 from manyhands.nodes.device.plugin import DeviceDriver
-from manyhands.nodes.device.specification import DeviceSpecification, DeviceTiming
+from manyhands.nodes.device.specification import AGE_JITTER, DeviceSpecification, DeviceTiming, up
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds, seconds
 
 TURN: Final = 2.0 * math.pi
@@ -271,12 +271,14 @@ class MotorAxis(DeviceDriver):
     def specification(self) -> DeviceSpecification:
         """What the session gives and the controller allows, and the timing that was measured."""
         torque, reach, speed = self._limits
-        counts, inertia = self._given["counts"], self._given["inertia"]
+        given = self._given
+        counts, inertia = given["counts"], given["inertia"]
         return DeviceSpecification(
             force=(torque,),
             displacement=(reach,),
             speed=(speed,),
             timing=self._timing,
+            measured=(*measured_times(given), AGE_JITTER),  # the jitter always
             axes=("rz",),
             turning=("rz",),
             mass=None if inertia is None else (inertia,),

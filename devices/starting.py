@@ -6,13 +6,11 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, TypeGuard
 
+from manyhands.nodes.device.specification import ACTUATION_DELAY, AGE_JITTER, SAMPLE_AGE
 from manyhands.protocol.clock import Duration, seconds
 
 TRIPS: Final = 200
 """Exchanges of which the longest counts."""
-
-ROUND: Final = 5e-5
-"""s; the timing that is stated is rounded up to multiples of it, so that it is the same at the next start."""
 
 
 def merged(parameters: Mapping[str, Any], known: Mapping[str, object]) -> dict[str, Any]:
@@ -63,6 +61,7 @@ def trips(trip: Callable[[], Duration]) -> tuple[float, float]:
     return of_each[0], of_each[-1]
 
 
-def up(time: float) -> float:
-    """A time rounded up to a multiple of :data:`ROUND`, s."""
-    return round(ROUND * math.ceil(time / ROUND - 1e-9), 9)
+def measured_times(given: Mapping[str, Any]) -> tuple[str, ...]:
+    """The times that a driver measures at its start, where a session's parameters have None in their place."""
+    age = () if given[SAMPLE_AGE] is not None else (SAMPLE_AGE, AGE_JITTER)
+    return age if given[ACTUATION_DELAY] is not None else (*age, ACTUATION_DELAY)

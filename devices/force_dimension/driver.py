@@ -29,9 +29,9 @@ from typing import Any, Final
 
 from manyhands.devices.force_dimension import survey
 from manyhands.devices.force_dimension.library import SATURATED, SYNCHRONOUS, ForceDimensionError, Kinematics, load
-from manyhands.devices.starting import TRIPS, is_number, merged, up
+from manyhands.devices.starting import TRIPS, is_number, measured_times, merged
 from manyhands.nodes.device.plugin import DeviceDriver
-from manyhands.nodes.device.specification import DeviceSpecification, DeviceTiming
+from manyhands.nodes.device.specification import DeviceSpecification, DeviceTiming, up
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds, seconds
 
 PARAMETERS: Final[Mapping[str, object]] = {
@@ -130,7 +130,7 @@ class ForceDimension(DeviceDriver):
             position = self._kinematics.position()
             survey.check(self._kinematics, self._reach, position, (around, self._kinematics.read()[1]))
             self._survey = survey.survey(self._kinematics, self._reach)
-            self._timing = self._timed(given)
+            self._timing, self._measured = self._timed(given), measured_times(given)
             _, counts = self._kinematics.read()
         except BaseException:
             self.close()
@@ -201,6 +201,7 @@ class ForceDimension(DeviceDriver):
             displacement=(self._reach,) * 3,
             speed=(self._speed,) * 3,
             timing=self._timing,
+            measured=self._measured,
             axes=("x", "y", "z"),
             step=self._survey.step,
             holds_torque=True,

@@ -49,9 +49,9 @@ from manyhands.devices.haply.service import (
     version_of,
 )
 from manyhands.devices.haply.work import MotorWork, same
-from manyhands.devices.starting import is_number, merged, up
+from manyhands.devices.starting import is_number, measured_times, merged
 from manyhands.nodes.device.plugin import PART, DeviceDriver
-from manyhands.nodes.device.specification import DeviceSpecification, DeviceTiming
+from manyhands.nodes.device.specification import DeviceSpecification, DeviceTiming, up
 from manyhands.nodes.kernel.realtime import schedule_as
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds, seconds
 from manyhands.protocol.limits import MAX_SENTENCE
@@ -299,6 +299,7 @@ class HaplyInverse3(DeviceDriver):
             displacement=(given["reach"],) * 3,
             speed=(given["speed"],) * 3,
             timing=self._timing,
+            measured=measured_times(given),
             axes=("x", "y", "z"),
             holds_torque=given["force_held"] == "torque",
             by_itself=by_itself,

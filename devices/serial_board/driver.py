@@ -21,9 +21,9 @@ from typing import Any, Final
 from manyhands.devices.serial_board.conversation import Arrived, Conversation
 from manyhands.devices.serial_board.frames import VERSION, About, Feature, Status, force, hello
 from manyhands.devices.serial_port import PortError, SerialPort
-from manyhands.devices.starting import checked, trips, up
+from manyhands.devices.starting import checked, measured_times, trips
 from manyhands.nodes.device.plugin import DeviceDriver
-from manyhands.nodes.device.specification import DeviceSpecification, DeviceTiming
+from manyhands.nodes.device.specification import DeviceSpecification, DeviceTiming, up
 from manyhands.protocol.clock import Clock, Duration, Instant, RealtimeClock, from_seconds, seconds
 
 GREETING: Final = from_seconds(2.0)
@@ -89,7 +89,7 @@ class SerialBoard(DeviceDriver):
                     f"{self._port.path}: found a board of {self._about.axes} axes ({self._about.name}); expected "
                     f"{len(ports)}, the dof of the session's device"
                 )
-            self._timing = self._timed(given)
+            self._timing, self._measured = self._timed(given), measured_times(given)
         except BaseException:
             self._port.close()
             raise
@@ -151,6 +151,7 @@ class SerialBoard(DeviceDriver):
             displacement=about.displacement,
             speed=about.speed,
             timing=self._timing,
+            measured=self._measured,
             axes=(axes := _names(about.rotations)),
             turning=tuple(axis for axis, turns in zip(axes, about.rotations, strict=True) if turns),
             mass=about.mass if all(about.mass) else None,

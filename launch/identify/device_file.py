@@ -19,7 +19,7 @@ import manyhands
 from manyhands.design.files import replacing
 from manyhands.launch.files import TargetError, require_target
 from manyhands.launch.identify.experiment import AtPose, line_names
-from manyhands.nodes.device.specification import DeviceSpecification
+from manyhands.nodes.device.specification import ROOM, DeviceSpecification, DeviceTiming
 
 CLASS = "m-b-c: inertia, linear damping, dry friction that does not grow with the speed, drag of a power of 1.5 to 3"
 
@@ -77,6 +77,8 @@ def device_file(
     driver: str,
     parameters: dict[str, Any],
     stated: DeviceSpecification,
+    promised: DeviceTiming,
+    starts: int,
     of: Statement,
     day: str,
 ) -> dict[str, Any]:
@@ -87,6 +89,8 @@ def device_file(
         driver: as the user named it.
         parameters: of the driver.
         stated: what the driver states.
+        promised: the timing that the file states.
+        starts: of the driver, of which that is.
         of: what was found.
         day: of the measurement, YYYY-MM-DD.
     """
@@ -115,9 +119,13 @@ def device_file(
             {"least": _plain(of.friction)},
             f"{where}, least level over the places, beyond Stribeck's speed",
         )
-    for key, value in stated.session_keys().items():
-        if key not in ("mass", "step"):  # they were found
-            keys[key] = _plain(value), f"{said}; state its linkage or its bending as well" if key == "held" else said
+    for key, value in stated.session_keys(promised).items():
+        if key in ("mass", "step"):  # they were found
+            continue
+        source = f"{said}; state its linkage or its bending as well" if key == "held" else said
+        if key in stated.measured:
+            source = f"{ROOM:g} times the greatest that the driver measured at {starts} starts, {day}"
+        keys[key] = _plain(value), source
     return {
         "device": name,
         "keys": {key: value for key, (value, _) in keys.items()},

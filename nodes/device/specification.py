@@ -11,17 +11,33 @@ so that the power f^T dx = F^T dX is the same on both sides.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 from manyhands.design.models.axis import AxisKind, Units
 from manyhands.nodes.kernel.driver_statement import NO_DELAY, DeviceTiming
 from manyhands.nodes.kernel.inertia import Inertia
 from manyhands.protocol.limits import MAX_BY_ITSELF, MAX_SENTENCE
 
-__all__ = ["NO_DELAY", "ROUNDING", "AxisMap", "DeviceSpecification", "DeviceTiming", "promises_too_much"]
+__all__ = ["NO_DELAY", "ROUNDING", "AxisMap", "DeviceSpecification", "DeviceTiming", "promises_too_much", "up"]
 """With what a driver of another package takes from here beside its specification."""
+
+SAMPLE_AGE: Final = "sample_age"
+AGE_JITTER: Final = "age_jitter"
+ACTUATION_DELAY: Final = "actuation_delay"
+TIMES: Final = (SAMPLE_AGE, AGE_JITTER, ACTUATION_DELAY)
+"""The times of a :class:`DeviceTiming`, as a session and :attr:`DeviceSpecification.measured` name them."""
+
+ROOM: Final = 1.5
+"""A session is to state so many times what a driver measured at its start, for every start measures another time."""
+
+_MEASURED: Final = (
+    "which the driver measured at this start: end other programs, or state as much and design the session anew"
+)
+
+ROUND: Final = 5e-5
+"""s; a measured time is rounded up to multiples of it."""
 
 ROUNDING = 1e-9
 """Relative; a limit that is stated in another frame than it is compared in is rounded."""
@@ -49,6 +65,8 @@ class DeviceSpecification:
             state no smaller one.
         by_itself: what the device does inside the loop by itself, and cannot be switched off or was left on: a
             sentence each, as "compensates gravity by a force of its own". They are stated beside the certificate.
+        measured: which of :data:`TIMES` the driver measured at this start. Its next start may measure greater ones, so
+            a session needs room above them (:meth:`promised`); a time that is not named is the same at every start.
         hardware: whether forces act on a real mechanism, in real time. A simulated counterpart states False: it moves
             by the instants of the calls, and also takes part under the simulated clock.
 
@@ -68,6 +86,7 @@ class DeviceSpecification:
     by_itself: tuple[str, ...] = ()
     hardware: bool = True
     moved_by_force: bool = True
+    measured: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         m = len(self.force)
@@ -88,6 +107,8 @@ class DeviceSpecification:
         if isinstance(self.by_itself, str) or len(self.by_itself) > MAX_BY_ITSELF or not fit:
             expected = f"at most {MAX_BY_ITSELF} sentences, each printable and of at most {MAX_SENTENCE} characters"
             raise ValueError(f"by_itself: found {self.by_itself!r:.60}; expected {expected}")
+        if isinstance(self.measured, str) or {*self.measured} - {*TIMES}:
+            raise ValueError(f"measured: found {self.measured!r:.60}; expected names of {', '.join(TIMES)}")
 
     @property
     def kinds(self) -> tuple[AxisKind, ...]:
@@ -100,14 +121,38 @@ class DeviceSpecification:
         """The units of its axes together."""
         return Units.of(self.kinds)
 
-    def session_keys(self) -> dict[str, Any]:
-        """The keys of a session's device that keep to what is stated; by axis as tuples."""
+    def promised(self, starts: Iterable[DeviceTiming] = ()) -> DeviceTiming:
+        """The timing that a session may state: the greatest of these starts, with :data:`ROOM` where it was measured.
+
+        A jitter that was measured is all of the age, which bounds it at every start whose age is in bounds.
+
+        Args:
+            starts: what the driver stated at other starts.
+        """
+        every = [self.timing, *starts]
+
+        def most(what: str, times: Iterable[float]) -> float:
+            return up(ROOM * max(times)) if what in self.measured else max(times)
+
+        age = most(SAMPLE_AGE, (one.sample_age for one in every))
+        whole = AGE_JITTER in self.measured or any(one.age_jitter is None for one in every)
+        varies = None if whole else max(one.jitter for one in every)
+        return DeviceTiming(age, varies, most(ACTUATION_DELAY, (one.actuation_delay for one in every)))
+
+    def session_keys(self, promised: DeviceTiming | None = None) -> dict[str, Any]:
+        """The keys of a session's device that keep to what is stated; by axis as tuples.
+
+        Args:
+            promised: the timing that the session states; :meth:`promised` of this start by default.
+        """
         keys: dict[str, Any] = {"limits": {"force": self.force, "displacement": self.displacement, "speed": self.speed}}
-        timing = self.timing
+        timing = promised or self.promised()
         if timing.sample_age:
-            keys |= {"sample_age": timing.sample_age, "age_jitter": timing.jitter}
+            keys[SAMPLE_AGE] = timing.sample_age
+        if timing.sample_age and timing.age_jitter is not None:
+            keys[AGE_JITTER] = timing.age_jitter
         if timing.actuation_delay:
-            keys["actuation_delay"] = timing.actuation_delay
+            keys[ACTUATION_DELAY] = timing.actuation_delay
         keys |= {key: value for key, value in (("mass", self.mass), ("step", self.step)) if value is not None}
         return keys | ({"held": "torque"} if self.holds_torque else {})
 
@@ -201,9 +246,15 @@ def promises_too_much(
                 yield f"step: found {step[port]:g} {at}; expected at least {least:g} {at}"
                 break
     for what, promise, own_time in (
-        ("sample_age", timing.sample_age, stated.timing.sample_age),
-        ("age_jitter", timing.jitter, stated.timing.jitter),
-        ("actuation_delay", timing.actuation_delay, stated.timing.actuation_delay),
+        (SAMPLE_AGE, timing.sample_age, stated.timing.sample_age),
+        (AGE_JITTER, timing.jitter, stated.timing.jitter),
+        (ACTUATION_DELAY, timing.actuation_delay, stated.timing.actuation_delay),
     ):
         if promise < own_time * (1.0 - ROUNDING):
-            yield f"{what}: found {promise:g} s; expected at least {own_time:g} s"
+            text = f"{what}: found {promise:g} s; expected at least {own_time:g} s"
+            yield f"{text}, {_MEASURED}" if what in stated.measured else text
+
+
+def up(time: float) -> float:
+    """A time rounded up to a multiple of :data:`ROUND`, s."""
+    return round(ROUND * math.ceil(time / ROUND - 1e-9), 9)

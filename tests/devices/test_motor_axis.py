@@ -21,7 +21,7 @@ from manyhands.devices.serial_port import PortError
 from manyhands.launch.conformance.driver import Bench, Push, check_driver
 from manyhands.launch.conformance.judgement import Conformance
 from manyhands.nodes.device.plugin import PluginDriver
-from manyhands.nodes.device.specification import AxisMap
+from manyhands.nodes.device.specification import TIMES, AxisMap
 from manyhands.protocol.clock import Instant, RealtimeClock, from_seconds
 
 from ..fakes.moteus import fake_moteus
@@ -92,6 +92,7 @@ def test_what_is_stated(kind: Kind) -> None:
     assert stated.step is not None
     assert stated.step[0] == pytest.approx(2.0 * math.pi / 4096)
     timing = stated.timing
+    assert {*stated.measured} == {*TIMES}
     assert timing.sample_age + timing.actuation_delay > 4e-4  # twice the fake's latency, less a shortest trip
     assert any("watchdog" in one for one in stated.by_itself)
     assert any("tracking loop" in one for one in stated.by_itself)
@@ -102,6 +103,7 @@ def test_given_times_are_stated_as_they_are(kind: Kind) -> None:
     of, fake = kind
     with fake() as one, opened(of, one, sample_age=0.004, actuation_delay=0.001) as driver:
         timing = driver.specification().timing
+        assert driver.specification().measured == ("age_jitter",)
     assert (timing.sample_age, timing.actuation_delay) == (0.004, 0.001)
     assert timing.jitter <= 0.004
 

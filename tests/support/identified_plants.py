@@ -10,13 +10,14 @@ import math
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.nodes.device.plugin import DeviceDriver
-from manyhands.nodes.device.specification import DeviceSpecification, DeviceTiming
+from manyhands.nodes.device.specification import TIMES, DeviceSpecification, DeviceTiming
 from manyhands.protocol.clock import Instant
 
 Floats = list[float]
@@ -264,4 +265,13 @@ def slide(ports: Sequence[str], period: float, parameters: Mapping[str, Any]) ->
     """A counterpart for commands: a slide with the given b and c, which may claim to be hardware."""
     driver = PlantDriver(Slide(m=0.2, b=parameters.get("b", 0.5), c=parameters.get("c", 0.1)), step=5e-6)
     driver.stated = replace(driver.stated, hardware=bool(parameters.get("hardware", False)))
+    return driver
+
+
+def slide_of_starts(ports: Sequence[str], period: float, parameters: Mapping[str, Any]) -> PlantDriver:
+    """The same, by a driver that measures its times at each start: the next line of the file ``starts`` has them, s."""
+    driver, file = slide(ports, period, parameters), Path(parameters["starts"])
+    now, *later = file.read_text().splitlines()
+    file.write_text("\n".join(later))
+    driver.stated = replace(driver.stated, timing=DeviceTiming(*map(float, now.split())), measured=TIMES)
     return driver

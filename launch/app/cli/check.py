@@ -25,7 +25,7 @@ from manyhands.launch.session.foreign import factory_of, plain_parameters
 from manyhands.launch.session.limits import MAX_DOF, MAX_STIFFNESS
 from manyhands.launch.session.yaml import parse_tree
 from manyhands.nodes.device.plugin import DriverFailure, PluginDriver, made_driver
-from manyhands.nodes.device.specification import AxisMap, DeviceSpecification
+from manyhands.nodes.device.specification import AGE_JITTER, AxisMap, DeviceSpecification
 from manyhands.nodes.environment.model import PROXY, REACT, make_model
 from manyhands.nodes.kernel.driver_statement import outside
 from manyhands.nodes.kernel.factory import DRIVERS, ENGINES, MODELS, FactoryError, FactoryName, published
@@ -92,9 +92,11 @@ def check_driver(
         if stated.by_itself and not as_json:
             say(out, outside("the device", stated.by_itself))
         own_words = {"by_itself": list(stated.by_itself)} if stated.by_itself else {}
-        latency = stated.timing.latency
+        latency = stated.promised().latency
         slower = f"; its period is at least {latency:g} s, the age and delay together" if latency > period else ""
-        _end(found, {"driver": name.factory, **own_words}, as_json, f"for the session file: {_keys(stated)}{slower}")
+        room = f"; its times are those of one start, {room_sentence(stated)}" if stated.measured else ""
+        keys = f"for the session file: {_keys(stated)}{slower}{room}"
+        _end(found, {"driver": name.factory, **own_words}, as_json, keys)
 
 
 @commands.command(epilog="Example: manyhands probe serial-board --parameters '{port: /dev/ttyACM0}'")
@@ -300,6 +302,12 @@ def _agreed(force: float, travel: float) -> bool:
         return False
     say(err, f"{question}. Push it? [y/N]")
     return sys.stdin.readline().strip().lower() in ("y", "yes")
+
+
+def room_sentence(stated: DeviceSpecification) -> str:
+    """Why the times for a session are greater than those that a driver has measured; to follow the starts."""
+    whole = ", and the jitter is all of the age" if AGE_JITTER in stated.measured else ""
+    return f"with half as much again for the next ones{whole}: the driver measures them anew at each start"
 
 
 def _keys(stated: DeviceSpecification) -> str:

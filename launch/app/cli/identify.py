@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from manyhands.launch.app.cli.check import Driver, Parameters, Period, made, require_in_range
+from manyhands.launch.app.cli.check import Driver, Parameters, Period, made, require_in_range, room_sentence
 from manyhands.launch.app.cli.common import Json, end, err, errors, out, refuse, require_folder, time_of
 from manyhands.launch.files import EXIT_FAILED
 from manyhands.launch.look.display import say, titled_table
 from manyhands.launch.output import print_json
 from manyhands.nodes.device.plugin import PluginDriver
-from manyhands.nodes.device.specification import DeviceSpecification
+from manyhands.nodes.device.specification import DeviceSpecification, DeviceTiming
 from manyhands.nodes.kernel.factory import FactoryError
 from manyhands.nodes.kernel.realtime import realtime_thread
 from manyhands.protocol.clock import RealtimeClock, SimulatedClock
@@ -34,6 +34,9 @@ LATE = 0.01
 """Part of the ticks; where more come late, the machine may be why too little was measured."""
 
 _ADVICE = "; many ticks came late: end other programs, or give a longer --period"
+
+STARTS = 3
+"""How often a driver that measures its times is started: each start measures others."""
 
 MOST_AXES = 3
 """The lines that determine the damping of more are too many."""
@@ -93,6 +96,12 @@ def identify(
             raise FactoryError(
                 f"the driver {factory.factory}: found a device that no force moves; expected one that is"
             )
+        starts = [stated.timing]
+        while stated.measured and len(starts) < STARTS:
+            plugin.close()
+            factory, plugin, stated = made(driver, dof, parameters, period)
+            starts.append(stated.timing)
+        promised = stated.promised(starts)
         safety = Safety(force, travel, speed)
         try:
             measured = _measured(plugin, stated, period, safety, poses, yes)
@@ -102,12 +111,15 @@ def identify(
         finally:
             plugin.close()
         said = statement(measured, stated)
-        content = device_file(name or driver, driver, dict(factory.parameters), stated, said, date.today().isoformat())
+        given, day = dict(factory.parameters), date.today().isoformat()
+        content = device_file(name or driver, driver, given, stated, promised, len(starts), said, day)
         if as_json:
             print_json(content)
         else:
             _print(said, stated)
-            say(out, _advice(said, stated, period, time_of("--delay", delay)))
+            say(out, _advice(said, stated, promised, period, time_of("--delay", delay)))
+            if stated.measured:
+                say(out, f"its times are those of {len(starts)} starts, {room_sentence(stated)}")
         if output is not None:
             write_device_file(output, content)
             say(err, f"{output}: written")
@@ -197,7 +209,7 @@ def _print(said: Statement, stated: DeviceSpecification) -> None:
         say(out, "dry friction falls with the speed (Stribeck), or damping grows faster than it: see docs/identify.md")
 
 
-def _advice(said: Statement, stated: DeviceSpecification, period: float, delay: float) -> str:
+def _advice(said: Statement, stated: DeviceSpecification, promised: DeviceTiming, period: float, delay: float) -> str:
     """Which osp may be stated, and what follows."""
     from manyhands.design.budget import stiffest
 
@@ -213,7 +225,7 @@ def _advice(said: Statement, stated: DeviceSpecification, period: float, delay: 
             "no osp can be stated: the least damping that the motion allows is 0; give more travel or speed, or let "
             "the driver state a smaller age_jitter and step, where they are smaller"
         )
-    tau = delay + stated.timing.latency
+    tau = delay + promised.latency
     keys = f"osp: {said.osp:g}"
     if friction and said.step is not None:
         keys += f", {friction}"
@@ -222,7 +234,7 @@ def _advice(said: Statement, stated: DeviceSpecification, period: float, delay: 
         return (
             f"{text}; its delay of {1e3 * tau:.3g} ms is longer than the period: nothing can be certified at that rate"
         )
-    rho = min(1.0, stated.timing.jitter / period)
+    rho = min(1.0, promised.jitter / period)
     limit = stiffest(said.osp * np.eye(len(stated.force)), period, tau, period_tolerance=rho)
     return (
         f"{text}; a coupling of up to {limit.certified:.4g} N/m follows, at a period of {1e3 * period:g} ms and a "

@@ -14,11 +14,10 @@ from manyhands.devices.force_dimension import ForceDimension, ForceDimensionErro
 from manyhands.devices.force_dimension.__main__ import main
 from manyhands.devices.force_dimension.driver import CALM, LONGEST, _Watchdog
 from manyhands.devices.force_dimension.library import Kinematics
-from manyhands.devices.starting import ROUND
 from manyhands.launch.conformance.driver import Bench, Push, check_driver
 from manyhands.launch.conformance.judgement import Conformance, Judgement, broken
 from manyhands.nodes.device.plugin import PluginDriver
-from manyhands.nodes.device.specification import AxisMap
+from manyhands.nodes.device.specification import ROUND, TIMES, AxisMap
 from manyhands.protocol.clock import Instant
 
 from ...fakes.dhd import FakeDevices, OwnTime, fake_devices
@@ -66,6 +65,7 @@ def test_it_states_what_the_library_knows(devices: FakeDevices, clock: OwnTime) 
     assert stated.holds_torque
     assert stated.mass is None
     assert "velocity threshold (3000" in stated.by_itself[0]
+    assert stated.measured == TIMES
     # an exchange takes 20 us here
     assert stated.timing.sample_age == pytest.approx(ROUND)
     assert stated.timing.actuation_delay == pytest.approx(ROUND)

@@ -17,8 +17,8 @@ from typing import Any
 import pytest
 
 from manyhands.devices.haply import HaplyError, HaplyInverse3
-from manyhands.devices.starting import ROUND
 from manyhands.extras import MissingExtra
+from manyhands.nodes.device.specification import ROUND, TIMES
 from manyhands.nodes.kernel.realtime import may_raise
 from manyhands.protocol.clock import Instant
 
@@ -81,6 +81,7 @@ def test_what_it_states() -> None:
     assert stated.holds_torque
     assert stated.mass is None
     assert stated.by_itself == ()
+    assert stated.measured == TIMES
     timing = stated.timing
     assert 0.0 < timing.jitter <= timing.sample_age
     for time_stated in (timing.sample_age, timing.actuation_delay):
@@ -96,6 +97,7 @@ def test_given_words_are_stated_as_they_are() -> None:
         stated = driver.specification()
         assert driver.lead <= 0.002 - 0.00025  # what is asked for so late is at most as old as stated
     assert not stated.holds_torque
+    assert stated.measured == ()
     assert (stated.timing.sample_age, stated.timing.jitter, stated.timing.actuation_delay) == (0.002, 0.002, 0.001)
 
 

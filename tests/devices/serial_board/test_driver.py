@@ -19,7 +19,7 @@ import pytest
 from manyhands.devices.serial_board import BoardError, SerialBoard
 from manyhands.devices.serial_board.frames import Feature, sealed
 from manyhands.devices.serial_port import PortError
-from manyhands.devices.starting import ROUND
+from manyhands.nodes.device.specification import ROUND, TIMES
 from manyhands.protocol.clock import Instant
 
 from ...fakes.board import Axis, FakeBoard, fake_board
@@ -56,6 +56,7 @@ def test_a_board_is_greeted_and_states_what_it_is() -> None:
     assert stated.mass == pytest.approx((0.2, 0.2), rel=1e-6)
     assert stated.hardware
     timing = stated.timing
+    assert stated.measured == TIMES
     assert timing.sample_age > 5e-4
     assert timing.jitter <= timing.sample_age
     for time_stated in (timing.sample_age, timing.actuation_delay):
@@ -66,6 +67,7 @@ def test_a_board_is_greeted_and_states_what_it_is() -> None:
 def test_given_times_are_stated_as_they_are() -> None:
     with fake_board() as one, opened(one, sample_age=0.002, actuation_delay=0.001) as driver:
         timing = driver.specification().timing
+        assert driver.specification().measured == ()
     assert (timing.sample_age, timing.jitter, timing.actuation_delay) == (0.002, 0.002, 0.001)
 
 

@@ -211,7 +211,10 @@ def test_the_file_has_a_source_for_each_key_and_is_not_replaced(tmp_path: Path) 
     assert 0.0 < (said.osp or 0.0) <= 0.3
     assert 0.0 < (said.mass or 0.0) <= 0.2
     path = tmp_path / "slide.device.yaml"
-    write_device_file(path, device_file("slide", "some:driver", {"port": "x"}, driver.stated, said, "2026-11-27"))
+    promised = driver.stated.promised()
+    write_device_file(
+        path, device_file("slide", "some:driver", {"port": "x"}, driver.stated, promised, 1, said, "2026-11-27")
+    )
     read = yaml.safe_load(path.read_text())
     assert list(read) == ["device", "keys", "sources", "by_itself", "identification"]
     assert read["sources"].keys() == read["keys"].keys()

@@ -178,6 +178,8 @@ def test_maps_that_are_none(axes: tuple[int, ...], signs: tuple[float, ...], sca
         ({"by_itself": ("two\nlines",)}, "by_itself: found"),
         ({"by_itself": ("x" * 201,)}, "by_itself: found"),
         ({"by_itself": ("holds itself up",) * 9}, "by_itself: found"),
+        ({"measured": ("age",)}, "measured: found"),
+        ({"measured": "sample_age"}, "measured: found"),
     ],
 )
 def test_specifications_that_are_none(stated: dict[str, Any], found: str) -> None:
@@ -190,6 +192,28 @@ def test_specifications_that_are_none(stated: dict[str, Any], found: str) -> Non
 def test_timings_that_are_none(timing: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="found"):
         DeviceTiming(**timing)
+
+
+STARTS = (DeviceTiming(4e-4, 1e-4, 2e-4), DeviceTiming(6e-4, 2e-4, 1e-4))
+
+
+@pytest.mark.parametrize(
+    ("measured", "promised"),
+    [
+        ((), DeviceTiming(6e-4, 2e-4, 2e-4)),
+        (("sample_age", "age_jitter"), DeviceTiming(9e-4, None, 2e-4)),
+        (("age_jitter",), DeviceTiming(6e-4, None, 2e-4)),
+        (("actuation_delay",), DeviceTiming(6e-4, 2e-4, 3e-4)),
+    ],
+)
+def test_what_a_session_may_state_bounds_every_start_with_room_where_it_was_measured(
+    measured: tuple[str, ...], promised: DeviceTiming
+) -> None:
+    first, second = (DeviceSpecification((1.0,), (1.0,), (1.0,), one, measured=measured) for one in STARTS)
+    assert first.promised([second.timing]) == promised
+    assert ("age_jitter" in first.session_keys()) == ("age_jitter" not in measured)
+    whole = replace(first, timing=DeviceTiming(4e-4))  # all of the age: so it is where the age has room
+    assert whole.promised().age_jitter is None
 
 
 def test_a_bundle_is_read_as_it_was_written(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -32,6 +33,18 @@ def test_a_good_driver_ends_with_the_keys_for_the_session_file() -> None:
         "sample_age: 0.002, age_jitter: 0.001, actuation_delay: 0.003, mass: [0.2, 0.2]; its period is at least "
         "0.005 s, the age and delay together"
     )
+
+
+def test_times_that_a_driver_measures_at_each_start_have_room_for_the_next_one(tmp_path: Path) -> None:
+    (starts := tmp_path / "starts").write_text("6e-4 2e-4 3e-4")
+    given = json.dumps({"starts": str(starts)})
+    done = manyhands_command(
+        *("check-driver", "tests.support.identified_plants:slide_of_starts", "--parameters", given, "--no-push")
+    )
+    last = done.stdout.splitlines()[-1]
+    assert "sample_age: 0.0009, actuation_delay: 0.00045, step: " in last, done.output
+    assert "its period is at least 0.00135 s, the age and delay together; its times are those of one start, with" in last
+    assert "age_jitter" not in last
 
 
 @pytest.mark.alone  # likewise

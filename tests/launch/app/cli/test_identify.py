@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
+from manyhands.design.budget import stiffest
 from manyhands.launch.session import Session
 
 from ....support.commands import manyhands_command
@@ -46,6 +48,40 @@ def test_it_ends_with_the_osp_and_the_stiffness_that_follows_and_writes_both(tmp
     again = manyhands_command("identify", SLIDE, "-o", file)
     assert again.exit_code == 2
     assert "--overwrite" in again.output
+
+
+def test_a_session_with_the_file_runs_at_a_start_that_measures_more_up_to_what_the_file_states(tmp_path: Path) -> None:
+    """The file has half as much again as the greatest of three starts, and no jitter: then that is all of the age."""
+    starts, file, session = tmp_path / "starts", tmp_path / "slide.yaml", tmp_path / "wall.yaml"
+    starts.write_text("4e-4 1e-4 2e-4\n6e-4 2e-4 3e-4\n5e-4 1e-4 2e-4")
+    driver, given = "tests.support.identified_plants:slide_of_starts", json.dumps({"starts": str(starts)})
+    options = ("--period", 0.004, "--travel", 0.02, "--parameters", given, "-o", file)
+    done = manyhands_command("identify", driver, *options)
+    assert done.exit_code == 0, done.output
+    keys, sources = (yaml.safe_load(file.read_text())[part] for part in ("keys", "sources"))
+    assert ({"age_jitter"} & keys.keys(), keys["sample_age"], keys["actuation_delay"]) == (set(), 9e-4, 4.5e-4)
+    assert sources["sample_age"].startswith("1.5 times the greatest that the driver measured at 3 starts, ")
+    assert "its times are those of 3 starts, with half as much again for the next ones" in done.stdout
+    # with all of the age as jitter, so for the session that has the file
+    limit = stiffest(np.eye(1) * keys["osp"], 0.004, 9e-4 + 4.5e-4, period_tolerance=9e-4 / 0.004)
+    assert f"up to {limit.certified:.4g} N/m follows, at a period of 4 ms and a delay of 1.35 ms" in done.stdout
+    world = {"type": "network", "links": [{"between": ["stick.0", "ground"], "stiffness": 20}]}
+    content = {"session": "wall", "period": 0.004, "devices": {"stick": {"from": "./slide.yaml"}}}
+    content |= {"couplings": {"c": {"devices": ["stick"]}}, "environment": world}
+    session.write_text(yaml.safe_dump({**content, "design": {"coupling": "spring-damper"}}))
+
+    def launched(at_this_start: str) -> tuple[int, str]:
+        starts.write_text(at_this_start)
+        ran = manyhands_command("simulate", session, "--duration", 0.1)
+        return ran.exit_code, ran.output
+
+    assert launched("9e-4 9e-4 4e-4")[0] == 0  # nine times the jitter of the first start
+    code, output = launched("0.0012 1e-4 4e-4")
+    assert code != 0
+    assert (
+        "sample_age: found 0.0009 s; expected at least 0.0012 s, which the driver measured at this start: end other "
+        "programs, or state as much and design the session anew" in output
+    )
 
 
 def test_json_has_the_device_file() -> None:
