@@ -34,6 +34,7 @@ SIDEWAYS: Final = 1.0
 
 _SETTLE: Final = 300  # ticks before a push, in which what moves slows down
 _REST: Final = 40  # the last of them, which show noise and drift
+_LOOKS: Final = (_SETTLE - 3 * _REST - PUSH_TICKS, _SETTLE - 2 * _REST - PUSH_TICKS)  # begins, once it has settled
 
 
 def called(axis: str) -> str:
@@ -74,6 +75,7 @@ class AxisAnswer:
         measured: the greatest force in the direction of the push that the driver measured, N; None if it measures none.
         sideways: the axis that moved more than this one, and its way; None for none.
         ticks: how long a push lasted, at most.
+        own: by how much it moved differently in times as long as a push, without a force, m.
     """
 
     axis: str
@@ -84,6 +86,7 @@ class AxisAnswer:
     measured: float | None = None
     sideways: tuple[str, float] | None = None
     ticks: int = PUSH_TICKS
+    own: float = 0.0
 
     @property
     def way(self) -> float:
@@ -113,6 +116,11 @@ class AxisAnswer:
             yield (
                 f"{self.axis} was pushed by ±{f}, and {other} moved instead, by {1e3 * way:+.2f} mm: the axes are "
                 "swapped in the driver or its wiring; axis_map of the session can name them right"
+            )
+        elif not self.moved and self.own >= self.noise:
+            yield (
+                f"{self.axis} moves by itself, by ±{1e3 * self.own:.2f} mm without a force, and by no more under ±{f}: "
+                "let it hang still; a driver whose device no force moves states moved_by_force=False"
             )
         elif not self.moved:
             yield f"{self.axis} did not move under ±{f}{self._why()}"
@@ -222,9 +230,10 @@ def _pushed(bench: Bench, stated: DeviceSpecification, axis: int, push: Push) ->
     """Push one axis, both ways."""
     force = min(push.force, stated.force[axis])
     f = [force if i == axis else 0.0 for i in range(len(stated.axes))]
-    ways, noises, measured = [], [], list[float]()
+    ways, owns, noises, measured = [], [], [], list[float]()
     for sign in (1.0, -1.0):
-        bench.rest(_SETTLE - _REST)
+        settled = bench.rest(_SETTLE - _REST)
+        owns += [_beyond(*_unpushed(settled, begin))[0] for begin in _LOOKS]
         before = bench.rest(_REST)
         bench.exerted.clear()
         during = bench.push([sign * value for value in f], PUSH_TICKS, push.travel)
@@ -235,13 +244,23 @@ def _pushed(bench: Bench, stated: DeviceSpecification, axis: int, push: Push) ->
     bench.rest(_REST)
     answer = (ways[0] - ways[1]) / 2.0
     step = 0.0 if stated.step is None else stated.step[axis]
-    least = max(LEAST, STEPS * step, ABOVE_NOISE * float(max(noise[axis] for noise in noises)))
+    own = np.ptp(owns, axis=0) / 2.0  # as the answer is: what is the same in all, as gravity, is no motion of its own
     most = int(np.abs(answer).argmax())
-    beside = abs(answer[most]) > max(least, SIDEWAYS * abs(answer[axis])) and most != axis
+    least = max(LEAST, STEPS * step, ABOVE_NOISE * float(max(noise[axis] for noise in noises)), float(own[axis]))
+    beside = abs(answer[most]) > max(least, own[most], SIDEWAYS * abs(answer[axis])) and most != axis
     return AxisAnswer(
         called(stated.axes[axis]), force, float(ways[0][axis]), float(ways[1][axis]), least,
         max(measured) if measured else None, (called(stated.axes[most]), float(answer[most])) if beside else None,
+        own=float(own[axis]),
     )  # fmt: skip
+
+
+def _unpushed(settled: Stretch, begin: int) -> tuple[Stretch, Stretch]:
+    """Ticks without a force, as those before a push and in one."""
+    split, end = begin + _REST, begin + _REST + PUSH_TICKS
+    return Stretch(settled.at[begin:split], settled.x[begin:split]), Stretch(
+        settled.at[split:end], settled.x[split:end]
+    )
 
 
 def _beyond(before: Stretch, during: Stretch) -> tuple[Array, Array]:

@@ -15,6 +15,9 @@ moves its device.
   :data:`AGAIN` longer calls are not judged.
 - *swapped axes*, *wrong sign*: of all axes, axis i answers F most, and in its direction. The answer is a in the fit
   x(t) = x0 + v0 t + a t^2 / 2 over the push, half the difference between both ways.
+- *motion without force*: before any push a device rests, or speeds up evenly, as under gravity. One whose acceleration
+  changes by more than :data:`OWN` of an answer moves by itself, and its answers say nothing. A device on a spring is
+  known by the fit below with -k/m iint x added: a stiff spring drives it back within the push, and its sign is right.
 - *stale sample*: the delay L of the best fit x(t) = x0 + v0 t + g t^2 + W(t - L)/m - b/m int x dt, with W the double
   integral of the pushes, is no longer than the stated latency and :data:`GRACE` periods. Samples that stay the same for
   longer than the stated age, and then jump, are stale as well.
@@ -60,6 +63,7 @@ BLOCKING: Final = "blocking call"
 STALE: Final = "stale sample"
 SWAPPED: Final = "swapped axes"
 SIGN: Final = "wrong sign"
+MOTION: Final = "motion without force"
 UNIT: Final = "wrong unit"
 FORCE: Final = "wrong force"
 WORK: Final = "wrong work"
@@ -77,8 +81,14 @@ PUSH_TICKS: Final = 60
 SILENT_TICKS: Final = 50
 """Ticks of silence; the force is to end after a fifth of them."""
 
+WINDOWS: Final = 8
+"""Times as long as a push, in which a device is looked at before any."""
+
 LEAST_TICKS: Final = 15
 """Ticks of a push that ended early, without which it is not judged."""
+
+OWN: Final = 0.5
+"""The part of an answer by which the acceleration may change while no force is exerted."""
 
 LEAST_MOTION: Final = 1e-9
 """m; a push that moves the device by less moves nothing."""
@@ -316,7 +326,7 @@ def check_driver(bench: Bench, stated: DeviceSpecification, push: Push | None) -
     if not stated.moved_by_force:
         push, unpushed = None, "skipped: the driver states that no force moves its device (moved_by_force=False)"
     try:
-        bench.rest(REST_TICKS)
+        rest = bench.rest(REST_TICKS)
         for axis in range(m if push is not None else 0):
             assert push is not None  # noqa: S101
             force = min(push.force, stated.force[axis])
@@ -328,7 +338,7 @@ def check_driver(bench: Bench, stated: DeviceSpecification, push: Push | None) -
                 ways += [bench.push(way, PUSH_TICKS, push.travel), bench.rest(PUSH_TICKS)]
                 books.append(bench.books)
             bench.books = _Books()
-            pushed = _Pushed(axis, force, *ways)
+            pushed = _Pushed(axis, force, rest, *ways)
             found = list(_judged(pushed, bench.T, stated))
             if not broken(found):  # forces and displacements are in order, so what they did is known
                 found = [*_worked(bench, pushed, books, stated), *found]
@@ -453,10 +463,11 @@ def _reach(bench: Bench, stated: DeviceSpecification) -> Judgement:
 
 @dataclass(frozen=True)
 class _Pushed:
-    """A push on one axis: one way, the time after it, the other way, and the time after that."""
+    """A push on one axis: one way, the time after it, the other way, and the time after that; ``rest`` came first."""
 
     axis: int
     force: float
+    rest: Stretch
     there: Stretch
     after: Stretch
     back: Stretch
@@ -465,6 +476,16 @@ class _Pushed:
     def answer(self) -> Array:
         """The acceleration of each axis along the push, m/s^2: half the difference between both ways."""
         return (_acceleration(self.there) - _acceleration(self.back)) / 2.0
+
+    def own(self) -> Array:
+        """By how much the acceleration of each axis changed before any push, over times as long as one, m/s^2.
+
+        Half the difference, as the answer is.
+        """
+        ticks = min(len(self.there), len(self.back), len(self.rest))
+        begins = np.linspace(0, len(self.rest) - ticks, WINDOWS).astype(int)
+        parts = (Stretch(self.rest.at[i : i + ticks], self.rest.x[i : i + ticks]) for i in begins)
+        return np.asarray(np.ptp([_acceleration(part) for part in parts], axis=0) / 2.0)
 
     def words(self, stated: DeviceSpecification) -> str:
         """Where the push acts."""
@@ -509,6 +530,10 @@ def _judged(pushed: _Pushed, T: float, stated: DeviceSpecification) -> Iterator[
     times, places, force = pushed.whole(m)
     a = pushed.answer()
     duration = len(pushed.there) * T
+    moved = float(np.ptp(pushed.rest.places, axis=0).max())
+    if np.abs(a).max() * duration**2 / 2.0 < LEAST_MOTION and moved > LEAST_MOTION:
+        yield _own_motion(f"moves by {moved:.3g} m without a force, and no differently for a push {of}", stated)
+        return
     if np.abs(a).max() * duration**2 / 2.0 < LEAST_MOTION:
         text = (
             f"found no motion for a push of {pushed.force:g} N {of}; expected one: its samples are old, its force is "
@@ -520,20 +545,33 @@ def _judged(pushed: _Pushed, T: float, stated: DeviceSpecification) -> Iterator[
     if text := _held(places[:, strongest], T, stated):
         yield Judgement(STALE, Conformance.BROKEN, text)
         return
+    if (own := pushed.own())[strongest] > OWN * abs(a[strongest]):
+        found = f"its acceleration changes by ±{own[strongest]:.2g} m/s² without a force, and by ±"
+        yield _own_motion(f"moves by itself: {found}{abs(a[strongest]):.2g} m/s² for a push {of}", stated)
+        return
     if abs(a[strongest]) > 3.0 * abs(a[axis]):
         found = f"a push {of} that moves axis {stated.axes[strongest]}"
         yield Judgement(SWAPPED, Conformance.BROKEN, f"found {found}; expected a motion of axis {name}")
         return
     yield Judgement(SWAPPED, Conformance.KEPT, f"a push {of} moves that axis most")
+    plain, dry = (_answer(times - times[0], places[:, axis], force, T, dry=dry) for dry in (False, True))
+    latency = stated.timing.latency
+    # dry friction brakes at the end of a push, which looks as if it came late
+    fit = dry if plain.good and plain.delay > latency + GRACE * T else plain
+    if a[axis] < 0.0 or not fit.good or fit.delay > latency + GRACE * T:
+        sprung = _answer(times - times[0], places[:, axis], force, T, spring=True)
+        prompt = sprung.delay <= latency + GRACE * T
+        if sprung.good and prompt and np.isfinite(sprung.mass) and sprung.stiffness > 0.0:
+            yield Judgement(SIGN, Conformance.KEPT, f"it moves along a push {of}, and a spring drives it back")
+            k = float(f"{sprung.stiffness:.2g}")
+            text = f"a spring of about {k:g} N/m hides the rest {of}: switch off its own springs or centring for this"
+            yield Judgement(MOTION, Conformance.OPEN, text)
+            return
     if a[axis] < 0.0:
         text = f"found a push of +{pushed.force:g} N {of} that moves it by {a[axis]:.3g} m/s²"
         yield Judgement(SIGN, Conformance.BROKEN, f"{text}; expected a motion along the force")
         return
     yield Judgement(SIGN, Conformance.KEPT, f"it moves along a push {of}")
-    plain, dry = (_answer(times - times[0], places[:, axis], force, T, dry) for dry in (False, True))
-    latency = stated.timing.latency
-    # dry friction brakes at the end of a push, which looks as if it came late
-    fit = dry if plain.good and plain.delay > latency + GRACE * T else plain
     delay, mass, fits = fit.delay, fit.mass, fit.good
     unseen = _unseen(pushed, mass if fits else pushed.force / float(a[axis]), stated)
     if fits and delay > latency + unseen + GRACE * T:
@@ -573,6 +611,17 @@ def _judged(pushed: _Pushed, T: float, stated: DeviceSpecification) -> Iterator[
     if dry.good:
         yield _estimate(dry, of, T, latency, stated.timing.jitter)
     yield Judgement(RELEASE, Conformance.KEPT, f"released, {max(0.0, left):.0%} of a push {of} is left")
+
+
+def _own_motion(found: str, stated: DeviceSpecification) -> Judgement:
+    """That the device moves by itself; of hardware nothing is judged, for it may hang, or somebody may hold it."""
+    expected = (
+        "expected a device that rests: let it hang still; a driver whose device no force moves states "
+        "moved_by_force=False"
+    )
+    return Judgement(
+        MOTION, Conformance.OPEN if stated.hardware else Conformance.BROKEN, f"found a device that {found}; {expected}"
+    )
 
 
 def _estimate(fit: _Fit, of: str, T: float, latency: float, jitter: float) -> Judgement:
@@ -622,6 +671,7 @@ class _Fit:
         mass: m, kg; infinite where the push moves nothing.
         damping: b, N s/m; negative where the fit says so.
         friction: c, N; 0 where none was fitted.
+        stiffness: k, N/m; 0 where none was fitted.
         good: whether the rest is a twentieth of the motion at most.
     """
 
@@ -629,11 +679,12 @@ class _Fit:
     mass: float
     damping: float
     friction: float
+    stiffness: float
     good: bool
 
 
-def _answer(t: Array, x: Array, force: Array, T: float, dry: bool = False) -> _Fit:
-    """The best fit; with ``dry`` friction against the motion is fitted as well, by its double integral."""
+def _answer(t: Array, x: Array, force: Array, T: float, *, dry: bool = False, spring: bool = False) -> _Fit:
+    """The best fit; friction against the motion (``dry``) or a ``spring`` are fitted as well, by double integrals."""
     held = np.concatenate([[0.0], np.cumsum((x[1:] + x[:-1]) / 2.0 * np.diff(t))])
     best, delay, found = np.inf, 0.0, np.zeros(1)
     scale = float(np.std(x))
@@ -645,6 +696,8 @@ def _answer(t: Array, x: Array, force: Array, T: float, dry: bool = False) -> _F
     if dry:
         against = np.sign(np.interp(grid, t, np.gradient(x, t)))
         columns.append(np.interp(t, grid, np.cumsum(np.cumsum(against)) * fine**2))
+    if spring:
+        columns.append(np.concatenate([[0.0], np.cumsum((held[1:] + held[:-1]) / 2.0 * np.diff(t))]))
     for step in range(4 * LONGEST_DELAY):
         shifted = np.interp(t - step * fine, grid, W, left=0.0)
         A = np.column_stack([*columns, shifted])
@@ -654,7 +707,8 @@ def _answer(t: Array, x: Array, force: Array, T: float, dry: bool = False) -> _F
             best, delay, found = size, step * fine, fit
     mass = 1.0 / float(found[-1]) if found[-1] > 0.0 else np.inf
     friction = -mass * float(found[4]) if dry else 0.0
-    return _Fit(delay, mass, -mass * float(found[3]), friction, best <= 0.05 * scale)
+    stiffness = -mass * float(found[-2]) if spring else 0.0
+    return _Fit(delay, mass, -mass * float(found[3]), friction, stiffness, best <= 0.05 * scale)
 
 
 def _silence(pushed: _Pushed, silence: tuple[Stretch, Stretch], T: float, stated: DeviceSpecification) -> Judgement:

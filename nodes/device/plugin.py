@@ -242,7 +242,7 @@ class PluginDriver:
     """A :class:`manyhands.nodes.device.drivers.Driver` around one of another package.
 
     Attributes:
-        by_itself: what its device does by itself, as the driver states; a sentence each.
+        by_itself: what its device does outside every certificate, as the driver states; a sentence each.
     """
 
     def __init__(
@@ -266,7 +266,7 @@ class PluginDriver:
                 the driver's displacement at a force is not that of its instant, and is not used.
         """
         timing = timing or stated.timing
-        self.by_itself = stated.by_itself
+        self.by_itself = stated.uncovered
         self._name, self._driver, self._measures = name, driver, timing.latency == 0.0
         self._given = GivenForces(stated.force, from_seconds(T + timing.actuation_delay))
         self._measured = 0

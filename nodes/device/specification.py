@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from manyhands.design.models.axis import AxisKind, Units
-from manyhands.nodes.kernel.driver_statement import NO_DELAY, DeviceTiming
+from manyhands.nodes.kernel.driver_statement import IMPOSED, NO_DELAY, DeviceTiming
 from manyhands.nodes.kernel.inertia import Inertia
 from manyhands.protocol.limits import MAX_BY_ITSELF, MAX_SENTENCE
 
@@ -58,7 +58,7 @@ class DeviceSpecification:
         mass: the least moving mass that a push meets on each axis, kg (or kg·m²); None where it is not known. A session
             may state no greater one.
         moved_by_force: whether its forces move it. A source of motion, such as a tracker or a driven stage, states
-            False: ``check-driver`` then skips what a push would show.
+            False: ``check-driver`` then skips what a push would show, and every run says that no certificate covers it.
         holds_torque: whether its motors hold the torques of joints between two forces, in place of the force at the
             tip. A session has to state so (``held: torque``), for its certificate is false otherwise.
         step: the encoder's step on each axis, m; None where it is not known. A session that counts on friction may
@@ -104,7 +104,7 @@ class DeviceSpecification:
         if not {*(self.turning or ())} <= {*self.axes}:
             raise ValueError(f"turning: found {self.turning!r:.60}; expected some of its axes {self.axes!r:.60}")
         fit = all(0 < len(one) <= MAX_SENTENCE and one.isprintable() for one in self.by_itself)
-        if isinstance(self.by_itself, str) or len(self.by_itself) > MAX_BY_ITSELF or not fit:
+        if isinstance(self.by_itself, str) or len(self.uncovered) > MAX_BY_ITSELF or not fit:
             expected = f"at most {MAX_BY_ITSELF} sentences, each printable and of at most {MAX_SENTENCE} characters"
             raise ValueError(f"by_itself: found {self.by_itself!r:.60}; expected {expected}")
         if isinstance(self.measured, str) or {*self.measured} - {*TIMES}:
@@ -120,6 +120,11 @@ class DeviceSpecification:
     def units(self) -> Units:
         """The units of its axes together."""
         return Units.of(self.kinds)
+
+    @property
+    def uncovered(self) -> tuple[str, ...]:
+        """What the device does outside every certificate: ``by_itself``, and its motion where no force moves it."""
+        return self.by_itself if self.moved_by_force else (*self.by_itself, IMPOSED)
 
     def promised(self, starts: Iterable[DeviceTiming] = ()) -> DeviceTiming:
         """The timing that a session may state: the greatest of these starts, with :data:`ROOM` where it was measured.

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 from manyhands.protocol.plain import Added
 
@@ -102,6 +103,9 @@ def outside(device: str, by_itself: Sequence[str]) -> str:
     """What a device does by itself, beside what is certified, as a sentence; empty for nothing."""
     return f"{device} does by itself, outside the certificate: {'; '.join(by_itself)}" if by_itself else ""
 
+
+IMPOSED: Final = "moves whatever force acts on it, as no hand does, so a run shows nothing about stability with a hand"
+"""What a device does by itself that no force moves, in the words of ``by_itself``: no certificate is about it."""
 
 NO_DELAY = DeviceTiming()
 """Of a device that measures and acts at the instants of its calls."""

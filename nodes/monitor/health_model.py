@@ -23,7 +23,7 @@ from types import MappingProxyType
 from typing import Final
 
 from manyhands.design.models.axis import TRANSLATING, Units
-from manyhands.nodes.kernel.driver_statement import DriverWord, outside
+from manyhands.nodes.kernel.driver_statement import IMPOSED, DriverWord, outside
 from manyhands.nodes.kernel.words import counted
 from manyhands.nodes.monitor.causes import BEFORE, Causes
 from manyhands.nodes.monitor.given import MEASURE, WINDOW, GivenForce
@@ -367,10 +367,14 @@ class HealthModel:
         elif promise is Promise.PASSIVITY:
             put_in = self._put_in[device]
             cost = {"J": put_in} if put_in > 0.0 else {}
-            remark = (
-                f"a person's hand holds {device}, and its work is its own; it has put in at least {put_in:.3g} J so "
-                "far. Account, limits and budgets judge the device"
-            )
+            so_far = f"it has put in at least {put_in:.3g} J so far"
+            if IMPOSED in self.by_itself.get(device, ()):
+                remark = f"no force moves {device}, so this run shows nothing about stability with a hand; {so_far}"
+            else:
+                remark = (
+                    f"a person's hand holds {device}, and its work is its own; {so_far}. Account, limits and budgets "
+                    "judge the device"
+                )
         else:
             return
         yield PromiseStatus(promise.value, PromiseState.UNJUDGED.value, (device,), 0.0, None, cost, remark)

@@ -225,6 +225,29 @@ class MovesByItself(Counterpart):
         return [0.02 * math.sin(-6.0 * at * 1e-9)] * self.n
 
 
+class Drifting(Counterpart):
+    """Its displacement creeps away, whatever the force."""
+
+    def sample(self, tick: int, at: Instant) -> Sequence[float]:
+        return [0.01 * at * 1e-9] * self.n
+
+
+class Sprung(Counterpart):
+    """A spring of its own holds it: ``spring``, N/m."""
+
+    def __init__(self, ports: tuple[str, ...], period: float, parameters: Mapping[str, Any]) -> None:
+        super().__init__(ports, period, parameters)
+        self.stiffness = float(parameters["spring"])
+
+    def _move(self, to: int) -> None:
+        now = to if self.now is None else self.now
+        while now < to:
+            now = min(to, now + STEP)
+            self.v = [v - STEP * 1e-9 * self.stiffness * x / self.mass for v, x in zip(self.v, self.x, strict=True)]
+            super()._move(now)
+        super()._move(to)
+
+
 class WrongSign(Counterpart):
     def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Sequence[float] | None:
         return super().apply([-force for force in f], at, until)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
@@ -89,9 +90,9 @@ def check_driver(
         bench = Bench(plugin, period, clock_for(stated, RealtimeClock()))
         pushes = Push(force, travel) if push else None
         found = checked_apart(bench, lambda: list(try_driver(bench, stated, pushes)))
-        if stated.by_itself and not as_json:
-            say(out, outside("the device", stated.by_itself))
-        own_words = {"by_itself": list(stated.by_itself)} if stated.by_itself else {}
+        if stated.uncovered and not as_json:
+            say(out, outside("the device", stated.uncovered))
+        own_words = {"by_itself": list(stated.uncovered)} if stated.uncovered else {}
         latency = stated.promised().latency
         slower = f"; its period is at least {latency:g} s, the age and delay together" if latency > period else ""
         room = f"; its times are those of one start, {room_sentence(stated)}" if stated.measured else ""
@@ -155,8 +156,8 @@ def _sentences(found: Explained, stated: DeviceSpecification, push: bool) -> Ite
         yield "nothing was pushed: the driver states that no force moves its device (moved_by_force=False)"
     elif not found.answers:
         yield "no force was exerted"
-    if stated.by_itself:
-        yield outside("the device", stated.by_itself)
+    if stated.uncovered:
+        yield outside("the device", stated.uncovered)
 
 
 class _Live:
@@ -312,9 +313,10 @@ def room_sentence(stated: DeviceSpecification) -> str:
 
 def _keys(stated: DeviceSpecification) -> str:
     """The keys of a session's device that keep to what a driver states."""
-    return ", ".join(
-        f"{key}: {_text(value)}" for key, value in {"dof": len(stated.force), **stated.session_keys()}.items()
-    )
+    keys = {"dof": len(stated.force), **stated.session_keys()}
+    if not stated.moved_by_force:  # which design cannot know, for it runs no foreign code
+        keys["by_itself"] = stated.uncovered
+    return ", ".join(f"{key}: {_text(value)}" for key, value in keys.items())
 
 
 def _text(value: Any) -> str:
@@ -323,4 +325,6 @@ def _text(value: Any) -> str:
         return f"{{{', '.join(f'{key}: {_text(one)}' for key, one in value.items())}}}"
     if isinstance(value, tuple):
         return f"[{', '.join(map(_text, value))}]"
-    return value if isinstance(value, str) else f"{value:g}"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False) if " " in value else value
+    return f"{value:g}"

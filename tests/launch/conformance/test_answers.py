@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -132,6 +133,19 @@ class TestAnswers:
         assert list(answer.sentences())[1:] == [
             "axis 0 moved under one sign alone, and not under +0.5 N: is it at its stop there?"
         ]
+
+    def test_a_motion_without_force_is_no_answer(self) -> None:
+        bench, stated = bench_of(drivers.MovesByItself, 1)
+        stated = replace(stated, moved_by_force=True)
+        [answer] = ask_device(bench, stated, TICKS, Push(), agreed()).answers
+        assert not answer.right
+        assert list(answer.sentences()) == [
+            f"axis 0 moves by itself, by ±{1e3 * answer.own:.2f} mm without a force, and by no more under ±0.5 N: "
+            "let it hang still; a driver whose device no force moves states moved_by_force=False"
+        ]
+        assert 1e-3 < answer.own < 5e-3
+        [answer] = found(drivers.WrongSign, 1).answers
+        assert answer.wrong
 
     def test_an_encoders_step_is_no_answer(self) -> None:
         assert not AxisAnswer("x", 0.5, 2e-5, -2e-5, 2e-5).moved

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -16,6 +16,7 @@ from manyhands.launch.conformance.driver import (
     BLOCKING,
     EXCEPTION,
     FORCE,
+    MOTION,
     RELEASE,
     SIGN,
     SILENCE,
@@ -34,7 +35,7 @@ from manyhands.launch.conformance.judgement import Conformance, Judgement, broke
 from manyhands.launch.conformance.timing import CallTimer
 from manyhands.nodes.device.plugin import DeviceDriver, PluginDriver
 from manyhands.nodes.device.specification import AxisMap
-from manyhands.protocol.clock import SimulatedClock
+from manyhands.protocol.clock import Instant, SimulatedClock
 
 from ...support import plugin_drivers as drivers
 
@@ -185,7 +186,55 @@ def test_a_device_that_moves_by_itself_is_not_judged_by_pushes() -> None:
     assert {*skipped.values()} == {"skipped: the driver states that no force moves its device (moved_by_force=False)"}
     assert broken(found) == []
     bench, stated = bench_of(drivers.MovesByItself)
-    assert broken(list(check_driver(bench, replace(stated, moved_by_force=True), Push()))) != []  # as if it were pushed
+    pushed = list(check_driver(bench, replace(stated, moved_by_force=True), Push()))  # as if it were pushed
+    assert broken(pushed) == [MOTION]
+
+
+@pytest.mark.parametrize(
+    ("kind", "found"),
+    [
+        (
+            drivers.MovesByItself,
+            "found a device that moves by itself: its acceleration changes by ±0.24 m/s² without a ",
+        ),
+        (drivers.Drifting, "found a device that moves by 0.00199 m without a force, and no differently for a push"),
+    ],
+)
+def test_a_motion_without_force_is_no_answer(kind: type[DeviceDriver], found: str) -> None:
+    """Nor is it a wrong sign; of hardware nothing is judged, for somebody may hold it."""
+    for hardware in (False, True):
+        bench, stated = bench_of(kind)
+        judged = list(check_driver(bench, replace(stated, moved_by_force=True, hardware=hardware), Push()))
+        first = next(one for one in judged if one.check == MOTION)
+        assert (first.verdict, first.text[: len(found)]) == (
+            Conformance.OPEN if hardware else Conformance.BROKEN,
+            found,
+        )
+        assert first.text.endswith("a driver whose device no force moves states moved_by_force=False")
+        assert broken(judged) == ([] if hardware else [MOTION])
+        assert {SIGN, SWAPPED, STALE, UNIT} & {one.check for one in judged if one.verdict is Conformance.OPEN} == set()
+
+
+@pytest.mark.parametrize("spring", [100, 500, 2000])
+def test_a_spring_of_the_devices_own_is_no_wrong_sign_and_no_delay(spring: int) -> None:
+    """One of 2000 N/m drives 0.2 kg back within the push of 60 ms."""
+    judged = findings(drivers.Sprung, spring=spring)
+    assert broken(judged) == []
+    assert [one.text for one in judged if one.check == MOTION] == [
+        f"a spring of about {spring} N/m hides the rest on axis {axis}: switch off its own springs or centring for this"
+        for axis in (0, 1)
+    ]
+    assert [one.verdict for one in judged if one.check == SIGN] == [Conformance.KEPT] * 2
+
+
+class SprungAndWrong(drivers.Sprung):
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Sequence[float] | None:
+        return super().apply([-force for force in f], at, until)
+
+
+@pytest.mark.parametrize("spring", [1, 100])
+def test_a_wrong_sign_is_one_with_a_spring_as_well(spring: int) -> None:
+    assert broken(findings(SprungAndWrong, spring=spring)) == [SIGN]
 
 
 @pytest.mark.parametrize(("age", "delay"), [(0.004, 0.0), (0.0, 0.003), (0.002, 0.003)])

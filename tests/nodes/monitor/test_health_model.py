@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manyhands.nodes.kernel.driver_statement import DriverWord
+from manyhands.nodes.device.specification import DeviceSpecification
+from manyhands.nodes.kernel.driver_statement import IMPOSED, DriverWord
 from manyhands.nodes.monitor.given import MEASURE
 from manyhands.nodes.monitor.health import (
     Health,
@@ -559,6 +560,25 @@ def test_what_a_device_does_by_itself_is_said_with_its_drivers_word() -> None:
     assert remark().endswith("; " + deed)
     found.hear("dx", ())
     assert deed not in remark()
+
+
+def test_a_device_that_no_force_moves_is_held_by_nobody() -> None:
+    """Its driver says so at the start, or its session, which states the same words."""
+    word = DriverWord("a.b:C")
+    heard = HealthModel(replace(TERMS, drivers={"dx": word}))
+    assert "a person's hand holds dx" in _passivity_of(heard)
+    heard.hear("dx", DeviceSpecification((1.0,), (1.0,), (1.0,), moved_by_force=False).uncovered)
+    stated = HealthModel(replace(TERMS, drivers={"dx": replace(word, by_itself=(IMPOSED,))}))
+    for found in (heard, stated):
+        nothing = "no force moves dx, so this run shows nothing about stability with a hand"
+        assert _passivity_of(found) == f"{nothing}; it has put in at least 0 J so far"
+        [row] = [row for row in found.rows() if row.promise == Promise.DRIVER]
+        assert row.remark.endswith(f"; dx does by itself, outside the certificate: {IMPOSED}")
+
+
+def _passivity_of(found: HealthModel) -> str:
+    [row] = [row for row in found.rows() if row.promise == Promise.PASSIVITY and row.who == ("dx",)]
+    return row.remark
 
 
 def test_a_device_that_exerted_no_force_is_no_fault_of_its_driver() -> None:

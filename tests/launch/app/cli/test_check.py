@@ -43,7 +43,7 @@ def test_times_that_a_driver_measures_at_each_start_have_room_for_the_next_one(t
     )
     last = done.stdout.splitlines()[-1]
     assert "sample_age: 0.0009, actuation_delay: 0.00045, step: " in last, done.output
-    assert "its period is at least 0.00135 s, the age and delay together; its times are those of one start, with" in last
+    assert "its period is at least 0.00135 s, the age and delay together; its times are those of one start" in last
     assert "age_jitter" not in last
 
 
@@ -75,6 +75,9 @@ def test_nothing_is_asked_about_hardware_that_no_force_moves() -> None:
     done = manyhands_command("check-driver", f"{MADE}MovesByItself", "--parameters", "{hardware: true}", "--dof", 1)
     assert (done.exit_code, "this pushes real hardware" in done.stderr) == (0, False), done.output
     assert "not judged  wrong sign: skipped: the driver states that no force moves its device" in done.stdout
+    nothing = "moves whatever force acts on it, as no hand does, so a run shows nothing about stability with a hand"
+    assert f"the device does by itself, outside the certificate: {nothing}" in done.stdout
+    assert done.stdout.splitlines()[-1].endswith(f'by_itself: ["{nothing}"]')
 
 
 @pytest.mark.alone  # likewise
