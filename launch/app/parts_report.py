@@ -6,7 +6,7 @@ wave link; each site; and the world. A site's file depends on nothing but the si
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -88,6 +88,8 @@ def run_design(
         The exit code.
     """
     files = {} if output is None else {only: output} if only else part_files(session, output)
+    for line in unstated_times(session):
+        say(err, line)
     several, objects = bool(session.wave_links), dict[str, Any]()
     if several and pictures is not None:
         say(err, "no pictures: they show the environment's response, which a site does not know")
@@ -122,6 +124,16 @@ def run_design(
             if device.by_itself:
                 say(out, outside(name, device.by_itself))
     return code
+
+
+def unstated_times(session: Session) -> Iterator[str]:
+    """A line for each device whose driver may have an age and a delay of which the session states neither."""
+    for name, device in session.devices.items():
+        if device.factory is not None and device.sample_age is None and device.actuation_delay is None:
+            yield (
+                f"warning: {name}: found no sample_age and no actuation_delay of its driver {device.factory}; expected "
+                "those that manyhands check-driver prints, or sample_age: 0; launch refuses a driver that states more"
+            )
 
 
 def _infeasible(session: Session, error: DesignError, helps: Sequence[TriedChange]) -> dict[str, Any]:

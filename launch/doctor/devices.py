@@ -23,6 +23,9 @@ from manyhands.nodes.kernel.factory import DRIVERS, published
 RULES: Final = "/etc/udev/rules.d/70-manyhands.rules"
 """Where a rule goes: rules with ``uaccess`` have to come before 73-seat-late.rules of systemd."""
 
+OWN_DRIVER: Final = "my_driver:make"
+"""Stands for the driver of a device of which this package has none."""
+
 _HUB: Final = "09"  # bDeviceClass
 _CONSTANT: Final = 0x52  # FF_CONSTANT of linux/input.h: a bit of capabilities/ff
 _LOCAL: Final = ("127.0.0.1", "localhost", "::1")
@@ -278,9 +281,27 @@ def _next(file: DeviceFile, node: str) -> str:
     """The command to try next; empty where no driver is there."""
     if file.driver is None or file.driver not in published(DRIVERS):
         return f"manyhands devices {file.name}"
-    dof = file.keys.get("dof", 1)
-    given = f" --parameters {shlex.quote(f'{{{file.found_by.parameter}: {node}}}')}" if file.found_by.parameter else ""
-    return f"manyhands check-driver {file.driver} --dof {dof}{given} --no-push"
+    return f"manyhands check-driver {driver_options(file, node)} --no-push"
+
+
+def parameters_to_give(file: DeviceFile, node: str = "") -> str:
+    """The parameters that its driver requires, as YAML in a line; those that are not known have capitals.
+
+    Args:
+        file: of the device.
+        node: the path by which it is reached; empty where that is not known either.
+    """
+    path = file.found_by.parameter
+    known = {path: node} if path and node else {}
+    needed = {**dict.fromkeys(file.needs, ""), **known}
+    return "{" + ", ".join(f"{key}: {value or key.upper()}" for key, value in needed.items()) + "}"
+
+
+def driver_options(file: DeviceFile, node: str = "") -> str:
+    """The driver of a device with its options, for check-driver, probe and identify; ``node`` as above."""
+    given = parameters_to_give(file, node)
+    parameters = f" --parameters {shlex.quote(given)}" if given != "{}" else ""
+    return f"{file.driver or OWN_DRIVER} --dof {file.keys.get('dof', 1)}{parameters}"
 
 
 def _rule(usb: _Usb, node: Path) -> str:

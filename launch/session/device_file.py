@@ -40,7 +40,7 @@ _SUFFIXES: Final = (SUFFIX, ".yml")
 _KEYS: Final = tuple(key for key in Device.model_fields if key not in ("trace", "hand", BY_ITSELF))
 """What a device file may say of a device: not how somebody holds it."""
 
-_PARTS: Final = ("device", "keys", "sources", BY_ITSELF, "identification", "notes", "found_by")
+_PARTS: Final = ("device", "keys", "sources", BY_ITSELF, "identification", "needs", "notes", "found_by")
 _REQUIRED: Final = ("device", "keys", "sources")
 _CITED: Final = re.compile(r"\bdoi\b|https?://|\bidentif", re.IGNORECASE)
 _USB: Final = re.compile(r"[0-9a-f]{4}(:[0-9a-f]{4})?")
@@ -85,6 +85,7 @@ class DeviceFile:
         sources: where each of them is from, a text for each key.
         by_itself: what the device does by itself, a sentence each.
         identification: how its numbers were measured, plain data.
+        needs: the parameters that its driver requires of whoever has it, and what each is.
         notes: sentences about it.
         found_by: how it is known when it is plugged in.
         tree: the file, with its places.
@@ -96,6 +97,7 @@ class DeviceFile:
     sources: Mapping[str, str]
     by_itself: tuple[str, ...] = ()
     identification: Mapping[str, Any] = field(default_factory=dict)
+    needs: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     found_by: FoundBy = FoundBy()
     tree: SessionTree = field(default_factory=lambda: SessionTree("", {}, {}), repr=False, compare=False)
@@ -236,6 +238,7 @@ def _read(path: Path, name: str, *, shipped: bool) -> DeviceFile:
         data["sources"],
         tuple(data.get(BY_ITSELF, ())),
         data.get("identification", {}),
+        data.get("needs", {}),
         tuple(data.get("notes", ())),
         FoundBy(**{**found_by, "usb": tuple(found_by.get("usb", ()))}),
         tree,
@@ -253,9 +256,12 @@ def _problems(data: Mapping[str, Any], shipped: bool) -> Iterator[Problem]:
     device = data.get("device", "")
     if "device" in data and not _is_line(device, MAX_SENTENCE):
         yield Problem(("device",), show(device), f"what it is, in one line of 1 to {MAX_SENTENCE} characters")
-    for part in ("keys", "sources", "identification"):
+    for part in ("keys", "sources", "identification", "needs"):
         if part in data and not isinstance(data[part], Mapping):
             yield Problem((part,), show(data[part]), "a mapping")
+    for key, what in _entries(data.get("needs", {})).items() if isinstance(data.get("needs"), Mapping) else ():
+        if not isinstance(key, str) or not _is_line(what, MAX_SENTENCE):
+            yield Problem(("needs", key), show(what), "what this parameter of the driver is, in one line")
     for part, most in ((BY_ITSELF, MAX_SENTENCE), ("notes", MAX_TEXT)):
         if not isinstance(value := data.get(part, []), list):
             yield Problem((part,), show(value), "a list of sentences")

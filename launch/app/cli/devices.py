@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from manyhands.launch.app.cli.common import Json, errors, out, refuse
-from manyhands.launch.doctor.devices import PluggedIn, Survey, survey
+from manyhands.launch.doctor.devices import (
+    OWN_DRIVER,
+    PluggedIn,
+    Survey,
+    driver_options,
+    parameters_to_give,
+    survey,
+)
 from manyhands.launch.look.display import say
 from manyhands.launch.output import pipe_may_close, print_json
 from manyhands.launch.session.device_file import SUFFIX, DeviceFile, catalogue, catalogue_file, device_file
@@ -89,8 +98,6 @@ def _print_file(file: DeviceFile) -> None:
     for key, value in file.keys.items():
         say(out, f"  {key}: {_shown(value)}")
         say(out, f"      {file.sources[key]}")
-    if "osp" not in file.keys:
-        say(out, "  no osp: measure it with manyhands identify, or state what your device surely dissipates, in N·s/m")
     for sentence in file.by_itself:
         say(out, f"  by itself, outside every certificate: {sentence}")
     for key, value in file.identification.items():
@@ -99,8 +106,30 @@ def _print_file(file: DeviceFile) -> None:
         say(out, f"  {sentence}")
     if file.found_by.source:
         say(out, f"  found by {', '.join(file.found_by.usb) or 'its service or port'} ({file.found_by.source})")
-    osp = "" if "osp" in file.keys else ", osp: ..."
-    say(out, f"in a session: devices: {{stick: {{from: {file.name}{osp}}}}}")
+    say(out, "in a session, where each line with # is yours:")
+    for line in _block(file):
+        say(out, line)
+
+
+def _block(file: DeviceFile) -> Iterator[str]:
+    """The device in a session, as YAML; what the file does not know is a comment with what to run."""
+    yield from ("devices:", "  stick:", f"    from: {json.dumps(file.name) if ' ' in file.name else file.name}")
+    options, path = driver_options(file), " (docs/drivers.md)"
+    if file.driver is None:
+        yield f'    # driver: "{OWN_DRIVER}"  # yours, for this package has none of it{path}'
+    if "dof" not in file.keys:
+        yield "    # dof: 1  # how many axes yours has"
+    if file.needs and "parameters" not in file.keys:
+        yield f"    # parameters: {parameters_to_give(file)}"
+        for key, what in file.needs.items():
+            yield f"    #   {key.upper()}: {what}"
+    if "osp" not in file.keys:
+        yield "    # osp: OSP  # what it surely dissipates, N·s/m, or N·m·s/rad where it turns; to measure it, run"
+        yield f"    #   manyhands identify {options} -o stick.device.yaml"
+        yield "    #   and take from: ./stick.device.yaml, which has all that is stated here"
+    if not {"sample_age", "actuation_delay"} & file.keys.keys():
+        yield "    # what your driver states, such as limits, sample_age and actuation_delay; to print it, run"
+        yield f"    #   manyhands check-driver {options} --no-push"
 
 
 def _shown(value: object) -> str:

@@ -8,13 +8,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from http.server import BaseHTTPRequestHandler, HTTPServer
+from importlib import import_module
 from pathlib import Path
 
 import pytest
+import yaml
 
 from manyhands.launch.app.cli import devices as command
 from manyhands.launch.doctor import devices
 from manyhands.launch.doctor.devices import PluggedIn, Survey, version_at
+from manyhands.launch.session import load_session
+from manyhands.launch.session.device_file import catalogue, catalogue_file
+from manyhands.nodes.kernel.factory import DRIVERS, published
 
 from ...support.commands import manyhands_command
 
@@ -231,8 +236,7 @@ class TestCommand:
         assert json.loads(manyhands_command("devices", "--catalogue", "--json").stdout)["touch"] == "3D Systems Touch"
         shown = manyhands_command("devices", "omega.3").stdout
         assert "  limits: {force: 6.9, displacement: 0.043}\n      CHAI3D 3.3.0, https://github.com/chai3d" in shown
-        assert "  no osp: measure it with manyhands identify" in shown
-        assert "in a session: devices: {stick: {from: omega.3, osp: ...}}" in shown
+        assert "    #   manyhands identify force-dimension --dof 3 -o stick.device.yaml\n" in shown
         assert json.loads(manyhands_command("devices", "omega.3", "--json").stdout)["keys"]["dof"] == 3
 
     def test_a_file_of_ones_own(self, tmp_path: Path) -> None:
@@ -244,8 +248,61 @@ class TestCommand:
         assert shown[1:] == [
             "  osp: 0.5", "      identified", "  step: 1e-05", "      its encoder",
             "  by itself, outside every certificate: gates forces", "  identification ways: 200", "  It squeaks.",
-            f"in a session: devices: {{stick: {{from: {tmp_path}/mine.yaml}}}}",
+            "in a session, where each line with # is yours:", "devices:", "  stick:", f"    from: {tmp_path}/mine.yaml",
+            '    # driver: "my_driver:make"  # yours, for this package has none of it (docs/drivers.md)',
+            "    # dof: 1  # how many axes yours has",
+            "    # what your driver states, such as limits, sample_age and actuation_delay; to print it, run",
+            "    #   manyhands check-driver my_driver:make --dof 1 --no-push",
         ]  # fmt: skip
+
+    @pytest.mark.parametrize("name", catalogue())
+    def test_what_is_printed_is_a_session_once_its_comments_are_filled_in(self, name: str, tmp_path: Path) -> None:
+        """As it is printed it lacks what nobody knows of it, and the first error is about that."""
+        printed = manyhands_command("devices", name).stdout.partition("where each line with # is yours:\n")[2]
+        own = printed.replace("# driver:", "driver:").replace("# dof:", "dof:")
+        keys = catalogue_file(name).keys
+        axes = keys.get("axes", [*map(str, range(keys.get("dof", 1)))])
+        rest = yaml.safe_dump(
+            {
+                "session": "mine",
+                "period": 0.006,
+                "couplings": {"c": {"devices": ["stick"]}},
+                "environment": {
+                    "type": "network",
+                    "links": [{"between": [f"stick.{axis}", "ground"], "stiffness": 0.5} for axis in axes],
+                },
+                "design": {"coupling": "spring-damper"},
+            }
+        )
+        (file := tmp_path / "mine.yaml").write_text(rest + own)
+        done = manyhands_command("design", file)
+        assert done.exit_code == 2
+        assert (
+            "osp in N·s/m: the damping that your device surely has; measure it with manyhands identify" in done.stderr
+        )
+        file.write_text(rest + own.replace("# osp: OSP", "osp: 0.5"))
+        done = manyhands_command("design", file)
+        assert done.exit_code == 0, done.output
+        driver = load_session(file).devices["stick"].driver
+        (warned,) = [
+            line for line in done.stderr.splitlines() if line.startswith("warning: stick: found no sample_age")
+        ]
+        assert f"of its driver {driver}; expected those that manyhands check-driver prints" in warned
+        file.write_text(rest + own.replace("# osp: OSP", "sample_age: 0.0\n    osp: 0.5"))
+        assert "warning: stick" not in manyhands_command("design", file).stderr
+
+    @pytest.mark.parametrize("name", [name for name in catalogue() if catalogue_file(name).needs])
+    def test_a_driver_refuses_to_go_without_each_parameter_that_it_is_said_to_need(self, name: str) -> None:
+        file = catalogue_file(name)
+        module, _, factory = published(DRIVERS)[file.driver or ""].partition(":")
+        given = {key: 1.0 if key not in ("device", "port") else "/dev/none" for key in file.needs}
+        make = getattr(import_module(module), factory)
+        for lacking in file.needs:
+            rest = {key: value for key, value in given.items() if key != lacking}
+            with pytest.raises(ValueError, match=rf"parameters\.{lacking}: found"):
+                make(("d.0",), 0.01, rest)
+        with pytest.raises((OSError, RuntimeError)):  # it has all, and there is no such device
+            make(("d.0",), 0.01, given)
 
     def test_what_is_none(self) -> None:
         for arguments in (("omega.33",), ("no.yaml",), ("omega.3", "--catalogue")):
