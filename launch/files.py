@@ -39,6 +39,21 @@ def require_target(path: Path) -> None:
         raise TargetError(f"{path}: found something other than a file; expected a file, or nothing")
 
 
+def require_new_target(path: Path, overwrite: bool) -> None:
+    """Refuse an output file that cannot be written, or one that is there and was not given up.
+
+    Args:
+        path: of the file.
+        overwrite: whether the user has given up one that is there, by ``--overwrite``.
+
+    Raises:
+        TargetError: it cannot be written, or is there.
+    """
+    require_target(path)
+    if path.exists() and not overwrite:
+        raise TargetError(f"{path}: found a file that exists; expected a new name, or --overwrite")
+
+
 @contextmanager
 def claimed(path: Path) -> Iterator[None]:
     """While entered, no other run writes to this file; of two launches with one file the second is refused.

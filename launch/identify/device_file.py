@@ -17,7 +17,6 @@ import yaml
 
 import manyhands
 from manyhands.design.files import replacing
-from manyhands.launch.files import TargetError, require_target
 from manyhands.launch.identify.experiment import AtPose, line_names
 from manyhands.nodes.device.specification import ROOM, DeviceSpecification, DeviceTiming
 
@@ -165,17 +164,6 @@ def _pose(one: AtPose, stated: DeviceSpecification) -> dict[str, Any]:
 
 def _ends(interval: Any) -> list[float]:
     return [float(f"{interval.low:.4g}"), float(f"{interval.high:.4g}")]
-
-
-def require_new(path: Path, force: bool) -> None:
-    """Refuse a file that cannot be written, or one that is there and was not given up.
-
-    Raises:
-        TargetError: it cannot be, or is there.
-    """
-    require_target(path)
-    if path.exists() and not force:
-        raise TargetError(f"{path}: found a file that exists; expected a new name, or --overwrite")
 
 
 def write_device_file(path: Path, content: dict[str, Any]) -> None:

@@ -14,7 +14,7 @@ import typer
 
 from manyhands.launch.app.cli.check import Driver, Parameters, Period, made, require_in_range, room_sentence
 from manyhands.launch.app.cli.common import Json, end, err, errors, out, refuse, require_folder, time_of
-from manyhands.launch.files import EXIT_FAILED
+from manyhands.launch.files import EXIT_FAILED, require_new_target
 from manyhands.launch.look.display import say, titled_table
 from manyhands.launch.output import print_json
 from manyhands.nodes.device.plugin import PluginDriver
@@ -77,7 +77,7 @@ def identify(
     """
     with errors("design", *(("plot",) if plot is not None else ())):
         from manyhands.design.identification import NotOfThisClass, TooLittle
-        from manyhands.launch.identify.device_file import device_file, require_new, statement, write_device_file
+        from manyhands.launch.identify.device_file import device_file, statement, write_device_file
         from manyhands.launch.identify.rig import Aborted, Safety
 
         bounds = {"--force": (force, 100.0), "--travel": (travel, 1.0), "--speed": (speed, 10.0)}
@@ -89,7 +89,7 @@ def identify(
             refuse(f"--poses: found {poses}; expected 1 to 9")
         require_folder(plot)
         if output is not None:
-            require_new(output, overwrite)
+            require_new_target(output, overwrite)
         factory, plugin, stated = made(driver, dof, parameters, period)
         if not stated.moved_by_force:
             plugin.close()

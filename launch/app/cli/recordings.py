@@ -28,7 +28,7 @@ from manyhands.launch.app.risks import warn_of_code
 from manyhands.launch.audit.prepared import prepared_of
 from manyhands.launch.bridges.layouts import save_layout
 from manyhands.launch.bridges.rosbag import ROSBAG, save_bag
-from manyhands.launch.files import EXIT_FAILED, EXIT_OK, claimed, require_target
+from manyhands.launch.files import EXIT_FAILED, EXIT_OK, claimed, require_new_target
 from manyhands.launch.look.display import printable, progress_bar, say, status
 from manyhands.launch.look.sessions import find_session, session_in
 from manyhands.launch.output import print_json
@@ -206,6 +206,7 @@ def export(
             "--layout", metavar="LAYOUT", help="Write a layout for FILE here: .json for Foxglove, .xml for PlotJuggler."
         ),
     ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a table or a layout that exists.")] = False,
 ) -> None:
     """Write a recording as a table, one row a tick, every number exact; or as a bag of ROS 2.
 
@@ -213,6 +214,7 @@ def export(
     """
     with errors("record"):
         if layout is not None:
+            require_new_target(layout, overwrite)
             with progress_bar(err, "reading") as progress:
                 run = read_run(file, progress)
             save_layout(layout, run.recorded, run.topics)
@@ -224,7 +226,9 @@ def export(
         target = output or file.with_suffix(f".{format_}")
         require_format(target, (f".{format_}",))
         if format_ != ROSBAG:
-            require_target(target)
+            require_new_target(target, overwrite)
+        elif overwrite:
+            refuse("--overwrite: found a bag, which is a folder and never replaced; expected a new name with -o")
         with progress_bar(err, "exporting") as progress:
             run = read_run(file, lambda part: progress(part / 2))
             patterns = [pattern for given in topics for pattern in given.split(",")]

@@ -10,8 +10,8 @@ import pytest
 import yaml
 
 from manyhands.design.identification import Identified, NotOfThisClass
-from manyhands.launch.files import TargetError
-from manyhands.launch.identify.device_file import above, below, device_file, require_new, statement, write_device_file
+from manyhands.launch.files import TargetError, require_new_target
+from manyhands.launch.identify.device_file import above, below, device_file, statement, write_device_file
 from manyhands.launch.identify.experiment import AtPose, drag, experiment, poses
 from manyhands.launch.identify.rig import Aborted, Late, Rig, Safety
 from manyhands.nodes.device.plugin import PluginDriver
@@ -222,5 +222,5 @@ def test_the_file_has_a_source_for_each_key_and_is_not_replaced(tmp_path: Path) 
     assert read["keys"]["limits"] == {"force": 5.0, "displacement": 0.2, "speed": 2.0}
     assert read["keys"]["sample_age"] == 0.0002
     with pytest.raises(TargetError, match="--overwrite"):
-        require_new(path, force=False)
-    require_new(path, force=True)
+        require_new_target(path, overwrite=False)
+    require_new_target(path, overwrite=True)

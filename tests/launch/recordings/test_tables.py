@@ -158,6 +158,28 @@ def test_the_command_writes_beside_the_recording(file: Path) -> None:
     assert [*from_csv(file.with_suffix(".csv"))] == ["tick", "time_s", *NAMES[:4], NAMES[8]]
 
 
+@pytest.mark.parametrize(("option", "name"), [("-o", "own.csv"), ("--layout", "own.json")])
+def test_a_file_that_exists_is_replaced_where_the_user_says_so_alone(
+    file: Path, tmp_path: Path, option: str, name: str
+) -> None:
+    (own := tmp_path / name).write_text("precious")
+    command = ["export", str(file), option, str(own)]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 2
+    assert f"{own}: found a file that exists; expected a new name, or --overwrite" in result.stderr
+    assert own.read_text() == "precious"
+    assert CliRunner().invoke(app, [*command, "--overwrite"]).exit_code == 0
+    assert len(own.read_text()) > 100
+
+
+def test_a_bag_is_never_replaced(file: Path, tmp_path: Path) -> None:
+    (own := tmp_path / "own.rosbag").mkdir()
+    result = CliRunner().invoke(app, ["export", str(file), "-o", str(own), "--overwrite"])
+    assert result.exit_code == 2
+    assert "--overwrite: found a bag, which is a folder and never replaced" in result.stderr
+    assert list(own.iterdir()) == []
+
+
 def test_nothing_is_said_of_a_node_that_is_whole(file: Path) -> None:
     result = CliRunner().invoke(app, ["export", str(file), "--format", "csv", "--topics", "c/tool"])
     assert (result.exit_code, "missing" in result.stderr) == (0, False)
