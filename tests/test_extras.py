@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import re
+import subprocess
 import sys
 import tomllib
 from importlib.metadata import packages_distributions, version
@@ -100,6 +102,33 @@ def test_a_missing_module_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatc
         require("record", "design")
     with pytest.raises(MissingExtra, match=r"manyhands\[record\]"), explained():
         import mcap.records  # noqa: F401
+
+
+def test_every_extra_that_a_text_tells_to_install_exists() -> None:
+    """In messages, documents and examples: pip would pass over another one with a warning."""
+    told: dict[str, set[str]] = {}
+    for path in (ROOT / name for name in subprocess.check_output(["git", "ls-files"], cwd=ROOT, text=True).split()):
+        if path.suffix in (".py", ".md", ".yaml", ".html", ".js"):
+            for listed in re.findall(r"manyhands\[([a-z, ]+)\]|'\.\[([a-z, ]+)\]'", path.read_text(encoding="utf-8")):
+                for extra in "".join(listed).split(","):
+                    told.setdefault(extra.strip(), set()).add(path.name)
+    assert {"all", "haply", "record"} <= told.keys()
+    assert {extra: names for extra, names in told.items() if extra not in SETS} == {}
+
+
+@pytest.mark.parametrize("driver", ["haply-inverse3", "tests.test_extras:in_need"])
+def test_a_driver_whose_library_is_missing_says_how_to_get_it(driver: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before its hardware is asked, which may not answer either; a stranger's driver may need a library of ours too."""
+    monkeypatch.setitem(sys.modules, "websockets", None)
+    done = manyhands_command("check-driver", driver, "--dof", 3, "--no-push")
+    assert done.exit_code == 2
+    extra = "haply" if driver == "haply-inverse3" else "view"
+    end = f"cannot be made: found no websockets; expected the extra {extra}: pip install 'manyhands[{extra}]'"
+    assert done.stderr.splitlines()[-1].endswith(end)
+
+
+def in_need(ports: tuple[str, ...], period: float, parameters: object) -> None:
+    import websockets  # noqa: F401
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,6 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
 from manyhands.devices.haply.service import HaplyError
-from manyhands.extras import require
 
 if TYPE_CHECKING:
     from websockets.client import ClientProtocol
@@ -39,9 +38,8 @@ class Channel:
 
         Raises:
             HaplyError: nobody listens there, or no WebSocket.
-            MissingExtra: the library ``websockets`` is not installed.
+            ModuleNotFoundError: the library ``websockets`` is not installed.
         """
-        require("haply")
         from websockets.client import ClientProtocol
         from websockets.exceptions import InvalidHandshake
         from websockets.uri import parse_uri

@@ -50,6 +50,7 @@ from manyhands.devices.haply.service import (
 )
 from manyhands.devices.haply.work import MotorWork, same
 from manyhands.devices.starting import is_number, measured_times, merged
+from manyhands.extras import require
 from manyhands.nodes.device.plugin import PART, DeviceDriver
 from manyhands.nodes.device.specification import DeviceSpecification, DeviceTiming, up
 from manyhands.nodes.kernel.realtime import schedule_as
@@ -125,7 +126,9 @@ class HaplyInverse3(DeviceDriver):
         Raises:
             ValueError: the parameters are not those.
             HaplyError: no service, no such device, or it is not ready.
+            MissingExtra: the library ``websockets`` is not installed.
         """
+        require("haply")  # before the service is asked, which may not answer either
         self._given = given = _checked(parameters)
         if len(ports) != 3:
             raise ValueError(f"dof: found {len(ports)}; expected 3, for an Inverse3 has the axes x, y and z")

@@ -153,7 +153,7 @@ def advice(machine: Machine, measured: Measured, worth: Worth, chains: int) -> t
     if not machine.compiled:
         found.append(
             Advice(
-                "install manyhands as a wheel, where there is a C compiler: its tick is pure Python here",
+                "pip install . in its sources, without -e, where there is a C compiler: its tick is pure Python here",
                 "a compiled tick, whose delays were a quarter shorter where they were compared; the same numbers",
             )
         )

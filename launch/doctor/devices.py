@@ -17,8 +17,9 @@ from pathlib import Path
 from typing import Any, Final
 from urllib.parse import urlsplit
 
+from manyhands.extras import MissingExtra, require
 from manyhands.launch.session.device_file import DeviceFile, catalogue, catalogue_file
-from manyhands.nodes.kernel.factory import DRIVERS, published
+from manyhands.nodes.kernel.factory import DRIVERS, EXTRA_OF, published
 
 RULES: Final = "/etc/udev/rules.d/70-manyhands.rules"
 """Where a rule goes: rules with ``uaccess`` have to come before 73-seat-late.rules of systemd."""
@@ -274,6 +275,10 @@ def _of_driver(file: DeviceFile) -> tuple[str, ...]:
         return ("this package has no driver of it: write one (docs/drivers.md), or use an installed package's",)
     if file.driver not in published(DRIVERS):
         return (f"this version of manyhands has no driver {file.driver}",)
+    try:
+        require(*(extra for driver, extra in EXTRA_OF.items() if driver == published(DRIVERS)[file.driver]))
+    except MissingExtra as error:
+        return (str(error),)
     return ()
 
 

@@ -25,6 +25,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from manyhands.extras import MissingExtra, explained
 from manyhands.nodes.kernel.lifetime import Stopped
 
 FACTORY: Final = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", re.ASCII)
@@ -59,6 +60,9 @@ LOADS: Final[Mapping[str, str]] = {
     SHIPPED[DRIVERS]["force-dimension"]: "libdrd as FORCEDIM_SDK names it, or as the platform's search finds it",
 }
 """Shipped drivers that load a library of the maker's, and which one where the session names none."""
+
+EXTRA_OF: Final[Mapping[str, str]] = {SHIPPED[DRIVERS]["haply-inverse3"]: "haply"}
+"""Shipped drivers that need an extra of this package, and which."""
 
 MESH: Final = "manyhands.nodes.environment.mesh:MeshProxies"
 """This package's model of a mesh. It takes data alone, and checks them, so it needs no permission and no warning."""
@@ -107,15 +111,20 @@ def made_by(name: FactoryName, what: str, ports: tuple[str, ...], T: float) -> A
         sys.path.append(name.folder)  # the last, so that it hides no installed module
     called = False
     try:
-        factory = getattr(importlib.import_module(module), function)
-        called = True
-        return factory(ports, T, dict(name.parameters))
+        with explained():
+            factory = getattr(importlib.import_module(module), function)
+            called = True
+            return factory(ports, T, dict(name.parameters))
+    except MissingExtra as error:
+        raise FactoryError(f"the {what} {name.factory} cannot be made: {error}") from error
     except (Stopped, FactoryError):
         raise  # the process is to end, which is no failure of the factory; or a shipped one has said what is wrong
     except (Exception, SystemExit) as error:  # foreign code: every exception is reported with the factory's name
         where = f" or in {name.folder}" if name.folder else ""
         # what a factory says of its own hardware needs no more; a TypeError may be that it takes other arguments
         expected = f"; expected a factory of (ports, period, parameters) on Python's import path{where}"
+        if isinstance(error, ModuleNotFoundError) and error.name is not None and not called:
+            expected += f": install the package that has {error.name} into {sys.executable}, or name another module"
         raise FactoryError(
             f"the {what} {name.factory} cannot be made: found {in_one_line(error)}"
             f"{'' if called and not isinstance(error, TypeError) else expected}"

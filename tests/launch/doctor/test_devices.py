@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -176,6 +177,13 @@ class TestService:
         [service] = found.devices
         assert (service.place, service.known) == ("http://127.0.0.1:10001/version", ("inverse3",))
         assert service.name == 'its service answers: {"version":"3.5.0"}'
+
+    def test_a_library_that_its_driver_needs_is_missing(self, desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+        assert desk.look('{"version":"3.5.0"}').devices[0].missing == ()
+        monkeypatch.setitem(sys.modules, "websockets", None)
+        assert desk.look('{"version":"3.5.0"}').devices[0].missing == (
+            "found no websockets; expected the extra haply: pip install 'manyhands[haply]'",
+        )
 
     @pytest.mark.parametrize(("status", "said"), [(200, "a b"), (404, "status 404")])
     def test_it_is_asked_once(self, status: int, said: str) -> None:
