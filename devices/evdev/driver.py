@@ -70,9 +70,6 @@ BY_ITSELF: Final = (
 LOOK: Final = from_seconds(0.5)
 """How often the kernel driver is asked whether its range is the same."""
 
-UDEV: Final = 'SUBSYSTEM=="input", KERNEL=="event*", ATTRS{idVendor}=="046d", TAG+="uaccess"'
-"""A rule that lets whoever sits at the machine use the devices of one maker; 046d is Logitech's number."""
-
 
 class WheelError(RuntimeError):
     """A wheel cannot be used, or is gone; the message names it and says what to do."""
@@ -138,8 +135,8 @@ class EvdevWheel(DeviceDriver):
             ) from error
         except PermissionError as error:
             raise WheelError(
-                f"{self._path}: found no permission to open it; join the group input, or write {UDEV} into "
-                "/etc/udev/rules.d/70-wheel.rules and plug it in again"
+                f"{self._path}: found no permission to open it; manyhands devices prints the rule of udev that gives "
+                "it to whoever sits at this machine, and where to write it"
             ) from error
         except OSError as error:
             raise WheelError(f"{self._path}: found {error.strerror}; expected an event device of the kernel") from error

@@ -10,6 +10,7 @@ force, by what an axis did in one direction alone, or by what the user can look 
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -76,6 +77,7 @@ class AxisAnswer:
         sideways: the axis that moved more than this one, and its way; None for none.
         ticks: how long a push lasted, at most.
         own: by how much it moved differently in times as long as a push, without a force, m.
+        most: the greatest force of this axis, N, as its driver states.
     """
 
     axis: str
@@ -87,6 +89,7 @@ class AxisAnswer:
     sideways: tuple[str, float] | None = None
     ticks: int = PUSH_TICKS
     own: float = 0.0
+    most: float = math.inf
 
     @property
     def way(self) -> float:
@@ -137,9 +140,9 @@ class AxisAnswer:
 
     def _why(self) -> str:
         """Why an axis may not have moved, to follow the sentence."""
-        look = (
-            f"is it held, braked or at its stop, or has it more friction than that (try --force {2.0 * self.force:g})?"
-        )
+        more = min(2.0 * self.force, self.most)
+        tried = f"try --force {more:g}" if more > self.force else "the greatest force that its driver states"
+        look = f"is it held, braked or at its stop, or has it more friction than that ({tried})?"
         if self.measured is None:
             return f": is its motor powered and enabled; {look}"
         if self.measured < self.force / 2.0:
@@ -251,7 +254,7 @@ def _pushed(bench: Bench, stated: DeviceSpecification, axis: int, push: Push) ->
     return AxisAnswer(
         called(stated.axes[axis]), force, float(ways[0][axis]), float(ways[1][axis]), least,
         max(measured) if measured else None, (called(stated.axes[most]), float(answer[most])) if beside else None,
-        own=float(own[axis]),
+        own=float(own[axis]), most=stated.force[axis],
     )  # fmt: skip
 
 

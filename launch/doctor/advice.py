@@ -7,6 +7,8 @@ and the runtime watches for the rest. The median shows what the machine would al
 
 from __future__ import annotations
 
+import os
+import pwd
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -17,7 +19,7 @@ from manyhands.launch.doctor.machine import Machine
 from manyhands.launch.doctor.probe import Measured, Ticking
 from manyhands.launch.doctor.profile import NOTHING, Stated
 from manyhands.launch.doctor.wakeup import Spread
-from manyhands.nodes.kernel.realtime import FIFO_PRIORITY
+from manyhands.nodes.kernel.realtime import FIFO_PRIORITY, NETWORK_NICE
 from manyhands.nodes.kernel.words import counted
 
 QUANTILES = ("p50", "p999")
@@ -168,20 +170,36 @@ def _tail(tau: Spread, worth: Worth) -> str:
     return f"at most {now:.0f} -> {even:.0f} {worth.loop.units()('N/m')}, were every tick like the median one"
 
 
+def _right(machine: Machine, item: str, value: str, of_a_container: str) -> str:
+    """How an administrator raises a limit for the user of this process."""
+    if machine.container:
+        return f"start this container with --ulimit {of_a_container}"
+    return f"write '{user()} - {item} {value}' into /etc/security/limits.d/manyhands.conf, then log in again"
+
+
+def user() -> str:
+    """The name of this process's user, or its number with the form that limits.conf takes."""
+    try:
+        return pwd.getpwuid(os.getuid()).pw_name
+    except KeyError:
+        return f"{os.getuid()}:{os.getuid()}"  # a range of user ids
+
+
 def _rights(machine: Machine, measured: Measured, best: Ticking, worth: Worth) -> list[Advice]:
     """Advice for each right that the kernel refused: the setting with which an administrator grants it."""
     found = []
     grants, tail = measured.waking.granted, _tail(best.tau, worth)
     if not grants["fifo"].granted:
-        change = f"permit SCHED_FIFO: 'rtprio {FIFO_PRIORITY}' for this user in /etc/security/limits.conf"
+        ulimits = f"rtprio={FIFO_PRIORITY} --ulimit nice={20 - NETWORK_NICE}"
+        change = _right(machine, "rtprio", str(FIFO_PRIORITY), ulimits)
         found.append(
             Advice(
-                f"{change}, then log in again ({grants['fifo'].answer})",
+                f"permit SCHED_FIFO: {change} ({grants['fifo'].answer})",
                 f"ticks that other programs do not delay; {tail}",
             )
         )
     if not grants["memory_locked"].granted:
-        change = "permit locked memory: 'memlock unlimited' for this user in /etc/security/limits.conf"
+        change = f"permit locked memory: {_right(machine, 'memlock', 'unlimited', 'memlock=-1')}"
         found.append(Advice(f"{change} ({grants['memory_locked'].answer})", "no tick waits for a page from disk"))
     if not grants["timer_slack"].granted:
         late: Mapping[str, Spread] = measured.waking.late

@@ -284,7 +284,7 @@ def test_lost_events_are_asked_for() -> None:
 @pytest.mark.parametrize(
     ("order", "said"),
     [
-        ("deny 1", "found no permission to open it; join the group input"),
+        ("deny 1", "found no permission to open it; manyhands devices prints the rule of udev"),
         ("busy 1", "found another program that has grabbed it"),
         ("full 1", "found no room for 1 effects"),
         (f"without {ev.FF_CONSTANT}", "found vibration alone; expected constant forces"),

@@ -127,6 +127,19 @@ class TestAnswers:
         assert sentence.startswith(f"axis 0 did not move under ±0.5 N{said}")
         assert sentence.endswith("friction than that (try --force 1)?") or kind is Unpowered
 
+    def test_the_force_that_is_told_to_try_moves_it_and_is_none_beyond_its_limit(self) -> None:
+        [answer] = found(drivers.Counterpart, 1, Push(0.5), friction=0.8).answers
+        [sentence] = answer.sentences()
+        told = float(sentence.partition("--force ")[2].partition(")")[0])
+        [answer] = found(drivers.Counterpart, 1, Push(told), friction=0.8).answers
+        assert answer.right
+        bench, stated = bench_of(drivers.Counterpart, 1, friction=0.8)
+        weak = replace(stated, force=(0.5,))
+        [answer] = ask_device(bench, weak, TICKS, Push(2.0), agreed()).answers
+        [sentence] = answer.sentences()
+        assert "--force" not in sentence
+        assert sentence.endswith("or has it more friction than that (the greatest force that its driver states)?")
+
     def test_one_that_moves_in_one_direction_alone_may_be_at_its_stop(self) -> None:
         [answer] = found(AtItsStop, 1, step=1e-5, damping=20.0).answers
         assert answer.right

@@ -28,7 +28,7 @@ from manyhands.design.problem import HapticLoop
 from manyhands.launch.app.examination import machine_rows, of_both_forms
 from manyhands.launch.audit.simulation import Simulation
 from manyhands.launch.doctor import probe
-from manyhands.launch.doctor.advice import Worth, advice, stiffness_object
+from manyhands.launch.doctor.advice import Worth, advice, stiffness_object, user
 from manyhands.launch.doctor.machine import Machine, examine, governors, preemption, realtime_share, virtual
 from manyhands.launch.doctor.probe import (
     RATES,
@@ -245,12 +245,29 @@ def test_each_weakness_of_the_machine_has_its_advice(changes: dict[str, object],
 
 
 @pytest.mark.parametrize(
-    ("refused", "says"), [("fifo", "rtprio"), ("memory_locked", "memlock"), ("timer_slack", "PR_SET_TIMERSLACK")]
+    ("refused", "says"),
+    [
+        ("fifo", f"write '{user()} - rtprio 10' into"),
+        ("memory_locked", f"'{user()} - memlock unlimited'"),
+        ("timer_slack", "PR_SET_TIMERSLACK"),
+    ],
 )
 def test_each_refusal_has_its_advice_with_the_kernels_reason(refused: str, says: str, worth: Worth) -> None:
     (one,) = advice(a_machine(), measurement(510.0, 600.0, **{refused: NO}), worth, chains=3)
     assert says in one.change
     assert NO.answer in one.change
+
+
+@pytest.mark.parametrize(
+    ("refused", "says"), [("fifo", "--ulimit rtprio=10 --ulimit nice=30"), ("memory_locked", "--ulimit memlock=-1")]
+)
+def test_a_container_is_given_its_rights_when_it_starts(refused: str, says: str, worth: Worth) -> None:
+    """limits.conf is read at a login, and nobody logs into a container."""
+    (one,) = advice(a_machine(container=True), measurement(510.0, 600.0, **{refused: NO}), worth, chains=3)
+    assert f"start this container with {says} (" in one.change
+    assert "limits" not in one.change.replace(NO.answer, "")
+    page = (Path(__file__).parents[3] / "docs" / "installing.md").read_text()
+    assert set(says.split("--ulimit ")) - {""} <= {word + " " for word in page.split()} | set(page.split())
 
 
 def test_one_processor_per_chain_and_one_for_the_environment_suffice(worth: Worth) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
+import re
 import shlex
 import subprocess
 import sys
@@ -16,6 +18,10 @@ from typer.testing import CliRunner
 import manyhands.launch.app.cli
 from manyhands.launch.app.cli import GROUPS, app
 
+from ....support.rooms import ROOMS
+
+ROOT = Path(__file__).parents[4]
+
 pytestmark = pytest.mark.usefixtures("own_interrupt")
 
 
@@ -23,6 +29,34 @@ def commands() -> dict[str, typer.core.TyperCommand]:
     """Every command of the program, by its words."""
     group = typer.main.get_group(app)
     return {name: group.get_command(None, name) for name in group.list_commands(None)}
+
+
+def told() -> list[tuple[str, int, str]]:
+    """Every command line of this program in a text of the product: its file, line and words."""
+    found = []
+    for room in ROOMS:
+        for path in (ROOT / room).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                    for line in re.findall(r"\bmanyhands ([a-z][a-z-]+(?: --[a-z-]+)*)", node.value):
+                        found.append((str(path.relative_to(ROOT)), node.lineno, line))
+    return found
+
+
+def test_every_command_and_option_that_a_text_names_exists() -> None:
+    """Advice of a command that is not there cannot be followed. A word after "manyhands" may be prose, too."""
+    known, wrong, followed = commands(), [], set()
+    for file, line, text in told():
+        name, *options = text.split()
+        command = known.get(name)
+        if command is None:
+            wrong += [(file, line, text)] if "-" in name or options else []
+            continue
+        have = {one for parameter in command.params for one in (*parameter.opts, *parameter.secondary_opts)}
+        wrong += [] if set(options) <= have | {"--help"} else [(file, line, text)]
+        followed.add(name)
+    assert wrong == []
+    assert {"check-driver", "identify", "doctor", "design", "devices"} <= followed
 
 
 def test_there_are_those_that_are_known() -> None:
