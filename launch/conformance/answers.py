@@ -18,6 +18,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from manyhands.design.models.axis import TRANSLATING, Units
 from manyhands.launch.conformance.driver import PUSH_TICKS, Array, Bench, Push, Stretch
 from manyhands.nodes.device.specification import DeviceSpecification
 
@@ -45,22 +46,24 @@ def called(axis: str) -> str:
 
 @dataclass(frozen=True)
 class AxisRead:
-    """One axis as it was read: its least and greatest place, m."""
+    """One axis as it was read: its least and greatest place, m, or rad by its units."""
 
     axis: str
     low: float
     high: float
+    units: Units = TRANSLATING
 
     def sentence(self, moved: bool = False) -> str:
         """Where it was, and whether it changed at all; ``moved`` where it did so under a push."""
+        unit = self.units("mm")
         if self.high == self.low and moved:
-            return f"{self.axis} stayed at {1e3 * self.low:.3f} mm until it was pushed"
+            return f"{self.axis} stayed at {1e3 * self.low:.3f} {unit} until it was pushed"
         if self.high == self.low:
             return (
-                f"{self.axis} stayed at {1e3 * self.low:.3f} mm in every sample: move it by hand; if that changes "
+                f"{self.axis} stayed at {1e3 * self.low:.3f} {unit} in every sample: move it by hand; if that changes "
                 "nothing, its encoder is not read"
             )
-        return f"{self.axis} was from {1e3 * self.low:.3f} to {1e3 * self.high:.3f} mm"
+        return f"{self.axis} was from {1e3 * self.low:.3f} to {1e3 * self.high:.3f} {unit}"
 
 
 @dataclass(frozen=True)
@@ -90,6 +93,7 @@ class AxisAnswer:
     ticks: int = PUSH_TICKS
     own: float = 0.0
     most: float = math.inf
+    units: Units = TRANSLATING
 
     @property
     def way(self) -> float:
@@ -113,17 +117,18 @@ class AxisAnswer:
 
     def sentences(self) -> Iterator[str]:
         """What happened, and where that is not as it should be, why it may be so and what to do."""
-        f, there, back = f"{self.force:g} N", f"{1e3 * self.there:+.2f} mm", f"{1e3 * self.back:+.2f} mm"
+        N, mm = self.units("N"), self.units("mm")
+        f, there, back = f"{self.force:g} {N}", f"{1e3 * self.there:+.2f} {mm}", f"{1e3 * self.back:+.2f} {mm}"
         if self.sideways is not None:
             other, way = self.sideways
             yield (
-                f"{self.axis} was pushed by ±{f}, and {other} moved instead, by {1e3 * way:+.2f} mm: the axes are "
+                f"{self.axis} was pushed by ±{f}, and {other} moved instead, by {1e3 * way:+.2f} {mm}: the axes are "
                 "swapped in the driver or its wiring; axis_map of the session can name them right"
             )
         elif not self.moved and self.own >= self.noise:
             yield (
-                f"{self.axis} moves by itself, by ±{1e3 * self.own:.2f} mm without a force, and by no more under ±{f}: "
-                "let it hang still; a driver whose device no force moves states moved_by_force=False"
+                f"{self.axis} moves by itself, by ±{1e3 * self.own:.2f} {mm} without a force, and by no more under "
+                f"±{f}: let it hang still; a driver whose device no force moves states moved_by_force=False"
             )
         elif not self.moved:
             yield f"{self.axis} did not move under ±{f}{self._why()}"
@@ -145,12 +150,13 @@ class AxisAnswer:
         look = f"is it held, braked or at its stop, or has it more friction than that ({tried})?"
         if self.measured is None:
             return f": is its motor powered and enabled; {look}"
+        N = self.units("N")
         if self.measured < self.force / 2.0:
             return (
-                f", and its driver measured {self.measured:.2g} N of it: the motor was not given the force. Has it its "
-                "power, is it enabled, is its emergency stop out, and does the device count as calibrated?"
+                f", and its driver measured {self.measured:.2g} {N} of it: the motor was not given the force. Has "
+                "it its power, is it enabled, is its emergency stop out, and does the device count as calibrated?"
             )
-        return f", though its driver measured {self.measured:.2g} N: the force is there; {look}"
+        return f", though its driver measured {self.measured:.2g} {N}: the force is there; {look}"
 
     def as_plain(self) -> dict[str, Any]:
         """As a JSON object."""
@@ -211,8 +217,10 @@ def ask_device(
         bench.rest(ticks)
         places = bench.samples.places
         found.reads = [
-            AxisRead(called(axis), float(low), float(high))
-            for axis, low, high in zip(stated.axes, places.min(axis=0), places.max(axis=0), strict=True)
+            AxisRead(called(axis), float(low), float(high), Units.of([kind]))
+            for axis, kind, low, high in zip(
+                stated.axes, stated.kinds, places.min(axis=0), places.max(axis=0), strict=True
+            )
         ]
         if push is None or not stated.moved_by_force:
             return found
@@ -248,13 +256,14 @@ def _pushed(bench: Bench, stated: DeviceSpecification, axis: int, push: Push) ->
     answer = (ways[0] - ways[1]) / 2.0
     step = 0.0 if stated.step is None else stated.step[axis]
     own = np.ptp(owns, axis=0) / 2.0  # as the answer is: what is the same in all, as gravity, is no motion of its own
-    most = int(np.abs(answer).argmax())
+    alike = [kind is stated.kinds[axis] for kind in stated.kinds]  # only these can be compared
+    most = int(np.where(alike, np.abs(answer), -1.0).argmax())
     least = max(LEAST, STEPS * step, ABOVE_NOISE * float(max(noise[axis] for noise in noises)), float(own[axis]))
     beside = abs(answer[most]) > max(least, own[most], SIDEWAYS * abs(answer[axis])) and most != axis
     return AxisAnswer(
         called(stated.axes[axis]), force, float(ways[0][axis]), float(ways[1][axis]), least,
         max(measured) if measured else None, (called(stated.axes[most]), float(answer[most])) if beside else None,
-        own=float(own[axis]), most=stated.force[axis],
+        own=float(own[axis]), most=stated.force[axis], units=Units.of([stated.kinds[axis]]),
     )  # fmt: skip
 
 

@@ -47,6 +47,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manyhands.design.levels.device import least_gain
+from manyhands.design.models.axis import AxisKind, Units
 from manyhands.launch.conformance.judgement import Conformance, Judgement, broken
 from manyhands.launch.conformance.timing import CallTimer
 from manyhands.nodes.device.drivers import Driver
@@ -116,6 +117,9 @@ LEFT: Final = 0.1
 
 MASSES: Final = (0.005, 50.0)
 """kg; the masses that a hand can move, where a driver states none."""
+
+INERTIAS: Final = (1e-6, 5.0)
+"""kg·m²; likewise on an axis that turns: from a rotor of a few grams to a ship's wheel."""
 
 LOOK: Final = 0.1
 """s, from one look at a running suite to the next."""
@@ -362,7 +366,7 @@ def check_driver(bench: Bench, stated: DeviceSpecification, push: Push | None) -
             yield Judgement(check, Conformance.OPEN, unpushed)
     yield from judged
     if not broken(judged):  # what a push has found says more
-        yield from _measured(bench)
+        yield from _measured(bench, stated)
     yield closing
 
 
@@ -435,16 +439,17 @@ def _times(bench: Bench) -> Iterator[Judgement]:
     yield Judgement(BLOCKING, Conformance.KEPT, "; ".join(texts))
 
 
-def _measured(bench: Bench) -> Iterator[Judgement]:
+def _measured(bench: Bench, stated: DeviceSpecification) -> Iterator[Judgement]:
     """The forces that the driver itself has measured; nothing where it measures none."""
     driver = bench.driver
     if not isinstance(driver, PluginDriver) or not driver.measures:
         return
+    N = stated.units("N")
     if (untrue := driver.untrue).ticks:
-        found = f"measured forces that it had not been given, in {untrue.ticks} ticks, by up to {untrue.most:.3g} N"
+        found = f"measured forces that it had not been given, in {untrue.ticks} ticks, by up to {untrue.most:.3g} {N}"
         expected = f"each within {PART:.0%} of its stated limit of one that it was given, within its stated delay"
     elif (limp := driver.limp).ticks:
-        found = f"no force in {limp.ticks} ticks, in which it was given up to {limp.most:.3g} N"
+        found = f"no force in {limp.ticks} ticks, in which it was given up to {limp.most:.3g} {N}"
         expected = "one that exerts what it is given while nothing is wrong: see its power, its watchdog and its limits"
     else:
         yield Judgement(FORCE, Conformance.KEPT, "every force that it measured is one that it was given")
@@ -456,9 +461,14 @@ def _reach(bench: Bench, stated: DeviceSpecification) -> Judgement:
     most = np.abs(bench.samples.places).max(axis=0)
     for axis, (found, reach) in enumerate(zip(most, stated.displacement, strict=True)):
         if found > reach:
-            text = f"found a sample of {found:.4g} m on axis {stated.axes[axis]}; expected at most {reach:g} m"
-            return Judgement(UNIT, Conformance.BROKEN, f"{text}, its reach: displacements are in m")
-    return Judgement(UNIT, Conformance.KEPT, f"samples up to {most.max():.3g} m, within the stated reach")
+            unit = Units.of([stated.kinds[axis]])("m")
+            text = (
+                f"found a sample of {found:.4g} {unit} on axis {stated.axes[axis]}; expected at most {reach:g} {unit}"
+            )
+            return Judgement(UNIT, Conformance.BROKEN, f"{text}, its reach: displacements are in {unit}")
+    return Judgement(
+        UNIT, Conformance.KEPT, f"samples up to {most.max():.3g} {stated.units('m')}, within the stated reach"
+    )
 
 
 @dataclass(frozen=True)
@@ -512,14 +522,19 @@ def _judged(pushed: _Pushed, T: float, stated: DeviceSpecification) -> Iterator[
     """What the answers of all axes to a push on one of them show."""
     axis, name, m = pushed.axis, stated.axes[pushed.axis], len(stated.force)
     of = pushed.words(stated)
-    low, high = MASSES if stated.mass is None else (stated.mass[axis] / 3.0, 3.0 * stated.mass[axis])
-    expected = f"expected {low:.3g} to {high:.3g} kg: displacements are in m, and forces in N"
+    unit = Units.of([stated.kinds[axis]])
+    bounds = INERTIAS if stated.kinds[axis] is AxisKind.ROTATION else MASSES
+    low, high = bounds if stated.mass is None else (stated.mass[axis] / 3.0, 3.0 * stated.mass[axis])
+    N, m_, kg = unit("N"), unit("m"), unit("kg")
+    expected = f"expected {low:.3g} to {high:.3g} {kg}: displacements are in {m_}, and forces in {N}"
     short = min(pushed.there, pushed.back, key=len)
     ticks = len(short)
     if ticks < LEAST_TICKS:
         moved = float(np.abs(short.places[-1] - short.places[0]).max())  # beyond the travel, which ended it
         mass = pushed.force * ((ticks - 1) * T) ** 2 / (2.0 * moved)
-        text = f"{pushed.force:g} N {of} moved it by {moved:.3g} m within {ticks} ticks, as if it weighed {mass:.2g} kg"
+        text = (
+            f"{pushed.force:g} {N} {of} moved it by {moved:.3g} {m_} within {ticks} ticks, as if it had {mass:.2g} {kg}"
+        )
         if mass < low:
             yield Judgement(UNIT, Conformance.BROKEN, f"found that {text}; {expected}")
         else:
@@ -532,11 +547,11 @@ def _judged(pushed: _Pushed, T: float, stated: DeviceSpecification) -> Iterator[
     duration = len(pushed.there) * T
     moved = float(np.ptp(pushed.rest.places, axis=0).max())
     if np.abs(a).max() * duration**2 / 2.0 < LEAST_MOTION and moved > LEAST_MOTION:
-        yield _own_motion(f"moves by {moved:.3g} m without a force, and no differently for a push {of}", stated)
+        yield _own_motion(f"moves by {moved:.3g} {m_} without a force, and no differently for a push {of}", stated)
         return
     if np.abs(a).max() * duration**2 / 2.0 < LEAST_MOTION:
         text = (
-            f"found no motion for a push of {pushed.force:g} N {of}; expected one: its samples are old, its force is "
+            f"found no motion for a push of {pushed.force:g} {N} {of}; expected one: its samples are old, its force is "
             "not exerted, or something holds it"
         )
         yield Judgement(STALE, Conformance.OPEN if stated.hardware else Conformance.BROKEN, text)
@@ -546,8 +561,8 @@ def _judged(pushed: _Pushed, T: float, stated: DeviceSpecification) -> Iterator[
         yield Judgement(STALE, Conformance.BROKEN, text)
         return
     if (own := pushed.own())[strongest] > OWN * abs(a[strongest]):
-        found = f"its acceleration changes by ±{own[strongest]:.2g} m/s² without a force, and by ±"
-        yield _own_motion(f"moves by itself: {found}{abs(a[strongest]):.2g} m/s² for a push {of}", stated)
+        found = f"its acceleration changes by ±{own[strongest]:.2g} {unit('m/s²')} without a force, and by ±"
+        yield _own_motion(f"moves by itself: {found}{abs(a[strongest]):.2g} {unit('m/s²')} for a push {of}", stated)
         return
     if abs(a[strongest]) > 3.0 * abs(a[axis]):
         found = f"a push {of} that moves axis {stated.axes[strongest]}"
@@ -564,11 +579,12 @@ def _judged(pushed: _Pushed, T: float, stated: DeviceSpecification) -> Iterator[
         if sprung.good and prompt and np.isfinite(sprung.mass) and sprung.stiffness > 0.0:
             yield Judgement(SIGN, Conformance.KEPT, f"it moves along a push {of}, and a spring drives it back")
             k = float(f"{sprung.stiffness:.2g}")
-            text = f"a spring of about {k:g} N/m hides the rest {of}: switch off its own springs or centring for this"
+            spring = f"a spring of about {k:g} {unit('N/m')}"
+            text = f"{spring} hides the rest {of}: switch off its own springs or centring for this"
             yield Judgement(MOTION, Conformance.OPEN, text)
             return
     if a[axis] < 0.0:
-        text = f"found a push of +{pushed.force:g} N {of} that moves it by {a[axis]:.3g} m/s²"
+        text = f"found a push of +{pushed.force:g} {N} {of} that moves it by {a[axis]:.3g} {unit('m/s²')}"
         yield Judgement(SIGN, Conformance.BROKEN, f"{text}; expected a motion along the force")
         return
     yield Judgement(SIGN, Conformance.KEPT, f"it moves along a push {of}")
@@ -589,11 +605,11 @@ def _judged(pushed: _Pushed, T: float, stated: DeviceSpecification) -> Iterator[
     )
     mass = mass if fits else pushed.force / float(a[axis])
     if not low <= mass <= high:
-        found = f"found {pushed.force:g} N that seem to move {mass:.3g} kg {of}; {expected}"
+        found = f"found {pushed.force:g} {N} that seem to move {mass:.3g} {kg} {of}; {expected}"
         held = stated.hardware and mass > high  # dry friction, or a hand
         yield Judgement(UNIT, Conformance.OPEN if held else Conformance.BROKEN, found)
         return
-    yield Judgement(UNIT, Conformance.KEPT, f"{pushed.force:g} N move {mass:.3g} kg {of}")
+    yield Judgement(UNIT, Conformance.KEPT, f"{pushed.force:g} {N} move {mass:.3g} {kg} {of}")
     left = float((_acceleration(pushed.after) - _acceleration(pushed.after_back))[axis] / 2.0 / a[axis])
     if left > LEFT:
         found = f"{left:.0%} of a push {of} after its release"
@@ -604,12 +620,12 @@ def _judged(pushed: _Pushed, T: float, stated: DeviceSpecification) -> Iterator[
         if abs(gain - 1.0) > GAIN:  # a counterpart with dry friction seems to weigh more than it does
             gain = stated.mass[axis] / dry.mass if dry.good else gain
         if abs(gain - 1.0) > GAIN:
-            found = f"{gain:.3g} times the force that was given, by the motion of {stated.mass[axis]:g} kg {of}"
+            found = f"{gain:.3g} times the force that was given, by the motion of {stated.mass[axis]:g} {kg} {of}"
             yield Judgement(FORCE, Conformance.BROKEN, f"found {found}; expected it within {GAIN:.0%}")
             return
         yield Judgement(FORCE, Conformance.KEPT, f"{gain:.3g} times the force that was given, {of}")
     if dry.good:
-        yield _estimate(dry, of, T, latency, stated.timing.jitter)
+        yield _estimate(dry, of, T, latency, stated.timing.jitter, unit)
     yield Judgement(RELEASE, Conformance.KEPT, f"released, {max(0.0, left):.0%} of a push {of} is left")
 
 
@@ -624,13 +640,14 @@ def _own_motion(found: str, stated: DeviceSpecification) -> Judgement:
     )
 
 
-def _estimate(fit: _Fit, of: str, T: float, latency: float, jitter: float) -> Judgement:
+def _estimate(fit: _Fit, of: str, T: float, latency: float, jitter: float, unit: Units) -> Judgement:
     """What the device seems to burn, and the limit of a stiffness that it is worth, :mod:`manyhands.design.budget`."""
-    text = f"it seems to damp {max(0.0, fit.damping):.2g} N·s/m, and {max(0.0, fit.friction):.2g} N, {of}"
+    burned = f"{max(0.0, fit.damping):.2g} {unit('N·s/m')}, and {max(0.0, fit.friction):.2g} {unit('N')}"
+    text = f"it seems to damp {burned}, {of}"
     if fit.damping > 0.0:
         worth = "nothing"  # no certificate covers a delay of more than the period
         if latency <= T:
-            worth = f"{fit.damping / (least_gain(latency / T, min(1.0, jitter / T)) * T):.3g} N/m"
+            worth = f"{fit.damping / (least_gain(latency / T, min(1.0, jitter / T)) * T):.3g} {unit('N/m')}"
         text += f", worth {worth} in this period and with its own delay alone"
     return Judgement(ESTIMATE, Conformance.KEPT, f"{text}: an estimate, and no osp, which manyhands identify measures")
 
@@ -726,7 +743,9 @@ def _silence(pushed: _Pushed, silence: tuple[Stretch, Stretch], T: float, stated
     step = 0.0 if stated.step is None else stated.step[axis]
     if kept - ended < 4.0 * step:  # each of both ways is known to a step
         return Judgement(
-            SILENCE, Conformance.OPEN, f"a step of {step:g} m is too coarse to see the end of a force {of}"
+            SILENCE,
+            Conformance.OPEN,
+            f"a step of {step:g} {Units.of([stated.kinds[axis]])('m')} is too coarse to see the end of a force {of}",
         )
     if moved > (ended + kept) / 2.0:
         found = f"a force {of} that went on for {1e3 * W:.3g} ms in which nothing was called"

@@ -266,7 +266,7 @@ class PluginDriver:
                 the driver's displacement at a force is not that of its instant, and is not used.
         """
         timing = timing or stated.timing
-        self.by_itself = stated.uncovered
+        self.by_itself, self._units = stated.uncovered, stated.units
         self._name, self._driver, self._measures = name, driver, timing.latency == 0.0
         self._given = GivenForces(stated.force, from_seconds(T + timing.actuation_delay))
         self._measured = 0
@@ -291,7 +291,7 @@ class PluginDriver:
         except (Exception, SystemExit) as error:  # foreign code: every exception is named
             raise self._raised("sample", error, "a displacement") from error
         if len(X) != self._m or not all(map(math.isfinite, X)):
-            raise self._unusable("sample", X, f"{self._m} finite displacements in m")
+            raise self._unusable("sample", X, f"{self._m} finite displacements in {self._units('m')}")
         return [gain * X[axis] for axis, gain in self._to_ports]
 
     def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Floats | None:
@@ -329,7 +329,7 @@ class PluginDriver:
         if F == self._F:
             return held
         if len(F) != self._m or not all(map(math.isfinite, F)):
-            raise self._unusable("exerted", F, f"{self._m} finite forces in N, or None")
+            raise self._unusable("exerted", F, f"{self._m} finite forces in {self._units('N')}, or None")
         self._given.measured(F)
         self._unexerted.count(max(abs(a - b) for a, b in zip(F, self._F, strict=True)))
         return [F[axis] / gain for axis, gain in self._to_ports]
@@ -413,7 +413,7 @@ class PluginDriver:
     def _at_ports(self, call: str, X: Sequence[float]) -> Floats | None:
         """A displacement of the driver at the ports, m; None where it is not that of its instant."""
         if len(X) != self._m or not all(map(math.isfinite, X)):
-            raise self._unusable(call, X, f"{self._m} finite displacements in m, or None")
+            raise self._unusable(call, X, f"{self._m} finite displacements in {self._units('m')}, or None")
         return [gain * float(X[axis]) for axis, gain in self._to_ports] if self._measures else None
 
     def _raised(self, call: str, error: BaseException, expected: str) -> DriverFailure:

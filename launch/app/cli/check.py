@@ -12,6 +12,7 @@ from typing import Annotated, Any, Self
 import typer
 from pydantic_core import PydanticCustomError
 
+from manyhands.design.models.axis import Units
 from manyhands.launch.app.cli.common import Json, end, err, errors, out, refuse
 from manyhands.launch.conformance.answers import Explained, Question, ask_device, called
 from manyhands.launch.conformance.driver import Bench, NeverReturned, Push, checked_apart, clock_for, run_apart
@@ -84,7 +85,7 @@ def check_driver(
         if asked and not sys.stdin.isatty():
             plugin.close()
             refuse("found real hardware to push, and no terminal to ask at; expected --yes, or --no-push to read alone")
-        if asked and not _agreed(min(force, *stated.force), travel):
+        if asked and not _agreed(min(force, *stated.force), travel, stated.units):
             say(err, "no force is exerted")
             push = False
         bench = Bench(plugin, period, clock_for(stated, RealtimeClock()))
@@ -128,7 +129,7 @@ def probe(
         if yes or not (push and stated.moved_by_force and stated.hardware):
             question.answer(push)
         pushes, ticks = Push(force, travel) if push else None, max(1, round(seconds / period))
-        live = _Live(bench, stated.axes, question, lambda: _agreed(min(force, *stated.force), travel))
+        live = _Live(bench, stated, question, lambda: _agreed(min(force, *stated.force), travel, stated.units))
         with live:
             try:
                 found = run_apart(bench, lambda: ask_device(bench, stated, ticks, pushes, question), look=live.look)
@@ -166,11 +167,11 @@ class _Live:
     def __init__(
         self,
         bench: Bench,
-        axes: tuple[str, ...],
+        stated: DeviceSpecification,
         question: Question,
         agreed: Callable[[], bool],
     ) -> None:
-        self._bench, self._axes, self._question, self._agreed = bench, axes, question, agreed
+        self._bench, self._stated, self._question, self._agreed = bench, stated, question, agreed
         self._shown = ExitStack()
         self._tell: Callable[[str], None] = lambda _text: None
 
@@ -184,8 +185,10 @@ class _Live:
     def look(self) -> None:
         """Show the newest sample, and ask the question once."""
         if self._bench.samples.x:
-            places = zip(self._axes, self._bench.samples.x[-1], strict=True)
-            self._tell("  ".join(f"{called(axis)} {1e3 * x:+9.3f} mm" for axis, x in places))
+            stated = self._stated
+            places = zip(stated.axes, stated.kinds, self._bench.samples.x[-1], strict=True)
+            told = (f"{called(axis)} {1e3 * x:+9.3f} {Units.of([kind])('mm')}" for axis, kind, x in places)
+            self._tell("  ".join(told))
         question = self._question
         if question.asked.is_set() and not question.answered.is_set():
             self._shown.close()  # so that nothing is drawn over the question
@@ -295,9 +298,10 @@ def _factory(name: str, group: str, parameters: str) -> FactoryName:
         raise FactoryError(f"{place}: found {problem.found}; expected {problem.expected}") from error
 
 
-def _agreed(force: float, travel: float) -> bool:
+def _agreed(force: float, travel: float, units: Units) -> bool:
     """Whether the user at the terminal agrees to a push; no terminal is no."""
-    question = f"this pushes real hardware with {force:g} N, up to {1e3 * travel:g} mm at a time; nobody may hold it"
+    push = f"{force:g} {units('N')}, up to {1e3 * travel:g} {units('mm')} at a time"
+    question = f"this pushes real hardware with {push}; nobody may hold it"
     if not sys.stdin.isatty():
         say(err, f"{question}: there is no terminal to ask at; give --yes or --no-push")
         return False

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from manyhands.design.budget import stiffest
+from manyhands.design.models.axis import TRANSLATING
 from manyhands.launch.conformance.driver import (
     BLOCKING,
     EXCEPTION,
@@ -269,7 +270,7 @@ def test_a_driver_that_measures_a_wrong_force_is_named(kind: type[DeviceDriver],
 )
 def test_an_estimate_is_worth_what_the_budget_says(latency: float, jitter: float, worth: float | None) -> None:
     fit = SimpleNamespace(damping=0.2, friction=0.0)
-    text = _estimate(cast(Any, fit), "at x", 1e-3, latency, jitter).text
+    text = _estimate(cast(Any, fit), "at x", 1e-3, latency, jitter, TRANSLATING).text
     if worth is None:
         assert "worth nothing in this period" in text
         return
