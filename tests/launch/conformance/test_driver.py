@@ -35,7 +35,7 @@ from manyhands.launch.conformance.driver import (
 from manyhands.launch.conformance.judgement import Conformance, Judgement, broken
 from manyhands.launch.conformance.timing import CallTimer
 from manyhands.nodes.device.plugin import DeviceDriver, PluginDriver
-from manyhands.nodes.device.specification import AxisMap
+from manyhands.nodes.device.specification import AxisMap, DeviceSpecification
 from manyhands.protocol.clock import Instant, SimulatedClock
 
 from ...support import plugin_drivers as drivers
@@ -60,6 +60,31 @@ def test_a_good_driver_keeps_everything(axes: int, damping: float) -> None:
     found = findings(drivers.Counterpart, axes, damping=damping)
     assert {finding.verdict for finding in found} == {Conformance.KEPT}, found
     assert {STALE, SIGN, UNIT, RELEASE, SILENCE, EXCEPTION, BLOCKING, SWAPPED} <= {finding.check for finding in found}
+
+
+class Rotor(drivers.Counterpart):
+    """A light rotor, whose driver does not state its inertia."""
+
+    def specification(self) -> DeviceSpecification:
+        return replace(super().specification(), mass=None, turning=("0",))
+
+
+def test_a_rotor_is_no_wrong_unit_and_is_told_in_its_units() -> None:
+    """As a mass, what it has would be far below what a hand can hold."""
+    own: dict[str, Any] = {"mass": 0.0005, "damping": 0.02, "push": Push(0.005, 0.2)}
+    found = findings(Rotor, 1, **own)
+    assert broken(found) == []
+    told = " ".join(finding.text for finding in found)
+    assert re.search(r"0\.005 N·m move 0\.0005\d* kg·m² on its axis", told), told
+    assert re.search(r"it seems to damp \S+ N·m·s/rad, and \S+ N·m, on its axis, worth \S+ N·m/rad", told)
+    assert re.search(r"samples up to \S+ rad, within", told)
+    assert not re.search(r" (N|m|kg|N/m|N·s/m)\b(?![·/])", told), told
+
+    class Slide(Rotor):
+        def specification(self) -> DeviceSpecification:
+            return replace(super().specification(), turning=())
+
+    assert broken(findings(Slide, 1, **own)) == [UNIT]
 
 
 @pytest.mark.parametrize("friction", [0.01, 0.05, 0.15])
