@@ -28,6 +28,7 @@ class OwnDevice:
         curvature: kappa of a linkage whose motors hold torques, 1/m; 0 where the force is held.
         force: the greatest force of such a linkage, N.
         fastest: its greatest speed, m/s; how far it gets while torques are held.
+        turning: whether it turns: its numbers are in N·m and rad then.
     """
 
     osp: float
@@ -40,6 +41,7 @@ class OwnDevice:
     curvature: float = 0.0
     force: float = 0.0
     fastest: float = 0.0
+    turning: bool = False
 
 
 def session_of(own: OwnDevice) -> Session:
@@ -49,6 +51,8 @@ def session_of(own: OwnDevice) -> Session:
         SessionError: a number is out of its range; the message names the session's key.
     """
     device: dict[str, Any] = {"dof": 1, "osp": own.osp, "driver": "simulated", "mass": 0.1}
+    if own.turning:
+        device["axes"] = "rotation"
     if own.friction:
         device["friction"] = {"least": own.friction}
     if own.step:

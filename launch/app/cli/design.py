@@ -139,6 +139,9 @@ def budget(
     ] = OwnDevice.curvature,
     force: Annotated[float, typer.Option(metavar="N", help="The greatest force of that linkage.")] = OwnDevice.force,
     fastest: Annotated[float, typer.Option(metavar="M/S", help="Its greatest speed.")] = OwnDevice.fastest,
+    turning: Annotated[
+        bool, typer.Option("--turning", help="It turns: all of these are in N·m and rad.")
+    ] = OwnDevice.turning,
     picture: Annotated[
         Path | None, typer.Option("--plot", metavar="FILE", help="Draw the curves (.png, .svg or .pdf).")
     ] = None,
@@ -164,7 +167,7 @@ def budget(
             require_picture(picture)
         late = None if delay is None else time_of("--delay", delay)
         varies = 0.0 if jitter is None else time_of("--jitter", jitter)
-        own = OwnDevice(osp or 0.0, rate, late, varies, friction, step, speed, kappa, force, fastest)
+        own = OwnDevice(osp or 0.0, rate, late, varies, friction, step, speed, kappa, force, fastest, turning)
         if session is None and osp is not None and not overrides:
             _require_device(own)
             end(run_own_budget(own, out, err, picture, as_json))
