@@ -336,7 +336,7 @@ BROKEN: Final = {
         {10: "  type: network\n  delay: -1"}),
     "delay-long": Broken(11, "environment.delay", "17", "a whole number of ticks from 0 to 16",
         {10: "  type: network\n  delay: 17"}),
-    "network-with-matrices": Broken(11, "environment.A", "unknown key 'A'", "one of type, masses, links, delay",
+    "network-with-matrices": Broken(11, "environment.A", "unknown key 'A'", "one of type, masses, inertias, links, delay",
         {10: "  type: network\n  A: [[1]]"}),
     "environment-without-type": Broken(9, "environment", "no key 'type'",
         "network, scene, state-space, transfer-function",

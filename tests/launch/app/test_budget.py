@@ -164,9 +164,9 @@ def test_devices_with_friction_have_a_curve_over_the_speed() -> None:
 
 
 def test_the_panel_over_the_speed() -> None:
-    found = speed_budget(session_budget(load_named("example1", [*RUBBING, "design.speed=0.05"])))
-    axes = Figure().subplots()
-    draw_speeds(axes, found, 0.05)
+    budget = session_budget(load_named("example1", [*RUBBING, "design.speed=0.05"]))
+    found, axes = speed_budget(budget), Figure().subplots()
+    draw_speeds(axes, found, budget.loop)
     curve, line, mark = axes.lines
     assert curve.get_ydata() == pytest.approx(found[0].certified)
     assert list(line.get_ydata()) == [found[0].every] * 2

@@ -194,7 +194,8 @@ class TestCatalogue:
         file = catalogue_file(name)
         assert file.driver is None or file.driver in published(DRIVERS)
         given: dict[str, Any] = {"from": name, "osp": 0.5, "driver": "my_driver:make", "dof": file.keys.get("dof", 1)}
-        axes = file.keys.get("axes", [str(i) for i in range(given["dof"])])
+        axes = file.keys.get("axes", [])
+        axes = [str(i) for i in range(given["dof"])] if not axes or isinstance(axes, str) else axes
         session = {
             "session": "s", "period": 0.001, "devices": {"d": given}, "couplings": {"c": {"devices": ["d"]}},
             "environment": {
