@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from manyhands.design.models.axis import AxisKind, Units
 from manyhands.launch.session.device import OF_A_PLUGIN, Device
 from manyhands.launch.session.errors import SessionError, key_text, one_of, show
 from manyhands.launch.session.fields import Problem, first_error, nulls_in
@@ -206,10 +207,16 @@ def _with_file(tree: SessionTree, name: str, device: Mapping[str, Any], file: De
     } | {path: place for path, place in tree.places.items() if path != (*at, FROM)}
     if "osp" not in merged:
         _, where = tree.locate((*at, FROM))
-        found, expected = f"no osp, and none in {file.name}", f"osp in N·s/m: {_TO_DO}"
+        found, expected = f"no osp, and none in {file.name}", f"osp in {_unit_of_osp(merged.get('axes'))}: {_TO_DO}"
         raise SessionError(where.source, where.line, key_text(at), found, expected)
     devices = {**_entries(tree.data["devices"]), name: merged}
     return SessionTree(tree.source, {**tree.data, "devices": devices}, places)
+
+
+def _unit_of_osp(axes: object) -> str:
+    """By what a session or a file says of the axes, which is not checked yet."""
+    kinds = axes.values() if isinstance(axes, Mapping) else [axes]
+    return Units.of(AxisKind(kind) if kind in [*AxisKind] else AxisKind.TRANSLATION for kind in kinds)("N·s/m")
 
 
 def _inner(at: KeyPath, path: KeyPath) -> KeyPath:

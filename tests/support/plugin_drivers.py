@@ -357,9 +357,15 @@ class Blocking(Counterpart):
 
 
 class Endless(Counterpart):
-    """A call of it returns only once somebody sets ``freed``."""
+    """A call of it returns only once somebody frees it."""
 
     freed = threading.Event()
+
+    @classmethod
+    def free(cls) -> None:
+        """Let every call return that waits; later ones wait again."""
+        before, cls.freed = cls.freed, threading.Event()
+        before.set()
 
     def sample(self, tick: int, at: Instant) -> Sequence[float]:
         if tick == 100:

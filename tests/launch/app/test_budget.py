@@ -179,7 +179,8 @@ def test_the_panel_over_the_speed() -> None:
     ]
     axes = Figure().subplots()
     coarse = [f"devices.{name}.step=0.0005" for name in ("dx", "dy")]
-    draw_speeds(axes, speed_budget(session_budget(load_named("example1", RUBBING + coarse))), None)
+    budget = session_budget(load_named("example1", RUBBING + coarse))
+    draw_speeds(axes, speed_budget(budget), budget.loop)
     assert "dx, dy: nothing below any speed, because of the encoders' steps" in [one.get_label() for one in axes.lines]
     assert not any(one.get_marker() == "o" for one in axes.lines)
 

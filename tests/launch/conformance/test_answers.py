@@ -240,11 +240,10 @@ class TestApart:
             with pytest.raises(NeverReturned, match=r"found that sample has not returned for 0\.2 s"):
                 run_apart(bench, lambda: ask_device(bench, stated, 200, None, Question()), 0.2, lambda: None)
         finally:
-            drivers.Endless.freed.set()
+            drivers.Endless.free()
             for thread in threading.enumerate():
                 if thread is not threading.current_thread() and thread.daemon:
                     thread.join(10.0)
-            drivers.Endless.freed.clear()
 
     def test_the_bench_keeps_what_a_driver_measured(self) -> None:
         bench, _ = bench_of(drivers.Counterpart, 1)

@@ -186,7 +186,7 @@ def test_a_broken_driver_is_named_for_what_it_is(kind: type[DeviceDriver], name:
 @pytest.fixture
 def endless() -> Iterator[None]:
     yield
-    drivers.Endless.freed.set()
+    drivers.Endless.free()
 
 
 @pytest.mark.usefixtures("endless")

@@ -269,7 +269,8 @@ class TestCommand:
         printed = manyhands_command("devices", name).stdout.partition("where each line with # is yours:\n")[2]
         own = printed.replace("# driver:", "driver:").replace("# dof:", "dof:")
         keys = catalogue_file(name).keys
-        axes = keys.get("axes", [*map(str, range(keys.get("dof", 1)))])
+        axes, unit = keys.get("axes", ""), "N·m·s/rad" if "rotation" in str(keys.get("axes")) else "N·s/m"
+        axes = [*map(str, range(keys.get("dof", 1)))] if isinstance(axes, str) else axes
         rest = yaml.safe_dump(
             {
                 "session": "mine",
@@ -285,9 +286,8 @@ class TestCommand:
         (file := tmp_path / "mine.yaml").write_text(rest + own)
         done = manyhands_command("design", file)
         assert done.exit_code == 2
-        assert (
-            "osp in N·s/m: the damping that your device surely has; measure it with manyhands identify" in done.stderr
-        )
+        lacks = f"osp in {unit}: the damping that your device surely has; measure it with manyhands identify"
+        assert lacks in done.stderr
         file.write_text(rest + own.replace("# osp: OSP", "osp: 0.5"))
         done = manyhands_command("design", file)
         assert done.exit_code == 0, done.output
