@@ -216,7 +216,8 @@ def _with_file(tree: SessionTree, name: str, device: Mapping[str, Any], file: De
 def _unit_of_osp(axes: object) -> str:
     """By what a session or a file says of the axes, which is not checked yet."""
     kinds = axes.values() if isinstance(axes, Mapping) else [axes]
-    return Units.of(AxisKind(kind) if kind in [*AxisKind] else AxisKind.TRANSLATION for kind in kinds)("N·s/m")
+    turn = AxisKind.ROTATION
+    return Units.of(turn if kind == turn.value else AxisKind.TRANSLATION for kind in kinds)("N·s/m")
 
 
 def _inner(at: KeyPath, path: KeyPath) -> KeyPath:
