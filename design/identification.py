@@ -112,6 +112,7 @@ class MeasuredMotion:
         extra: by tick, work of the motors beyond f^T dx, J: what torques that are held add.
         stale: by tick, whether the displacement is older than :class:`Doubt` says, and so is none; None where none is.
         took: by tick, how much later than ``applied`` the force may have been given, s; None for not at all.
+        settled: how many of the turns come before it goes to and fro evenly.
     """
 
     sampled: Array
@@ -123,6 +124,7 @@ class MeasuredMotion:
     extra: Array | None = None
     stale: NDArray[np.bool_] | None = None
     took: Array | None = None
+    settled: int = 1
 
 
 @dataclass(frozen=True)
@@ -345,7 +347,7 @@ class _Window:
 
 
 @dataclass(frozen=True)
-class _Run:
+class Run:
     """A motion along a line, by the instants at which its forces changed: s, v and f along it; y and w in all axes."""
 
     motion: MeasuredMotion
@@ -361,6 +363,14 @@ class _Run:
     n: int
     half: float
 
+    def by_parts(self, weights: Array, off: Array) -> float:
+        """Bound of the error of sum weights v, where displacements are off by ``off``: v is a difference of them."""
+        n, span = self.n, 2.0 * self.half
+        padded, around = np.pad(weights, 2 * n), np.pad(off, 2 * n, mode="edge")
+        once = np.abs(padded[2 * n :] - padded[: -2 * n]) @ around[n:-n] / span
+        twice = np.abs(padded[4 * n :] - padded[: -4 * n]) @ off / (2.0 * span)
+        return float(4.0 / 3.0 * once + twice / 3.0)
+
     def pull(self, part: slice) -> float:
         """A bound of the acceleration on a way, m/s^2."""
         v, t = self.v[part], self.t[part]
@@ -368,7 +378,7 @@ class _Run:
         return SURE * float(np.max(np.abs(v[2 * n :] - v[: -2 * n]) / (t[2 * n :] - t[: -2 * n])))
 
 
-def _run_of(motion: MeasuredMotion, u: Array, doubt: Doubt, part: float) -> _Run:
+def run_of(motion: MeasuredMotion, u: Array, doubt: Doubt, part: float) -> Run:
     """Displacements and velocities at the instants of the forces, as far as age and delay are known.
 
     Velocities are means over twice this part of a way.
@@ -391,12 +401,12 @@ def _run_of(motion: MeasuredMotion, u: Array, doubt: Doubt, part: float) -> _Run
     # a mean over twice the time is off four times as much: a third of the difference corrects the shorter one
     bend = (mean_velocity(n) - mean_velocity(2 * n)) / 3.0
     w = mean_velocity(n) + bend
-    return _Run(
+    return Run(
         motion, length, t, y, w, y @ length, w @ length, motion.f @ length, np.abs(bend @ length), between, n, half
     )
 
 
-def _ways(runs: Sequence[_Run], window: _Window, doubt: Doubt) -> Iterator[WayThrough | None]:
+def _ways(runs: Sequence[Run], window: _Window, doubt: Doubt) -> Iterator[WayThrough | None]:
     """The ways between two turns; None for one that does not cross the window, or stops in it.
 
     Of the same motion with several means of velocity, each way is told with the least bound of an error.
@@ -407,7 +417,7 @@ def _ways(runs: Sequence[_Run], window: _Window, doubt: Doubt) -> Iterator[WayTh
         yield min(told, key=lambda way: way.Q_error, default=None)
 
 
-def _way(run: _Run, part: slice, window: _Window, doubt: Doubt) -> WayThrough | None:
+def _way(run: Run, part: slice, window: _Window, doubt: Doubt) -> WayThrough | None:
     s, t, v, w, u = run.s[part], run.t[part], run.v[part], run.w[part], run.u
     sign = 1.0 if s[-1] > s[0] else -1.0
     first, last = (s[0], s[-1]) if sign > 0.0 else (s[-1], s[0])
@@ -427,12 +437,8 @@ def _way(run: _Run, part: slice, window: _Window, doubt: Doubt) -> WayThrough | 
     R = float(np.abs(Psi[-1] - Psi[0]))
 
     def error(weights: Array) -> float:
-        """Bound of the error of sum weights v: by parts, since v is a difference of displacements."""
-        n, span = run.n, 2.0 * run.half
-        padded, around = np.pad(weights, 2 * n), np.pad(off, 2 * n, mode="edge")
-        once = np.abs(padded[2 * n :] - padded[: -2 * n]) @ around[n:-n] / span
-        twice = np.abs(padded[4 * n :] - padded[: -4 * n]) @ off / (2.0 * span)
-        return float(4.0 / 3.0 * once + twice / 3.0 + np.abs(weights) @ bend)
+        """Bound of the error of sum weights v, with that of the correction."""
+        return run.by_parts(weights, off) + float(np.abs(weights) @ bend)
 
     # over the window, not over time: exact in the place, and one factor v
     over, slopes = _centred(Psi), _centred(psi)
@@ -468,7 +474,7 @@ def _centred(values: Array) -> Array:
     return np.gradient(values) if len(values) > 1 else np.zeros_like(values)
 
 
-def _work(run: _Run, part: slice, window: _Window, doubt: Doubt) -> tuple[float, float]:
+def _work(run: Run, part: slice, window: _Window, doubt: Doubt) -> tuple[float, float]:
     """The work of the motors under the window, J, and a bound of its error.
 
     A force acts from its instant to the next one's. Summed by parts, an error of a displacement counts as much as the
@@ -490,7 +496,7 @@ def _work(run: _Run, part: slice, window: _Window, doubt: Doubt) -> tuple[float,
     return P, float(jumps @ (window.at(s[1:-1]) * off)) + _ROUNDING * abs(P)
 
 
-def _pairs(run: Sequence[_Run], window: _Window, doubt: Doubt) -> list[ThereAndBack]:
+def _pairs(run: Sequence[Run], window: _Window, doubt: Doubt) -> list[ThereAndBack]:
     """One pair of each way there with the next one back."""
     found: list[ThereAndBack] = []
     before: WayThrough | None = None
@@ -550,7 +556,7 @@ def measured_line(motions: Sequence[MeasuredMotion], u: Array, doubt: Doubt) -> 
     Raises:
         TooLittle: at fewer than two levels the device went to and fro without a stop.
     """
-    runs = [[_run_of(motion, u, doubt, part) for part in PARTS] for motion in motions]
+    runs = [[run_of(motion, u, doubt, part) for part in PARTS] for motion in motions]
     ends = [run[0].s[list(run[0].motion.turns)] for run in runs]
     low = max(float(np.median(e[e < np.mean(e)])) for e in ends)
     high = min(float(np.median(e[e > np.mean(e)])) for e in ends)
@@ -562,7 +568,7 @@ def measured_line(motions: Sequence[MeasuredMotion], u: Array, doubt: Doubt) -> 
             "its friction"
         )
 
-    def pairs(window: Sequence[float], of: Sequence[list[_Run]]) -> list[ThereAndBack]:
+    def pairs(window: Sequence[float], of: Sequence[list[Run]]) -> list[ThereAndBack]:
         found = _Window(*(middle + half * place for place in window))
         return [pair for run in of for pair in _pairs(run, found, doubt)]
 
@@ -603,7 +609,7 @@ def mass_interval(line: Line) -> tuple[Between, float]:
                 rows.append([sign, sign * pair.odd_Q - more * pair.Q_error - ASIDE * pair.odd_aside])
                 limits.append(sign * pair.odd + slack)
         if rows:
-            found.append(_range(np.array([0.0, 1.0]), np.array(rows), np.array(limits), 1))
+            found.append(range_of(np.array([0.0, 1.0]), np.array(rows), np.array(limits), 1))
     if not all(found):
         raise NotOfThisClass(
             "found no mass that agrees with how it speeds up; expected one: a hand, a cable or a filter"
@@ -615,12 +621,15 @@ def mass_interval(line: Line) -> tuple[Between, float]:
     return Between(max(0.0, low), high), max(middles) - min(middles)
 
 
-def _range(c: Array, A: Array, b: Array, free: int, extra: Array | None = None) -> list[float]:
-    """The least and the greatest c^T z for A z <= b, with the first ``free`` entries of z of any sign; [] if empty."""
+def range_of(c: Array, A: Array, b: Array, free: int, ends_of: Sequence[float] = (1.0, -1.0)) -> list[float]:
+    """The least and the greatest c^T z for A z <= b, with the first ``free`` entries of z of any sign; [] if empty.
+
+    ``ends_of`` has 1 for the least, and -1 for the greatest.
+    """
     bounds = [(None, None) if i < free else (0.0, None) for i in range(len(c))]
     ends = []
     scale = float(np.max(np.abs(b), initial=1e-12))
-    for sign in (1.0, -1.0):
+    for sign in ends_of:
         answer = linprog(sign * c, A_ub=A / scale, b_ub=b / scale, bounds=bounds, method="highs")
         if answer.status == 2:
             return []
@@ -730,15 +739,15 @@ def _with_stribeck(base: _Set, least: float, most: float) -> tuple[Array, Array]
         level, more = base.level(i), base.level(i) + 1
         row = base.empty()
         row[base.free + number], row[level] = 1.0, -1.0
-        row[more] = -_left(pair.slowest, pair.psi, most)
+        row[more] = -stribeck_left(pair.slowest, pair.psi, most)
         other = -row
-        other[more] = _left(pair.fastest, pair.psi, least)
+        other[more] = stribeck_left(pair.fastest, pair.psi, least)
         rows += [row, other]
         limits += [0.0, 0.0]
     return np.array(rows), np.array(limits)
 
 
-def _left(speeds: Array, psi: Array, stribeck: float) -> float:
+def stribeck_left(speeds: Array, psi: Array, stribeck: float) -> float:
     """The window's mean of e^-(v/v_s)^2."""
     if stribeck == 0.0:
         return 0.0
@@ -767,7 +776,7 @@ def damping_set(lines: Sequence[Line]) -> Identified:
         row[: len(base.places)] = base.column(np.outer(u, u))
         return row
 
-    ends = [[_range(objective(u), *one, base.free) for u in units] for one in every]
+    ends = [[range_of(objective(u), *one, base.free) for u in units] for one in every]
     if not any(all(of) for of in ends):
         raise NotOfThisClass(
             "found no damping, mass and friction that agree with what was measured; expected a device that burns "
@@ -783,9 +792,9 @@ def damping_set(lines: Sequence[Line]) -> Identified:
         row = base.empty()
         row[base.level(number)] = 1.0
         levels = [
-            end for one, of in zip(sets, ends[1:], strict=True) if all(of) for end in _range(row, *one, base.free)
+            end for one, of in zip(sets, ends[1:], strict=True) if all(of) for end in range_of(row, *one, base.free)
         ]
-        friction.append(_least_friction(line, levels))
+        friction.append(least_friction(line, levels, _greatest(line)[1]))
     damping = min(interval.high for interval in by_line)
     least = by_line[0].low
     if len(lines) > 1:
@@ -795,9 +804,9 @@ def damping_set(lines: Sequence[Line]) -> Identified:
         Between(min(least, damping), damping),
         tuple(by_line),
         tuple(friction),
-        _by_axis(friction, [line.u for line in lines]),
+        friction_by_axis(friction, [line.u for line in lines]),
         tuple(mass),
-        not _range(objective(units[0]), *coulomb, base.free),
+        not range_of(objective(units[0]), *coulomb, base.free),
     )
 
 
@@ -811,10 +820,10 @@ def _stribeck_speeds(lines: Sequence[Line]) -> list[tuple[float, float]]:
     return [(0.0, 0.0), *zip([0.0, *edges], edges, strict=False)]
 
 
-def _least_friction(line: Line, levels: Sequence[float]) -> Between:
-    """The level of the window's mean, less what the place may take from it, and up to what it may add."""
-    if not levels:
-        return Between(0.0, _greatest(line)[1])
+def least_friction(line: Line, levels: Sequence[float], most: float) -> Between:
+    """The level of the window's mean, less what the place may take, and up to what it may add; or up to ``most``."""
+    if not levels or not line.pairs:
+        return Between(0.0, most)
     dip = rise = 0.0
     if line.places:
         mean = float(np.mean([level for level, _ in line.places]))
@@ -833,7 +842,7 @@ def _least_eigenvalue(base: _Set, A: Array, b: Array) -> float:
     m = base.m
     row = base.empty()
     row[: len(base.places)] = base.column(np.eye(m))
-    trace = _range(row, A, b, base.free)[1]
+    trace = range_of(row, A, b, base.free)[1]
     if not np.isfinite(trace):
         return 0.0
     least = np.inf
@@ -843,7 +852,7 @@ def _least_eigenvalue(base: _Set, A: Array, b: Array) -> float:
             w = np.insert(np.array(others), axis, 1.0)
             row = base.empty()
             row[: len(base.places)] = base.column(np.outer(w, w) / (w @ w))
-            least = min(least, *_range(row, A, b, base.free))
+            least = min(least, *range_of(row, A, b, base.free))
             if least <= 0.0:
                 return 0.0
     # from the faces of a cube to the sphere nothing grows: half of a cell's diagonal is the greatest angle
@@ -851,7 +860,7 @@ def _least_eigenvalue(base: _Set, A: Array, b: Array) -> float:
     return float((least - square * trace) / (1.0 - square))
 
 
-def _by_axis(friction: Sequence[Between], directions: Sequence[Array]) -> tuple[float, ...]:
+def friction_by_axis(friction: Sequence[Between], directions: Sequence[Array]) -> tuple[float, ...]:
     """The c with sum c_i |v_i| <= N(v) in all directions, where N is a norm: by its convexity between the lines."""
     m = len(directions[0])
     if m == 1:

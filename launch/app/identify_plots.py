@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from manyhands.launch.identify.experiment import AtPose, line_names
+from manyhands.launch.identify.experiment import AtPose, line_name
 from manyhands.launch.look.figures import BLUE, VERMILLION, new_figure, save
 
 
@@ -18,11 +18,14 @@ def plot_poses(folder: Path, poses: tuple[AtPose, ...], axes: tuple[str, ...]) -
     """
     written = []
     for number, one in enumerate(poses, start=1):
-        names = list(line_names(axes))
+        names = [line_name(line.u, axes) for line in one.lines]
         figure = new_figure(4.0 * len(names), 3.4)
         panels = np.atleast_1d(figure.subplots(1, len(names)))
         for at, (name, panel) in enumerate(zip(names, panels, strict=True)):
             line, mass = one.lines[at], one.found.mass[at]
+            if not line.pairs:
+                panel.set_title(f"{name}: no way without a stop", fontsize=8)
+                continue
             u = line.u / np.sqrt(line.u @ line.u)
             speeds = np.array([u @ pair.V @ u / pair.R for pair in line.pairs])
             inertia = [0.5 * (mass.low + mass.high) * float(u @ pair.Q @ u) for pair in line.pairs]

@@ -17,7 +17,7 @@ import yaml
 
 import manyhands
 from manyhands.design.files import replacing
-from manyhands.launch.identify.experiment import AtPose, line_names
+from manyhands.launch.identify.experiment import AtPose, line_name
 from manyhands.nodes.device.specification import ROOM, DeviceSpecification, DeviceTiming
 
 CLASS = "m-b-c: inertia, linear damping, dry friction that does not grow with the speed, drag of a power of 1.5 to 3"
@@ -145,9 +145,9 @@ def _plain(value: Any) -> Any:
 
 def _pose(one: AtPose, stated: DeviceSpecification) -> dict[str, Any]:
     found, lines = one.found, {}
-    for at, name in enumerate(line_names(stated.axes)):
-        speeds = [pair.fast for pair in one.lines[at].pairs]
-        lines[name] = {
+    for at, line in enumerate(one.lines):
+        speeds = [pair.fast for pair in line.pairs] or [0.0]
+        lines[line_name(line.u, stated.axes)] = {
             "damping": _ends(found.by_line[at]),
             "friction": _ends(found.friction[at]),
             "mass": _ends(found.mass[at]),

@@ -10,13 +10,14 @@ were given, and where the device was.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from manyhands.design.closed_motion import Along, estimated, even_lines, identified_by_turns, measured_along
 from manyhands.design.identification import (
     HALF,
     Doubt,
@@ -31,12 +32,18 @@ from manyhands.design.identification import (
     noise_of,
 )
 from manyhands.launch.identify.rig import Aborted, Controller, Late, MotionLog, Rig
-from manyhands.nodes.kernel.arithmetic import Floats, dot
+from manyhands.nodes.kernel.arithmetic import Floats, dot, plus
 
 Array = NDArray[np.float64]
 
 LEVELS: Final = ((0.12, 3), (0.25, 4), (0.5, 5), (1.0, 7))
 """Of the greatest speed, and how many times to and fro."""
+
+AROUND: Final = ((0.1, 2, 2), (0.2, 2, 3), (0.45, 5, 4), (1.0, 11, 7))
+"""Likewise with several axes: times in which the servo learns, and then those that are measured."""
+
+FIRST: Final = 2
+"""How many of :data:`AROUND`, from the fastest on, tell which lines to take."""
 
 WARM: Final = ((0.2, 3), (0.4, 3), (0.8, 3))
 """Likewise, of the strokes in which the servo learns."""
@@ -52,6 +59,28 @@ DAMPED: Final = 0.6
 
 ROUNDED: Final = 0.8
 """How sharp the turns are, below 1."""
+
+SMOOTH: Final = 0.5
+"""Likewise with several axes, whose inertia bends sharp turns."""
+
+SOFT: Final = (12.0, 18.0)
+"""rad/s, in place of :data:`BANDWIDTH` and :data:`ACROSS` where displacements are off by more than :data:`COARSE`, and
+the servo learns what repeats: noise moves such a force less, and a restless force is a wide interval."""
+
+COARSE: Final = 2e-5
+"""m; see there."""
+
+EASED: Final = 0.01
+"""s, in which such a soft servo follows what its spring and damper ask for."""
+
+TONES: Final = 4
+"""Multiples of the motion's frequency, up to which the servo learns."""
+
+TUNED: Final = 0.5
+"""Part of what is missing that is learned at a time."""
+
+REACH: Final = 2.0
+"""By how much a multiple of the frequency may be above the servo's bandwidth, to be learned."""
 
 PART: Final = 0.25
 """Of a stroke one way, over which the servo's model of the device is fitted."""
@@ -98,6 +127,70 @@ class AtPose:
 
 
 @dataclass
+class _Tones:
+    """A force that repeats with a motion to and fro, in all axes: learned time by time from what is missing.
+
+    Each multiple of the frequency is learned as far as the servo's own spring, damper and mass would have it.
+
+    Attributes:
+        u: the line's direction.
+        at: cosine and sine by multiple from 0 on, multiples x axes, N.
+    """
+
+    u: Floats
+    at: tuple[Array, Array] = field(init=False)
+    _heard: tuple[Array, Array] = field(init=False)
+    _count: int = 0
+    _time: int = 0
+    _known: list[tuple[float, tuple[Array, Array]]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        zero = np.zeros((TONES + 1, len(self.u)))
+        self.at, self._heard = (zero, zero.copy()), (zero.copy(), zero.copy())
+
+    def begin(self, omega: float, after: float) -> None:
+        """Go on to a frequency (rad/s) after another: what inertia needs grows with its square."""
+        if after:
+            self._known.append((after, self.at))
+        if len(self._known) == 1:
+            self.at = tuple(one * (omega / after) ** 2 for one in self.at)  # type: ignore[assignment]
+        elif self._known:
+            (first, one), (second, other) = self._known[-2:]
+            part = (omega**2 - second**2) / (second**2 - first**2)
+            self.at = tuple(b + part * (b - a) for a, b in zip(one, other, strict=True))  # type: ignore[assignment]
+        self._listen(0)
+
+    def _listen(self, time: int) -> None:
+        self._heard = (np.zeros_like(self.at[0]), np.zeros_like(self.at[0]))
+        self._count, self._time = 0, time
+
+    def force(self, lacks: Floats, omega: float, t: float, mass: float, wide: tuple[float, float]) -> Floats:
+        """The force at the time t (s), N, of a servo as ``wide`` (rad/s); it hears what is missing (m)."""
+        time = int(omega * t / (2.0 * math.pi))
+        if time != self._time:
+            if self._time:  # the first time has the start in it
+                self._learn(omega, mass, wide)
+            self._listen(time)
+        angles = omega * t * np.arange(TONES + 1)
+        cos, sin = np.cos(angles), np.sin(angles)
+        self._heard[0][:] += np.outer(cos, lacks)
+        self._heard[1][:] += np.outer(sin, lacks)
+        self._count += 1
+        return [float(value) for value in cos @ self.at[0] + sin @ self.at[1]]
+
+    def _learn(self, omega: float, mass: float, wide: tuple[float, float]) -> None:
+        u, cosine, sine = np.array(self.u), *self.at
+        for multiple in range(TONES + 1):
+            w, (a, b) = multiple * omega, (heard[multiple] for heard in self._heard)
+            part = TUNED * (2.0 if multiple else 1.0) / self._count * mass
+            for bandwidth, of in zip(wide, (np.outer(u, u), np.eye(len(u)) - np.outer(u, u)), strict=True):
+                if w <= REACH * bandwidth:
+                    stiff, damper = part * (bandwidth**2 - w * w), part * 2.0 * DAMPED * bandwidth * w
+                    cosine[multiple] += of @ (stiff * a + damper * b)
+                    sine[multiple] += of @ (stiff * b - damper * a)
+
+
+@dataclass
 class _Servo:
     """A spring and a damper to a place that goes to and fro along u through the origin."""
 
@@ -113,22 +206,40 @@ class _Servo:
     learns: float = FIRST_LEARNS
     most: float = math.inf
     T: float = 1e-3
+    rounded: float = ROUNDED
+    tones: _Tones | None = None
+    soft: bool = False
+    asked: Floats = field(default_factory=list)
 
     def at(self, speed: float) -> float:
         """Go to and fro with this speed in the middle, m/s; returns the time of one stroke there and back, s."""
-        self.omega = speed * math.asin(ROUNDED) / (self.travel * ROUNDED)
+        before, self.omega = self.omega, self.turning(speed)
+        if self.tones is not None and not self.learning:
+            self.tones.begin(self.omega, before)
         return 2.0 * math.pi / self.omega
+
+    def turning(self, speed: float) -> float:
+        """The frequency of a motion with this speed in the middle, rad/s."""
+        return speed * math.asin(self.rounded) / (self.travel * self.rounded)
+
+    def peak(self, speed: float) -> float:
+        """What the turns of such a motion take, N."""
+        r = self.rounded
+        return self.mass * self.travel * self.turning(speed) ** 2 * r / math.sqrt(1.0 - r**2) / math.asin(r)
 
     def __call__(self, x: Floats, v: Floats, t: float) -> Floats:
         """The force, N."""
         phase = self.omega * t
-        sin, cos = ROUNDED * math.sin(phase), ROUNDED * math.cos(phase)
-        root, scale = math.sqrt(1.0 - sin * sin), self.travel / math.asin(ROUNDED)
+        sin, cos = self.rounded * math.sin(phase), self.rounded * math.cos(phase)
+        root, scale = math.sqrt(1.0 - sin * sin), self.travel / math.asin(self.rounded)
+        if self.tones is not None:
+            scale *= min(1.0, 0.1 + phase / math.pi)  # it begins at rest
         want, speed = scale * math.asin(sin), scale * self.omega * cos / root
         # d/dt of cos/root, with ROUNDED in both
         push = scale * self.omega**2 * sin * (cos * cos / root**3 - 1.0 / root)
-        stiffness, damper = self.mass * BANDWIDTH**2, 2.0 * DAMPED * self.mass * BANDWIDTH
-        guide = self.mass * (ACROSS**2 - BANDWIDTH**2), 2.0 * DAMPED * self.mass * (ACROSS - BANDWIDTH)
+        own, across = SOFT if self.soft else (BANDWIDTH, ACROSS)
+        stiffness, damper = self.mass * own**2, 2.0 * DAMPED * self.mass * own
+        guide = self.mass * (across**2 - own**2), 2.0 * DAMPED * self.mass * (across - own)
         ease = max(-1.0, min(1.0, speed / (0.1 * scale * self.omega)))
         ahead = self.mass * push + self.damping * speed + self.friction * ease
         lacks = [a + u * want - b for u, a, b in zip(self.u, self.origin, x, strict=True)]
@@ -138,10 +249,14 @@ class _Servo:
             + damper * (u * speed - w)
             + guide[0] * (lack - u * behind)  # aside of the line
             - guide[1] * (w - u * along)
-            + u * ahead
-            + bias
-            for u, lack, w, bias in zip(self.u, lacks, v, self.bias, strict=True)
+            for u, lack, w in zip(self.u, lacks, v, strict=True)
         ]
+        if self.soft:
+            part = min(1.0, self.T / EASED)
+            f = self.asked = [a + part * (b - a) for a, b in zip(self.asked or f, f, strict=True)]
+        if self.tones is not None and not self.learning:
+            f = plus(f, self.tones.force(lacks, self.omega, t, self.mass, (own, across)))
+        f = [one + u * ahead + bias for one, u, bias in zip(f, self.u, self.bias, strict=True)]
         if self.learning:
             rate = stiffness / self.learns * self.T
             self.friction = max(0.0, min(self.most, self.friction + rate * behind * ease))
@@ -203,21 +318,84 @@ def experiment(rig: Rig, tell: Told = lambda _text: None) -> AtPose:
     """
     origin, stated = rig.here(), rig.stated
     m = len(origin)
-    bias, mass = [0.0] * m, FIRST_MASS if stated.mass is None else float(np.mean(stated.mass))
-    runs: list[tuple[Array, list[MeasuredMotion]]] = []
+    if m == 1:
+        servo = _servo(rig, np.ones(1), None)
+        speed = _warmed(rig, servo, tell, stated.axes[0])
+        motions = [_at_level(rig, servo, speed, level, LEVELS[level], tell) for level in range(len(LEVELS))]
+        return evaluated(tuple(origin), [(np.ones(1), motions)], rig)
+    runs: list[_AlongLine] = []
+
+    def begun(u: Array) -> _AlongLine:
+        servo = _servo(rig, u, runs[-1].servo if runs else None)
+        speed = _warmed(rig, servo, tell, line_name(u, stated.axes), bool(runs))
+        servo.omega = 0.0
+        return _AlongLine(u, servo, speed)
+
     for u in lines(m):
-        length = [float(entry) for entry in u / np.sqrt(u @ u)]
-        name = _line_name(u, stated.axes)
-        servo = _Servo(length, list(origin), rig.safety.travel, mass, list(bias), T=rig.T, most=0.7 * min(rig.force))
-        speed = _warmed(rig, servo, tell, name)
-        mass, bias = servo.mass, list(servo.bias)
-        motions = []
-        for level, (part, times) in enumerate(LEVELS):
-            tell(f"{name}: {times} times to and fro at {part * speed:.3g} m/s")
-            log = _run(rig, servo, (times + 0.3) * servo.at(part * speed), tell)
-            motions.append(_motion(log, level, servo))
-        runs.append((u, motions))
-    return evaluated(tuple(origin), runs, rig)
+        runs.append(begun(u))
+        _around(rig, runs[-1], range(len(AROUND))[: -FIRST - 1 : -1], tell)
+    first = estimated([_told(one, rig) for one in runs])
+    chosen = runs
+    if even := even_lines(first):
+        chosen = [begun(u) for u in even]
+        runs += chosen
+    for one in chosen:
+        _around(rig, one, [level for level in range(len(AROUND))[::-1] if level not in one.motions], tell)
+    return evaluated(tuple(origin), [(one.u, one.slowest_first()) for one in runs], rig)
+
+
+@dataclass
+class _AlongLine:
+    """What moves along a line, and what was measured, by level."""
+
+    u: Array
+    servo: _Servo
+    speed: float
+    motions: dict[int, MeasuredMotion] = field(default_factory=dict)
+
+    def slowest_first(self) -> list[MeasuredMotion]:
+        """What was measured."""
+        return [self.motions[level] for level in sorted(self.motions)]
+
+
+def _told(one: _AlongLine, rig: Rig) -> Along:
+    motions = one.slowest_first()
+    try:
+        return measured_along(motions, one.u, _doubt(motions[0], one.u, _steps(motions, rig), rig))
+    except TooLittle as error:
+        raise TooLittle(f"{line_name(one.u, rig.stated.axes)}: {error}") from error
+
+
+def _servo(rig: Rig, u: Array, after: _Servo | None) -> _Servo:
+    """A servo along u that knows what another one has learned."""
+    m, length = len(u), [float(entry) for entry in u / np.sqrt(u @ u)]
+    mass = FIRST_MASS if rig.stated.mass is None else float(np.mean(rig.stated.mass))
+    bias = [0.0] * m
+    if after is not None:
+        mass, bias = after.mass, list(after.bias)
+    servo = _Servo(length, list(rig.origin), rig.safety.travel, mass, bias, T=rig.T, most=0.7 * min(rig.force))
+    if m > 1:
+        servo.rounded, servo.tones = SMOOTH, _Tones(length)
+    return servo
+
+
+def _at_level(
+    rig: Rig, servo: _Servo, speed: float, level: int, what: tuple[float, int], tell: Told, settles: int = 0
+) -> MeasuredMotion:
+    """A motion at one speed; in its first ``settles`` times to and fro the servo learns."""
+    part, times = what
+    name = line_name(np.array(servo.u), rig.stated.axes)
+    tell(f"{name}: {settles + times} times to and fro at {part * speed:.3g} m/s")
+    log = _run(rig, servo, (settles + times + 0.3) * servo.at(part * speed), tell)
+    motion = _motion(log, level, servo)
+    return replace(motion, settled=2 * settles + 1) if settles else motion
+
+
+def _around(rig: Rig, one: _AlongLine, levels: Sequence[int], tell: Told) -> None:
+    """Move along a line at these levels."""
+    for level in levels:
+        part, settles, times = AROUND[level]
+        one.motions[level] = _at_level(rig, one.servo, one.speed, level, (part, times), tell, settles)
 
 
 def _run(rig: Rig, servo: Controller, duration: float, tell: Told) -> MotionLog:
@@ -278,23 +456,24 @@ def poses(start: Sequence[float], rig: Rig, number: int) -> list[list[float]]:
     return [[x + far * part for x in start] for part in ways[:number]]
 
 
-def _warmed(rig: Rig, servo: _Servo, tell: Told, name: str) -> float:
-    """Let the servo learn; returns the greatest speed that force and safety leave, m/s."""
+def _warmed(rig: Rig, servo: _Servo, tell: Told, name: str, knows: bool = False) -> float:
+    """Let the servo learn, at once faster where it ``knows``; returns the greatest speed that is left, m/s."""
     speed = min(rig.safety.speed, 0.7 * min(rig.stated.speed))
-    for part, times in WARM:
+    restless = False
+    for part, times in WARM[knows:]:
         servo.learning = True
         tell(f"{name}: the servo learns mass, damping and friction")
         log = _run(rig, servo, times * servo.at(part * speed), tell)
+        restless = noise_of(_motion(log, 0, servo), np.array(servo.u), 0.0) > COARSE
         fit = _fit(log, servo)
         if fit is not None:
             servo.learn(*fit)
         # what the turns take: mass times the greatest acceleration of the wanted motion
         spare = 0.8 * min(rig.force) - servo.friction - servo.damping * speed - max(map(abs, servo.bias))
-        omega = speed * math.asin(ROUNDED) / (servo.travel * ROUNDED)
-        peak = servo.mass * servo.travel * omega**2 * ROUNDED / math.sqrt(1.0 - ROUNDED**2) / math.asin(ROUNDED)
+        peak = servo.peak(speed)
         if peak > max(spare, 0.05 * min(rig.force)):
             speed *= math.sqrt(max(spare, 0.05 * min(rig.force)) / peak)
-    servo.learning = False
+    servo.learning, servo.soft = False, restless and servo.tones is not None
     return speed
 
 
@@ -314,33 +493,52 @@ def _motion(log: MotionLog, level: int, servo: _Servo) -> MeasuredMotion:
 
 
 def evaluated(origin: tuple[float, ...], runs: Sequence[tuple[Array, list[MeasuredMotion]]], rig: Rig) -> AtPose:
-    """What the runs along all lines allow."""
-    stated, m = rig.stated, len(origin)
-    every = np.concatenate([motion.x for _, motions in runs for motion in motions])
-    steps = []
-    for axis in range(m):
-        found = encoder_step(every[:, axis]) or 0.0
-        steps.append(max(found, 0.0 if stated.step is None else stated.step[axis]))
-    timing = stated.timing
-    latency = (timing.sample_age - timing.jitter, timing.sample_age + timing.actuation_delay)
-    measured, doubts = [], []
+    """What the runs along all lines allow; of several axes, the axes and the diagonals come first."""
+    steps = _steps([motion for _, motions in runs for motion in motions], rig)
+    measured, doubts, along = [], [], []
     for u, motions in runs:
-        step = math.sqrt(float(np.count_nonzero(u))) * max(steps)
-        delta = max(noise_of(motions[0], u, step), 1e-9)
-        doubt = Doubt(delta, latency, timing.jitter)
-        try:
-            measured.append(measured_line(motions, u, doubt))
-        except TooLittle as error:
-            raise TooLittle(f"{_line_name(u, stated.axes)}: {error}") from error
+        doubt = _doubt(motions[0], u, steps, rig)
         doubts.append(doubt)
-    return AtPose(origin, tuple(measured), damping_set(measured), tuple(doubts), tuple(steps))
+        try:
+            if len(u) > 1:
+                along.append(measured_along(motions, u, doubt))
+                measured.append(_windows(motions, u, doubt))
+            else:
+                measured.append(measured_line(motions, u, doubt))
+        except TooLittle as error:
+            raise TooLittle(f"{line_name(u, rig.stated.axes)}: {error}") from error
+    found = damping_set(measured) if not along else identified_by_turns(measured, along)
+    return AtPose(origin, tuple(measured), found, tuple(doubts), steps)
 
 
-def line_names(axes: Sequence[str]) -> Iterator[str]:
-    """A name for each line of :func:`lines`, such as "x" and "x-y"."""
-    return (_line_name(u, axes) for u in lines(len(axes)))
+def _steps(motions: Sequence[MeasuredMotion], rig: Rig) -> tuple[float, ...]:
+    """The encoders' steps by axis, m; 0 where none is seen or stated."""
+    every, stated = np.concatenate([motion.x for motion in motions]), rig.stated.step
+    found = (encoder_step(one) or 0.0 for one in every.T)
+    return tuple(max(one, 0.0 if stated is None else stated[axis]) for axis, one in enumerate(found))
 
 
-def _line_name(u: Array, axes: Sequence[str]) -> str:
-    words = [("+" if value > 0.0 else "-") + axis for value, axis in zip(u, axes, strict=True) if value]
+def _doubt(motion: MeasuredMotion, u: Array, steps: Sequence[float], rig: Rig) -> Doubt:
+    timing = rig.stated.timing
+    latency = (timing.sample_age - timing.jitter, timing.sample_age + timing.actuation_delay)
+    step = math.sqrt(float(np.count_nonzero(u))) * max(steps)
+    return Doubt(max(noise_of(motion, u, step), 1e-9), latency, timing.jitter)
+
+
+def _windows(motions: Sequence[MeasuredMotion], u: Array, doubt: Doubt) -> Line:
+    """What windows tell of friction by place, and of the mass; nothing where it stops in them."""
+    try:
+        return measured_line(motions, u, doubt)
+    except TooLittle:
+        return Line(u, (), ((), ()))
+
+
+def line_name(u: Array, axes: Sequence[str]) -> str:
+    """A name for a line, such as "x", "x-y" or "0.8x-0.6y"."""
+    size = np.abs(u[np.flatnonzero(u)])
+    even = float(size.max() - size.min()) < 1e-9
+    words = [
+        ("+" if value > 0.0 else "-") + ("" if even else f"{abs(value):.2g}") + axis
+        for value, axis in zip(u, axes, strict=True) if value
+    ]  # fmt: skip
     return "".join(words).removeprefix("+")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from typing import Final
 
 import numpy as np
@@ -14,13 +15,16 @@ from manyhands.nodes.device.plugin import PluginDriver
 from manyhands.nodes.device.specification import AxisMap
 from manyhands.protocol.clock import SimulatedClock
 
-from .identified_plants import Arm, PlantDriver, Slide, WorkingDriver
+from .identified_plants import Arm, Delta, PlantDriver, Slide, WorkingDriver
 
 ARMS: Final = 10
 """One in so many is an arm."""
 
 DRAGS: Final = 5
 """One in so many is a slide with drag, half of these without damping."""
+
+DELTAS: Final = 1_000_000
+"""From this number on all are delta robots."""
 
 T: Final = 0.002
 """s; the period of the loop, half of the usual rate to save time."""
@@ -35,7 +39,7 @@ class Outcome:
 
     number: int
     kind: str
-    truth: tuple[float, float]  # damping at the pose, and friction on the first line
+    truth: tuple[float, float]  # the least damping on the ways, and friction on the first line
     damping: tuple[float, float] = (0.0, 0.0)
     friction: tuple[float, float] = (0.0, 0.0)
     latency: float = 0.0
@@ -77,6 +81,16 @@ def random_driver(number: int, seed: int) -> tuple[PlantDriver, float, str]:
     jitter = float(random.choice([0.0, 0.3, 1.0])) * age
     step = float(random.choice([1e-6, 5e-6, 1e-5, 2e-5, 5e-5]))
     noise = sometimes(0.3, within(1e-6, 2e-5))
+    if number >= DELTAS:
+        one, other = within(0.003, 0.03), within(0.0005, 0.01)
+        spread = [float(random.uniform(0.7, 1.4)) for _ in range(6)]
+        plant = Delta(
+            within(0.08, 0.25),
+            (within(5e-5, 5e-4),) * 3,
+            (one * spread[0], one * spread[1], one * spread[2]),
+            (other * spread[3], other * spread[4], other * spread[5]),
+        )
+        return PlantDriver(plant, step, noise, age, jitter, delay, seed=number, h=1e-3), T, "delta"
     if number % ARMS == 0:
         damping, friction = (within(0.002, 0.02), within(0.002, 0.02)), (within(1e-4, 0.01), within(1e-4, 0.01))
         torques = bool(random.random() < 0.5)
@@ -108,15 +122,24 @@ def random_driver(number: int, seed: int) -> tuple[PlantDriver, float, str]:
     return PlantDriver(slide, step, noise, age, jitter, delay, seed=number, h=5e-4), T, kind
 
 
+def least_damping(plant: Slide | Arm | Delta, travel: float) -> float:
+    """The least eigenvalue of B on the ways: in the middle, and half and all of the way along many lines, N*s/m."""
+    m = plant.axes
+    lines = [u for u in product((-1.0, -0.5, 0.0, 0.5, 1.0), repeat=m) if any(u)]
+    places = [part * travel * np.array(u) / np.linalg.norm(u) for u in lines for part in (0.5, 1.0)]
+    return min(float(np.linalg.eigvalsh(plant.damping(list(x)))[0]) for x in (np.zeros(m), *places))
+
+
 def identified(number: int, seed: int) -> Outcome:
     """Identify the device of this number."""
     driver, period, kind = random_driver(number, seed)
     plant, m = driver.plant, driver.plant.axes
     first = np.eye(m)[0]
-    truth = float(np.linalg.eigvalsh(plant.damping())[0]), plant.friction(first)
+    safety = (Safety(force=4.0), Safety(4.0, 0.04, 0.4), Safety(4.0, 0.025, 0.3))[m - 1]
+    truth = least_damping(plant, safety.travel), plant.friction(first)
     own = AxisMap(tuple(range(m)), (1.0,) * m)
     plugin = PluginDriver("counterpart", driver, own, driver.stated, period)
-    rig = Rig(plugin, driver.stated, period, SimulatedClock(), Safety(force=4.0))
+    rig = Rig(plugin, driver.stated, period, SimulatedClock(), safety)
     latency = driver.stated.timing.latency
     try:
         found = experiment(rig).found
@@ -145,7 +168,7 @@ def summary(every: list[Outcome]) -> tuple[list[str], bool]:
         "slides, latency 0": [one for one in slides if one.latency == 0.0],
         "slides, up to 0.5 ms": [one for one in slides if 0.0 < one.latency <= 5e-4],
         "slides, beyond": [one for one in slides if one.latency > 5e-4],
-        **{kind: [one for one in every if one.kind == kind] for kind in ("damping and drag", "drag", "arm")},
+        **{kind: [one for one in every if one.kind == kind] for kind in ("damping and drag", "drag", "arm", "delta")},
     }
     for name, group in groups.items():
         if not group:

@@ -1,7 +1,8 @@
 """Random devices to identify: their physics, encoders, noise, age and delay are code of their own, in simulated time.
 
-Two kinds: a slide with dry friction that changes with place and speed, and inertia that changes with the place; and two
-links in a plane whose joints have inertia, damping and dry friction, whose motors may hold torques.
+Three kinds: a slide with dry friction that changes with place and speed, and inertia that changes with the place; two
+links in a plane whose joints have inertia, damping and dry friction, whose motors may hold torques; and a delta robot,
+likewise, with a mass at its tip.
 """
 
 from __future__ import annotations
@@ -71,7 +72,7 @@ class Slide:
             h, after = -v / a, 0.0
         self.x, self.v = x + 0.5 * h * (v + after), after
 
-    def damping(self) -> NDArray[np.float64]:
+    def damping(self, x: Sequence[float] = (0.0,)) -> NDArray[np.float64]:
         return np.array([[self.b]])
 
     def friction(self, u: NDArray[np.float64]) -> float:
@@ -91,11 +92,10 @@ class Arm:
     torques: bool = False
     q: Floats = field(default_factory=list)
     w: Floats = field(default_factory=lambda: [0.0, 0.0])
-    work: float = 0.0
 
     def __post_init__(self) -> None:
         self.q = list(self.home)
-        self._origin = self._tip(self.q)
+        self._origin = self.tip(self.q)
         self._t = [0.0, 0.0]
         self._f = [0.0, 0.0]
 
@@ -103,9 +103,16 @@ class Arm:
     def axes(self) -> int:
         return 2
 
-    def _tip(self, q: Sequence[float]) -> Floats:
+    def tip(self, q: Sequence[float]) -> Floats:
         a, b = self.lengths
         return [a * math.cos(q[0]) + b * math.cos(q[0] + q[1]), a * math.sin(q[0]) + b * math.sin(q[0] + q[1])]
+
+    def joints(self, x: Sequence[float]) -> Floats:
+        """The angles at a displacement, with the elbow on the side where it was at home."""
+        a, b = self.lengths
+        X, Y = x[0] + self._origin[0], x[1] + self._origin[1]
+        elbow = math.copysign(math.acos((X * X + Y * Y - a * a - b * b) / (2.0 * a * b)), self.home[1])
+        return [math.atan2(Y, X) - math.atan2(b * math.sin(elbow), a + b * math.cos(elbow)), elbow]
 
     def jacobian(self, q: Sequence[float]) -> tuple[float, float, float, float]:
         a, b = self.lengths
@@ -113,12 +120,16 @@ class Arm:
         return -a * math.sin(q[0]) - b * s, -b * s, a * math.cos(q[0]) + b * c, b * c
 
     def place(self) -> Floats:
-        tip = self._tip(self.q)
+        tip = self.tip(self.q)
         return [tip[0] - self._origin[0], tip[1] - self._origin[1]]
 
     def hold(self, f: Floats) -> None:
-        self._f = f
-        self._turn()
+        """Hold a force, or the torques that stand for it."""
+        if self.torques:
+            self._t = f
+        else:
+            self._f = f
+            self._turn()
 
     def _turn(self) -> None:
         A, B, C, D = self.jacobian(self.q)
@@ -153,13 +164,12 @@ class Arm:
             f2 = new
         a1, a2 = n1 + h * (M22 * f1 - M12 * f2) / det, n2 + h * (M11 * f2 - M12 * f1) / det
         d1, d2 = 0.5 * h * (w1 + a1), 0.5 * h * (w2 + a2)
-        self.work += self._t[0] * d1 + self._t[1] * d2
         self.q = [self.q[0] + d1, self.q[1] + d2]
         self.w = [a1, a2]
 
-    def damping(self) -> NDArray[np.float64]:
-        """B at the tip, at home."""
-        A, B, C, D = self.jacobian(self.home)
+    def damping(self, x: Sequence[float] = (0.0, 0.0)) -> NDArray[np.float64]:
+        """B at the tip, at a displacement."""
+        A, B, C, D = self.jacobian(self.joints(x))
         P = np.linalg.inv(np.array([[A, B], [C, D]]))
         return np.asarray(P.T @ np.diag(self.damping_of_joints) @ P)
 
@@ -169,12 +179,85 @@ class Arm:
         return float(np.abs(P @ u) @ np.array(self.friction_of_joints))
 
 
+@dataclass
+class Delta:
+    """Three arms at 120 degrees, whose joints have inertia, damping and dry friction, with a mass at the tip.
+
+    With P = dq/dx it obeys (m + P^T I P) x'' + P^T I P' x' = f - P^T (b q' + friction); a step has all at its middle.
+    """
+
+    m: float = 0.15
+    inertia: tuple[float, float, float] = (2e-4, 2e-4, 2e-4)
+    damping_of_joints: tuple[float, float, float] = (0.01, 0.01, 0.01)
+    friction_of_joints: tuple[float, float, float] = (0.002, 0.002, 0.002)
+    middle: float = 0.16
+    radius: float = 0.05
+    upper: float = 0.12
+    rod: float = 0.2
+
+    def __post_init__(self) -> None:
+        around = 2.0 * np.pi * np.arange(3) / 3.0
+        self._out = np.column_stack([np.cos(around), np.sin(around), np.zeros(3)])
+        self._home, self._x, self._v = np.array([0.0, 0.0, self.middle]), np.zeros(3), np.zeros(3)
+        self._f = np.zeros(3)
+
+    @property
+    def axes(self) -> int:
+        return 3
+
+    def place(self) -> Floats:
+        return [float(value) for value in self._x]
+
+    def hold(self, f: Floats) -> None:
+        self._f = np.array(f)
+
+    def by_tip(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """P: the rods do not change their lengths."""
+        p = x + self._home
+        r = p - self.radius * self._out
+        a, b = np.einsum("ij,ij->i", r, self._out), r[:, 2]
+        k = (np.einsum("ij,ij->i", r, r) + self.upper**2 - self.rod**2) / (2.0 * self.upper)
+        root = np.sqrt(a * a + b * b - k * k)
+        q = np.arctan2(b * k - a * root, a * k + b * root)
+        cos, sin, up = np.cos(q)[:, None], np.sin(q)[:, None], np.array([0.0, 0.0, 1.0])
+        rods = r - self.upper * (cos * self._out + sin * up)
+        way = self.upper * (cos * up - sin * self._out)
+        return np.asarray(rods / np.einsum("ij,ij->i", rods, way)[:, None])
+
+    def step(self, h: float) -> None:
+        v, P = self._v, self.by_tip(self._x + 0.5 * h * self._v)
+        turn = self.by_tip(self._x + h * v) - self.by_tip(self._x)  # P' h
+        inertia, burns = np.array(self.inertia), np.array(self.damping_of_joints)
+        M, B = self.m * np.eye(3) + (P.T * inertia) @ P, (P.T * burns) @ P
+        inverse = np.linalg.inv(M + 0.5 * h * B)
+        free = inverse @ (M @ v - 0.5 * h * B @ v + h * self._f - (P.T * inertia) @ (turn @ v))
+        moves, own = P @ inverse @ P.T, (P @ free).tolist()
+        G, phi = (h * moves).tolist(), [0.0, 0.0, 0.0]
+        for _ in range(30):  # friction joint by joint (Gauss and Seidel)
+            before = list(phi)
+            for j, c in enumerate(self.friction_of_joints):
+                rate = own[j] + sum(G[j][i] * phi[i] for i in range(3) if i != j)
+                phi[j] = max(-c, min(c, -rate / G[j][j]))
+            if max(abs(a - b) for a, b in zip(phi, before, strict=True)) < 1e-12:
+                break
+        after = free + h * inverse @ (P.T @ np.array(phi))
+        self._x, self._v = self._x + 0.5 * h * (v + after), after
+
+    def damping(self, x: Sequence[float] = (0.0, 0.0, 0.0)) -> NDArray[np.float64]:
+        """B at the tip, at a displacement."""
+        P = self.by_tip(np.array(x))
+        return np.asarray((P.T * np.array(self.damping_of_joints)) @ P)
+
+    def friction(self, u: NDArray[np.float64]) -> float:
+        return float(np.abs(self.by_tip(np.zeros(3)) @ u) @ np.array(self.friction_of_joints))
+
+
 class PlantDriver(DeviceDriver):
     """A plant with encoders of a step, noise, samples of an age, and forces that act late."""
 
     def __init__(
         self,
-        plant: Slide | Arm,
+        plant: Slide | Arm | Delta,
         step: float = 1e-5,
         noise: float = 0.0,
         age: float = 0.0,
@@ -197,7 +280,7 @@ class PlantDriver(DeviceDriver):
         self._t = 0.0
         self._times, self._places = [0.0], [plant.place()]
         self._due: list[tuple[float, Floats]] = []
-        self._worked = 0.0
+        self._exact = plant.place()
         self.applied: list[Floats] = []
         self.released = True
 
@@ -229,7 +312,7 @@ class PlantDriver(DeviceDriver):
         now = at * 1e-9
         self._to(now)
         age = self._age - self._jitter * float(self._random.random())
-        x = self._at(now - age)
+        x = self._exact = self._at(now - age)
         if self._noise:
             x = [value + float(self._random.uniform(-self._noise, self._noise)) for value in x]
         return [self._step * round(value / self._step) for value in x] if self._step else x
@@ -253,12 +336,37 @@ class PlantDriver(DeviceDriver):
 
 
 class WorkingDriver(PlantDriver):
-    """One whose driver tells the work of its motors."""
+    """One whose motors hold the torques of the joints that it has read, and which tells their work by these joints."""
+
+    def __init__(self, plant: Arm, *given: Any, **others: Any) -> None:
+        self._read: tuple[Floats, Floats] | None = None  # the joints that were read last, and the displacement
+        self._held: tuple[Floats, Floats] = [0.0, 0.0], [0.0, 0.0]  # torques, and the force that they stand for
+        self._done = 0.0
+        super().__init__(plant, *given, **others)
+
+    def sample(self, tick: int, at: Instant) -> Sequence[float]:
+        assert isinstance(self.plant, Arm)
+        x = list(super().sample(tick, at))
+        q = self.plant.joints(self._exact)
+        if self._read is not None:
+            (before, place), (t, f) = self._read, self._held
+            own = sum(t * (b - a) for t, a, b in zip(t, before, q, strict=True))
+            exact = [b - a for a, b in zip(self.plant.tip(before), self.plant.tip(q), strict=True)]
+            # the joints of a real one are those of its displacement
+            self._done = own + sum(f * ((b - a) - d) for f, a, b, d in zip(f, place, x, exact, strict=True))
+        self._read = q, x
+        return x
+
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> None:
+        assert isinstance(self.plant, Arm)
+        q = self._read[0] if self._read is not None else list(self.plant.home)
+        A, B, C, D = self.plant.jacobian(q)
+        t = [A * f[0] + C * f[1], B * f[0] + D * f[1]]
+        self._held = t, list(f)
+        super().apply(t, at, until)
 
     def work(self) -> float | None:
-        assert isinstance(self.plant, Arm)
-        since, self._worked = self.plant.work - self._worked, self.plant.work
-        return since
+        return self._done
 
 
 def slide(ports: Sequence[str], period: float, parameters: Mapping[str, Any]) -> PlantDriver:

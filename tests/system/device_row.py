@@ -57,7 +57,7 @@ class Free:
         friction: likewise, N or N m.
         mass: likewise, kg or kg m^2.
         step: of its encoders, m or rad.
-        stated: whether an osp can be stated of it; of several axes none can yet (docs/identify.md).
+        stated: whether an osp of use can be stated of it; of three axes none is surely half of the truth.
     """
 
     opened: Callable[[Path], AbstractContextManager[FarSide]]

@@ -192,15 +192,16 @@ def _asked(pose: int, number: int, safety: Safety) -> None:
 
 def _print(said: Statement, stated: DeviceSpecification) -> None:
     """A row for each pose and line."""
-    from manyhands.launch.identify.experiment import line_names
+    from manyhands.launch.identify.experiment import line_name
 
     table = titled_table(
         "What motion allows: from … to", ("pose", "line"), ("damping N·s/m", "dry friction N", "mass kg")
     )
     for number, one in enumerate(said.poses, start=1):
-        for at, line in enumerate(line_names(stated.axes)):
+        for at, line in enumerate(one.lines):
             of = (one.found.by_line[at], one.found.friction[at], one.found.mass[at])
-            table.add_row(str(number), line, *(f"{interval.low:.3g} … {interval.high:.3g}" for interval in of))
+            name = line_name(line.u, stated.axes)
+            table.add_row(str(number), name, *(f"{interval.low:.3g} … {interval.high:.3g}" for interval in of))
         if len(stated.axes) > 1:
             least = one.found.damping
             table.add_row(str(number), "least of all", f"{least.low:.3g} … {least.high:.3g}", "", "")

@@ -42,6 +42,15 @@ def test_no_lower_end_is_above_the_truth() -> None:
     assert holds, "\n".join(lines)
 
 
+@pytest.mark.long
+def test_of_an_arm_with_a_fine_encoder_more_than_half_of_the_least_damping_is_stated() -> None:
+    arm = identified(70, seed=20261127)
+    assert arm.kind == "arm"
+    assert arm.useful
+    assert arm.covered
+    assert not arm.false
+
+
 def test_the_devices_are_the_same_for_a_seed() -> None:
     first, second = (random_driver(3, 7)[0].plant for _ in range(2))
     assert first == second
