@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
+from manyhands.design.models.axis import Units
 from manyhands.launch.identify.experiment import AtPose, line_name
 from manyhands.launch.look.figures import BLUE, VERMILLION, new_figure, save
 
 
-def plot_poses(folder: Path, poses: tuple[AtPose, ...], axes: tuple[str, ...]) -> list[Path]:
+def plot_poses(folder: Path, poses: tuple[AtPose, ...], axes: tuple[str, ...], units: Units) -> list[Path]:
     """Draw the burned force over the speed, by pose and line, with the ends of the damping's interval.
 
     Raises:
@@ -43,9 +44,11 @@ def plot_poses(folder: Path, poses: tuple[AtPose, ...], axes: tuple[str, ...]) -
             slowest = int(np.argmin(speeds))
             for end, style in ((damping.low, "-"), (damping.high, "--")):
                 start = max(0.0, float(forces[slowest] - end * speeds[slowest]))
-                panel.plot(across, start + end * across, style, color=VERMILLION, label=f"b = {end:.3g} N·s/m")
-            panel.set(xlabel=f"speed along {name}, m/s", xlim=(0.0, None), ylim=(0.0, None))
+                panel.plot(
+                    across, start + end * across, style, color=VERMILLION, label=f"b = {end:.3g} {units('N·s/m')}"
+                )
+            panel.set(xlabel=f"speed along {name}, {units('m/s')}", xlim=(0.0, None), ylim=(0.0, None))
             panel.legend(fontsize=8)
-        panels[0].set_ylabel("burned: friction and damping, N")
+        panels[0].set_ylabel(f"burned: friction and damping, {units('N')}")
         written.append(save(figure, folder / f"identify-{number}.png"))
     return written

@@ -97,7 +97,8 @@ def device_file(
     program = f"manyhands identify {manyhands.__version__}, {day}"
     where = f"{program}: {len(of.poses)} pose{'s' * (len(of.poses) > 1)}"
     damping = [one.found.damping for one in of.poses]
-    ends = f"interval [{min(one.low for one in damping):.4g}, {min(one.high for one in damping):.4g}] N·s/m"
+    low, high = min(one.low for one in damping), min(one.high for one in damping)
+    ends = f"interval [{low:.4g}, {high:.4g}] {stated.units('N·s/m')}"
     said = f"the driver's statement, {day}"
     keys: dict[str, tuple[Any, str]] = {"driver": (driver, "as given to identify")}
     if parameters:

@@ -385,7 +385,7 @@ def _at_level(
     """A motion at one speed; in its first ``settles`` times to and fro the servo learns."""
     part, times = what
     name = line_name(np.array(servo.u), rig.stated.axes)
-    tell(f"{name}: {settles + times} times to and fro at {part * speed:.3g} m/s")
+    tell(f"{name}: {settles + times} times to and fro at {part * speed:.3g} {rig.stated.units('m/s')}")
     log = _run(rig, servo, (settles + times + 0.3) * servo.at(part * speed), tell)
     motion = _motion(log, level, servo)
     return replace(motion, settled=2 * settles + 1) if settles else motion
@@ -435,7 +435,8 @@ def drag(rig: Rig, to: Sequence[float]) -> None:
     off = max(abs(a - b) for a, b in zip(rig.here(), to, strict=True))
     if off > rig.safety.travel:
         raise Aborted(
-            f"the device is {1e3 * off:.3g} mm off its next pose; expected it nearer: give more force, or fewer poses"
+            f"the device is {1e3 * off:.3g} {rig.stated.units('mm')} off its next pose; expected it nearer: "
+            "give more force, or fewer poses"
         )
 
 
@@ -449,8 +450,8 @@ def poses(start: Sequence[float], rig: Rig, number: int) -> list[list[float]]:
     far = min(*room, 2.0 * rig.safety.travel)
     if number > 1 and far < 0.5 * rig.safety.travel:
         raise ValueError(
-            f"--poses: found {number}, and {1e3 * max(far, 0.0):.3g} mm of room beside the first; expected 1, or less "
-            "travel"
+            f"--poses: found {number}, and {1e3 * max(far, 0.0):.3g} {rig.stated.units('mm')} of room beside the "
+            "first; expected 1, or less travel"
         )
     ways = [0.0, *(part for pair in range(1, number) for part in (1.0 / pair, -1.0 / pair))]
     return [[x + far * part for x in start] for part in ways[:number]]

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 
+from manyhands.design.models.axis import Units
 from manyhands.nodes.device.plugin import PluginDriver
 from manyhands.nodes.device.specification import DeviceSpecification
 from manyhands.nodes.kernel.arithmetic import Floats, minus, plus
@@ -121,6 +122,7 @@ class Rig:
         self._period = from_seconds(T)
         self.force = [min(safety.force, limit) for limit in stated.force]
         self._works = stated.holds_torque and driver.tells_work
+        self._units = [Units.of([kind]) for kind in stated.kinds]
         self._span = max(1, round(SPAN / T))
         self._past: deque[Floats] = deque()
         self._means: deque[tuple[float, Floats]] = deque()
@@ -256,19 +258,23 @@ class Rig:
         axes, stated = self.stated.axes, self.stated
         bound = Late if at - self._coasted < COASTS else Aborted
         for axis, (place, begin, speed) in enumerate(zip(x, self.origin, v, strict=True)):
+            units = self._units[axis]
             if abs(place - begin) > reach:
                 raise bound(
-                    f"axis {axes[axis]} moved by {1e3 * (place - begin):.3g} mm; expected at most {1e3 * reach:.3g} mm"
+                    f"axis {axes[axis]} moved by {1e3 * (place - begin):.3g} {units('mm')}; expected at most "
+                    f"{1e3 * reach:.3g} {units('mm')}"
                     ": somebody pushed it, or its force is wrong (manyhands check-driver)"
                 )
             if abs(place) > stated.displacement[axis]:
                 raise bound(
-                    f"axis {axes[axis]} is at {place:.4g} m; expected within ±{stated.displacement[axis]:g} m, the "
+                    f"axis {axes[axis]} is at {place:.4g} {units('m')}; expected within ±{stated.displacement[axis]:g} "
+                    f"{units('m')}, the "
                     "device's own limit: begin nearer to the middle, or give less travel"
                 )
             if abs(speed) > stated.speed[axis]:
                 raise bound(
-                    f"axis {axes[axis]} moves at {speed:.3g} m/s; expected at most {stated.speed[axis]:g} m/s, the "
+                    f"axis {axes[axis]} moves at {speed:.3g} {units('m/s')}; expected at most {stated.speed[axis]:g} "
+                    f"{units('m/s')}, the "
                     "device's own limit: give a smaller speed"
                 )
 

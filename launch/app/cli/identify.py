@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
+from manyhands.design.models.axis import Units
 from manyhands.launch.app.cli.check import Driver, Parameters, Period, made, require_in_range, room_sentence
 from manyhands.launch.app.cli.common import Json, end, err, errors, out, refuse, require_folder, time_of
 from manyhands.launch.files import EXIT_FAILED, require_new_target
@@ -126,7 +127,7 @@ def identify(
         if plot is not None:
             from manyhands.launch.app.identify_plots import plot_poses
 
-            for path in plot_poses(plot, said.poses, stated.axes):
+            for path in plot_poses(plot, said.poses, stated.axes, stated.units):
                 say(err, f"{path}: written")
         end(0 if said.osp is not None else EXIT_FAILED)
 
@@ -149,7 +150,7 @@ def _measured(
     wanted = [] if ask else poses(rig.origin, rig, number)
     for pose in range(number):
         if ask:
-            _asked(pose, number, safety)
+            _asked(pose, number, safety, stated.units)
         with any_key() as rig.stop:
             if pose and not ask:
                 drag(rig, wanted[pose])
@@ -175,16 +176,16 @@ def _tell(where: str, text: str) -> None:
     say(err, f"{where}: {text}")
 
 
-def _asked(pose: int, number: int, safety: Safety) -> None:
+def _asked(pose: int, number: int, safety: Safety, units: Units) -> None:
     """Ask the user to bring the device to a pose and let go."""
     from manyhands.launch.identify.rig import Aborted
 
     place = "Bring the device" if pose == 0 else "Bring it to another place and posture"
     say(
         err,
-        f"pose {pose + 1} of {number}: it will move by ±{1e3 * safety.travel:g} mm with up to {safety.force:g} N and "
-        f"{safety.speed:g} m/s; any key ends that. {place if pose else place + ' to a first pose'}, let go of it, and "
-        "press Enter (or q and Enter to stop)",
+        f"pose {pose + 1} of {number}: it will move by ±{1e3 * safety.travel:g} {units('mm')} with up to "
+        f"{safety.force:g} {units('N')} and {safety.speed:g} {units('m/s')}; any key ends that. "
+        f"{place if pose else place + ' to a first pose'}, let go of it, and press Enter (or q and Enter to stop)",
     )
     if sys.stdin.readline().strip().lower() not in ("", "y", "yes"):
         raise Aborted("stopped; no force was exerted")
@@ -192,10 +193,13 @@ def _asked(pose: int, number: int, safety: Safety) -> None:
 
 def _print(said: Statement, stated: DeviceSpecification) -> None:
     """A row for each pose and line."""
+    units = stated.units
     from manyhands.launch.identify.experiment import line_name
 
     table = titled_table(
-        "What motion allows: from … to", ("pose", "line"), ("damping N·s/m", "dry friction N", "mass kg")
+        "What motion allows: from … to",
+        ("pose", "line"),
+        (f"damping {units('N·s/m')}", f"dry friction {units('N')}", f"mass {units('kg')}"),
     )
     for number, one in enumerate(said.poses, start=1):
         for at, line in enumerate(one.lines):
@@ -238,6 +242,6 @@ def _advice(said: Statement, stated: DeviceSpecification, promised: DeviceTiming
     rho = min(1.0, promised.jitter / period)
     limit = stiffest(said.osp * np.eye(len(stated.force)), period, tau, period_tolerance=rho)
     return (
-        f"{text}; a coupling of up to {limit.certified:.4g} N/m follows, at a period of {1e3 * period:g} ms and a "
-        f"delay of {1e3 * tau:.3g} ms"
+        f"{text}; a coupling of up to {limit.certified:.4g} {stated.units('N/m')} follows, at a period of "
+        f"{1e3 * period:g} ms and a delay of {1e3 * tau:.3g} ms"
     )
