@@ -348,7 +348,11 @@ def drop_outlived(
     if profile is not None and outlived(profile, session, nodes):
         drop_profile(profile)
         what = "launch" if options.hosting is None else "host"
-        say(console, f"{session.name}: the delays were not those measured before; the next {what} measures them anew")
+        given = "" if options.certificate is None else " without a certificate's file"
+        say(
+            console,
+            f"{session.name}: the delays were not those measured before; the next {what}{given} measures them anew",
+        )
 
 
 def start(

@@ -122,8 +122,9 @@ class AxisAnswer:
         if self.sideways is not None:
             other, way = self.sideways
             yield (
-                f"{self.axis} was pushed by ±{f}, and {other} moved instead, by {1e3 * way:+.2f} {mm}: the axes are "
-                "swapped in the driver or its wiring; axis_map of the session can name them right"
+                f"{self.axis} was pushed by ±{f}, and {other} moved instead, by {1e3 * way:+.2f} {mm} under +: "
+                "its motors or its encoders are crossed. Put that right in the driver or its wiring: axis_map of the "
+                "session moves both alike, and leaves them crossed; do not close a loop with it before"
             )
         elif not self.moved and self.own >= self.noise:
             yield (

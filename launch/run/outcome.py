@@ -274,7 +274,8 @@ def last_line(report: Mapping[str, Any], faults: Sequence[str] = ()) -> str:
         return ""
     text, late = verdict(rows), _late(report["nodes"])
     enforced = any(row.promise in _BY_LATENESS and row.state == PromiseState.ENFORCED for row in rows)
-    parts = [part for part in (late, _taken_away(report["nodes"]) if enforced else "") if part]
+    absent = any(row.promise == Promise.PRESENCE and row.state != PromiseState.KEPT for row in rows)
+    parts = [part for part in (late, _taken_away(report["nodes"], absent) if enforced else "") if part]
     if not parts:
         return text
     said = "; ".join(parts)
@@ -290,17 +291,21 @@ def _late(nodes: Mapping[str, Mapping[str, Any]]) -> str:
     return f"late: {words}{more}" if often else ""
 
 
-def _taken_away(nodes: Mapping[str, Mapping[str, Any]]) -> str:
-    """For how much of the time lateness has taken force from a hand, of the hand that lacked it for longest."""
+def _taken_away(nodes: Mapping[str, Mapping[str, Any]], absent: bool) -> str:
+    """For how much of the time lateness has taken force from a hand, of the hand that lacked it for longest.
+
+    Where somebody was ``absent``, the time of that is not in it.
+    """
+    beside = "besides absences, " if absent else ""
     given = {name: node["given"] for name, node in nodes.items() if node.get("given", {}).get("seconds")}
     if not given:
         return ""
     lacked = {name: (one["away"] + one["held_back"]) / one["seconds"] for name, one in given.items()}
     most = max(lacked, key=lacked.__getitem__)
     if not lacked[most]:
-        return "no force was taken away"
+        return f"{beside}no force was taken away"
     share = math.ceil(1000.0 * min(1.0, lacked[most]) - 1e-9) / 10.0  # up: what was lacking is never called nothing
-    return f"force was taken away for {share:.3g} % of the time ({most})"
+    return f"{beside}force was taken away for {share:.3g} % of the time ({most})"
 
 
 def felt_links(session: Session, figures: Mapping[str, Figures]) -> dict[str, FeltLink]:

@@ -233,10 +233,12 @@ class Recovery:
         allowed = node in self.seats or self.restarts.died(node, now)
         out = self._drop(node, self._future(allowed), alive, now)
         if self._awaits(node, NodeState.GONE):
-            self.faults.append(
-                f"{node} {how}; it stays away: its {self.restarts.allowed} restarts are used up (faults.restarts), "
-                f"and none led to a run of {self.restarts.window / 1e9:g} s (faults.window)"
+            away = (
+                f"it stays away: its {self.restarts.allowed} restarts are used up (faults.restarts), and none led to a "
+                f"run of {self.restarts.window / 1e9:g} s (faults.window)"
             )
+            self.note(f"{node}: {away}", now)  # while the session goes on, too
+            self.faults.append(f"{node} {how}; {away}")
         return out + self.proceed(now)
 
     def left(self, node: str, now: int) -> list[Instruction]:

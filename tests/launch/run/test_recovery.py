@@ -304,6 +304,8 @@ class Test_the_restarts:
         assert s.conductor.phase is SessionPhase.RUNNING
         (fault,) = s.conductor.faults
         assert fault.startswith("dx was killed by SIGKILL while running; it stays away: its 2 restarts are used up")
+        incidents = s.conductor.incidents.sentences
+        assert any("dx: it stays away: its 2 restarts are used up" in one for one in incidents)
         for victim in ("cx", "environment"):  # its peers come back without it
             s.kill(victim)
             s.settle()

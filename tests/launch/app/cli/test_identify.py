@@ -21,7 +21,18 @@ pytestmark = pytest.mark.usefixtures("own_interrupt")
 
 def test_it_ends_with_the_osp_and_the_stiffness_that_follows_and_writes_both(tmp_path: Path) -> None:
     file = tmp_path / "slide.device.yaml"
-    options = ("--period", 0.002, "--travel", 0.02, "-o", file, "--plot", tmp_path, "--name", "slide")
+    options = (
+        "--period",
+        0.002,
+        "--travel",
+        0.02,
+        "-o",
+        file,
+        "--plot",
+        tmp_path / "new" / "pictures",
+        "--name",
+        "slide",
+    )
     done = manyhands_command("identify", SLIDE, *options)
     assert done.exit_code == 0, done.output
     assert "damping N·s/m" in done.stdout
@@ -32,7 +43,7 @@ def test_it_ends_with_the_osp_and_the_stiffness_that_follows_and_writes_both(tmp
     assert done.stdout.splitlines()[-1].startswith(f"for the session file: osp: {osp:g}, friction: {{least: [")
     # K = b/(T/2), with no delay
     assert f"up to {osp / 0.001:.4g} N/m follows" in done.stdout
-    assert (tmp_path / "identify-1.png").stat().st_size > 1000
+    assert (folder / "identify-1.png").stat().st_size > 1000
     device = Session.from_dict(
         {
             "session": "found",
@@ -45,6 +56,9 @@ def test_it_ends_with_the_osp_and_the_stiffness_that_follows_and_writes_both(tmp
     ).devices["stick"]
     assert device.osp == ((osp,),)
     assert device.friction is not None
+    refused = manyhands_command("identify", SLIDE, "--plot", file)  # before anything moves
+    assert (refused.exit_code, refused.stdout) == (2, "")
+    assert f"{file}: cannot be a folder" in refused.stderr
     again = manyhands_command("identify", SLIDE, "-o", file)
     assert again.exit_code == 2
     assert "--overwrite" in again.output
