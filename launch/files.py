@@ -39,20 +39,6 @@ def require_target(path: Path) -> None:
         raise TargetError(f"{path}: found something other than a file; expected a file, or nothing")
 
 
-def require_folder(path: Path) -> None:
-    """Make the folder that files are to be written into, if it is absent; a command calls this before its run.
-
-    Raises:
-        TargetError: something else has its name, or it cannot be made.
-    """
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise TargetError(
-            f"{path}: cannot be a folder: {error.strerror}; expected one, or a name for a new one"
-        ) from error
-
-
 def require_new_target(path: Path, overwrite: bool) -> None:
     """Refuse an output file that cannot be written, or one that is there and was not given up.
 

@@ -17,6 +17,7 @@ def plot_poses(folder: Path, poses: tuple[AtPose, ...], axes: tuple[str, ...], u
     Raises:
         OSError: a picture cannot be written.
     """
+    folder.mkdir(parents=True, exist_ok=True)
     written = []
     for number, one in enumerate(poses, start=1):
         names = [line_name(line.u, axes) for line in one.lines]

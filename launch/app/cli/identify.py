@@ -91,8 +91,6 @@ def identify(
         require_folder(plot)
         if output is not None:
             require_new_target(output, overwrite)
-        if plot is not None:  # before anything moves
-            require_folder(plot)
         factory, plugin, stated = made(driver, dof, parameters, period)
         if not stated.moved_by_force:
             plugin.close()

@@ -21,18 +21,8 @@ pytestmark = pytest.mark.usefixtures("own_interrupt")
 
 def test_it_ends_with_the_osp_and_the_stiffness_that_follows_and_writes_both(tmp_path: Path) -> None:
     file = tmp_path / "slide.device.yaml"
-    options = (
-        "--period",
-        0.002,
-        "--travel",
-        0.02,
-        "-o",
-        file,
-        "--plot",
-        tmp_path / "new" / "pictures",
-        "--name",
-        "slide",
-    )
+    folder = tmp_path / "new" / "pictures"
+    options = ("--period", 0.002, "--travel", 0.02, "-o", file, "--plot", folder, "--name", "slide")
     done = manyhands_command("identify", SLIDE, *options)
     assert done.exit_code == 0, done.output
     assert "damping N·s/m" in done.stdout
@@ -58,7 +48,7 @@ def test_it_ends_with_the_osp_and_the_stiffness_that_follows_and_writes_both(tmp
     assert device.friction is not None
     refused = manyhands_command("identify", SLIDE, "--plot", file)  # before anything moves
     assert (refused.exit_code, refused.stdout) == (2, "")
-    assert f"{file}: cannot be a folder" in refused.stderr
+    assert f"{file}: found a file; expected the name of a folder" in refused.stderr
     again = manyhands_command("identify", SLIDE, "-o", file)
     assert again.exit_code == 2
     assert "--overwrite" in again.output
