@@ -84,6 +84,17 @@ TURNING: Final = Units.of([AxisKind.ROTATION])
 """Of axes that turn."""
 
 
+def units_of(ports: Iterable[str], turning: Iterable[str]) -> Units:
+    """The units of what is said of these ports together.
+
+    Args:
+        ports: by name.
+        turning: those that turn, and perhaps others.
+    """
+    turn = frozenset(turning)
+    return Units.of(AxisKind.ROTATION if port in turn else AxisKind.TRANSLATION for port in ports)
+
+
 def units_by_port(ports: Iterable[str], turning: Iterable[str]) -> dict[str, Units]:
     """The units at each port.
 

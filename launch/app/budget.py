@@ -444,13 +444,14 @@ def _plain(row: Stiffness) -> dict[str, float | None]:
     return {"T": row.T, "tau": row.tau, "certified": row.certified, "colgate": row.colgate, "kappa": row.kappa}
 
 
-def print_budget(console: Console, found: DelayBudget, own_mark: str = " (session)") -> None:
+def print_budget(console: Console, found: DelayBudget, own_mark: str = " (session)", of_session: bool = True) -> None:
     """Print two tables, stiffness over delay and over period; devices with equal levels share their rows.
 
     Args:
         console: where to.
         found: the budget.
         own_mark: what stands beside the loop's own delay.
+        of_session: whether it has an environment of which something can be said.
     """
     loop = found.loop
     groups = _groups(found.devices)
@@ -487,7 +488,8 @@ def print_budget(console: Console, found: DelayBudget, own_mark: str = " (sessio
     if loop.period_tolerance:
         longest = f"{1.0 + loop.period_tolerance:g}"
         console.print(f"Periods may be up to {longest} T long, Colgate's as well as ours.", markup=False)
-    console.print(_environment_text(found), markup=False, soft_wrap=True)
+    if of_session:
+        console.print(_environment_text(found), markup=False, soft_wrap=True)
 
 
 def print_wave_links(console: Console, found: Sequence[WaveLinkBudget]) -> None:

@@ -31,7 +31,14 @@ from manyhands.launch.app.own_device import OwnDevice, session_of
 from manyhands.launch.files import EXIT_INTERRUPTED, EXIT_NOT_CERTIFIED, EXIT_OK
 from manyhands.launch.look.display import figure_table, printable, promise_lines, say, status, world_lines
 from manyhands.launch.output import print_json
-from manyhands.launch.run.outcome import given_sentences, last_line, lateness_sentence, rows_of, wave_link_sentences
+from manyhands.launch.run.outcome import (
+    given_sentences,
+    last_line,
+    lateness_sentence,
+    rows_of,
+    units_in,
+    wave_link_sentences,
+)
 from manyhands.launch.session import Session
 from manyhands.nodes.monitor.given import shares_cell
 from manyhands.nodes.rows import figures as names
@@ -192,7 +199,7 @@ _LEDGER: Final = "ledger\nmin [J]"
 _GIVEN: Final = "given [%]\nforce/time"
 _REPORTED: Final = (
     *("node", "ticks", "late", "τ [µs]\np50/p99/p99.9/max", _PERIOD, _GIVEN, _LEDGER),
-    *("account\nmin/bound [J]", "speed [m/s]\npeak → final"),
+    "account\nmin/bound [J]",
 )
 _REPORT_RANKS: Final = {_PERIOD: 3, _GIVEN: 2, _LEDGER: 1}
 
@@ -221,8 +228,9 @@ def print_report(console: Console, report: Mapping[str, Any], faults: Sequence[s
         shares = node.get("given", {})
         given = shares_cell(shares.get("force"), shares.get("time"))
         rows.append([name, str(node["ticks"]), late, *percentiles, given, ledger, _account(node, report), speeds])
-    rows += [[name, "no report", *[""] * (len(_REPORTED) - 2)] for name in report.get("unreported", ())]
-    table, left_out = figure_table(title, _REPORTED, rows, _REPORT_RANKS, console.width)
+    rows += [[name, "no report", *[""] * (len(_REPORTED) - 1)] for name in report.get("unreported", ())]
+    titles = (*_REPORTED, f"speed [{units_in(report)('m/s')}]\npeak → final")
+    table, left_out = figure_table(title, titles, rows, _REPORT_RANKS, console.width)
     console.print(table)
     if left_out:
         short = ", ".join(column.split("\n")[0] for column in left_out)
@@ -486,11 +494,12 @@ def run_budget(session: Session, out: Console, err: Console, picture: Path | Non
         own = {"wave_links": wave_links_object(links)} if links else {}
         print_json(budget_object(found) | {"rates": rates_object(rates)} | own)
     else:
-        print_budget(out, found)
+        linked = len(session.wave_links) == len(session.couplings)  # then the sites have delays of their own
+        print_budget(out, found, "" if linked else " (session)")
         print_series(out, series_budget(found), loop)
         print_steps(out, found)
         print_wave_links(out, links)
-        print_rates(out, session.name, rates)
+        print_rates(out, session.name, session.units(), rates)
     if picture is not None:
         plot_budget(found, picture)
         say(err, f"picture: {picture}")
@@ -521,7 +530,7 @@ def run_own_budget(own: OwnDevice, out: Console, err: Console, picture: Path | N
         print_json(budget_object(found) | own_device_object(own, found))
     else:
         print_own_device(out, own, found)
-        print_budget(out, found, "" if own.delay is None else " (stated)")
+        print_budget(out, found, "" if own.delay is None else " (stated)", of_session=False)
         print_steps(out, found)
     if picture is not None:
         plot_budget(found, picture)

@@ -224,7 +224,7 @@ def run_doctor(session: Session, seconds: float, out: Console, err: Console, as_
         return EXIT_OK
     print_machine(out, machine, measured.waking.granted)
     print_measured(out, measured, session.period)
-    print_rates(out, session.name, rates)
+    print_rates(out, session.name, session.units(), rates)
     if chosen.reason:
         say(out, f"{session.name}, launched: {chosen.reason}")
     print_worth(out, measured, worth, advised)

@@ -15,6 +15,7 @@ from rich.table import Table
 
 from manyhands.design.budget import needed_share
 from manyhands.design.certificate import Certificate
+from manyhands.design.models.axis import Units
 from manyhands.design.wave_link import FELT_STIFFNESS
 from manyhands.launch.doctor.advice import Advice, Worth
 from manyhands.launch.doctor.probe import Form, Way, forms_of
@@ -136,13 +137,13 @@ def rates_object(figures: list[FormFigures]) -> list[dict[str, Any]]:
     return out
 
 
-def print_rates(console: Console, session: str, figures: list[FormFigures]) -> None:
+def print_rates(console: Console, session: str, units: Units, figures: list[FormFigures]) -> None:
     """Print a table of the forms that were measured, and a line about the others: why, and what measures them."""
     table = Table(title=f"{session} on this machine", title_justify="left")
     table.add_column("rate")
     table.add_column("processes")
-    columns = ("τ p50 [µs]", "p99.5", "worst", "late", "designed for τ [ms]", "period [ms]", "certified below [N/m]",
-               "at the worst", "no delay")  # fmt: skip
+    columns = ("τ p50 [µs]", "p99.5", "worst", "late", "designed for τ [ms]", "period [ms]",
+               f"certified below [{units('N/m')}]", "at the worst", "no delay")  # fmt: skip
     for column in columns:
         table.add_column(column, justify="right")
     for one in figures:

@@ -18,6 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from manyhands.design.errors import Infeasible, TriedChange
+from manyhands.design.models.axis import TRANSLATING, Units
 from manyhands.nodes.environment.chatter import MOST as MOST_REVERSALS
 from manyhands.nodes.kernel.words import counted
 from manyhands.nodes.monitor.given import GivenForce, shares_cell
@@ -89,9 +90,10 @@ def figure_table(
 _WORDS: Final = ("node", "role", "state", "health")  # columns of words, which begin at the left
 
 
-def heading(title: str) -> str:
-    """The title of a column, with its unit in a second line."""
-    return title.replace(" [", "\n[")
+def heading(title: str, units: Units = TRANSLATING) -> str:
+    """The title of a column, with its unit in a second line: that of these axes."""
+    name, bracket, unit = title.removesuffix("]").partition(" [")
+    return f"{name}\n[{units(unit)}]" if bracket else title
 
 
 LEAST_SHOWN: Final = 1e-3
@@ -253,5 +255,9 @@ def could_help(err: Console, error: BaseException | None) -> tuple[TriedChange, 
     return tuple(found)
 
 
-RANKS: Final = {**{heading(column.title): column.rank for _, column in COLUMNS}, "role": 8}
+def ranks(units: Units = TRANSLATING) -> dict[str, int]:
+    """By column of the figures, and of the roles, which goes first where there is no room: the highest."""
+    return {**{heading(column.title, units): column.rank for _, column in COLUMNS}, "role": 8}
+
+
 """The columns that a narrow table leaves out; a name often makes the role clear."""

@@ -23,13 +23,14 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from manyhands.design.models.axis import Units
 from manyhands.launch.look.display import (
     COLUMNS,
-    RANKS,
     figure_cells,
     figure_table,
     heading,
     promise_lines,
+    ranks,
     say,
     world_lines,
 )
@@ -235,11 +236,13 @@ def picture(live: LiveSession, width: int, title: str | None = None) -> Renderab
     about, condition = live.about, live.condition
     phase = "connecting" if condition is None else f"{condition.phase}, {condition.elapsed:.0f} s"
     named = title or f"{about.session} (process {about.pid}, {about.clock} clock)"
-    titles = [*_FIXED, *(heading(column.title) for _, column in COLUMNS), "health"]
+    kinds = [kind for node in about.nodes for kind in about.kinds_at(node)]
+    units = Units.of(kinds)
+    titles = [*_FIXED, *(heading(column.title, units) for _, column in COLUMNS), "health"]
     rows: list[list[str | Text]] = [
         [*_cells(node), Text(node.health, style=STYLES[node.health])] for node in live.nodes.values()
     ]
-    table, _ = figure_table(f"{named}: {phase}; {live.health}", titles, rows, RANKS, width)
+    table, _ = figure_table(f"{named}: {phase}; {live.health}", titles, rows, ranks(units), width)
     return Group(table, *(Text(text, style=style) for text, style in sentences(live)))
 
 

@@ -14,6 +14,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from manyhands.design.files import replacing
+from manyhands.design.models.axis import AxisKind, Units
 from manyhands.design.models.brief import brief_repr
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.recording import Recording
@@ -68,10 +69,21 @@ class Progress:
     __repr__ = brief_repr
 
     @property
+    def behind(self) -> dict[str, float]:
+        """By device in wall time, how far its tool lags behind it, m (rad on an axis that turns), because of lateness.
+
+        What lags is a part of every wall that is missing: a coupling of K (N/m) presses by K times the lag less. The
+        force that was asked for, of which :attr:`without_force` judges, does not know of that.
+        """
+        found = ((name, told.figures.get(names.INTERFACE_BEHIND)) for name, told in self.telemetry.items())
+        return {name: behind for name, behind in found if behind is not None}
+
+    @property
     def without_force(self) -> tuple[str, ...]:
         """The devices that have been given too little of the force asked in the last seconds: their walls are gone.
 
-        What counts as too little, and over which time, has :mod:`manyhands.nodes.monitor.given`.
+        What counts as too little, and over which time, has :mod:`manyhands.nodes.monitor.given`. A tool that lags
+        behind asks for less: that is told by :attr:`behind`.
         """
         lasting = [row for row in self.promises if row.promise == Promise.GIVEN and row.until is None]
         return tuple(sorted({name for row in lasting if row.state == PromiseState.BROKEN for name in row.who}))
@@ -275,7 +287,8 @@ def last_line(report: Mapping[str, Any], faults: Sequence[str] = ()) -> str:
     text, late = verdict(rows), _late(report["nodes"])
     enforced = any(row.promise in _BY_LATENESS and row.state == PromiseState.ENFORCED for row in rows)
     absent = any(row.promise == Promise.PRESENCE and row.state != PromiseState.KEPT for row in rows)
-    parts = [part for part in (late, _taken_away(report["nodes"], absent) if enforced else "") if part]
+    lost = (_taken_away(report["nodes"], absent), _lagged(report)) if enforced else ()
+    parts = [part for part in (late, *lost) if part]
     if not parts:
         return text
     said = "; ".join(parts)
@@ -306,6 +319,28 @@ def _taken_away(nodes: Mapping[str, Mapping[str, Any]], absent: bool) -> str:
         return f"{beside}no force was taken away"
     share = math.ceil(1000.0 * min(1.0, lacked[most]) - 1e-9) / 10.0  # up: what was lacking is never called nothing
     return f"{beside}force was taken away for {share:.3g} % of the time ({most})"
+
+
+BEHIND_WORTH_SAYING: Final = 1e-3
+"""m or rad; so far a tool must have lagged behind its device that it is said: K times that is missing of a wall."""
+
+
+def _lagged(report: Mapping[str, Any]) -> str:
+    """How far lateness has made a tool lag behind its device at most; empty where that is not worth saying."""
+    nodes = report["nodes"].items()
+    offsets = {name: node.get("interface", {}).get("offset", 0.0) for name, node in nodes}
+    most = max(offsets, key=offsets.__getitem__, default=None)
+    if most is None or not offsets[most] >= BEHIND_WORTH_SAYING:
+        return ""
+    unit = units_in(report, most)("mm")
+    return f"the tool of {most} was up to {1e3 * offsets[most]:.3g} {unit} behind it"
+
+
+def units_in(report: Mapping[str, Any], *nodes: str) -> Units:
+    """The units of what a whole report says of these nodes; of all of them, if none is named."""
+    kinds: Mapping[str, Sequence[str]] = report.get("axes", {})
+    found = [kinds.get(node, ()) for node in nodes or report["nodes"]]
+    return Units.of(AxisKind(kind) for own in found for kind in own)
 
 
 def felt_links(session: Session, figures: Mapping[str, Figures]) -> dict[str, FeltLink]:
@@ -357,6 +392,7 @@ def run_report(
     promises: Sequence[PromiseStatus] = (),
     unreported: Sequence[str] = (),
     by_itself: Mapping[str, Sequence[str]] = MappingProxyType({}),
+    axes: Mapping[str, Sequence[AxisKind]] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """The whole report.
 
@@ -375,6 +411,7 @@ def run_report(
         promises: how each promise stands at the end.
         unreported: the nodes that have run and sent no final report.
         by_itself: by device, what it does by itself, as its driver states.
+        axes: by device, what its axes do, where some axis of the session turns.
     """
     restarts = incidents.restarts
     return {
@@ -388,6 +425,7 @@ def run_report(
         **({"unreported": list(unreported)} if unreported else {}),
         **({"enforced": list(enforced)} if enforced else {}),
         **({"by_itself": {name: list(own) for name, own in by_itself.items()}} if by_itself else {}),
+        **({"axes": {name: [kind.value for kind in own] for name, own in axes.items()}} if axes else {}),
         **({} if lateness is None else {"lateness": dict(lateness)}),
         **({"wave_links": {name: felt.as_plain() for name, felt in wave_links.items()}} if wave_links else {}),
         **({"promises": [written(row) for row in promises]} if promises else {}),

@@ -634,6 +634,7 @@ class Supervisor:
                 promises,
                 self._unreported(),
                 self._health.by_itself,
+                {name: device.kinds for name, device in self._session.devices.items()} if self._session.turning else {},
             )
             | recorder.as_plain(),
             recording,

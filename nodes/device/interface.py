@@ -645,6 +645,11 @@ class DeviceInterface:
                 self.shortened, account.until = True, end
         return self._sent
 
+    @property
+    def behind(self) -> float:
+        """The offset between the device and the motion sent last, of any axis, m."""
+        return max(map(abs, minus(self._goal, self._sent)))
+
     def force(self, f: Floats, held: Floats, at: Instant) -> tuple[Floats, Instant | None]:
         """Take the couplings' answer; returns what to exert from ``at`` on, and until when at the longest.
 

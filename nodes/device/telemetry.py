@@ -311,6 +311,7 @@ class DeviceTelemetry:
             names.INTERFACE_TICKS: float(interface.ticks),
             names.INTERFACE_KEPT_BACK: interface.kept_back,
             names.INTERFACE_OFFSET: interface.offset,
+            names.INTERFACE_BEHIND: interface.behind,
         }
 
     def report(self, joins: Sequence[Join], rung: int) -> Report:

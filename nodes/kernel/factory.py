@@ -192,10 +192,14 @@ def published(group: str) -> dict[str, str]:
     return dict(SHIPPED.get(group, {})) | {entry.name: entry.value for entry in found if FACTORY.fullmatch(entry.value)}
 
 
+_MOST_TOLD: Final = 400
+"""Characters of an exception's text that are told: a sentence of what was found, and one of what to do."""
+
+
 def in_one_line(error: BaseException) -> str:
     """An exception in one line of bounded length; its text comes from foreign code, and may be anything."""
     try:
         text = " ".join(str(error).split())
     except Exception:  # noqa: BLE001 -- a text that cannot be made must not hide that there was an error
         text = "without a text"
-    return f"{type(error).__name__}: {text[:200]}" if text else type(error).__name__
+    return f"{type(error).__name__}: {text[:_MOST_TOLD]}" if text else type(error).__name__

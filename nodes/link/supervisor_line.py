@@ -405,5 +405,5 @@ def require_hub(link: Link, name: str, control: str, waiting: bool) -> None:
         return
     raise Refused(
         f"{name}: cannot join the supervisor at {control}: {trouble}; see that the session runs there, and that "
-        "bundle and key are of its present keys"
+        "what you were given, bundle and key or invitation, is of its present keys"
     )

@@ -267,6 +267,8 @@ INTERFACE_KEPT_BACK: str = _figure(Figure(
 INTERFACE_OFFSET: str = _figure(Figure(
     "interface_offset", Unit.METRES, "the greatest offset between a device and the motion sent",
     report=_at("interface", "offset")))
+INTERFACE_BEHIND: str = _figure(Figure(
+    "interface_behind", Unit.METRES, "of offset between a device and the motion sent now: so far its tool lags behind"))
 QUICKER: str = _figure(Figure(
     "quicker", Unit.STATE, "whether a device moved further than the stated mass and hand allow"))
 BEYOND: str = _figure(Figure(

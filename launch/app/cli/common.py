@@ -260,10 +260,10 @@ def load_with_network(
     if not network:
         return session
     if not session.wave_links:
-        coupling = next(iter(session.couplings))
+        coupling, there = next(iter(session.couplings)), 2.0 * time_of("--delay", delay or "50ms")
         refuse(
             f"--{network[0].partition(':')[0]}: found a session without a wave link; expected one, for a delay inside "
-            f"the tick is design.tau: --set 'couplings.{coupling}.wave_link={{mass: 0.5, round_trip: 0.1}}'"
+            f"the tick is design.tau: --set 'couplings.{coupling}.wave_link={{mass: 0.5, round_trip: {there:g}}}'"
         )
     stated = "{" + ", ".join(network) + "}"
     more = [f"couplings.{name}.wave_link.network={stated}" for name in session.wave_links]

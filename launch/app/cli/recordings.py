@@ -183,7 +183,7 @@ def export(
         typer.Option(
             "--format",
             metavar="|".join(_EXPORTED),
-            help="The format.",
+            help="The format; that of OUT's suffix unless given. One of the two is required.",
             autocompletion=one_word_of(_EXPORTED),
         ),
     ] = None,
@@ -222,6 +222,8 @@ def export(
             if to is None and output is None:
                 return
         format_ = to or (output.suffix[1:] if output is not None else "")
+        if not format_:
+            refuse(f"found neither --format nor -o; expected one of {', '.join(_EXPORTED)}, or a file with that suffix")
         require_one_of("--format", format_, _EXPORTED)
         target = output or file.with_suffix(f".{format_}")
         require_format(target, (f".{format_}",))

@@ -90,7 +90,8 @@ def simulate(
             if record.suffix == STREAMED:
                 refuse(
                     f"--record: found {record}; expected one of {', '.join(SUFFIXES)}: {STREAMED} has the telemetry of "
-                    f"processes, which do the same ticks with: manyhands launch {session} --clock simulated"
+                    f"processes, which do the same ticks with: manyhands launch {session} --clock simulated "
+                    f"--duration {loaded.period * ticks:g} --record {record}"
                 )
             require_suffix(record)
             claims.enter_context(claimed(record))

@@ -117,13 +117,17 @@ class Tie:
 
 @dataclass(frozen=True)
 class Drawing:
-    """A session's graph; ``health`` is that of the whole session and ``pid`` its supervisor's, None for a file."""
+    """A session's graph; ``health`` is that of the whole session and ``pid`` its supervisor's, None for a file.
+
+    ``turning`` has the ports that turn.
+    """
 
     title: str
     parts: tuple[Part, ...]
     ties: tuple[Tie, ...]
     health: Health | None = None
     pid: int | None = None
+    turning: frozenset[str] = frozenset()
 
     @property
     def nodes(self) -> tuple[Part, ...]:
@@ -155,7 +159,10 @@ def drawing_of_session(plan: Plan) -> Drawing:
     ties = [_link(ends, ports, graph.nodes, None) for ends, ports in links]
     reads = {name: tuple(observer.reads) for name, observer in session.observers.items()}
     return Drawing(
-        session.name, (*parts, *_observers(reads)), (*ties, *_carriers(graph.carriers), *_looks(reads, graph.nodes))
+        session.name,
+        (*parts, *_observers(reads)),
+        (*ties, *_carriers(graph.carriers), *_looks(reads, graph.nodes)),
+        turning=frozenset(session.turning),
     )
 
 
@@ -175,6 +182,7 @@ def drawing_of_live(live: LiveSession) -> Drawing:
         (*ties, *_carriers(carriers), *_looks(about.observers, roles)),
         live.health,
         about.pid,
+        frozenset(about.turning),
     )
 
 

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from rich.console import Console
 from rich.markup import escape
 
+from manyhands.design.models.axis import Units, units_of
 from manyhands.launch.look.display import say, titled_table
 from manyhands.launch.look.graph.parts import Drawing
 from manyhands.launch.plan.access import Capability
@@ -39,7 +40,8 @@ def print_graph(out: Console, drawing: Drawing) -> None:
         f"{drawing.title}: links", ("from", "to", "ports", "there", "back", *(["health"] if runs else []))
     )
     for tie, channels in drawing.links():  # from the hand to the environment, the direction of a tick
-        there, back = (", ".join(map(_signal, names)) for names in channels)
+        units = units_of(tie.ports, drawing.turning)
+        there, back = (", ".join(_signal(name, units) for name in names) for names in channels)
         stands = [] if tie.health is None else [tie.health.value]
         links.add_row(*map(escape, (*tie.ends, ", ".join(tie.ports), there, back, *stands)))
     out.print(links)
@@ -52,9 +54,10 @@ def print_access(out: Console, plan: Plan) -> None:
     )
     for rows in _by_node_and_channel(plan.access):
         first = rows[0]
+        units = units_of([port for row in rows for port in row.ports], plan.session.turning)
         direction = "to" if first.action == "write" else "from"
         lines = [f"{direction} {row.peer}: {', '.join(row.content or row.ports)}" for row in rows]
-        table.add_row(first.node, first.role, f"{first.action}s", _signal(first.channel), "\n".join(lines))
+        table.add_row(first.node, first.role, f"{first.action}s", _signal(first.channel, units), "\n".join(lines))
     out.print(table)
     say(out, _SAID_ONCE)
 
@@ -67,10 +70,10 @@ def _by_node_and_channel(table: Iterable[Capability]) -> list[list[Capability]]:
     return list(grouped.values())
 
 
-def _signal(name: str) -> str:
+def _signal(name: str, units: Units) -> str:
     """A channel with its quantity, such as ``sample (x, m)``."""
     channel = CHANNELS[name]
-    return f"{name} ({channel.symbol}, {channel.unit})" if channel.symbol else name
+    return f"{name} ({channel.symbol}, {units(channel.unit)})" if channel.symbol else name
 
 
 _SHAPES = {

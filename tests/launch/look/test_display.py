@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from manyhands.launch.look.display import COLUMNS, RANKS, figure_table, heading, say
+from manyhands.launch.look.display import COLUMNS, figure_table, heading, ranks, say
 from manyhands.launch.look.live import LiveTable, late_line
 from manyhands.launch.run.outcome import Progress
 from manyhands.launch.run.states import SessionPhase
@@ -23,7 +23,7 @@ cells = st.text(st.characters(categories=["L", "N"], max_codepoint=255), max_siz
 
 def shown(width: int, rows: list[list[str]]) -> tuple[str, list[str]]:
     out = io.StringIO()
-    table, left_out = figure_table("t", TITLES, rows, RANKS, width)
+    table, left_out = figure_table("t", TITLES, rows, ranks(), width)
     Console(file=out, width=width, force_terminal=True, color_system=None).print(table)
     return out.getvalue(), left_out
 
@@ -37,7 +37,7 @@ def test_what_is_shown_is_whole_and_the_rest_is_named(width: int, rows: list[lis
         assert word in text
     for row in rows:
         assert all(row[place] in text for place in kept)
-    assert [RANKS[name] for name in left_out] == sorted((RANKS[name] for name in left_out), reverse=True)
+    assert [ranks()[name] for name in left_out] == sorted((ranks()[name] for name in left_out), reverse=True)
 
 
 def test_a_usual_session_has_its_most_important_figures_in_80_columns() -> None:

@@ -32,7 +32,7 @@ from manyhands.nodes.monitor.given import FIGURES
 from manyhands.nodes.rows import figures as names
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_COUNT
-from manyhands.protocol.messages import Figures, PromiseStatus, Report, Role
+from manyhands.protocol.messages import Figures, PromiseStatus, Report, Role, Telemetry
 
 from ...support.simulated_recordings import SESSIONS
 
@@ -377,3 +377,28 @@ def test_a_promise_about_lateness_needs_a_certificate_and_a_device_in_wall_time(
     assert promise("simulated") is None
     assert promise("realtime", *(f"devices.{name}.time=own" for name in ("dx", "dy", "dz"))) is None
     assert promise("realtime", "design.coupling=none", uncertified=True) is None
+
+
+@pytest.mark.parametrize(
+    ("offset", "axes", "said"),
+    [
+        (0.0172, {}, "no force was taken away; the tool of dx was up to 17.2 mm behind it"),
+        (0.0009, {}, "no force was taken away"),
+        (0.25, {"dx": ["rotation"]}, "no force was taken away; the tool of dx was up to 250 mrad behind it"),
+    ],
+)
+def test_the_last_line_says_how_far_lateness_made_a_tool_lag_behind(
+    offset: float, axes: dict[str, list[str]], said: str
+) -> None:
+    """Of that nothing is asked of the device, so that shares of force cannot show it."""
+    given = {"seconds": 10.0, "away": 0.0, "held_back": 0.0, "cut": 0.0}
+    node = {"ticks": 1000, "given": given, "interface": {"offset": offset}}
+    nodes = {"dx": node, "cx": {"ticks": 1000}}
+    report = whole({}) | {"nodes": nodes, "promises": [ENFORCED], "axes": axes}
+    assert last_line(report) == f"{CHECKED}; {said}"
+    assert last_line(report | {"promises": [KEPT]}) == "all promises kept"
+
+
+def test_progress_tells_how_far_tools_lag_behind() -> None:
+    told = {"dx": Telemetry(10, Figures({"interface_behind": 0.004}), {}), "cx": Telemetry(10, Figures({}), {})}
+    assert Progress(SessionPhase.RUNNING, {}, {}, told, 1.0, (), {}).behind == {"dx": 0.004}

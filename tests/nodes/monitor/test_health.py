@@ -74,7 +74,8 @@ def row(promise: str, state: str, who: str, **cost: float) -> PromiseStatus:
 
 
 FASTER = (
-    "manyhands doctor measures what helps on this machine: other periods, and couplings in their devices' processes."
+    "manyhands doctor SESSION measures what would help on this machine: other periods, or couplings in their devices' "
+    "processes."
 )
 
 
