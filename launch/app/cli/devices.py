@@ -127,6 +127,8 @@ def _block(file: DeviceFile) -> Iterator[str]:
         yield "    # osp: OSP  # what it surely dissipates, N·s/m, or N·m·s/rad where it turns; to measure it, run"
         yield f"    #   manyhands identify {options} -o stick.device.yaml"
         yield "    #   and take from: ./stick.device.yaml, which has all that is stated here"
+    if file.keys.get("dof", 1) != 1 and "held" not in file.keys:
+        yield "    # held: torque  # with its linkage, where its motors hold joint torques (docs/mechanisms.md)"
     if not {"sample_age", "actuation_delay"} & file.keys.keys():
         yield "    # what your driver states, such as limits, sample_age and actuation_delay; to print it, run"
         yield f"    #   manyhands check-driver {options} --no-push"
