@@ -292,7 +292,8 @@ class MotorAxis(DeviceDriver):
         began = self._clock.now()
         self._hear()
         if began - self._sampled > self._silence:  # as before the first tick
-            self._rearming = None
+            if self._rearming is not None:  # its wait begins anew: in a pause nobody has armed it
+                self._rearming = began
             self._renew()
         else:
             self._ask()

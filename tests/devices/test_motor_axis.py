@@ -192,6 +192,21 @@ def test_an_axis_comes_back_where_all_torques_are_short(kind: Kind) -> None:
         assert one.asked()["expired"] > expired
 
 
+def test_a_pause_while_an_axis_is_armed_again_is_no_other_program(kind: Kind) -> None:
+    """The process has no turn between the watchdog's end and the torque that arms the axis: nobody else is to blame."""
+    of, fake = kind
+    with fake() as one, opened(of, one, silence=0.1) as driver:
+        until(lambda: (turned(driver, 0.02), one.asked()["torque"])[1] == pytest.approx(0.02))
+        expired = one.asked()["expired"]
+        until(lambda: one.asked()["expired"] > expired)
+        for _ in range(3):
+            for _ in range(4):
+                driver.sample(0, Instant(0))  # asks, and says that the axis is to be armed, but no torque follows
+                time.sleep(0.01)
+            time.sleep(0.15)
+        until(lambda: (turned(driver, 0.02), one.asked()["torque"])[1] == pytest.approx(0.02))
+
+
 def test_an_end_that_comes_nearer_is_obeyed(kind: Kind) -> None:
     """The account may end a force sooner: the second call of a tick has the same torque and less time."""
     of, fake = kind
