@@ -350,7 +350,7 @@ def even_lines(B: Array) -> list[Array]:
 
 
 @dataclass
-class _Set:
+class _Found:
     """Linear inequalities on z: B by its upper triangle, and none negative, c by pair, and by line c, what rest adds to
     it, and the drag of each power.
     """
@@ -386,8 +386,8 @@ class _Set:
         return np.zeros(self.size)
 
 
-def _base(of: Sequence[Along]) -> _Set:
-    found = _Set(of)
+def _base(of: Sequence[Along]) -> _Found:
+    found = _Found(of)
     m, free = found.m, found.free
     told = len(lines(m))
     # the axes come first, and the first of other lines are at right angles as well
@@ -460,13 +460,13 @@ def unsure(u: Array, about: Array) -> Array:
     return np.asarray((1.0 + aside * (s - 1.0 / s)) * np.outer(u, u) + aside / s * np.eye(m))
 
 
-def _falling(base: _Set) -> tuple[Array, Array]:
+def _falling(base: _Found) -> tuple[Array, Array]:
     """The set where friction falls with the speed in any way, and there is no drag."""
     rows, limits = zip(*base.order, strict=True)
     return np.array([*base.rows, *rows]), np.array([*base.limits, *limits])
 
 
-def _with_stribeck(base: _Set, least: float, most: float) -> tuple[Array, Array]:
+def _with_stribeck(base: _Found, least: float, most: float) -> tuple[Array, Array]:
     """The set where each line has c + more e^-(v/v_s)^2 with a v_s of this range, m/s (0 is no such part), and drag."""
     rows, limits = list(base.rows), list(base.limits)
     for number, (i, one) in enumerate(base.all):
@@ -554,7 +554,7 @@ def identified_by_turns(windows: Sequence[Line], of: Sequence[Along]) -> Identif
     return Identified(least, found.by_line, tuple(friction), by_axis, tuple(mass), found.stribeck)
 
 
-def _least_eigenvalue(base: _Set, sets: Sequence[tuple[tuple[Array, Array], float]]) -> float:
+def _least_eigenvalue(base: _Found, sets: Sequence[tuple[tuple[Array, Array], float]]) -> float:
     """Below all eigenvalues of all B of these sets, N*s/m; with each comes the least that a line has in it.
 
     With S^2 about B, the entries of S^-1 B S^-1 are bounded; what that gives is enough for most sets. In the others the
@@ -579,7 +579,7 @@ def _root(B: Array) -> Array:
     return np.asarray((vectors * np.sqrt(values)) @ vectors.T)
 
 
-def _by_entries(base: _Set, S: Array, one: tuple[Array, Array]) -> float:
+def _by_entries(base: _Found, S: Array, one: tuple[Array, Array]) -> float:
     """With B = S C S, and C between bounds of each entry: C is at least its middle less the norm of what it is off."""
     back, m = np.linalg.inv(S), base.m
     middle, off = np.zeros((m, m)), np.zeros((m, m))
@@ -593,7 +593,7 @@ def _by_entries(base: _Set, S: Array, one: tuple[Array, Array]) -> float:
     return float(np.linalg.eigvalsh(S @ (middle - np.linalg.norm(off, 2) * np.eye(m)) @ S)[0])
 
 
-def _by_directions(base: _Set, S: Array, one: tuple[Array, Array]) -> float:
+def _by_directions(base: _Found, S: Array, one: tuple[Array, Array]) -> float:
     """By C = S^-1 B S^-1 in directions z all over the sphere; ends early below 0.
 
     Every direction is within a of one of these z. With mu below (z^T C z - sin^2 a tr C)/|S^-1 z|^2 for all of them,

@@ -8,6 +8,7 @@ import pytest
 
 from manyhands.design.environments import KINDS, environment_of
 from manyhands.design.errors import Infeasible
+from manyhands.design.models.axis import TRANSLATING
 from manyhands.design.models.contacts import GROUND
 from manyhands.design.models.declared import DeclaredEnvironment, DeclaredScene, ProxyEnvironment
 from manyhands.design.models.environment import DelayedNetwork, NetworkBox, StateSpaceEnvironment, TransferEnvironment
@@ -79,7 +80,7 @@ def test_a_kind_runs_matrices_or_what_keeps_its_declared_level(name: str) -> Non
         assert running.level is None
         np.testing.assert_array_equal(running.E.D, environment.environment(T).D)
         assert (running.storage is not None) == (environment.passive_network is not None)
-        assert environment.rows({}) == {}
+        assert environment.rows({}, TRANSLATING) == {}
         assert environment.verdict("c") == "proved"
     else:
         assert running.E is None
@@ -87,7 +88,7 @@ def test_a_kind_runs_matrices_or_what_keeps_its_declared_level(name: str) -> Non
         np.testing.assert_array_equal(environment.promised(), environment.declared_level)
         with pytest.raises(Infeasible):
             environment.split(T)
-        assert environment.rows({"felt stiffness": 100.0})
+        assert environment.rows({"felt stiffness": 100.0}, TRANSLATING)
         assert "proved" in environment.verdict("c")
         assert environment.controlled == (name in ("declared", "scene"))
 

@@ -21,7 +21,7 @@ period: 0.02
 devices:
   knob:
     dof: 1
-    axes: {rz: rotation}
+    axes: {{rz: rotation}}
     osp: 0.01
     driver: {driver}
     parameters: {{port: {port}, torque: 0.5, inertia: 0.0002, counts: 16384, silence: {silence},

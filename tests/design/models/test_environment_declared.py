@@ -90,7 +90,7 @@ def test_nothing_is_certified_beyond_what_the_devices_dissipate(wish: str) -> No
 
 
 def test_a_given_coupling_without_room_is_refused_with_the_figure() -> None:
-    with pytest.raises(Infeasible, match=r"\(10\) fails with the environment's declared level: .* is -1\.491 N\*s/m"):
+    with pytest.raises(Infeasible, match=r"\(10\) fails with the environment's declared level: .* is -1\.491 N·s/m"):
         design(loop(1.3), SpringDamperGiven(SPRINGS))
 
 
