@@ -88,6 +88,6 @@ def _level(environment: Environment, T: float, progress: Progress | None) -> tup
 
 def _lacking(lack: float, where: str) -> Infeasible:
     return Infeasible(
-        f"condition (A) fails: the environment needs {lack:.4g} N*s/m at the ports of wave links, where nobody pays "
+        f"condition (A) fails: the environment needs {lack:.4g} N·s/m at the ports of wave links, where nobody pays "
         f"for it: {where}"
     )

@@ -263,7 +263,7 @@ def best_level(
     if best <= given_up:
         raise Infeasible(
             f"condition (10) fails: the environment lacks passivity at {frequency / T:.4g} rad/s, where no Phi_E "
-            f"leaves a greater margin than {best:.4g} N*s/m; expected more than {given_up:.3g}"
+            f"leaves a greater margin than {best:.4g} N·s/m; expected more than {given_up:.3g}"
         )
     Phi_E = margins.level(best - given_up)
     return LevelFound(margins.margin(Phi_E), best, Phi_E, frequency / T, tests, margins)

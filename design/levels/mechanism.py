@@ -24,7 +24,7 @@ class NothingLeft(ValueError):
     def __init__(self, least: float, taken: float, tau: float) -> None:
         self.least, self.taken = least, taken
         super().__init__(
-            f"held: found an osp of {least:.6g} N*s/m; expected more than the {taken:.6g} N*s/m that held torques may "
+            f"held: found an osp of {least:.6g} N·s/m; expected more than the {taken:.6g} N·s/m that held torques may "
             f"give out at a delay of {tau:g} s"
         )
 

@@ -117,13 +117,13 @@ class RationalMatrix:
                 smallest,
                 frequency,
                 f"operator not passive {_at(frequency)}: the least eigenvalue of its Hermitian part "
-                f"there is {smallest:.3g} N*s/m",
+                f"there is {smallest:.3g} N·s/m",
             )
         return PassivityFinding(
             True,
             smallest,
             frequency,
-            f"passive: least eigenvalue {smallest:.3g} N*s/m {_at(frequency)}",
+            f"passive: least eigenvalue {smallest:.3g} N·s/m {_at(frequency)}",
         )
 
     def _least_eigenvalue(self, poles: np.ndarray[tuple[int], np.dtype[np.complex128]]) -> tuple[float, float]:

@@ -396,7 +396,7 @@ def _fault(ratio: float) -> str:
     if 0.5 < ratio * SELDOM < 1.5:
         return "it is all since the last answer, and not of the last tick alone"
     if any(abs(ratio * unit - 1.0) <= WORK_GAIN for unit in (1e3, 1e-3, 1e6, 1e-6)):
-        return "it is in J, of torques in N*m and angles in rad"
+        return "it is in J, of torques in N·m and angles in rad"
     return "it is the sum of t^T (q_new - q_old) since the last answer, with the torques that were held in between"
 
 

@@ -189,7 +189,7 @@ except mh.SessionError as error:
 """
     read, refused = run(base / "python", "-P", "-c", code, cwd=tmp_path).splitlines()
     assert read.startswith("Session(ball: ")
-    assert "operator not passive at 0 rad/s: the least eigenvalue of its Hermitian part there is -1 N*s/m" in refused
+    assert "operator not passive at 0 rad/s: the least eigenvalue of its Hermitian part there is -1 N·s/m" in refused
 
 
 def test_a_certificate_is_proved_beside_the_base_with_python_flint_alone(base: Path, tmp_path: Path) -> None:

@@ -157,8 +157,8 @@ def test_a_floating_world_keeps_its_contracts_though_not_strictly(tmp_path: Path
 @pytest.mark.parametrize(
     ("override", "reason"),
     [
-        ("environment.delay=1", "the environment needs 1.95 N*s/m"),
-        ("environment={type: python, model: 'a:b', level: 0.2}", "the environment needs 0.2 N*s/m"),
+        ("environment.delay=1", "the environment needs 1.95 N·s/m"),
+        ("environment={type: python, model: 'a:b', level: 0.2}", "the environment needs 0.2 N·s/m"),
         (
             "environment={type: python, model: 'a:b', level: [[0, 0, 0.1], [0, 0, 0], [0.1, 0, 0.2]]}",
             "joins ports of wave links with ports of users in the tick",

@@ -78,7 +78,7 @@ def test_held_torques_leave_a_part_of_the_level_to_each_rungs_promise(prepared: 
     assert holds.levels[1][0, 0] < holds.levels[0][0, 0] < device.osp[0, 0]
     again = decoded(json.loads(encoded(holds)), DeviceBundle, tmp_path)
     assert (again.held, again.levels[1].tolist()) == (held, holds.levels[1].tolist())
-    with pytest.raises(ValueError, match=r"held: found an osp of 1\.37 N\*s/m; expected more than the .* N\*s/m that"):
+    with pytest.raises(ValueError, match=r"held: found an osp of 1\.37 N·s/m; expected more than the .* N·s/m that"):
         dataclasses.replace(holds, held=HeldTorque(18.0, 400.0, 1.0))
 
 

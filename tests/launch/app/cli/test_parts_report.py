@@ -113,7 +113,7 @@ def test_what_cannot_be_certified_is_reported_by_part() -> None:
     assert said["cy"]["relax"]
     late = manyhands_command("design", "example1", *LINKED, "--set", "environment.delay=1")
     assert late.exit_code == 3
-    assert "environment: not certified: condition (A) fails: the environment needs 1.999 N*s/m" in late.stderr
+    assert "environment: not certified: condition (A) fails: the environment needs 1.999 N·s/m" in late.stderr
     assert "could help: a world without delay: --set environment.delay=0 is certified with a margin of" in late.stderr
 
 
