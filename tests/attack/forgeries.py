@@ -243,6 +243,26 @@ def _intervals(rng: Generator, data: Data) -> None:
     part[key] = sorted([low * factor(rng), high]) if rng.random() < 0.5 else sorted([low, high * factor(rng)])
 
 
+def _arms(rng: Generator, data: Data) -> None:
+    """Lever arms of a link: one or both by a factor, exchanged, left out, or the same scale for an end of all links."""
+    links = data["environment"]["links"]
+    if rng.random() < 0.3:
+        end, by = str(rng.choice(data["ports"])), abs(factor(rng)) or 1.0
+        for link in links:
+            if end in link["between"]:
+                arms, at = list(link.get("arms", [1.0, 1.0])), link["between"].index(end)
+                arms[at] *= by
+                link["arms"] = arms
+        return
+    link = links[int(rng.integers(len(links)))]
+    a, b = link.get("arms", [1.0, 1.0])
+    x, y = factor(rng), factor(rng)
+    changed = ([a * x, b], [a, b * x], [a * x, b * x], [a * x, b * y], [b, a])
+    link["arms"] = changed[int(rng.integers(len(changed)))]
+    if rng.random() < 0.1:
+        del link["arms"]
+
+
 def _magnified(rng: Generator, data: Data) -> None:
     """The environment with its level and its storage times one factor: its promise stays true."""
     E, by = data["environment"], abs(factor(rng))
@@ -314,6 +334,7 @@ CHANGES: dict[str, Callable[[Generator, Data], None]] = {
     "delay": _delay,
     "environment": _world,
     "intervals": _intervals,
+    "arms": _arms,
     "magnified": _magnified,
     "margins": _margins,
     "gamma": _gamma,
@@ -330,6 +351,7 @@ def applies(change: str, data: Data) -> bool:
         "gamma": data["transparency"] is not None,
         "delay": E != "declared",
         "series": "series" in data or (E in ("network", "state-space", "transfer-function") and data["version"] == 3),
+        "arms": E == "network",
         "intervals": E == "network" and data["environment"]["delay"] == 0,
     }
     return needs.get(change, True)

@@ -103,12 +103,13 @@ class Reader:
             for name in link["between"]:  # a part of the link's compliance is in V, and the rest of it is stiffer
                 if name in counted:
                     k, b = (x / (1 - self.arithmetic.number(counted[name])) for x in (k, b))
-            ends = [at[name] for name in link["between"] if name != "ground"]
-            for i in ends:
-                for j in ends:
-                    sign = 1 if i == j else -1
-                    K[i, j] = K[i, j] + sign * k
-                    B[i, j] = B[i, j] + sign * b
+            # the link's length is n'u, with the lever arm of each end in n
+            arms = zip(link["between"], (1, -1), link.get("arms", (1, 1)), strict=True)
+            n = [(at[name], sign * self.arithmetic.number(arm)) for name, sign, arm in arms if name != "ground"]
+            for i, own in n:
+                for j, other in n:
+                    K[i, j] = K[i, j] + own * k * other
+                    B[i, j] = B[i, j] + own * b * other
         return M, B, K
 
     # --- state spaces

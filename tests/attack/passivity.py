@@ -12,7 +12,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from flint import acb, fmpq
+from flint import acb, fmpq, fmpq_mat
 
 from tests.attack.arithmetic import Array, Floats, certainly_negative, decimal, rational, semidefinite
 from tests.attack.parties import Data, NoSystem, Reader, precise, static_compliance, static_stiffness, uncertain
@@ -48,6 +48,8 @@ def statics(data: Data) -> list[str]:
         ends = [end for link in E["links"] for key in ("stiffness", "damping") for end in _ends(link[key])]
         if any(end < 0 for end in ends) or any(end <= 0 for mass in E["masses"].values() for end in _ends(mass)):
             out.append("a network's parts are positive")
+        elif not _geared(E["links"]):
+            out.append("gears can turn")
         elif not _counted(data):
             out.append("what is counted in series is the world's own")
     elif "series" in data and not _counted_springs(data):
@@ -65,6 +67,25 @@ def statics(data: Data) -> list[str]:
         if V1 is None or any(V1[i][j] != V1[j][i] for i in range(len(V1)) for j in range(i)):
             out.append("V(1) is symmetric")
     return out
+
+
+def _geared(links: list[Data]) -> bool:
+    """Whether all links keep their length in some motion of all ends, but for those to the ground: exactly."""
+    held = [link for link in links if "ground" not in link["between"]]
+    names = sorted({end for link in held for end in link["between"]})
+    arms = [[decimal(arm) for arm in link.get("arms", (1, 1))] for link in held]
+    if any(arm <= 0 for pair in arms for arm in pair):
+        return False
+    if not held:
+        return True
+    rows = [[fmpq(0)] * len(names) for _ in held]
+    groups = {name: {name} for name in names}
+    for row, link, (a, b) in zip(rows, held, arms, strict=True):
+        one, other = link["between"]
+        row[names.index(one)], row[names.index(other)] = a, -b
+        for name in (together := groups[one] | groups[other]):
+            groups[name] = together
+    return fmpq_mat(rows).rank() == len(names) - len({id(group) for group in groups.values()})
 
 
 def _counted(data: Data) -> bool:

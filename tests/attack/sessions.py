@@ -259,6 +259,35 @@ def of_intervals(rng: Generator) -> Data | None:
     return designed(loop, spring_damper(rng, loop))
 
 
+def of_levers(rng: Generator) -> Data | None:
+    """A network, certain, by intervals or late, whose ends have scales from 0.01 to 100; now and then its gears jam."""
+    T, osp, m = _scales(rng)
+    delay = int(rng.choice([0, 0, 1, 2]))
+    stiffest = 0.3 * osp / (T * delay) * spread(rng, -1.5, 0.0) if delay else None
+    plain = network(rng, m, osp, T, stiffest)
+    scale = {end: spread(rng, -2.0, 0.0 if delay else 2.0) for end in (*plain.ports, *(n for n, _ in plain.masses))}
+
+    def arms(link: NetworkLink) -> tuple[float, float]:
+        by = float(rng.choice([1.0, 1.0, 2.0, 0.5]))  # exact: the ratio of both arms stays the same
+        a, b = (by * scale.get(end, 1.0) for end in link.ends)
+        return (a, b * (1.0 + spread(rng, -14.0, -1.0))) if rng.random() < 0.03 else (a, b)
+
+    low = tuple(replace(link, arms=arms(link)) for link in plain.links)
+    try:
+        one = Network(plain.ports, plain.masses, low)
+        world: Environment = one
+        if delay:
+            world = DelayedNetwork(one, delay)
+        elif rng.random() < 0.3:
+            f = [1.0 + float(x) for x in rng.exponential(2.0, 3)]
+            high = tuple(link.with_values(f[0] * link.stiffness, f[1] * link.damping) for link in low)
+            world = NetworkBox(one, Network(plain.ports, tuple((n, f[2] * M) for n, M in plain.masses), high))
+    except ValueError:
+        return None
+    loop = loop_of(rng, world, T, osp, late(rng, T))
+    return designed(loop, spring_damper(rng, loop))
+
+
 def of_system(rng: Generator) -> Data | None:
     T, osp, m = _scales(rng)
     loop = loop_of(rng, system(rng, m, osp / T * spread(rng, -2.0, 0.0), T), T, osp, late(rng, T))
@@ -459,6 +488,7 @@ KINDS: dict[str, Callable[[Generator], Data | None]] = {
     "network": of_network,
     "late network": of_late_network,
     "intervals": of_intervals,
+    "levers": of_levers,
     "state space": of_system,
     "transfer function": of_transfer,
     "statics": of_statics,
