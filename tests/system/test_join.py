@@ -398,7 +398,7 @@ def served(process: subprocess.Popen[str], listen: Listen, keys: Keys | None) ->
 def told(listen: Listen, trouble: str) -> tuple[int, str]:
     return EXIT_REFUSED, (
         f"dx: cannot join the supervisor at tcp://{listen.host}:{listen.port}: {trouble}; see that the session runs "
-        "there, and that bundle and key are of its present keys"
+        "there, and that what you were given, bundle and key or invitation, is of its present keys"
     )
 
 

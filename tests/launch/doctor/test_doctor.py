@@ -22,6 +22,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
+from manyhands.design.models.axis import TRANSLATING
 from manyhands.design.models.environment import StateSpaceEnvironment
 from manyhands.design.models.statespace import StateSpace
 from manyhands.design.problem import HapticLoop
@@ -554,14 +555,14 @@ def test_the_table_names_what_is_missing_and_what_is_too_slow(worth: Worth) -> N
         form_figures(worth, {Form(1e-3, False): NOT_MEASURED, Form(5e-4, True): slow, Form(2.5e-4, True): NOT_MEASURED})
     )
     out = Console(file=StringIO(), width=160)
-    print_rates(out, "example-1", found)
+    print_rates(out, "example-1", TRANSLATING, found)
     text = out.file.getvalue()  # type: ignore[attr-defined]
     assert re.search(
         r"2 kHz │ co-located │ +400 │ +900 │ +1100 │ 28.1% │ longer than a tick │ +0.55 │ +none │ +none │ +5480", text
     )
     assert text.splitlines()[-1] == f"example-1 on this machine: 1 kHz, 4 kHz co-located: {NOT_MEASURED}"
     assert len([line for line in text.splitlines() if "kHz │" in line]) == 1, "a form without figures has no row"
-    print_rates(nothing_yet := Console(file=StringIO(), width=160), "example-1", [found[0]])
+    print_rates(nothing_yet := Console(file=StringIO(), width=160), "example-1", TRANSLATING, [found[0]])
     shown = nothing_yet.file.getvalue()  # type: ignore[attr-defined]
     assert shown == f"example-1 on this machine: 1 kHz: {NOT_MEASURED}\n", "no empty table"
     first, second, _ = rates_object(found)

@@ -197,7 +197,7 @@ def test_the_command_reports_a_cut_recording(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ([], "--format: found ''; expected csv or npz or parquet"),
+        ([], "found neither --format nor -o; expected one of csv, npz"),
         (["--format", "xls"], "--format: found 'xls'"),
         (["--format", "csv", "-o", "out.npz"], "expected one of .csv"),
         (["--format", "csv", "-o", "nowhere/out.csv"], "found no folder nowhere"),

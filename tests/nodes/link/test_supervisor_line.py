@@ -216,7 +216,7 @@ def test_a_refusing_supervisor_is_given_up_at_once(line: AnsweringLine, trouble:
         control(line).peers_endpoints(Life())  # type: ignore[arg-type]
     assert str(error.value) == (
         f"dx: cannot join the supervisor at memory://control: {trouble}; see that the session runs there, and that "
-        "bundle and key are of its present keys"
+        "what you were given, bundle and key or invitation, is of its present keys"
     )
     assert line.waits == 1
 
