@@ -113,8 +113,13 @@ class Found:
 
 def session_of(row: Row, far: FarSide, changes: Mapping[str, Any]) -> dict[str, Any]:
     """The session: the device, the innocent, and springs between them and to the ground."""
-    axes = row.keys.get("axes", [str(axis) for axis in range(row.keys["dof"])])
-    first, k = f"{TESTED}.{axes[0]}", row.stiffness
+    stated = row.keys.get("axes", "translation")
+    names = [str(axis) for axis in range(row.keys["dof"])] if isinstance(stated, str) else list(stated)
+    kinds = dict.fromkeys(names, stated) if isinstance(stated, str) else stated
+    axes = [f"{TESTED}.{name}" for name in names]
+    turns = isinstance(kinds, Mapping) and kinds[names[0]] == "rotation"
+    lever = {"lever": {axes[0]: 1.0}} if turns else {}  # the innocent translates
+    k = row.stiffness
     return {
         "session": "device-faults",
         "period": row.period,
@@ -133,8 +138,8 @@ def session_of(row: Row, far: FarSide, changes: Mapping[str, Any]) -> dict[str, 
         "environment": {
             "type": "network",
             "links": [
-                *({"between": [f"{TESTED}.{axis}", "ground"], "stiffness": k} for axis in axes),
-                {"between": [first, f"{INNOCENT}.0"], "stiffness": k / 2},
+                *({"between": [axis, "ground"], "stiffness": k} for axis in axes),
+                {"between": [axes[0], f"{INNOCENT}.0"], "stiffness": k / 2, **lever},
                 {"between": [f"{INNOCENT}.0", "ground"], "stiffness": row.ground or k},
             ],
         },
