@@ -197,11 +197,19 @@ def with_single_ports(value: object) -> object:
             return part
         return {**part, key: [single.get(port, port) if isinstance(port, str) else port for port in ports]}
 
+    def link_of(part: object) -> object:
+        part = renamed(part, "between")
+        lever = part.get("lever") if isinstance(part, Mapping) else None
+        if not isinstance(part, Mapping) or not isinstance(lever, Mapping):
+            return part
+        named = {single.get(end, end): arm for end, arm in lever.items()}
+        return {**part, "lever": named} if len(named) == len(lever) else part  # else one is refused
+
     out, couplings, environment = dict(value), value.get("couplings"), value.get("environment")
     if single and isinstance(couplings, Mapping):
         out["couplings"] = {name: renamed(block, "ports") for name, block in couplings.items()}
     if single and isinstance(environment, Mapping) and isinstance(environment.get("links"), list | tuple):
-        out["environment"] = {**environment, "links": [renamed(link, "between") for link in environment["links"]]}
+        out["environment"] = {**environment, "links": [link_of(link) for link in environment["links"]]}
     return out
 
 

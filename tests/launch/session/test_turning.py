@@ -70,6 +70,16 @@ def test_what_turns_is_known_by_name() -> None:
     assert haptic_loop(session).turning == {"wheel"}
 
 
+@pytest.mark.parametrize("axes", ["rotation", {"phi": "rotation"}])
+def test_a_lever_arm_understands_the_number_of_a_single_axis(axes: object) -> None:
+    knob = {"dof": 1, "axes": axes, "osp": 0.1, "driver": "simulated", "mass": 0.02}
+    link = {"between": ["knob.0", "cart"], "stiffness": 10.0, "lever": {"knob.0": 0.5}}
+    ground = {"between": ["cart", "ground"], "stiffness": 1.0}
+    world = {"type": "network", "masses": {"cart": 1.0}, "links": [link, ground]}
+    data = {**WHEEL, "devices": {"knob": knob}, "couplings": {"c": {"devices": ["knob"]}}, "environment": world}
+    assert haptic_loop(Session.from_dict(data)).environment.links[0].arms == (0.5, 1.0)  # type: ignore[attr-defined]
+
+
 @pytest.mark.parametrize(
     ("axes", "ports", "kinds"),
     [
