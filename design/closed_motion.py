@@ -27,28 +27,28 @@ from numpy.typing import NDArray
 
 from manyhands.design.identification import (
     BENT,
-    GRID,
     HALF,
     PARTS,
     POWERED,
     POWERS,
-    RATIO,
     SURE,
     Between,
     Doubt,
     Identified,
+    Inequalities,
     Line,
     MeasuredMotion,
     NotOfThisClass,
     Run,
+    Speeds,
     TooLittle,
-    friction_by_axis,
     least_friction,
     lines,
     mass_interval,
+    none_agree,
     range_of,
     run_of,
-    stribeck_left,
+    stribeck_ranges,
 )
 
 Array = NDArray[np.float64]
@@ -58,6 +58,9 @@ LOCAL: Final = 2.0
 
 RESTS: Final = 20.0
 """The slowest motion's greatest speed by the least of Stribeck's speeds that are told apart."""
+
+GRID: Final = 12
+"""Parts of each edge of the cube, whose faces are the directions in which the least eigenvalue is sought."""
 
 SEEN: Final = 400
 """Places at which two speeds are compared."""
@@ -350,26 +353,24 @@ def even_lines(B: Array) -> list[Array]:
 
 
 @dataclass
-class _Found:
-    """Linear inequalities on z: B by its upper triangle, and none negative, c by pair, and by line c, what rest adds to
-    it, and the drag of each power.
+class _Damping(Inequalities):
+    """Inequalities whose z begins with B, by its upper triangle.
+
+    Attributes:
+        about: :func:`estimated`.
     """
 
-    of: Sequence[Along]
-    rows: list[Array] = field(default_factory=list)
-    limits: list[float] = field(default_factory=list)
-    order: list[tuple[Array, float]] = field(default_factory=list)
+    about: Array = field(kw_only=True)
 
-    def __post_init__(self) -> None:
-        self.m = len(self.of[0].u)
-        self.places = [(i, j) for i in range(self.m) for j in range(i, self.m)]
-        self.free = len(self.places)
-        self.all = [(number, one) for number, line in enumerate(self.of) for one in line.rounds]
-        self.size = self.free + len(self.all) + (2 + len(POWERS)) * len(self.of)
+    @property
+    def m(self) -> int:
+        """The number of axes."""
+        return len(self.about)
 
-    def level(self, line: int) -> int:
-        """Where z has the c of this line; next to it is what rest adds, and then its drag."""
-        return self.free + len(self.all) + (2 + len(POWERS)) * line
+    @property
+    def places(self) -> list[tuple[int, int]]:
+        """Row and column of each of the first entries."""
+        return [(i, j) for i in range(self.m) for j in range(i, self.m)]
 
     def column(self, matrix: Array) -> Array:
         """<B, matrix> as a row over the upper triangle."""
@@ -381,54 +382,43 @@ class _Found:
         row[: self.free] = self.column(matrix)
         return row
 
-    def empty(self) -> Array:
-        """A row of zeros."""
-        return np.zeros(self.size)
 
-
-def _base(of: Sequence[Along]) -> _Found:
-    found = _Found(of)
-    m, free = found.m, found.free
+def _base(of: Sequence[Along]) -> _Damping:
+    m, every = len(of[0].u), [(at, one) for at, line in enumerate(of) for one in line.rounds]
+    free = m * (m + 1) // 2
+    found = _Damping(free, [Speeds(at, *one.speeds) for at, one in every], len(of), about=estimated(of))
     told = len(lines(m))
     # the axes come first, and the first of other lines are at right angles as well
     mass = min(sum(line.mass for line in of[first : first + m]) for first in (0, told) if first < len(of))
-    about = estimated(of)
     across = [_across(of, line.u) for line in of]
     middles = [np.median([one.ends for one in line.rounds], axis=0) for line in of]
-    for number, (at, one) in enumerate(found.all):
+    for number, (at, one) in enumerate(every):
         line, (low, high) = of[at], middles[at]
         error = one.D_error + mass * one.kinetic + one.open * line.pull
         # on a curved path friction differs by at most its own change along the path, there and back
         curved = 2.0 * across[at] * one.aside / (high - low)
         moved = LOCAL * line.burns * (abs(one.ends[0] - low) + abs(one.ends[1] - high)) / (high - low)
         error += one.R * (curved + moved)
-        off = found.column(unsure(line.u, about))
+        off = found.column(unsure(line.u, found.about))
         for sign in (1.0, -1.0):
             row = found.empty()
             row[:free] = sign * found.column(one.V) - one.V_error * off
             row[free + number] = sign * one.R
-            row[found.level(at) + 2 : found.level(at + 1)] = sign * one.K - one.K_error - POWERED * one.K
-            found.rows.append(row / one.R)
-            found.limits.append((sign * one.D + error) / one.R)
+            row[found.drag(at)] = sign * one.K - one.K_error - POWERED * one.K
+            found.add(row / one.R, (sign * one.D + error) / one.R)
     for at, line in enumerate(of):
-        found.rows.append(-found.objective(np.outer(line.u, line.u)))  # B is at least 0
-        found.limits.append(0.0)
+        found.add(-found.objective(np.outer(line.u, line.u)), 0.0)  # B is at least 0
         row = found.empty()
         row[found.level(at) + 1] = 1.0  # it began to move under the forces that it was given
-        found.rows.append(row)
-        found.limits.append(2.0 * line.pull)
-        row = found.empty()
-        row[found.level(at) + 2 : found.level(at + 1)] = 1.0
-        found.order.append((row, 0.0))
-    for number, (i, slower) in enumerate(found.all):  # friction does not grow with the speed
-        for other, (j, faster) in enumerate(found.all):
+        found.add(row, 2.0 * line.pull)
+        found.without_drag(at)
+    for number, (i, slower) in enumerate(every):  # friction does not grow with the speed
+        for other, (j, faster) in enumerate(every):
             if i != j or faster.level <= slower.level:
                 continue
             places = slower.places
             sure = np.interp(places, faster.places, faster.slowest, 0.0, 0.0) >= slower.fastest
-            row = found.empty()
-            row[free + other], row[free + number] = 1.0, -1.0
-            found.order.append((row, LOCAL * of[i].burns * (1.0 - float(np.mean(sure)))))
+            found.no_greater(other, number, LOCAL * of[i].burns * (1.0 - float(np.mean(sure))))
     return found
 
 
@@ -460,36 +450,6 @@ def unsure(u: Array, about: Array) -> Array:
     return np.asarray((1.0 + aside * (s - 1.0 / s)) * np.outer(u, u) + aside / s * np.eye(m))
 
 
-def _falling(base: _Found) -> tuple[Array, Array]:
-    """The set where friction falls with the speed in any way, and there is no drag."""
-    rows, limits = zip(*base.order, strict=True)
-    return np.array([*base.rows, *rows]), np.array([*base.limits, *limits])
-
-
-def _with_stribeck(base: _Found, least: float, most: float) -> tuple[Array, Array]:
-    """The set where each line has c + more e^-(v/v_s)^2 with a v_s of this range, m/s (0 is no such part), and drag."""
-    rows, limits = list(base.rows), list(base.limits)
-    for number, (i, one) in enumerate(base.all):
-        slow, fast, part = one.speeds
-        row = base.empty()
-        row[base.free + number], row[base.level(i)] = 1.0, -1.0
-        row[base.level(i) + 1] = -stribeck_left(slow, part, most)
-        other = -row
-        other[base.level(i) + 1] = stribeck_left(fast, part, least)
-        rows += [row, other]
-        limits += [0.0, 0.0]
-    return np.array(rows), np.array(limits)
-
-
-def _stribeck_speeds(of: Sequence[Along]) -> list[tuple[float, float]]:
-    """Ranges of Stribeck's speed: none, and on to half of the greatest speed, m/s."""
-    edges = [min(line.rounds[0].fast for line in of) / RESTS]
-    fastest = min(line.rounds[-1].fast for line in of)
-    while edges[-1] < fastest / 2.0:
-        edges.append(edges[-1] * RATIO)
-    return [(0.0, 0.0), *zip([0.0, *edges], edges, strict=False)]
-
-
 def damped(of: Sequence[Along]) -> Damped:
     """All that the class and what was measured allow.
 
@@ -500,16 +460,13 @@ def damped(of: Sequence[Along]) -> Damped:
         NotOfThisClass: the set is empty.
     """
     base = _base(of)
-    sets = [_with_stribeck(base, *ends) for ends in _stribeck_speeds(of)]
-    every = [_falling(base), *sets]
+    least, fastest = (min(line.rounds[at].fast for line in of) for at in (0, -1))
+    sets = [base.with_stribeck(*ends) for ends in stribeck_ranges(least / RESTS, fastest)]
+    every = [base.falling(), *sets]
     ends = [[range_of(base.objective(np.outer(line.u, line.u)), *one, base.free) for line in of] for one in every]
     kept = [pair for pair in zip(every, ends, strict=True) if all(pair[1])]
     if not kept:
-        raise NotOfThisClass(
-            "found no damping and friction that agree with what was measured; expected a device that burns b v^2, dry "
-            "friction which does not grow with the speed, and drag: something else acts on it (a hand, a cable, a "
-            "filter or a force of its own), or its driver's sample_age, actuation_delay or step is too small"
-        )
+        raise none_agree("damping and friction")
     formed = [(one, by_line) for one, by_line in zip(sets, ends[1:], strict=True) if all(by_line)]
     lows = [max(0.0, min(by_line[at][0] for _, by_line in kept)) for at in range(len(of))]
     highs = [max(by_line[at][1] for _, by_line in formed or kept) for at in range(len(of))]
@@ -522,13 +479,11 @@ def damped(of: Sequence[Along]) -> Damped:
         levels.append(Between(max(0.0, min(found)), max(found)) if found else None)
     most = min(highs)
     least = lows[0] if base.m == 1 else _least_eigenvalue(base, [(one, min(by_line)[0]) for one, by_line in kept])
-    rows, limits = zip(*base.order, strict=True)
-    coulomb = np.array([*sets[0][0], *rows]), np.array([*sets[0][1], *limits])
     return Damped(
         Between(min(max(0.0, least), most), most),
         by_line,
         tuple(levels),
-        not range_of(base.objective(np.eye(base.m)), *coulomb, base.free),
+        not range_of(base.objective(np.eye(base.m)), *base.coulomb(), base.free),
     )
 
 
@@ -549,18 +504,29 @@ def identified_by_turns(windows: Sequence[Line], of: Sequence[Along]) -> Identif
                 between, _ = mass_interval(window)
         mass.append(between)
     told = len(lines(len(of[0].u)))
-    by_axis = friction_by_axis(friction[:told], [along.u for along in of[:told]])
+    by_axis = _friction_by_axis(friction[:told], [along.u for along in of[:told]])
     least = Between(ON_THE_WAY * found.least.low, found.least.high)
     return Identified(least, found.by_line, tuple(friction), by_axis, tuple(mass), found.stribeck)
 
 
-def _least_eigenvalue(base: _Found, sets: Sequence[tuple[tuple[Array, Array], float]]) -> float:
+def _friction_by_axis(friction: Sequence[Between], directions: Sequence[Array]) -> tuple[float, ...]:
+    """The c with sum c_i |v_i| <= N(v) in all directions, where N is a norm: by its convexity between the lines."""
+    m = len(directions[0])
+    whole = min(np.sqrt(m) * one.low for one in friction[m:])
+    others = sum(one.high for one in friction[:m])
+    found = []
+    for axis in range(m):
+        found.append(max(0.0, min(friction[axis].low, whole - (others - friction[axis].high))))
+    return tuple(found)
+
+
+def _least_eigenvalue(base: _Damping, sets: Sequence[tuple[tuple[Array, Array], float]]) -> float:
     """Below all eigenvalues of all B of these sets, N*s/m; with each comes the least that a line has in it.
 
     With S^2 about B, the entries of S^-1 B S^-1 are bounded; what that gives is enough for most sets. In the others the
     least of w^T B w is sought over directions.
     """
-    S = _root(estimated(base.of))
+    S = _root(base.about)
     bounds = [_by_entries(base, S, one) for one, _ in sets]
     least = np.inf
     for at in np.argsort(bounds):
@@ -579,7 +545,7 @@ def _root(B: Array) -> Array:
     return np.asarray((vectors * np.sqrt(values)) @ vectors.T)
 
 
-def _by_entries(base: _Found, S: Array, one: tuple[Array, Array]) -> float:
+def _by_entries(base: _Damping, S: Array, one: tuple[Array, Array]) -> float:
     """With B = S C S, and C between bounds of each entry: C is at least its middle less the norm of what it is off."""
     back, m = np.linalg.inv(S), base.m
     middle, off = np.zeros((m, m)), np.zeros((m, m))
@@ -593,7 +559,7 @@ def _by_entries(base: _Found, S: Array, one: tuple[Array, Array]) -> float:
     return float(np.linalg.eigvalsh(S @ (middle - np.linalg.norm(off, 2) * np.eye(m)) @ S)[0])
 
 
-def _by_directions(base: _Found, S: Array, one: tuple[Array, Array]) -> float:
+def _by_directions(base: _Damping, S: Array, one: tuple[Array, Array]) -> float:
     """By C = S^-1 B S^-1 in directions z all over the sphere; ends early below 0.
 
     Every direction is within a of one of these z. With mu below (z^T C z - sin^2 a tr C)/|S^-1 z|^2 for all of them,

@@ -19,15 +19,16 @@ dependence of M on the place, as far as both are equally fast. Nothing is differ
 (docs/decisions/0053-identification.md has the derivation and each bound of an error).
 
 **The set.** Each pair of ways is one equation, with a bound of its error from the step of the encoder, noise, the delay
-that is not known, and the velocity. For B, M and one c a pair, those are linear inequalities (:func:`damping_set`). Dry
-friction that does not grow with the speed orders the c. So a linear program has the greatest and the least of any
+that is not known, and the velocity. For B, M and one c a pair, those are linear inequalities (:func:`damping_set`, of a
+single axis; of several, :mod:`manyhands.design.closed_motion`). Dry friction that does not grow with the speed orders
+the c. So a linear program has the greatest and the least of any
 entry: set membership [Milanese1991]_. What is above a lower end is not known to be there, and what is below it is
 excluded by the class and the bounds alone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise, product
 from typing import Final
@@ -53,9 +54,6 @@ WINDOW: Final = (-0.92, -0.4, 0.4, 0.92)
 
 SIDE: Final = (-0.2, 0.45, 0.55, 0.92)
 """Likewise that to the right, for the mass: from where the tip is fast to where it is slow."""
-
-GRID: Final = 12
-"""Parts of each edge of the cube, whose faces are the directions in which the least eigenvalue is sought."""
 
 RATIO: Final = 1.3
 """By which the speeds of Stribeck's law in one set differ at most."""
@@ -637,42 +635,122 @@ def range_of(c: Array, A: Array, b: Array, free: int, ends_of: Sequence[float] =
     return ends
 
 
-@dataclass
-class _Set:
-    """Linear inequalities on z >= 0, but for its first two: B and M by their upper triangles, c by pair, and by line c,
-    what rest adds to it, and the drag of each power.
+@dataclass(frozen=True)
+class Speeds:
+    """The speeds that an equation of the set is about.
+
+    Attributes:
+        line: the number of its line.
+        slowest: bounds of the speed from below, m/s; ``fastest`` from above.
+        weights: how much each counts.
     """
 
-    m: int
-    lines: Sequence[Line]
-    mass: Sequence[Between]
+    line: int
+    slowest: Array
+    fastest: Array
+    weights: Array
+
+    def left(self, stribeck: float, speeds: Array) -> float:
+        """The mean of e^-(v/v_s)^2 over these speeds, for v_s in m/s; 0 is no such part."""
+        if stribeck == 0.0:
+            return 0.0
+        return float(np.exp(-np.minimum((speeds / stribeck) ** 2, 700.0)) @ self.weights / self.weights.sum())
+
+
+@dataclass
+class Inequalities:
+    """Linear inequalities row^T z <= limit on all that the class leaves open.
+
+    z begins with ``free`` entries of any sign. None of the others is negative: the mean friction c of each equation,
+    and by line the c beyond Stribeck's speed, what rest adds to it, and the drag of each power.
+
+    Attributes:
+        free: how many entries come first.
+        speeds: of each equation.
+        lines: how many there are.
+        rows: of what was measured, with their ``limits``.
+        order: rows and limits of friction that does not grow with the speed, and of no drag.
+    """
+
+    free: int
+    speeds: Sequence[Speeds]
+    lines: int
     rows: list[Array] = field(default_factory=list)
     limits: list[float] = field(default_factory=list)
-    order: list[Array] = field(default_factory=list)
-    """Rows whose limit is 0: friction does not grow with the speed, and there is no drag."""
+    order: list[tuple[Array, float]] = field(default_factory=list)
 
-    def __post_init__(self) -> None:
-        self.places = [(i, j) for i in range(self.m) for j in range(i, self.m)]
-        self.of_pairs = [(number, pair) for number, line in enumerate(self.lines) for pair in line.pairs]
-        self.free = 2 * len(self.places)
-        self.size = self.free + len(self.of_pairs) + (2 + len(POWERS)) * len(self.lines)
+    def empty(self) -> Array:
+        """A row of zeros."""
+        return np.zeros(self.level(self.lines))
 
     def level(self, line: int) -> int:
         """Where z has the c of this line; next to it is what rest adds, and then its drag."""
-        return self.free + len(self.of_pairs) + (2 + len(POWERS)) * line
+        return self.free + len(self.speeds) + (2 + len(POWERS)) * line
 
-    def column(self, matrix: Array) -> Array:
-        """<B, matrix> as a row over the upper triangle."""
-        return np.array([matrix[i, j] if i == j else matrix[i, j] + matrix[j, i] for i, j in self.places])
+    def drag(self, line: int) -> slice:
+        """Where z has the drag of this line."""
+        return slice(self.level(line) + 2, self.level(line + 1))
 
     def add(self, row: Array, limit: float) -> None:
         """row^T z <= limit."""
         self.rows.append(row)
         self.limits.append(limit)
 
-    def empty(self) -> Array:
-        """A row of zeros."""
-        return np.zeros(self.size)
+    def without_drag(self, line: int) -> None:
+        """Add to ``order`` that this line has no drag."""
+        row = self.empty()
+        row[self.drag(line)] = 1.0
+        self.order.append((row, 0.0))
+
+    def no_greater(self, faster: int, slower: int, limit: float = 0.0) -> None:
+        """Add to ``order`` that the friction of one equation is not above another's, but for ``limit``, N."""
+        row = self.empty()
+        row[self.free + faster], row[self.free + slower] = 1.0, -1.0
+        self.order.append((row, limit))
+
+    def falling(self) -> tuple[Array, Array]:
+        """The set where friction falls with the speed in any way, and there is no drag."""
+        return self._ordered(self.rows, self.limits)
+
+    def with_stribeck(self, least: float, most: float) -> tuple[Array, Array]:
+        """The set with drag and c + more e^-(v/v_s)^2 along each line, for v_s in this range, m/s; 0: no such part."""
+        rows, limits = list(self.rows), list(self.limits)
+        for number, one in enumerate(self.speeds):
+            level = self.level(one.line)
+            row = self.empty()
+            row[self.free + number], row[level] = 1.0, -1.0
+            row[level + 1] = -one.left(most, one.slowest)
+            other = -row
+            other[level + 1] = one.left(least, one.fastest)
+            rows += [row, other]
+            limits += [0.0, 0.0]
+        return np.array(rows), np.array(limits)
+
+    def coulomb(self) -> tuple[Array, Array]:
+        """The set where friction is the same at all speeds, and there is no drag."""
+        rows, limits = self.with_stribeck(0.0, 0.0)
+        return self._ordered(rows, limits)
+
+    def _ordered(self, rows: Iterable[Array], limits: Iterable[float]) -> tuple[Array, Array]:
+        more, bounds = zip(*self.order, strict=True)
+        return np.array([*rows, *more]), np.array([*limits, *bounds])
+
+
+def stribeck_ranges(least: float, fastest: float) -> list[tuple[float, float]]:
+    """Ranges of Stribeck's speed: none, below ``least``, and on to half of the ``fastest``, m/s."""
+    edges = [least]
+    while edges[-1] < fastest / 2.0:
+        edges.append(edges[-1] * RATIO)
+    return [(0.0, 0.0), *zip([0.0, *edges], edges, strict=False)]
+
+
+def none_agree(what: str) -> NotOfThisClass:
+    """The error where ``what`` has no values that agree with what was measured."""
+    return NotOfThisClass(
+        f"found no {what} that agree with what was measured; expected a device that burns b v^2, dry friction which "
+        "does not grow with the speed, and drag: something else acts on it (a hand, a cable, a filter or a force of "
+        "its own), or its driver's sample_age, actuation_delay or step is too small"
+    )
 
 
 def _greatest(line: Line) -> tuple[float, float]:
@@ -686,138 +764,62 @@ def _greatest(line: Line) -> tuple[float, float]:
     return max(damping, 0.0), max(0.0, *((pair.D + pair.D_error) / pair.R for pair in line.pairs))
 
 
-def _constraints(lines: Sequence[Line], mass: Sequence[Between], changes: Sequence[float]) -> _Set:
-    m = len(lines[0].u)
-    found = _Set(m, lines, mass)
-    drag = sum(_greatest(line)[1] for line in lines[:m])
-    triangle, first = len(found.places), found.free
-    for number, (at, pair) in enumerate(found.of_pairs):
-        straight = np.mean([other.aside for other in lines[at].pairs], axis=0)
-        error = pair.D_error + drag * pair.R * float(np.linalg.norm(pair.aside - straight))
-        error += changes[at] * (SURE * abs(pair.tilted) + UNEVEN * pair.apart)
-        u = lines[at].u / np.sqrt(lines[at].u @ lines[at].u)
-        # an error e of v counts with 2 v^T B e: as much along the line, and at most half of tr B as much aside
-        off = found.column(np.outer(u, u) + (0.0 if m == 1 else 0.5) * np.eye(m))
+def _constraints(line: Line, mass: Between, change: float) -> Inequalities:
+    """On a single axis, whose z begins with b and m; the mass changes by ``change`` from side to side."""
+    speeds = [Speeds(0, pair.slowest, pair.fastest, pair.psi) for pair in line.pairs]
+    found = Inequalities(2, speeds, 1)
+    for number, pair in enumerate(line.pairs):
+        error = pair.D_error + change * (SURE * abs(pair.tilted) + UNEVEN * pair.apart)
         for sign in (1.0, -1.0):
             row = found.empty()
-            row[:triangle] = sign * found.column(pair.V) - pair.V_error * off
-            row[triangle:first] = sign * found.column(pair.Q) - pair.Q_error * off
-            row[first + number] = sign * pair.R
-            row[found.level(at) + 2 : found.level(at + 1)] = sign * pair.K - pair.K_error - POWERED * pair.K
+            row[0] = sign * pair.V[0, 0] - pair.V_error
+            row[1] = sign * pair.Q[0, 0] - pair.Q_error
+            row[found.free + number] = sign * pair.R
+            row[found.drag(0)] = sign * pair.K - pair.K_error - POWERED * pair.K
             found.add(row, sign * pair.D + error)
-    for line, interval in zip(lines, mass, strict=True):
-        u = line.u / np.sqrt(line.u @ line.u)
-        row = found.empty()
-        row[triangle:first] = found.column(np.outer(u, u))
-        found.add(row, interval.high)
-        found.add(-row, -interval.low)
-        row = found.empty()
-        row[:triangle] = -found.column(np.outer(u, u))  # B is at least 0
-        found.add(row, 0.0)
-    for one, (i, slower) in enumerate(found.of_pairs):  # friction does not grow with the speed
-        for other, (j, faster) in enumerate(found.of_pairs):
-            if i == j and bool(np.all(faster.slowest >= slower.fastest)):
-                row = found.empty()
-                row[first + other], row[first + one] = 1.0, -1.0
-                found.order.append(row)
-    for at in range(len(lines)):
-        row = found.empty()
-        row[found.level(at) + 2 : found.level(at + 1)] = 1.0
-        found.order.append(row)
+    b, m = found.empty(), found.empty()
+    b[0] = m[1] = 1.0
+    found.add(m, mass.high)
+    found.add(-m, -mass.low)
+    found.add(-b, 0.0)
+    for number, slower in enumerate(line.pairs):
+        for other, faster in enumerate(line.pairs):
+            if bool(np.all(faster.slowest >= slower.fastest)):
+                found.no_greater(other, number)
+    found.without_drag(0)
     return found
 
 
-def _falling(base: _Set) -> tuple[Array, Array]:
-    """The set where friction falls with the speed in any way, and there is no drag."""
-    return np.array(base.rows + base.order), np.array(base.limits + [0.0] * len(base.order))
-
-
-def _with_stribeck(base: _Set, least: float, most: float) -> tuple[Array, Array]:
-    """The set where each line has c + more e^-(v/v_s)^2 with a v_s of this range, m/s (0 is no such part), and drag."""
-    rows, limits = list(base.rows), list(base.limits)
-    for number, (i, pair) in enumerate(base.of_pairs):
-        level, more = base.level(i), base.level(i) + 1
-        row = base.empty()
-        row[base.free + number], row[level] = 1.0, -1.0
-        row[more] = -stribeck_left(pair.slowest, pair.psi, most)
-        other = -row
-        other[more] = stribeck_left(pair.fastest, pair.psi, least)
-        rows += [row, other]
-        limits += [0.0, 0.0]
-    return np.array(rows), np.array(limits)
-
-
-def stribeck_left(speeds: Array, psi: Array, stribeck: float) -> float:
-    """The window's mean of e^-(v/v_s)^2."""
-    if stribeck == 0.0:
-        return 0.0
-    return float(np.exp(-np.minimum((speeds / stribeck) ** 2, 700.0)) @ psi / psi.sum())
-
-
-def damping_set(lines: Sequence[Line]) -> Identified:
-    """All that the class and what was measured allow.
-
-    Args:
-        lines: those of :func:`lines`, in their order, near one pose.
+def damping_set(line: Line) -> Identified:
+    """All that the class and what was measured of a single axis allow.
 
     Raises:
         NotOfThisClass: the set is empty.
-        TooLittle: a mass is not bounded.
+        TooLittle: the mass is not bounded.
     """
-    weighed = [mass_interval(line) for line in lines]
-    mass = [interval for interval, _ in weighed]
-    base = _constraints(lines, mass, [change for _, change in weighed])
-    sets = [_with_stribeck(base, *ends) for ends in _stribeck_speeds(lines)]
-    every = [_falling(base), *sets]
-    units = [line.u / np.sqrt(line.u @ line.u) for line in lines]
-
-    def objective(u: Array) -> Array:
-        row = base.empty()
-        row[: len(base.places)] = base.column(np.outer(u, u))
-        return row
-
-    ends = [[range_of(objective(u), *one, base.free) for u in units] for one in every]
-    if not any(all(of) for of in ends):
-        raise NotOfThisClass(
-            "found no damping, mass and friction that agree with what was measured; expected a device that burns "
-            "b v^2, dry friction which does not grow with the speed, and drag: something else acts on it (a hand, a "
-            "cable, a filter or a force of its own), or its driver's sample_age, actuation_delay or step is too small"
-        )
-    found = [of for of in ends if all(of)]
-    formed = [of for of in ends[1:] if all(of)] or found
-    by_line, friction = [], []
-    for number, line in enumerate(lines):
-        low, high = min(of[number][0] for of in found), max(of[number][1] for of in formed)
-        by_line.append(Between(max(0.0, low), max(high, low)))
-        row = base.empty()
-        row[base.level(number)] = 1.0
-        levels = [
-            end for one, of in zip(sets, ends[1:], strict=True) if all(of) for end in range_of(row, *one, base.free)
-        ]
-        friction.append(least_friction(line, levels, _greatest(line)[1]))
-    damping = min(interval.high for interval in by_line)
-    least = by_line[0].low
-    if len(lines) > 1:
-        least = max(0.0, min(_least_eigenvalue(base, *one) for one, of in zip(every, ends, strict=True) if all(of)))
-    coulomb = np.vstack([sets[0][0], *base.order]), np.append(sets[0][1], np.zeros(len(base.order)))
+    mass, change = mass_interval(line)
+    base = _constraints(line, mass, change)
+    speeds = [pair.slow for pair in line.pairs]
+    sets = [base.with_stribeck(*ends) for ends in stribeck_ranges(min(speeds) / 4.0, max(speeds))]
+    b, level = base.empty(), base.empty()
+    b[0] = level[base.level(0)] = 1.0
+    ends = [range_of(b, *one, base.free) for one in (base.falling(), *sets)]
+    found = [of for of in ends if of]
+    if not found:
+        raise none_agree("damping, mass and friction")
+    formed = [of for of in ends[1:] if of] or found
+    low, high = min(of[0] for of in found), max(of[1] for of in formed)
+    damping = Between(max(0.0, low), max(high, low))
+    levels = [end for one, of in zip(sets, ends[1:], strict=True) if of for end in range_of(level, *one, base.free)]
+    friction = least_friction(line, levels, _greatest(line)[1])
     return Identified(
-        Between(min(least, damping), damping),
-        tuple(by_line),
-        tuple(friction),
-        friction_by_axis(friction, [line.u for line in lines]),
-        tuple(mass),
-        not range_of(objective(units[0]), *coulomb, base.free),
+        Between(min(damping.low, damping.high), damping.high),
+        (damping,),
+        (friction,),
+        (friction.low,),
+        (mass,),
+        not range_of(b, *base.coulomb(), base.free),
     )
-
-
-def _stribeck_speeds(lines: Sequence[Line]) -> list[tuple[float, float]]:
-    """Ranges of Stribeck's speed: none that is seen, and on to half of the greatest speed, m/s."""
-    slowest = min(pair.slow for line in lines for pair in line.pairs)
-    fastest = min(max(pair.slow for pair in line.pairs) for line in lines)
-    edges = [slowest / 4.0]
-    while edges[-1] < fastest / 2.0:
-        edges.append(edges[-1] * RATIO)
-    return [(0.0, 0.0), *zip([0.0, *edges], edges, strict=False)]
 
 
 def least_friction(line: Line, levels: Sequence[float], most: float) -> Between:
@@ -832,42 +834,3 @@ def least_friction(line: Line, levels: Sequence[float], most: float) -> Between:
     aside = float(np.linalg.norm(np.mean([pair.aside for pair in line.pairs], axis=0)))
     low, high = min(levels), max(levels)
     return Between(max(0.0, low - dip - aside * high), (high + rise) * (1.0 + aside))
-
-
-def _least_eigenvalue(base: _Set, A: Array, b: Array) -> float:
-    """Below all eigenvalues of all B of the set: by w^T B w in directions w all over the sphere.
-
-    With the least eigenvalue's direction at most a from some w, it is at least (w^T B w - sin^2 a tr B)/cos^2 a.
-    """
-    m = base.m
-    row = base.empty()
-    row[: len(base.places)] = base.column(np.eye(m))
-    trace = range_of(row, A, b, base.free)[1]
-    if not np.isfinite(trace):
-        return 0.0
-    least = np.inf
-    edge = np.linspace(-1.0, 1.0, GRID + 1)
-    for axis in range(m):
-        for others in product(edge, repeat=m - 1):
-            w = np.insert(np.array(others), axis, 1.0)
-            row = base.empty()
-            row[: len(base.places)] = base.column(np.outer(w, w) / (w @ w))
-            least = min(least, *range_of(row, A, b, base.free))
-            if least <= 0.0:
-                return 0.0
-    # from the faces of a cube to the sphere nothing grows: half of a cell's diagonal is the greatest angle
-    square = np.sin(np.sqrt(m - 1) / GRID) ** 2
-    return float((least - square * trace) / (1.0 - square))
-
-
-def friction_by_axis(friction: Sequence[Between], directions: Sequence[Array]) -> tuple[float, ...]:
-    """The c with sum c_i |v_i| <= N(v) in all directions, where N is a norm: by its convexity between the lines."""
-    m = len(directions[0])
-    if m == 1:
-        return (friction[0].low,)
-    whole = min(np.sqrt(m) * one.low for one in friction[m:])
-    others = sum(one.high for one in friction[:m])
-    found = []
-    for axis in range(m):
-        found.append(max(0.0, min(friction[axis].low, whole - (others - friction[axis].high))))
-    return tuple(found)

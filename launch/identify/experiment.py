@@ -508,7 +508,7 @@ def evaluated(origin: tuple[float, ...], runs: Sequence[tuple[Array, list[Measur
                 measured.append(measured_line(motions, u, doubt))
         except TooLittle as error:
             raise TooLittle(f"{line_name(u, rig.stated.axes)}: {error}") from error
-    found = damping_set(measured) if not along else identified_by_turns(measured, along)
+    found = damping_set(measured[0]) if not along else identified_by_turns(measured, along)
     return AtPose(origin, tuple(measured), found, tuple(doubts), steps)
 
 

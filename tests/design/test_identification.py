@@ -54,7 +54,7 @@ SPEEDS = (0.03, 0.06, 0.12, 0.25)
 
 
 def found(doubt: Doubt, motions: list[MeasuredMotion]) -> Identified:
-    return damping_set([measured_line(motions, AXIS, doubt)])
+    return damping_set(measured_line(motions, AXIS, doubt))
 
 
 @settings(max_examples=12, deadline=None)
