@@ -604,7 +604,7 @@ def _promises(
     """The level of each block for one gain kappa; the levels of linear blocks are capped at ``most``."""
     gains = loop.loop_gain(device.kappa)
     own_units = [loop.units(*(loop.ports[p] for p in block)) for block in loop.partition.blocks]
-    parts = zip(loop.partition.names, coupling, gains, loop.Delta_D_blocks, own_units, strict=True)
+    parts = [*zip(loop.partition.names, coupling, gains, loop.Delta_D_blocks, own_units, strict=True)]
     for name, part, K, Delta_D, units in parts:
         if isinstance(part, SpringDamper):
             check_spring_damper(name, part, Delta_D / (2.0 * device.kappa), loop.period, device.kappa, units)
@@ -612,7 +612,7 @@ def _promises(
             check_block(name, part, K, loop.period, device.kappa, units)
     # Each block gets its greatest level. Where levels are not comparable, the joint program chooses them together.
     own: list[BlockLevel] = []
-    for name, part, K, Delta_D in zip(loop.partition.names, coupling, gains, loop.Delta_D_blocks, strict=True):
+    for name, part, K, Delta_D, units in parts:
         if isinstance(part, SpringDamper):
             own.append(BlockLevel(_closed_form(name, part, Delta_D / (2.0 * device.kappa), loop.period, units), None))
         elif part.inputs == 1 or not _small(loop) or loop.environment.declared_level is not None:

@@ -121,7 +121,8 @@ class FeltDistance:
         return (
             f"waves come: if the host's end waits for late ones as long as this one, the round trip R is about "
             f"{_ms(self.round_trip)}, and not {_ms(foretold.round_trip)}; then a wall feels no stiffer than about K = "
-            f"{self.stiffness:.4g} N/m, and free space weighs about M = {kilograms(self.mass)} more"
+            f"{self.stiffness:.4g} {self.units('N/m')}, and free space weighs about M = "
+            f"{kilograms(self.mass, self.units)} more"
         )
 
     def sentence(self) -> str:

@@ -102,6 +102,8 @@ def test_what_was_foretold_is_corrected_where_it_differs() -> None:
         "waves come: if the host's end waits for late ones as long as this one, the round trip R is about 5 ms, and "
         "not 1100 ms; then a wall feels no stiffer than about K = 4000 N/m, and free space weighs about M = 25 g more"
     )
+    turning = felt_now(coupling([10.0], kinds=(AxisKind.ROTATION,)), foretold.network, 0.0015)
+    assert "K = 4000 N·m/rad, and free space weighs about M = 25 g·m² more" in turning.correction(foretold)
     assert now.differs(foretold)
     assert not felt_now(coupling([10.0]), 0.00141, 0.0015).differs(now)
     assert felt_now(coupling([10.0]), 0.00159, 0.0015).differs(now)
