@@ -64,7 +64,7 @@ from manyhands.design.models.statespace import (
 from manyhands.design.models.transfer import InDifferences
 from manyhands.design.models.weights import Filter, Transparency
 from manyhands.design.problem import (
-    MECHANISM,
+    STATED,
     CouplingRequest,
     DeviceLevel,
     HapticLoop,
@@ -468,7 +468,7 @@ def device_of(name: str, data: Mapping[str, Any], index: Mapping[str, int], mech
     Raises:
         KeyError, TypeError, ValueError: a key is missing or unknown, or its value has the wrong type.
     """
-    if unknown := set(data) - {"ports", "osp", *((*MECHANISM, "turning") if mechanism else ())}:
+    if unknown := set(data) - {"ports", "osp", *(STATED if mechanism else ())}:
         raise ValueError(f"devices.{name}: found the keys {sorted(unknown)}; expected ports and osp")
     held = held_torque_of(data["held"]) if "held" in data else None
     step, friction = (tuple(map(float, data[key])) if key in data else None for key in ("step", "friction"))
@@ -600,9 +600,8 @@ def from_content(data: Mapping[str, Any]) -> Certificate:
     period_tolerance = float(data["period_tolerance"]) if tolerant else 0.0
     if tolerant and not period_tolerance > 0.0:
         raise ValueError(f"period_tolerance: found {period_tolerance}; expected more than 0 in version {version}")
-    more = (*MECHANISM, "turning")
-    if version == WITH_MECHANISM and not any(set(more) & set(device) for device in data["devices"].values()):
-        raise ValueError(f"devices: found none with {' or '.join(more)}; expected one in version {version}")
+    if version == WITH_MECHANISM and not any(set(STATED) & set(device) for device in data["devices"].values()):
+        raise ValueError(f"devices: found none with {' or '.join(STATED)}; expected one in version {version}")
     if unknown := set(asked) - _ASKED:
         raise ValueError(f"asked: found the keys {sorted(unknown)}; expected some of {sorted(_ASKED)}")
     if not isinstance(data["session"], str) or not all(isinstance(v, str | int) for v in data["method"].values()):

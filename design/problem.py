@@ -17,7 +17,7 @@ from manyhands.design.levels.contract import NO_DELAY_GAIN
 from manyhands.design.levels.dry_friction import DryFriction
 from manyhands.design.levels.held_torque import HeldTorque
 from manyhands.design.levels.mechanism import NothingLeft, promised_level
-from manyhands.design.models.axis import AxisKind, Units
+from manyhands.design.models.axis import Units, units_of
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import Partition, SpringDamper, loop_gain
 from manyhands.design.models.integrators import Split
@@ -29,6 +29,9 @@ _BELOW = 1e-12  # relative, thousands of times the rounding of an eigenvalue
 
 MECHANISM: Final = ("held", "step", "friction")
 """What may be stated of a device besides its level: attributes of :class:`DeviceLevel`, and keys of certificates."""
+
+STATED: Final = (*MECHANISM, "turning")
+"""Likewise, with which of its ports turn: what a certificate of version 6 may have."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,14 +77,13 @@ class DeviceLevel:
 
     @property
     def of_mechanism(self) -> bool:
-        """Whether more than a level is stated: one of :data:`MECHANISM`, or which ports turn."""
-        return any(getattr(self, stated) is not None for stated in (*MECHANISM, "turning"))
+        """Whether more than a level is stated: one of :data:`STATED`."""
+        return any(getattr(self, stated) is not None for stated in STATED)
 
     @property
     def units(self) -> Units:
         """The units of its ports together."""
-        turn = self.turning or ()
-        return Units.of(AxisKind.ROTATION if port in turn else AxisKind.TRANSLATION for port in self.ports)
+        return units_of(self.ports, self.turning or ())
 
 
 Objective = Literal["feasible", "stiffest", "loop-shaping", "closed-loop"]
@@ -262,8 +264,7 @@ class HapticLoop:
 
     def units(self, *ports: str) -> Units:
         """The units of what is said of these ports together; of all of them, if none is named."""
-        kinds = dict.fromkeys(self.turning, AxisKind.ROTATION)
-        return Units.of(kinds.get(port, AxisKind.TRANSLATION) for port in ports or self.ports)
+        return units_of(ports or self.ports, self.turning)
 
     @property
     def parts(self) -> dict[str, float]:

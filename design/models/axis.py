@@ -84,15 +84,20 @@ TURNING: Final = Units.of([AxisKind.ROTATION])
 """Of axes that turn."""
 
 
-def units_of(ports: Iterable[str], turning: Iterable[str]) -> Units:
-    """The units of what is said of these ports together.
+def kinds_of(axes: Iterable[object], turning: Iterable[object]) -> tuple[AxisKind, ...]:
+    """What each of these axes does.
 
     Args:
-        ports: by name.
+        axes: by name or number.
         turning: those that turn, and perhaps others.
     """
     turn = frozenset(turning)
-    return Units.of(AxisKind.ROTATION if port in turn else AxisKind.TRANSLATION for port in ports)
+    return tuple(AxisKind.ROTATION if axis in turn else AxisKind.TRANSLATION for axis in axes)
+
+
+def units_of(axes: Iterable[object], turning: Iterable[object]) -> Units:
+    """The units of what is said of these axes together; arguments are those of :func:`kinds_of`."""
+    return Units.of(kinds_of(axes, turning))
 
 
 def units_by_port(ports: Iterable[str], turning: Iterable[str]) -> dict[str, Units]:

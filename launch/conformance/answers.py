@@ -218,9 +218,9 @@ def ask_device(
         bench.rest(ticks)
         places = bench.samples.places
         found.reads = [
-            AxisRead(called(axis), float(low), float(high), Units.of([kind]))
-            for axis, kind, low, high in zip(
-                stated.axes, stated.kinds, places.min(axis=0), places.max(axis=0), strict=True
+            AxisRead(called(axis), float(low), float(high), units)
+            for axis, units, low, high in zip(
+                stated.axes, stated.units_by_axis, places.min(axis=0), places.max(axis=0), strict=True
             )
         ]
         if push is None or not stated.moved_by_force:
@@ -264,7 +264,7 @@ def _pushed(bench: Bench, stated: DeviceSpecification, axis: int, push: Push) ->
     return AxisAnswer(
         called(stated.axes[axis]), force, float(ways[0][axis]), float(ways[1][axis]), least,
         max(measured) if measured else None, (called(stated.axes[most]), float(answer[most])) if beside else None,
-        own=float(own[axis]), most=stated.force[axis], units=Units.of([stated.kinds[axis]]),
+        own=float(own[axis]), most=stated.force[axis], units=stated.units_by_axis[axis],
     )  # fmt: skip
 
 

@@ -461,7 +461,7 @@ def _reach(bench: Bench, stated: DeviceSpecification) -> Judgement:
     most = np.abs(bench.samples.places).max(axis=0)
     for axis, (found, reach) in enumerate(zip(most, stated.displacement, strict=True)):
         if found > reach:
-            unit = Units.of([stated.kinds[axis]])("m")
+            unit = stated.units_by_axis[axis]("m")
             text = (
                 f"found a sample of {found:.4g} {unit} on axis {stated.axes[axis]}; expected at most {reach:g} {unit}"
             )
@@ -522,7 +522,7 @@ def _judged(pushed: _Pushed, T: float, stated: DeviceSpecification) -> Iterator[
     """What the answers of all axes to a push on one of them show."""
     axis, name, m = pushed.axis, stated.axes[pushed.axis], len(stated.force)
     of = pushed.words(stated)
-    unit = Units.of([stated.kinds[axis]])
+    unit = stated.units_by_axis[axis]
     bounds = INERTIAS if stated.kinds[axis] is AxisKind.ROTATION else MASSES
     low, high = bounds if stated.mass is None else (stated.mass[axis] / 3.0, 3.0 * stated.mass[axis])
     N, m_, kg = unit("N"), unit("m"), unit("kg")
@@ -745,7 +745,7 @@ def _silence(pushed: _Pushed, silence: tuple[Stretch, Stretch], T: float, stated
         return Judgement(
             SILENCE,
             Conformance.OPEN,
-            f"a step of {step:g} {Units.of([stated.kinds[axis]])('m')} is too coarse to see the end of a force {of}",
+            f"a step of {step:g} {stated.units_by_axis[axis]('m')} is too coarse to see the end of a force {of}",
         )
     if moved > (ended + kept) / 2.0:
         found = f"a force {of} that went on for {1e3 * W:.3g} ms in which nothing was called"

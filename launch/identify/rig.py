@@ -13,7 +13,6 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 
-from manyhands.design.models.axis import Units
 from manyhands.nodes.device.plugin import PluginDriver
 from manyhands.nodes.device.specification import DeviceSpecification
 from manyhands.nodes.kernel.arithmetic import Floats, minus, plus
@@ -122,7 +121,7 @@ class Rig:
         self._period = from_seconds(T)
         self.force = [min(safety.force, limit) for limit in stated.force]
         self._works = stated.holds_torque and driver.tells_work
-        self._units = [Units.of([kind]) for kind in stated.kinds]
+        self._units = stated.units_by_axis
         self._span = max(1, round(SPAN / T))
         self._past: deque[Floats] = deque()
         self._means: deque[tuple[float, Floats]] = deque()

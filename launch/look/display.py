@@ -256,8 +256,8 @@ def could_help(err: Console, error: BaseException | None) -> tuple[TriedChange, 
 
 
 def ranks(units: Units = TRANSLATING) -> dict[str, int]:
-    """By column of the figures, and of the roles, which goes first where there is no room: the highest."""
+    """By column of the figures, and of the roles, which a narrow table leaves out first: the highest.
+
+    A name often makes the role clear.
+    """
     return {**{heading(column.title, units): column.rank for _, column in COLUMNS}, "role": 8}
-
-
-"""The columns that a narrow table leaves out; a name often makes the role clear."""

@@ -28,7 +28,7 @@ from typing import Annotated, Any, Final, Literal, Self, TypeAlias
 import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field, PlainSerializer, ValidationError, model_validator
 
-from manyhands.design.models.axis import AxisKind, Units
+from manyhands.design.models.axis import AxisKind, Units, kinds_of, units_of
 from manyhands.design.models.brief import brief_names
 from manyhands.design.models.contacts import GROUND
 from manyhands.launch.session.design import AUTO, TRANSPARENCY, Design, full_matrix
@@ -419,17 +419,11 @@ class Session(SessionModel):
 
     def kinds_of(self, coupling: str) -> tuple[AxisKind, ...]:
         """What the axes of a coupling's ports do; nothing where all axes of the session translate."""
-        if not self.turning:
-            return ()
-        turn = {*self.turning}
-        return tuple(
-            AxisKind.ROTATION if port in turn else AxisKind.TRANSLATION for port in self.blocks_by_name[coupling]
-        )
+        return kinds_of(self.blocks_by_name[coupling], self.turning) if self.turning else ()
 
     def units(self, *ports: str) -> Units:
         """The units of what is said of these ports together; of all of them, if none is named."""
-        kinds = dict.fromkeys(self.turning, AxisKind.ROTATION)
-        return Units.of(kinds.get(port, AxisKind.TRANSLATION) for port in ports or self.ports)
+        return units_of(ports or self.ports, self.turning)
 
     @cached_property
     def roles(self) -> Mapping[str, Role]:

@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from manyhands.design.models.axis import AxisKind, Units
+from manyhands.design.models.axis import AxisKind, Units, kinds_of
 from manyhands.nodes.kernel.driver_statement import IMPOSED, NO_DELAY, DeviceTiming
 from manyhands.nodes.kernel.inertia import Inertia
 from manyhands.protocol.limits import MAX_BY_ITSELF, MAX_SENTENCE
@@ -113,13 +113,17 @@ class DeviceSpecification:
     @property
     def kinds(self) -> tuple[AxisKind, ...]:
         """What each axis does; it translates where the driver does not say it."""
-        turn = self.turning or ()
-        return tuple(AxisKind.ROTATION if axis in turn else AxisKind.TRANSLATION for axis in self.axes)
+        return kinds_of(self.axes, self.turning or ())
 
     @property
     def units(self) -> Units:
         """The units of its axes together."""
         return Units.of(self.kinds)
+
+    @property
+    def units_by_axis(self) -> tuple[Units, ...]:
+        """The units of each axis."""
+        return tuple(Units.of([kind]) for kind in self.kinds)
 
     @property
     def uncovered(self) -> tuple[str, ...]:
@@ -227,7 +231,7 @@ def promises_too_much(
         inertia: of the session; None where it states none.
         step: of the session's encoders, by port, m; None where it states none.
     """
-    c, units = axis_map.scale, [Units.of([stated.kinds[axis]]) for axis in axis_map.axes]
+    c, units = axis_map.scale, [stated.units_by_axis[axis] for axis in axis_map.axes]
     own = ((stated.force, 1.0 / c, "N"), (stated.displacement, c, "m"), (stated.speed, c, "m/s"))
     for what, promised, (of_driver, factor, unit) in zip(("force", "displacement", "speed"), limits, own, strict=True):
         for port, axis in enumerate(axis_map.axes):

@@ -29,7 +29,7 @@ from manyhands.design.levels.contract import DeviceShare
 from manyhands.design.levels.dry_friction import DryFriction
 from manyhands.design.levels.held_torque import HeldTorque
 from manyhands.design.levels.mechanism import promised_level
-from manyhands.design.models.axis import AxisKind
+from manyhands.design.models.axis import AxisKind, kinds_of
 from manyhands.design.models.coupling import loop_gain
 from manyhands.design.models.scene import ContactScene, scene_of
 from manyhands.design.models.statespace import Matrix, StateSpace
@@ -154,7 +154,7 @@ class Common:
     @property
     def kinds(self) -> tuple[AxisKind, ...]:
         """What the axis of each port does."""
-        return tuple(AxisKind.ROTATION if port in self.turning else AxisKind.TRANSLATION for port in self.ports)
+        return kinds_of(self.ports, self.turning)
 
     @property
     def folder(self) -> Path | None:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final
 
 from manyhands.design.files import read_regular, replacing
-from manyhands.design.models.axis import AxisKind, Units
+from manyhands.design.models.axis import AxisKind, Units, kinds_of
 from manyhands.design.models.contacts import coordinates
 from manyhands.design.models.scene import ContactScene, geometry_of
 from manyhands.nodes.environment.drawing import WorldDrawing
@@ -223,10 +223,7 @@ class About:
 
     def kinds_at(self, node: str) -> tuple[AxisKind, ...]:
         """What the axis of each of a node's ports does; nothing where all axes of the session translate."""
-        if not self.turning:
-            return ()
-        turn = {*self.turning}
-        return tuple(AxisKind.ROTATION if port in turn else AxisKind.TRANSLATION for port in self.nodes[node].ports)
+        return kinds_of(self.nodes[node].ports, self.turning) if self.turning else ()
 
     @property
     def _couplings(self) -> Mapping[str, tuple[str, ...]]:

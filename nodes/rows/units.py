@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
-from manyhands.design.models.axis import AxisKind, Units, units_by_port
+from manyhands.design.models.axis import units_by_port, units_of
 from manyhands.protocol.channels import Columns, Topic
 
 _OF_AXES = (Columns.PORTS, Columns.MASSES, Columns.LINKED)
@@ -27,5 +27,4 @@ def unit_of_all(topic: Topic, columns: Sequence[str], turning: Collection[str]) 
     """The unit of all columns together; arguments are those of :func:`units_of_columns`."""
     if topic.columns not in _OF_AXES:
         return topic.unit
-    turn = [AxisKind.ROTATION if column in turning else AxisKind.TRANSLATION for column in columns]
-    return Units.of(turn)(topic.unit)
+    return units_of(columns, turning)(topic.unit)

@@ -186,8 +186,8 @@ class _Live:
         """Show the newest sample, and ask the question once."""
         if self._bench.samples.x:
             stated = self._stated
-            places = zip(stated.axes, stated.kinds, self._bench.samples.x[-1], strict=True)
-            told = (f"{called(axis)} {1e3 * x:+9.3f} {Units.of([kind])('mm')}" for axis, kind, x in places)
+            places = zip(stated.axes, stated.units_by_axis, self._bench.samples.x[-1], strict=True)
+            told = (f"{called(axis)} {1e3 * x:+9.3f} {units('mm')}" for axis, units, x in places)
             self._tell("  ".join(told))
         question = self._question
         if question.asked.is_set() and not question.answered.is_set():

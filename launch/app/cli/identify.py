@@ -193,9 +193,9 @@ def _asked(pose: int, number: int, safety: Safety, units: Units) -> None:
 
 def _print(said: Statement, stated: DeviceSpecification) -> None:
     """A row for each pose and line."""
-    units = stated.units
     from manyhands.launch.identify.experiment import line_name
 
+    units = stated.units
     table = titled_table(
         "What motion allows: from … to",
         ("pose", "line"),
