@@ -47,7 +47,12 @@ class Terminal:
         answers = any(line.endswith("[y/N] y") for line in command.quoted)
         self._output = b""
         self._running = subprocess.Popen(
-            [*self._within, "bash", "-c", f"exec {command.line}"],
+            [
+                *self._within,
+                "bash",
+                "-c",
+                command.line,
+            ],  # bash becomes a single command, which the signals below then reach
             cwd=self._folder,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -90,7 +95,8 @@ class Terminal:
     def close(self) -> None:
         """End what still runs."""
         if self._running is not None:
-            os.killpg(self._running.pid, signal.SIGTERM)
+            if self._running.poll() is None:  # one that has failed has ended already
+                os.killpg(self._running.pid, signal.SIGTERM)
             self._running.communicate(timeout=DEADLINE)
             self._running = None
 
