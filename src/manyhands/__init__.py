@@ -8,6 +8,7 @@
 | ``mh.sweep`` | a task for many sessions, on any executor |
 | ``mh.read``, ``mh.plot`` | a recording; pictures of runs, designs and budgets |
 | ``mh.passivity`` | the lemmas and theorems behind it, for any linear system |
+| ``mh.OrientationSpring``, ``mh.OrientationBank``, ``mh.Quaternion`` | a spring between orientations |
 | ``mh.Certificate``, ``mh.LinearSystem``, ``mh.Silence`` | what these take and return |
 | ``mh.SessionError``, ``mh.DesignError``, ``mh.Infeasible``, ``mh.NotCertified``, ``mh.RunFailed`` | what they raise |
 

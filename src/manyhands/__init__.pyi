@@ -17,5 +17,8 @@ from manyhands.launch.audit.simulation import Silence as Silence
 from manyhands.launch.plan.loop import NotCertified as NotCertified
 from manyhands.launch.session import Session as Session
 from manyhands.launch.session import SessionError as SessionError
+from manyhands.nodes.kernel.orientation import OrientationBank as OrientationBank
+from manyhands.nodes.kernel.orientation import OrientationSpring as OrientationSpring
+from manyhands.nodes.kernel.orientation import Quaternion as Quaternion
 
 __version__: str
