@@ -44,7 +44,7 @@ test-long: $(VENV)/.installed
 	$(BIN)/pytest -n $(WORKERS) $(SPREAD) -m "(long or wide) and not alone"
 	$(BIN)/pytest -m "(long or wide) and alone and not minutes" $(ALONE)
 
-# what `make test` leaves out where MANYHANDS_WIDE=1 was set for it, as it is in CI
+# what `make test` leaves out but the wide searches, as CI runs it after `make test`
 test-rest: $(VENV)/.installed
 	$(BIN)/pytest -n $(WORKERS) $(SPREAD) -m "long and not alone"
 	$(BIN)/pytest -m "long and alone and not minutes" $(ALONE)

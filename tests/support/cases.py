@@ -6,7 +6,7 @@ import os
 from typing import Final
 
 WIDE: Final = os.environ.get("MANYHANDS_WIDE") == "1"
-"""Whether the wide searches run: `make test-long`, `make campaign` and CI set it."""
+"""Whether the wide searches run: `make test-long` and `make campaign` set it."""
 
 EXAMPLES: Final = 30
 WIDE_EXAMPLES: Final = 100
