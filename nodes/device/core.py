@@ -131,6 +131,8 @@ class Guard:
         let_go: how often the device has let go.
         leaving: whether it lets go for good, because it leaves.
         why: which limit it exceeded when it let go last, in one sentence; empty if it never did.
+        pace: the greatest speed at which it came beyond a limit since :meth:`take_pace`, m/s. A sample in a period
+            without a force has no row, so that no row may tell it.
     """
 
     def __init__(self, limits: Limits, T: float, axes: Sequence[str], kinds: Sequence[AxisKind] = ()) -> None:
@@ -151,6 +153,12 @@ class Guard:
         self._ratio, self._rises, self._within = 1.0, RETURN, 0
         self.armed, self.leaving = True, False
         self.let_go, self.why = 0, ""
+        self.pace = 0.0
+
+    def take_pace(self) -> float:
+        """:attr:`pace`, which begins anew, m/s."""
+        taken, self.pace = self.pace, 0.0
+        return taken
 
     @property
     def clipped(self) -> int:
@@ -175,6 +183,8 @@ class Guard:
         """
         before = self._before or x
         breach = self.breach(x, periods)
+        if breach is not None:
+            self.pace = max(self.pace, _finite(math.dist(x, before)) / (self._T * periods))
         if (breach is None or not self.armed) and self._reported is None and not self.leaving:
             return x
         reported, ratio = self._reported or before, self._ratio

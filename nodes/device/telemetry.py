@@ -256,7 +256,7 @@ class DeviceTelemetry:
         self._peak_force = max(self._peak_force, float(np.abs(traces[names.FORCE]).max()))
         of_driver = self._device.driver.figures()
         numbers = {
-            names.SPEED: max(self._speeds[:rows]),
+            names.SPEED: max(max(self._speeds[:rows]), self._device.guard.take_pace()),
             names.TAU_WORST: self._tau_worst / 1e3,
             **({names.ELAPSED: (self._applied - self.epoch) / 1e3} if self._paced else {}),
             **self._numbers(),

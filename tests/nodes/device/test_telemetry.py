@@ -198,3 +198,16 @@ def test_a_force_after_the_next_due_time_makes_its_tick_late(device: TelemetryDe
     counts = device.end()
     assert counts["late"] == 1
     assert sum(counts["late_cause"].values()) == 1
+
+
+def test_the_speed_at_which_it_came_beyond_a_limit_is_told_without_a_row_of_it(device: TelemetryDevice) -> None:
+    """A sample in a period without a force has no row, and whose fault it was is judged by that speed."""
+    guard = Guard(Limits((10.0,), (1.0,), (1.0,)), 0.001, ("dx",))
+    device.account._device.guard = guard
+    guard.report([0.004])
+    guard.report([4.0])
+    for tick in range(2 * ROWS):
+        device.tick(tick, value=0.0)
+    first, second = device.line.telemetry
+    assert first.figures["speed"] == pytest.approx(3996.0)
+    assert second.figures["speed"] == CORE.speed
