@@ -68,8 +68,8 @@ class EnvironmentKind(SessionModel):
             Infeasible: a static gain is stated that its poles do not permit.
         """
 
-    def code(self, ports: tuple[str, ...]) -> tuple[str, dict[str, Any]] | None:
-        """The factory of the model that is asked, and its parameters; None where none is."""
+    def code(self, ports: tuple[str, ...], turning: Collection[str] = ()) -> tuple[str, dict[str, Any]] | None:
+        """The factory of the model that is asked, and its parameters, where these ports turn; None where none is."""
         return None
 
     @property
