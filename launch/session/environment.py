@@ -243,6 +243,10 @@ class EngineEnvironment(ModelEnvironment):
     bodies: Annotated[tuple[str, ...], Described(_bodies, list_of({"type": "string"}, MAX_BODIES, 0))] = Field(
         default=(), description="the bodies of the model whose positions are reported"
     )
+    orientations: Annotated[tuple[str, ...], Described(_bodies, list_of({"type": "string"}, MAX_BODIES, 0))] = Field(
+        default=(),
+        description="those of the bodies whose orientations are reported, too, so that they are seen to turn",
+    )
     assets: Annotated[dict[str, str], Completed(model_assets, ASSETS)] = Field(
         default={}, description="the files that the model names, by their names in the session file's folder"
     )
@@ -256,6 +260,11 @@ class EngineEnvironment(ModelEnvironment):
             if len(own) != len(names):
                 expected = f"{counted(len(own), 'name')}, one for each of its axes" if own else "the name of a device"
                 yield Problem(("tools", device), show(names) if own else show(device), expected)
+        for name in self.orientations:
+            if name not in self.bodies:
+                yield Problem(
+                    ("orientations",), show(name), f"some of the bodies: {listed(self.bodies) or 'here none'}"
+                )
         missing = [port for device, own in devices.items() if device not in self.tools for port in own]
         if missing:
             yield Problem(("tools",), f"no name for {listed(missing)}", "one for each axis of every device")
@@ -274,6 +283,7 @@ class EngineEnvironment(ModelEnvironment):
             "tools": [by_port[port] for port in ports],
             "turning": [port for port in ports if port in turning],
             "bodies": [*self.bodies],
+            "orientations": [*self.orientations],
             "stiffness": K.tolist(),
         }
 
@@ -281,6 +291,11 @@ class EngineEnvironment(ModelEnvironment):
     def tried_first(self) -> bool:
         """With an engine of this package."""
         return is_shipped(self.engine)
+
+    @property
+    def oriented(self) -> tuple[str, ...]:
+        """Those that the session lists."""
+        return self.orientations
 
     def reported(self, ports: tuple[str, ...]) -> tuple[str, ...]:
         """x, y and z of each body."""

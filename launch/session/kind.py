@@ -81,6 +81,11 @@ class EnvironmentKind(SessionModel):
         """The masses, or coordinates of bodies, whose positions are reported, in the order of the state."""
         return ()
 
+    @property
+    def oriented(self) -> tuple[str, ...]:
+        """The bodies whose orientations are reported besides their positions."""
+        return ()
+
     def masses_and_springs(self, ports: tuple[str, ...]) -> tuple[dict[str, float], tuple[NetworkLink, ...]]:
         """By name in :meth:`reported` the mass, kg, or 0 where it is not known here; and the springs, for drawing."""
         return dict.fromkeys(self.reported(ports), 0.0), ()

@@ -33,6 +33,9 @@ MOST_FORCE = 1e9
 MOST_POSITION = 1e3
 """The greatest coordinate of a proxy, m, from where the tools begin. Beyond it a position is a mistake."""
 
+UNIT_TO: Final = 1e-6
+"""By how much the length of a unit quaternion may differ from 1."""
+
 PROXY = "proxy"
 STEP = "step"
 REACT = "react"
@@ -66,6 +69,10 @@ class Engine(Protocol):
 
     An engine may have a method ``drawing()`` besides. It is asked for it before the first step, and returns what its
     world looks like (:class:`manyhands.nodes.environment.drawing.WorldDrawing`), which the page of a session draws.
+
+    Where the session lists ``orientations``, bodies that are seen to turn, the parameters have these names under that
+    key, and the engine has ``orientations()``: for each of them the unit quaternion of its orientation, its real part
+    and then its imaginary parts, after :meth:`step`.
     """
 
     def step(self, x: Vector, f: Vector) -> Any:
@@ -189,6 +196,27 @@ class AskedModel:
                 f"{MOST_POSITION:g} m; expected {3 * bodies} finite numbers, three for each body"
             )
         return [0.0] * (3 * bodies)
+
+    def orientations(self, bodies: int) -> list[float]:
+        """A unit quaternion of each body whose orientation is reported; upright where it has failed or gives others."""
+        model: Any = self._model
+        upright = [1.0, 0.0, 0.0, 0.0] * bodies
+        if self.failure is not None:
+            return upright
+        try:
+            found = np.array(model.orientations(), dtype=np.float64)
+        except (Exception, SystemExit) as error:  # noqa: BLE001 -- foreign code, as above
+            self.failure = f"the engine {self._name} failed: found {in_one_line(error)}; expected orientations"
+            return upright
+        if found.shape == (4 * bodies,):
+            lengths = np.linalg.norm(found.reshape(bodies, 4), axis=1)
+            if np.all(np.abs(lengths - 1.0) <= UNIT_TO):  # which no NaN is
+                return [*map(float, found)]
+        self.failure = (
+            f"the engine {self._name} failed: found orientations of the shape {found.shape}, or of a length other than "
+            f"1; expected {4 * bodies} numbers, a unit quaternion for each body"
+        )
+        return upright
 
     def _answer(
         self, ask: Callable[[Vector, int], Any], x: Vector, k: int, kind: tuple[str, str, float]

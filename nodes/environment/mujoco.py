@@ -48,10 +48,10 @@ class MujocoEngine:
         Args:
             ports: of the session.
             period: T, s; MuJoCo takes whole steps of at most the model's own timestep in it.
-            parameters: ``model``, the XML; ``tools``, the joint of each port; ``turning``, the ports that turn, none by
-                default; ``bodies``, the names of the bodies whose positions are reported; ``stiffness``, the largest K
-                at each port, N/m or N·m/rad; ``assets``, the files that the model names, by name, in base64; none by
-                default.
+            parameters: ``model``, the XML; ``tools``, the joint of each port; ``bodies``, the names of the bodies whose
+                positions are reported; ``stiffness``, the largest K at each port, N/m or N·m/rad. By default there are
+                none of the others: ``turning``, the ports that turn; ``orientations``, those of the bodies whose
+                orientations are reported, too; ``assets``, the files that the model names, by name, in base64.
 
         Raises:
             FactoryError: the model is refused; a joint, a body or an avatar's mass is not as expected; or MuJoCo is not
@@ -77,8 +77,9 @@ class MujocoEngine:
         joints = [self._id("JOINT", name) for name in parameters["tools"]]
         kinds = kinds_of(ports, parameters.get("turning", ()))
         self._require_types(joints, parameters["tools"], ports, kinds)
-        self._names = [*parameters["bodies"]]
+        self._names, self._oriented = [*parameters["bodies"]], [*parameters.get("orientations", ())]
         self._bodies = [self._id("BODY", name) for name in self._names]
+        self._turned = [self._id("BODY", name) for name in self._oriented]
         self._tools = dict(zip(joints, ports, strict=True))
         self._places = np.array([model.jnt_qposadr[joint] for joint in joints])
         self._dofs = np.array([model.jnt_dofadr[joint] for joint in joints])
@@ -138,9 +139,14 @@ class MujocoEngine:
     def drawing(self) -> WorldDrawing:
         """What the model looks like where it stands, to be asked for before the first step."""
         bodies = dict(zip(self._bodies, self._names, strict=True))
-        return drawing_of(self._mujoco, self._model, self._data, self._tools, bodies)
+        return drawing_of(self._mujoco, self._model, self._data, self._tools, bodies, self._oriented)
 
     def positions(self) -> list[float]:
-        """x, y and z of each reported body, m."""
+        """x, y and z of each reported body, m, at the beginning of MuJoCo's latest step."""
         found: list[float] = self._data.xpos[self._bodies].ravel().tolist()
+        return found
+
+    def orientations(self) -> list[float]:
+        """The unit quaternion of each body whose orientation is reported, at that instant, too."""
+        found: list[float] = self._data.xquat[self._turned].ravel().tolist()
         return found

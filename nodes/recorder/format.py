@@ -223,7 +223,7 @@ class ChannelAbout:
 _KEYS: Final[Mapping[str, str]] = {"version": "manyhands", "linked": "wave_links"}
 """The keys of a recording's metadata that are not named as the fields of :class:`Recorded`."""
 
-_MAY_BE_EMPTY: Final = ("periods", "linked", "scene", "turning")
+_MAY_BE_EMPTY: Final = ("periods", "linked", "scene", "turning", "oriented")
 """The fields of which metadata have nothing where they are empty."""
 
 
@@ -244,6 +244,7 @@ class Recorded:
         linked: the couplings that have a wave link, in the session's order.
         scene: the geometry of its tools, bodies and obstacles; None if the environment is neither a scene nor a mesh.
         turning: the ports and masses that turn, whose columns are in rad and N·m.
+        oriented: the bodies whose orientations the environment reports.
     """
 
     session: str
@@ -258,6 +259,7 @@ class Recorded:
     linked: Added[tuple[str, ...]] = ()
     scene: Added[Annotated[ContactScene | None, GEOMETRY]] = None
     turning: Added[tuple[str, ...]] = ()
+    oriented: Added[tuple[str, ...]] = ()
 
     @property
     def devices(self) -> dict[str, tuple[str, ...]]:
@@ -268,11 +270,13 @@ class Recorded:
         """The topics that a node has or may have, in the table's order; empty for an unknown node."""
         role = self.roles.get(node)
         wall = self.clock == REALTIME
-        return () if role is None else topics_of(role, self.masses, wall, bool(self.links_of(node)), wall)
+        if role is None:
+            return ()
+        return topics_of(role, self.masses, wall, bool(self.links_of(node)), wall, oriented=self.oriented)
 
     def columns(self, node: str, topic: Topic) -> tuple[str, ...]:
         """Names of the columns of a node's topic."""
-        return topic.columns_of(self.ports[node], self.masses, self.links_of(node))
+        return topic.columns_of(self.ports[node], self.masses, self.links_of(node), self.oriented)
 
     def channel(self, node: str, topic: Topic | str) -> ChannelAbout:
         """A node's channel, the same in a recording and on a live connection.
@@ -356,6 +360,7 @@ class Recorded:
             *out.masses,
             *chain.from_iterable(out.ports.values()),
             *out.turning,
+            *out.oriented,
             *own,
         ):
             if not _NAME.fullmatch(name):
@@ -386,4 +391,5 @@ def recorded_of(about: About) -> Recorded:
         linked=about.linked,
         scene=about.scene,
         turning=about.turning,
+        oriented=about.oriented,
     )

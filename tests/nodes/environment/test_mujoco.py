@@ -109,14 +109,17 @@ def test_a_model_that_grows_without_bound_is_a_failure_and_leaves_no_file(
 class Bodies:
     """An engine without any dynamics, which reports what it is given."""
 
-    def __init__(self, positions: Any) -> None:
-        self._positions = positions
+    def __init__(self, positions: Any, orientations: Any = ()) -> None:
+        self._positions, self._orientations = positions, orientations
 
     def step(self, x: np.ndarray, f: np.ndarray) -> np.ndarray:
         return np.minimum(x, 0.0)
 
     def positions(self) -> Any:
         return self._positions() if callable(self._positions) else self._positions
+
+    def orientations(self) -> Any:
+        return self._orientations() if callable(self._orientations) else self._orientations
 
 
 @pytest.mark.parametrize("positions", [[1.0, 2.0], [0.0, 0.0, np.inf], [[0.0, 0.0, 0.0]], None, lambda: 1 / 0])
@@ -126,6 +129,35 @@ def test_positions_that_make_no_sense_are_a_failure(positions: Any) -> None:
     assert law.masses == [0.0, 0.0, 0.0]
     assert law.failure is not None
     assert "the engine some:engine failed" in law.failure
+
+
+@pytest.mark.parametrize("found", [[1.0, 0.0], [0.9, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, np.nan], None, lambda: 1 / 0])
+def test_orientations_that_make_no_sense_are_a_failure(found: Any) -> None:
+    asked = AskedModel("some:engine", Bodies([0.0] * 3, found), ("p",))
+    law = ProxyLaw(asked, np.eye(1), None, T, [[0]], bodies=1, oriented=1)
+    assert law.masses == [0.0] * 3
+    assert law.failure is None
+    assert law.orientations == [1.0, 0.0, 0.0, 0.0]
+    assert law.failure is not None
+    assert "the engine some:engine failed" in law.failure
+
+
+def test_a_body_is_said_to_turn_as_it_does() -> None:
+    engine = made(tools=["turn"], turning=["p"], stiffness=[20.0], bodies=["wall"], orientations=["wall"])
+    assert engine.orientations() == [1.0, 0.0, 0.0, 0.0]
+    q = [float(engine.step(np.zeros(1), np.array([-0.01]))[0]) for _ in range(50)]
+    w, x, y, z = engine.orientations()
+    assert (x, y) == (0.0, 0.0)
+    assert w == pytest.approx(np.sqrt(1.0 - z * z), abs=1e-12)
+    assert 0.05 < q[-2] < 2.0 * np.arcsin(z) < q[-1]  # it is that of the second of two steps, before it
+
+
+def test_an_engine_that_does_not_say_how_bodies_are_turned_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    prepared = prepare(load_session(SHIPPED, ["environment.orientations=[puck]"]))
+    Simulation(prepared)
+    monkeypatch.delattr(MujocoEngine, "orientations")
+    with pytest.raises(FactoryError, match=r"^environment\.orientations: found puck with .*no method orientations"):
+        Simulation(prepared)
 
 
 def test_the_suite_tries_engines() -> None:
@@ -197,6 +229,7 @@ def test_a_model_file_is_found_beside_the_session_and_kept_as_text(tmp_path: Pat
         ("environment.tools.middle=[a]", r"environment\.tools\.middle: .*the name of a device"),
         ("environment.tools.left=['a b', c]", r"environment\.tools.*a name in the model"),
         ("environment.bodies=[puck, puck]", r"environment\.bodies.*different bodies"),
+        ("environment.orientations=[table]", r"environment\.orientations: found 'table'; expected some of.*puck"),
         ("environment.engine=unknown", r"environment\.engine: found 'unknown'; expected mujoco"),
         ("environment.level=-1", r"environment\.level: .*no negative eigenvalue"),
     ],
