@@ -10,6 +10,7 @@ from collections.abc import Collection
 
 import numpy as np
 
+from manyhands.launch.plan.engine import drawing_of
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.run import RecordedTrace
@@ -39,6 +40,7 @@ def recorded_of(prepared: Prepared, clock: str) -> Recorded:
         scene=session.environment.geometry(session.ports),
         turning=session.turning,
         oriented=session.environment.oriented,
+        drawing=drawing_of(session),
     )
 
 

@@ -14,6 +14,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from manyhands.design.models.contacts import Point
 from manyhands.design.models.distance_grid import MOST_DRAWN
 from manyhands.protocol.plain import Added
@@ -97,6 +100,13 @@ class WorldDrawing:
     shapes: tuple[Shape, ...]
     hidden: Added[tuple[str, ...]] = ()
     large: Added[tuple[str, ...]] = ()
+
+    @property
+    def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Two corners between which the origins of frames, and of what stands still, are at the start, m."""
+        standing = [shape.at for shape in self.shapes if not shape.frame]
+        places = np.array([frame.at for frame in self.frames.values()] + standing or [(0.0, 0.0, 0.0)])
+        return places.min(axis=0), places.max(axis=0)
 
     def __post_init__(self) -> None:
         if self.up not in ("y", "z"):

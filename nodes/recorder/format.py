@@ -17,10 +17,12 @@ from typing import Annotated, Any, Final
 
 from manyhands import __version__
 from manyhands.design.models.scene import ContactScene
+from manyhands.nodes.environment.drawing import WorldDrawing
 from manyhands.nodes.kernel.bundle import REALTIME
 from manyhands.nodes.kernel.json_number import json_figures
 from manyhands.nodes.monitor.session_state import GEOMETRY, PERIOD, About
-from manyhands.nodes.recorder.scene_messages import SCENE_SCHEMAS, SceneMessages
+from manyhands.nodes.recorder.engine_messages import EngineMessages
+from manyhands.nodes.recorder.scene_messages import SCENE_SCHEMAS, SceneMessages, SpaceMessages
 from manyhands.nodes.rows.figures import FIGURES as DECLARED
 from manyhands.nodes.rows.figures import WAVE_HOLDING
 from manyhands.nodes.rows.units import unit_of_all
@@ -223,7 +225,7 @@ class ChannelAbout:
 _KEYS: Final[Mapping[str, str]] = {"version": "manyhands", "linked": "wave_links"}
 """The keys of a recording's metadata that are not named as the fields of :class:`Recorded`."""
 
-_MAY_BE_EMPTY: Final = ("periods", "linked", "scene", "turning", "oriented")
+_MAY_BE_EMPTY: Final = ("periods", "linked", "scene", "turning", "oriented", "drawing")
 """The fields of which metadata have nothing where they are empty."""
 
 
@@ -245,6 +247,7 @@ class Recorded:
         scene: the geometry of its tools, bodies and obstacles; None if the environment is neither a scene nor a mesh.
         turning: the ports and masses that turn, whose columns are in rad and N·m.
         oriented: the bodies whose orientations the environment reports.
+        drawing: what the world of an engine looks like; None for other worlds, and where no engine says it.
     """
 
     session: str
@@ -260,6 +263,7 @@ class Recorded:
     scene: Added[Annotated[ContactScene | None, GEOMETRY]] = None
     turning: Added[tuple[str, ...]] = ()
     oriented: Added[tuple[str, ...]] = ()
+    drawing: Added[WorldDrawing | None] = None
 
     @property
     def devices(self) -> dict[str, tuple[str, ...]]:
@@ -293,15 +297,20 @@ class Recorded:
         metadata |= {"symbol": topic.symbol, "unit": unit, "columns": columns}
         return ChannelAbout(topic_name(self.session, node, topic.name), *schema_of(topic, unit), metadata)
 
-    def scene_messages(self) -> SceneMessages | None:
-        """What makes the messages that show the scene; None without one.
+    def scene_messages(self) -> SpaceMessages | None:
+        """What makes the messages that show the scene, or an engine's world; None without both.
 
         Raises:
-            ValueError: the scene's ports or bodies are not those of the environment.
+            ValueError: its ports or bodies are not those of the environment.
         """
-        if self.scene is None:
+        if self.scene is None and self.drawing is None:
             return None
         (node,) = (name for name, role in self.roles.items() if role is Role.ENVIRONMENT)
+        if self.drawing is not None:
+            names = self.ports[node], self.masses, self.oriented
+            return EngineMessages(self.drawing, self.session, node, *names, self.tick_ns(node))
+        if self.scene is None:
+            return None
         return SceneMessages(self.scene, self.session, node, self.ports[node], self.masses, self.tick_ns(node))
 
     def behind_wave_link(self, node: str) -> bool:
@@ -392,4 +401,5 @@ def recorded_of(about: About) -> Recorded:
         scene=about.scene,
         turning=about.turning,
         oriented=about.oriented,
+        drawing=about.drawing,
     )
