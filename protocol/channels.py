@@ -138,6 +138,7 @@ FREE_POSITION: Final = "p"
 FORCE: Final = "f_v"
 TOOL_POSITION: Final = "x_e"
 MASS_POSITION: Final = "q"
+ORIENTATION: Final = "R"
 LEDGER: Final = "ledger"
 TAU: Final = "tau_us"
 INTERFACE: Final = "interface"
@@ -158,6 +159,9 @@ TANK_NAMES: Final = ("L", "G", "H")
 """The columns of the trace of a tank, for each wave link: the energy in it, what it has shipped in the present life of
 the link, and what it has heard of the other end's, J."""
 
+QUATERNION_NAMES: Final = ("qw", "qx", "qy", "qz")
+"""The columns of the trace of orientations, for each body: real and imaginary parts of a unit quaternion."""
+
 TELEMETRY: Final = "telemetry"
 """The topic of a node's figures, ten times a second, which every node has besides the topics of its role."""
 
@@ -167,7 +171,8 @@ CONDITION: Final = "condition"
 
 class Columns(StrEnum):
     """The columns of a trace: one for each port, each mass, or each port with a wave link; a single one; the three
-    instants of a tick; the work until two of them; or the three figures of a tank for each wave link.
+    instants of a tick; the work until two of them; the three figures of a tank for each wave link; or the four parts of
+    a unit quaternion for each body.
     """
 
     PORTS = "ports"
@@ -177,6 +182,7 @@ class Columns(StrEnum):
     WORKS = "works"
     LINKED = "linked ports"
     TANKS = "tanks"
+    QUATERNIONS = "quaternions"
 
 
 _NO_LINKS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType({})
@@ -209,7 +215,11 @@ class Topic:
     certified: bool = False
 
     def columns_of(
-        self, ports: tuple[str, ...], masses: tuple[str, ...], links: Mapping[str, tuple[str, ...]] = _NO_LINKS
+        self,
+        ports: tuple[str, ...],
+        masses: tuple[str, ...],
+        links: Mapping[str, tuple[str, ...]] = _NO_LINKS,
+        oriented: tuple[str, ...] = (),
     ) -> tuple[str, ...]:
         """The names of the columns.
 
@@ -217,6 +227,7 @@ class Topic:
             ports: of the node.
             masses: of the environment.
             links: the ports of each wave link that ends at the node, by its coupling.
+            oriented: the bodies of the environment whose orientations are reported.
         """
         return {
             Columns.PORTS: ports,
@@ -226,6 +237,7 @@ class Topic:
             Columns.WORKS: WORK_NAMES,
             Columns.LINKED: tuple(port for own in links.values() for port in own),
             Columns.TANKS: tuple(f"{coupling}.{figure}" for coupling in links for figure in TANK_NAMES),
+            Columns.QUATERNIONS: tuple(f"{body}.{part}" for body in oriented for part in QUATERNION_NAMES),
         }[self.columns]
 
 
@@ -254,6 +266,7 @@ TOPICS: Final[Mapping[Role, tuple[Topic, ...]]] = MappingProxyType(
         Role.ENVIRONMENT: (
             Topic("tools", TOOL_POSITION, "x_e", "m", Columns.PORTS),
             Topic("masses", MASS_POSITION, "q", "m", Columns.MASSES),
+            Topic("orientations", ORIENTATION, "R", "1", Columns.QUATERNIONS),
             _LEDGER,
             Topic("tool", FREE_POSITION, "p", "m", Columns.LINKED, linked=True),
             Topic("reaction", FORCE, "f_v", "N", Columns.LINKED, linked=True),
@@ -272,6 +285,7 @@ def topics_of(
     linked: bool = False,
     torques: bool = False,
     certified: bool = True,
+    oriented: tuple[str, ...] = (),
 ) -> tuple[Topic, ...]:
     """The topics of a node of this role.
 
@@ -282,11 +296,13 @@ def topics_of(
         linked: whether a wave link ends at it; the topics of such ends are left out otherwise.
         torques: whether its motors hold torques, or may; the topics of such devices are left out otherwise.
         certified: whether its session has a certificate, or may; what only such sessions have is left out otherwise.
+        oriented: the bodies of the environment whose orientations are reported; without them their topic is left out.
     """
     return tuple(
         topic
         for topic in TOPICS.get(role, ())
         if (masses or topic.columns is not Columns.MASSES)
+        and (oriented or topic.columns is not Columns.QUATERNIONS)
         and (wall or not topic.wall)
         and (linked or not topic.linked)
         and (torques or not topic.torques)

@@ -374,9 +374,10 @@ def plot(
     """Draw a run over time, a design over frequency, or a budget over the delay.
 
     Quantities of a recording are its topics over time: ``"velocity"`` (the default), ``"sample"``, ``"force"``,
-    ``"tool"``, ``"reaction"``, ``"tools"``, ``"masses"``, ``"ledger"``, ``"interface"``, ``"wave"``, ``"tank"``; and
-    ``"tau"``, a histogram. A certificate has ``"impedance"`` (the default), of the environment and as it is felt, and
-    ``"structure"``, of V. A budget has each of its devices and wave links by name, by default the first device.
+    ``"tool"``, ``"reaction"``, ``"tools"``, ``"masses"``, ``"orientations"``, ``"ledger"``, ``"interface"``,
+    ``"wave"``, ``"tank"``; and ``"tau"``, a histogram. A certificate has ``"impedance"`` (the default), of the
+    environment and as it is felt, and ``"structure"``, of V. A budget has each of its devices and wave links by name,
+    by default the first device.
 
     Args:
         what: what to draw.

@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -168,8 +169,12 @@ class FollowedEnvironment(FollowedParty):
         tools = self._tools[k].tolist()
         if k >= begin and not (core.tools == tools and np.array_equal(found, blocks.f[k], equal_nan=True)):
             raise Lost(f"{why}, and a clutch has moved: forces and masses are not checked")
-        row = dict(zip((names.TOOL_POSITION, names.MASS_POSITION, names.LEDGER), row_of(core), strict=True))
+        row = dict(zip(_ROW, row_of(core), strict=True))
         return {name: numbers for name, numbers in row.items() if len(numbers)} | {names.FORCE: found}
+
+
+_ROW: Final = (names.TOOL_POSITION, names.MASS_POSITION, names.ORIENTATION, names.LEDGER)
+"""The traces of :func:`row_of`."""
 
 
 def _forces(f: list[float], limits: list[tuple[NDArray[np.intp], Saturation]], m: int) -> list[float]:

@@ -89,6 +89,7 @@ def _session(path: Path, run: RecordedRun, folder: Path) -> Session:
         ("nodes", dict(graph.nodes), dict(recorded.roles)),
         ("ports", {name: graph.ports[name] for name in graph.nodes}, dict(recorded.ports)),
         ("masses", session.environment.reported(session.ports), tuple(recorded.masses)),
+        ("orientations", session.environment.oriented, tuple(recorded.oriented)),
     ):
         if found != expected:
             raise RecordingError(

@@ -44,7 +44,7 @@ from manyhands.nodes.recorder.format import (
     object_schema,
     recorded_of,
 )
-from manyhands.nodes.recorder.scene_messages import SCENE_SCHEMAS, SceneMessages
+from manyhands.nodes.recorder.scene_messages import SCENE_SCHEMAS, SpaceMessages
 from manyhands.protocol.channels import CONDITION, TELEMETRY, topic_name
 from manyhands.protocol.clock import Instant, RealtimeClock
 from manyhands.protocol.messages import Condition, Observation
@@ -196,7 +196,7 @@ class LiveMessages:
             yield LiveMessage(name, at, encode_figures(tick, observation.figures))
 
     def _shown(
-        self, observation: Observation, scene: SceneMessages, start: int, wanted: Callable[[str], bool]
+        self, observation: Observation, scene: SpaceMessages, start: int, wanted: Callable[[str], bool]
     ) -> Iterator[LiveMessage]:
         """What shows the scene, from traces that fit the session."""
         node, tick, traces = observation.node, observation.tick, observation.traces

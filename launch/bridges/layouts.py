@@ -20,6 +20,7 @@ from typing import Any, Final, TypeAlias
 from manyhands.design.files import replacing
 from manyhands.design.models.scene import ContactScene
 from manyhands.launch.files import TargetError, require_target
+from manyhands.nodes.environment.drawing import WorldDrawing
 from manyhands.nodes.monitor.session_state import About
 from manyhands.nodes.recorder.format import FIGURES, SUPERVISOR, Recorded
 from manyhands.nodes.recorder.scene_messages import SCENE
@@ -139,8 +140,9 @@ def foxglove_layout(recorded: Recorded, there: Topics) -> bytes:
     """A layout for Foxglove's *Import from file* (JSON): a tab for each page, and states below."""
     panels: dict[str, Any] = {}
     tabs = []
-    if recorded.scene is not None:
-        panels["3D!scene"] = _foxglove_scene(recorded, recorded.scene)
+    space = recorded.scene or recorded.drawing
+    if space is not None:
+        panels["3D!scene"] = _foxglove_scene(recorded, space)
         tabs.append({"title": "scene", "layout": "3D!scene"})
     for number, page in enumerate(pages_of(recorded, there)):
         own = {f"Plot!page{number}plot{place}": _foxglove_plot(plot) for place, plot in enumerate(page.plots)}
@@ -163,9 +165,12 @@ def foxglove_layout(recorded: Recorded, there: Topics) -> bytes:
     return json.dumps(whole, ensure_ascii=False, indent=2).encode() + b"\n"
 
 
-def _foxglove_scene(recorded: Recorded, scene: ContactScene) -> dict[str, Any]:
-    """The 3-D panel: it looks at the middle of the scene along -z, with y upwards, as the page does."""
-    low, high = scene.bounds
+def _foxglove_scene(recorded: Recorded, space: ContactScene | WorldDrawing) -> dict[str, Any]:
+    """The 3-D panel: it looks at the middle of a scene along -z, with y upwards, as the page does.
+
+    At a world whose z is upwards it looks obliquely from above, along y.
+    """
+    low, high = space.bounds
     environments = [node for node, role in recorded.roles.items() if role is Role.ENVIRONMENT]
     return {
         "foxglovePanelTitle": "scene",
@@ -174,7 +179,7 @@ def _foxglove_scene(recorded: Recorded, scene: ContactScene) -> dict[str, Any]:
         "cameraState": {
             "perspective": True,
             "distance": _LEAST_DISTANCE + 1.5 * math.dist(low, high),
-            "phi": 0,
+            "phi": 60 if isinstance(space, WorldDrawing) and space.up == "z" else 0,
             "thetaOffset": 0,
             "targetOffset": [(a + b) / 2 for a, b in zip(low.tolist(), high.tolist(), strict=True)],
             "target": [0, 0, 0],

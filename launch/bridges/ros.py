@@ -157,8 +157,12 @@ def servo_topic(session: str, device: str, axes: tuple[str, ...]) -> RosTopic:
 
 
 def holdable(about: About) -> tuple[str, ...]:
-    """The devices that ROS 2 can hold: those that a page could, whose position is a point of up to three axes."""
-    return tuple(device for device in about.grips if len(about.nodes[device].ports) <= CARTESIAN)
+    """The devices that ROS 2 can hold: those that a page could, whose position is a point of up to three axes.
+
+    A pose has metres, so none of these axes turns.
+    """
+    ports = {device: about.nodes[device].ports for device in about.grips}
+    return tuple(device for device, own in ports.items() if len(own) <= CARTESIAN and not {*own} & {*about.turning})
 
 
 def read_pose(data: bytes) -> tuple[str, tuple[float, float, float]] | None:
@@ -222,8 +226,9 @@ class RosMessages:
         """
         self._recorded, self._session, self._every = recorded_of(about), LiveSession(about), every
         self._time, self.unfit = SessionTime(self._recorded), 0
-        self._devices = device_topics(about.session, self._recorded.devices)
-        live = ((one.motion, one.exerted, one.sent) for one in self._devices.values())  # a bag alone has velocities
+        self._devices = device_topics(about.session, self._recorded.devices, about.turning)
+        parts = (part for parts in self._devices.values() for part in parts)
+        live = ((one.motion, one.exerted, one.sent) for one in parts)  # a bag alone has velocities
         self.topics = [topic for topics in live for topic in topics if topic is not None]
         self._serialise = {topic: serialiser(typestore, topic) for topic in self.topics}
         devices = self._recorded.devices
@@ -262,16 +267,18 @@ class RosMessages:
 
     def _measured(self, observation: Observation, wanted: Callable[[RosTopic], bool]) -> Iterator[RosMessage]:
         node = observation.node
-        motion, _, exerted, _ = self._devices[node]
-        width = len(motion.axes)
+        width = len(self._recorded.devices[node])
         x, f = (self._kept(observation, name, width) for name in (DISPLACEMENT, FORCE))
-        if x is not None and wanted(motion):
-            if f is not None and len(f[1]) != len(x[1]):
-                self.unfit += 1
-                f = None
-            yield from self._messages(motion, x[0], motion_rows(motion, x[1], None, None if f is None else f[1]))
-        if f is not None and exerted is not None and wanted(exerted):
-            yield from self._messages(exerted, *f)
+        both = x is not None and any(wanted(part.motion) for part in self._devices[node])
+        if both and x is not None and f is not None and len(f[1]) != len(x[1]):
+            self.unfit += 1
+            f = None
+        for part in self._devices[node]:
+            if x is not None and wanted(part.motion):
+                forces = None if f is None else part.of(f[1])
+                yield from self._messages(part.motion, x[0], motion_rows(part.motion, part.of(x[1]), None, forces))
+            if f is not None and part.exerted is not None and wanted(part.exerted):
+                yield from self._messages(part.exerted, f[0], part.of(f[1]))
 
     def _sent(self, observation: Observation, wanted: Callable[[RosTopic], bool]) -> Iterator[RosMessage]:
         """The forces of a coupling; a tick is complete when every coupling of the device has shown it."""
@@ -281,21 +288,22 @@ class RosMessages:
             return
         ticks, values = kept
         for device in dict.fromkeys(device for device, _ in places):
-            topic, waiting = self._devices[device].sent, self._waiting[device]
-            if not wanted(topic):
+            parts, waiting = [part for part in self._devices[device] if wanted(part.sent)], self._waiting[device]
+            if not parts:
                 continue
             own = [column for column, (of, _) in enumerate(places) if of == device]
             axes = [places[column][1] for column in own]
             whole: list[tuple[int, Array]] = []
             for tick, row in zip(ticks, values[:, own], strict=True):
-                force = waiting.setdefault(tick, np.full(len(topic.axes), np.nan))
+                force = waiting.setdefault(tick, np.full(len(self._recorded.devices[device]), np.nan))
                 force[axes] = row
                 if np.isfinite(force).all():
                     whole.append((tick, waiting.pop(tick)))
             while len(waiting) > MOST_TICKS:
                 del waiting[next(iter(waiting))]
-            if whole:
-                yield from self._messages(topic, [tick for tick, _ in whole], np.stack([force for _, force in whole]))
+            for part in parts if whole else ():
+                forces = part.of(np.stack([force for _, force in whole]))
+                yield from self._messages(part.sent, [tick for tick, _ in whole], forces)
 
     def _kept(self, observation: Observation, trace: str, width: int) -> tuple[list[int], Array] | None:
         """The ticks of a trace that are sent, and their rows; None where the trace is missing, or of a wrong shape."""

@@ -4,19 +4,21 @@ The topics and their messages (:func:`device_topics`, :func:`serialiser`) are al
 :mod:`manyhands.launch.bridges.ros` publishes. Each device has the namespace ``/SESSION/DEVICE``, and in each tick up to
 four messages, stamped with the tick's time:
 
-- ``measured_cp`` (geometry_msgs/PoseStamped), of a device with three axes: x, in the device's own frame, whose axes are
-  those of the device in their order. It has no orientation to report; the pose has that of the frame.
+- ``measured_cp`` (geometry_msgs/PoseStamped), of a device with three axes that translate: x, in the device's own frame,
+  whose axes are those of the device in their order. It has no orientation to report; the pose has that of the frame.
 - ``measured_cv`` (geometry_msgs/TwistStamped), of such a device: its velocity (x(k) - x(k-1))/T, m/s. A device in wall
   time has the difference of the recorded instants in place of T. After a missing tick there is none.
 - ``measured_js`` (sensor_msgs/JointState), of every other device: x, its velocity and the exerted force by axis, m, m/s
-  and N. A pose would state coordinates that such a device does not have.
-- ``measured_cf`` (geometry_msgs/WrenchStamped): the force that the device exerted on the hand, N.
+  and N; rad, rad/s and N·m of an axis that turns. A pose would state coordinates that such a device does not have.
+- ``measured_cf`` (geometry_msgs/WrenchStamped): the force that the device exerted on the hand, N; of an axis that turns
+  the torque, N·m.
 - ``servo_cf`` (geometry_msgs/WrenchStamped): the force that its couplings sent it, N. The device's limits, and what
   bounds the cost of lateness, stand between the two.
 
-A device of more than three axes has ``servo_jf`` (JointState, effort alone) in place of the last two. The numbers are
-those of the recording, exactly; velocities alone are computed from them. A tick that the recording misses has no
-message.
+A device of more than three axes has ``servo_jf`` (JointState, effort alone) in place of the last two. An axis that
+turns beside others, as a jaw, has ``AXIS/measured_js`` and ``AXIS/servo_jf`` besides, as CRTK has the jaw of a gripper;
+three axes that translate beside it have the topics of a device with these alone. The numbers are those of the
+recording, exactly; velocities alone are computed from them. A tick that the recording misses has no message.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import repeat
@@ -69,61 +71,100 @@ class RosTopic:
         name: its full name, such as ``/session/device/measured_cf``.
         type: of its messages.
         device: whose it is; also the name of the frame.
-        axes: names of the device's axes.
+        axes: names of those of the device's axes that it is about.
+        turning: those of them that turn.
     """
 
     name: str
     type: str
     device: str
     axes: tuple[str, ...]
+    turning: tuple[str, ...] = ()
 
 
-class DeviceTopics(NamedTuple):
-    """The topics of a device.
+class AxesTopics(NamedTuple):
+    """The topics of a device, or of some of its axes.
 
     Attributes:
-        motion: its position; a JointState has velocity and effort beside it.
-        velocity: of a device with three axes.
-        exerted: the force that it exerted; None beyond three axes.
-        sent: the force that its couplings sent it.
+        places: where these axes are among the device's.
+        motion: their position; a JointState has velocity and effort beside it.
+        velocity: of three axes that translate.
+        exerted: the force that they exerted; None beyond three axes, and where effort says it.
+        sent: the force that the device's couplings sent them.
     """
 
+    places: tuple[int, ...]
     motion: RosTopic
     velocity: RosTopic | None
     exerted: RosTopic | None
     sent: RosTopic
 
+    def of(self, values: Array) -> Array:
+        """The columns of these axes in a trace of the device."""
+        return values[:, self.places]
 
-def device_topics(session: str, devices: Mapping[str, tuple[str, ...]]) -> dict[str, DeviceTopics]:
-    """The topics of the devices of a session, by device.
+
+def device_topics(
+    session: str, devices: Mapping[str, tuple[str, ...]], turning: Collection[str] = ()
+) -> dict[str, tuple[AxesTopics, ...]]:
+    """The topics of the devices of a session, by device: of all its axes, and then of some.
 
     Args:
         session: its name.
         devices: names of the axes of each device.
+        turning: the axes that turn.
 
     Raises:
-        RecordingError: two devices would have one namespace.
+        RecordingError: two devices, or two axes of one, would have one namespace.
     """
     spaces: dict[str, str] = {}
-    out = {}
-    for device, axes in devices.items():
-        space = f"/{ros_name(session)}/{ros_name(device)}"
+
+    def space_of(what: str, name: str, space: str) -> str:
         if space in spaces:
             raise RecordingError(
-                f"found the devices {spaces[space]!r} and {device!r}, which ROS 2 would both call {space}; expected "
+                f"found the {what} {spaces[space]!r} and {name!r}, which ROS 2 would both call {space}; expected "
                 "names that differ in more than '-' and '.'"
             )
-        spaces[space] = device
-        point, wrench = len(axes) == CARTESIAN, len(axes) <= CARTESIAN
-        motion = ("measured_cp", POSE) if point else ("measured_js", JOINTS)
-        sent = ("servo_cf", WRENCH) if wrench else ("servo_jf", JOINTS)
-        out[device] = DeviceTopics(
-            RosTopic(f"{space}/{motion[0]}", motion[1], device, axes),
-            RosTopic(f"{space}/measured_cv", TWIST, device, axes) if point else None,
-            RosTopic(f"{space}/measured_cf", WRENCH, device, axes) if wrench else None,
-            RosTopic(f"{space}/{sent[0]}", sent[1], device, axes),
-        )
+        spaces[space] = name
+        return space
+
+    out = {}
+    for device, axes in devices.items():
+        space = space_of("devices", device, f"/{ros_name(session)}/{ros_name(device)}")
+        turn = [place for place, axis in enumerate(axes) if axis in turning]
+        straight = [place for place in range(len(axes)) if place not in turn]
+        found = [_topics_of(space, device, axes, range(len(axes)), turn)]
+        if turn and len(axes) > 1:
+            found += [_topics_of(space, device, axes, straight)] if len(straight) == CARTESIAN else []
+            for place in turn:
+                own = axes[place].removeprefix(f"{device}.")
+                within = space_of("axes", axes[place], f"{space}/{ros_name(own)}")
+                found.append(_topics_of(within, device, axes, [place], turn, joint=True))
+        out[device] = tuple(found)
     return out
+
+
+def _topics_of(
+    space: str, device: str, axes: tuple[str, ...], places: Sequence[int], turn: Sequence[int] = (), joint: bool = False
+) -> AxesTopics:
+    """The topics in a namespace of the axes at ``places``; ``joint`` where efforts say what they exert and are sent."""
+    point = len(places) == CARTESIAN and not turn
+    wrench = len(places) <= CARTESIAN and not joint
+    motion = ("measured_cp", POSE) if point else ("measured_js", JOINTS)
+    sent = ("servo_cf", WRENCH) if wrench else ("servo_jf", JOINTS)
+    own = tuple(axes[place] for place in places)
+    turning = tuple(axes[place] for place in places if place in turn)
+
+    def topic(name: str, kind: str) -> RosTopic:
+        return RosTopic(f"{space}/{name}", kind, device, own, turning)
+
+    return AxesTopics(
+        tuple(places),
+        topic(*motion),
+        topic("measured_cv", TWIST) if point else None,
+        topic("measured_cf", WRENCH) if wrench else None,
+        topic(*sent),
+    )
 
 
 def motion_rows(topic: RosTopic, x: Array, v: Array | None, f: Array | None) -> Array:
@@ -165,20 +206,28 @@ def streams_of(run: RecordedRun, traces: Traces) -> list[Stream]:
         RecordingError: two devices would have one namespace, or no trace is a device's motion or force.
     """
     recorded, out = run.recorded, []
-    topics = device_topics(recorded.session, recorded.devices)
-    for device, (motion, velocity, exerted, sent) in topics.items():
-        x, f = (_trace_of(traces, device, name) for name in (DISPLACEMENT, FORCE))
-        v = None if x is None else run.velocity_of(device)
-        found = [
-            (motion, None if x is None else motion_rows(motion, x, v, f)),
-            (velocity, v),
-            (exerted, f),
-            (sent, _sent_to(run, traces, device)),
-        ]
+    topics = device_topics(recorded.session, recorded.devices, recorded.turning)
+    for device, parts in topics.items():
+        whole = {name: _trace_of(traces, device, name) for name in (DISPLACEMENT, FORCE)}
+        speed = None if whole[DISPLACEMENT] is None else run.velocity_of(device)
+        commanded = _sent_to(run, traces, device)
         first, tick_ns = run.first_of(device), recorded.tick_ns(device)
-        out += [
-            Stream(topic, first, tick_ns, values) for topic, values in found if topic is not None and values is not None
-        ]
+        for part in parts:
+            x, f, v, sent = (
+                None if values is None else part.of(values)
+                for values in (whole[DISPLACEMENT], whole[FORCE], speed, commanded)
+            )
+            found = [
+                (part.motion, None if x is None else motion_rows(part.motion, x, v, f)),
+                (part.velocity, v),
+                (part.exerted, f),
+                (part.sent, sent),
+            ]
+            out += [
+                Stream(topic, first, tick_ns, values)
+                for topic, values in found
+                if topic is not None and values is not None
+            ]
     out = [stream for stream in out if whole_rows(stream.topic, stream.values).any()]
     if not out:
         raise RecordingError(
@@ -254,13 +303,19 @@ def serialiser(typestore: Any, topic: RosTopic) -> Serialise:
     upright, wrench = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0), types["geometry_msgs/msg/Wrench"]
     twist = types["geometry_msgs/msg/Twist"]
     no_turn, none, axes = vector(0.0, 0.0, 0.0), np.empty(0), list(topic.axes)
+    turns = [axis in topic.turning for axis in topic.axes]
     effort_alone = topic.name.endswith("servo_jf")
 
     def body(row: Sequence[float]) -> tuple[Any, ...]:
         if name == POSE:
             return (pose(point(*row), upright),)
         if name == WRENCH:
-            return (wrench(vector(*row, *(0.0,) * (CARTESIAN - width)), no_turn),)
+            rest = (0.0,) * (CARTESIAN - width)
+            if not any(turns):
+                return (wrench(vector(*row, *rest), no_turn),)
+            force = (0.0 if turn else f for f, turn in zip(row, turns, strict=True))
+            torque = (f if turn else 0.0 for f, turn in zip(row, turns, strict=True))
+            return (wrench(vector(*force, *rest), vector(*torque, *rest)),)
         if name == TWIST:
             return (twist(vector(*row), no_turn),)
         numbers = np.array(row)

@@ -61,6 +61,7 @@ _TITLES: Final[Mapping[str, str]] = MappingProxyType(
         "reaction": "forces of the environment on the couplings",
         "tools": "positions of the tools in the environment",
         "masses": "positions of the masses in the environment",
+        "orientations": "orientations of the bodies in the environment, as unit quaternions",
         "ledger": "energy ledgers: below zero a promise is broken",
         "tau": "delays inside the tick",
         "interface": "energy accounts of the devices' interfaces",

@@ -281,6 +281,7 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         storage=running.storage,
         waves=waves,
         tank=running.tank,
+        oriented=session.environment.oriented,
     )
     return _with_part_ids(prepared, bundles)
 
@@ -490,8 +491,9 @@ def _columns(session: Session, graph: Topology, name: str, clock: str) -> int:
     ports, masses = graph.ports[name], session.environment.reported(session.ports)
     links = links_at(name, graph.nodes[name], graph.ports, session.wave_links)
     wall, torques = session.in_wall_time(name, clock), session.holds_torques(name)
-    topics = topics_of(graph.nodes[name], masses, wall, bool(links), torques)
-    return sum(len(topic.columns_of(ports, masses, links)) for topic in topics)
+    oriented = session.environment.oriented
+    topics = topics_of(graph.nodes[name], masses, wall, bool(links), torques, oriented=oriented)
+    return sum(len(topic.columns_of(ports, masses, links, oriented)) for topic in topics)
 
 
 def _telemetry_ticks(period: float, columns: int) -> int:

@@ -10,6 +10,7 @@ from collections.abc import Collection
 
 import numpy as np
 
+from manyhands.launch.plan.engine import drawing_of
 from manyhands.launch.plan.plan import Plan
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.run import RecordedTrace
@@ -38,6 +39,8 @@ def recorded_of(prepared: Prepared, clock: str) -> Recorded:
         linked=tuple(session.wave_links),
         scene=session.environment.geometry(session.ports),
         turning=session.turning,
+        oriented=session.environment.oriented,
+        drawing=drawing_of(session),
     )
 
 
@@ -57,15 +60,16 @@ class Traces:
             ticks: number of ticks.
         """
         graph, masses = plan.graph, plan.session.environment.reported(plan.session.ports)
+        oriented = plan.session.environment.oriented
         self.by_node: dict[str, tuple[RecordedTrace, ...]] = {}
         for name, role in graph.nodes.items():
             links = links_at(name, role, graph.ports, plan.session.wave_links)
             topics = [
                 topic
-                for topic in topics_of(role, masses, linked=bool(links))
+                for topic in topics_of(role, masses, linked=bool(links), oriented=oriented)
                 if topic.trace != TAU and (topic.trace != LEDGER or name in ledgers)
             ]
-            columns = [topic.columns_of(graph.ports[name], masses, links) for topic in topics]
+            columns = [topic.columns_of(graph.ports[name], masses, links, oriented) for topic in topics]
             self.by_node[name] = tuple(
                 RecordedTrace(topic, own, np.full((ticks, len(own)), np.nan))
                 for topic, own in zip(topics, columns, strict=True)

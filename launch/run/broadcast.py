@@ -116,6 +116,7 @@ def describe(
         seats={name: session.carriers[name] for name in session.wave_links if name in seats},
         scene=session.environment.geometry(session.ports),
         turning=session.turning,
+        oriented=session.environment.oriented,
     )
 
 

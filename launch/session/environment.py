@@ -142,8 +142,8 @@ class ModelEnvironment(EnvironmentKind):
         return ProxyEnvironment(ports, level, K, self.content(ports), self.tank)
 
     @abstractmethod
-    def code(self, ports: tuple[str, ...]) -> tuple[str, dict[str, Any]]:
-        """The factory that makes the model or the engine, and its parameters."""
+    def code(self, ports: tuple[str, ...], turning: Collection[str] = ()) -> tuple[str, dict[str, Any]]:
+        """The factory that makes the model or the engine, and its parameters, where these ports turn."""
 
     def content(self, ports: tuple[str, ...]) -> str | None:
         """SHA-256 of its data; None for a user's own code."""
@@ -173,7 +173,7 @@ class PythonEnvironment(ModelEnvironment):
             raise refuse("neither level nor stiffness", expected)
         return self
 
-    def code(self, ports: tuple[str, ...]) -> tuple[str, dict[str, Any]]:
+    def code(self, ports: tuple[str, ...], turning: Collection[str] = ()) -> tuple[str, dict[str, Any]]:
         """The model's factory and the session's parameters."""
         return self.model, self.parameters
 
@@ -225,8 +225,6 @@ _NAMES: Final = either({"type": "string"}, list_of({"type": "string"}, MAX_DOF))
 class EngineEnvironment(ModelEnvironment):
     """A physics engine with a model file: the tools are joined by springs to avatars, bodies of the engine."""
 
-    turns: ClassVar[bool] = False
-
     type: Literal["engine"] = Field(description="the kind of environment: engine")
     model: Annotated[str, Completed(model_text, {"type": "string"})] = Field(
         description="the model's file, by its name in the session file's folder, or its text"
@@ -238,9 +236,16 @@ class EngineEnvironment(ModelEnvironment):
     tools: Annotated[
         dict[str, tuple[str, ...]],
         Described(_tools, {"type": "object", "additionalProperties": _NAMES}),
-    ] = Field(description="by device, the name of each of its axes in the model; for mujoco, of a slide joint")
+    ] = Field(
+        description="by device, the name of each of its axes in the model; for mujoco, of a slide joint, or of a hinge "
+        "joint where the axis turns"
+    )
     bodies: Annotated[tuple[str, ...], Described(_bodies, list_of({"type": "string"}, MAX_BODIES, 0))] = Field(
         default=(), description="the bodies of the model whose positions are reported"
+    )
+    orientations: Annotated[tuple[str, ...], Described(_bodies, list_of({"type": "string"}, MAX_BODIES, 0))] = Field(
+        default=(),
+        description="those of the bodies whose orientations are reported, too, so that they are seen to turn",
     )
     assets: Annotated[dict[str, str], Completed(model_assets, ASSETS)] = Field(
         default={}, description="the files that the model names, by their names in the session file's folder"
@@ -255,11 +260,16 @@ class EngineEnvironment(ModelEnvironment):
             if len(own) != len(names):
                 expected = f"{counted(len(own), 'name')}, one for each of its axes" if own else "the name of a device"
                 yield Problem(("tools", device), show(names) if own else show(device), expected)
+        for name in self.orientations:
+            if name not in self.bodies:
+                yield Problem(
+                    ("orientations",), show(name), f"some of the bodies: {listed(self.bodies) or 'here none'}"
+                )
         missing = [port for device, own in devices.items() if device not in self.tools for port in own]
         if missing:
             yield Problem(("tools",), f"no name for {listed(missing)}", "one for each axis of every device")
 
-    def code(self, ports: tuple[str, ...]) -> tuple[str, dict[str, Any]]:
+    def code(self, ports: tuple[str, ...], turning: Collection[str] = ()) -> tuple[str, dict[str, Any]]:
         """The engine's factory, with the model's text, the names of the ports in it, the bodies and the stiffness."""
         by_port = {
             port: name
@@ -271,7 +281,9 @@ class EngineEnvironment(ModelEnvironment):
             "model": self.model,
             "assets": self.assets,
             "tools": [by_port[port] for port in ports],
+            "turning": [port for port in ports if port in turning],
             "bodies": [*self.bodies],
+            "orientations": [*self.orientations],
             "stiffness": K.tolist(),
         }
 
@@ -279,6 +291,11 @@ class EngineEnvironment(ModelEnvironment):
     def tried_first(self) -> bool:
         """With an engine of this package."""
         return is_shipped(self.engine)
+
+    @property
+    def oriented(self) -> tuple[str, ...]:
+        """Those that the session lists."""
+        return self.orientations
 
     def reported(self, ports: tuple[str, ...]) -> tuple[str, ...]:
         """x, y and z of each body."""
@@ -319,7 +336,7 @@ class MeshEnvironment(ModelEnvironment):
                     ("tools", name), f"a tool that begins {-1e3 * gap:.3g} mm inside the mesh", "a place outside"
                 )
 
-    def code(self, ports: tuple[str, ...]) -> tuple[str, dict[str, Any]]:
+    def code(self, ports: tuple[str, ...], turning: Collection[str] = ()) -> tuple[str, dict[str, Any]]:
         """The proxies of this package, with grid, friction and tools."""
         tools = [
             {

@@ -68,8 +68,8 @@ class EnvironmentKind(SessionModel):
             Infeasible: a static gain is stated that its poles do not permit.
         """
 
-    def code(self, ports: tuple[str, ...]) -> tuple[str, dict[str, Any]] | None:
-        """The factory of the model that is asked, and its parameters; None where none is."""
+    def code(self, ports: tuple[str, ...], turning: Collection[str] = ()) -> tuple[str, dict[str, Any]] | None:
+        """The factory of the model that is asked, and its parameters, where these ports turn; None where none is."""
         return None
 
     @property
@@ -79,6 +79,11 @@ class EnvironmentKind(SessionModel):
 
     def reported(self, ports: tuple[str, ...]) -> tuple[str, ...]:
         """The masses, or coordinates of bodies, whose positions are reported, in the order of the state."""
+        return ()
+
+    @property
+    def oriented(self) -> tuple[str, ...]:
+        """The bodies whose orientations are reported besides their positions."""
         return ()
 
     def masses_and_springs(self, ports: tuple[str, ...]) -> tuple[dict[str, float], tuple[NetworkLink, ...]]:

@@ -551,7 +551,7 @@ class Session(SessionModel):
             for name, device in self.devices.items()
             if device.factory is not None
         }
-        if (code := self.environment.code(self.ports)) is not None:
+        if (code := self.environment.code(self.ports, self.turning_ports)) is not None:
             found["environment.model"] = FactoryName(*code, self.folder)
         return found
 

@@ -60,6 +60,7 @@ from manyhands.nodes.environment.scene import SceneLaw
 from manyhands.nodes.kernel.arithmetic import FEW, Floats, LinearMap, Rows, dot, linear_map, minus, solve
 from manyhands.nodes.kernel.bundle import EnvironmentBundle
 from manyhands.nodes.kernel.energy_budget import EnergyBudget
+from manyhands.nodes.kernel.factory import FactoryError
 from manyhands.nodes.kernel.passivity import Ledger, PassivityController
 from manyhands.nodes.kernel.timeouts import RAMP
 from manyhands.nodes.rows.two_port import Row
@@ -200,6 +201,11 @@ class EnvironmentCore:
     def masses(self) -> Floats:
         """The positions of the masses in that tick, m; empty where the environment is no network."""
         return self._eta[self._positions]
+
+    @property
+    def orientations(self) -> Floats:
+        """Empty: nothing is turned in space."""
+        return []
 
     def exchange(self, block: int, D_V: Vector) -> None:
         """Change the feedthrough of a frozen block: the whole matrix is made anew, which may take longer than a tick.
@@ -361,9 +367,9 @@ Core: TypeAlias = EnvironmentCore | EnforcedCore
 
 
 def row_of(core: Core) -> Row:
-    """Tools, masses and the ledger's total of the tick that was settled last; those of wave links follow."""
+    """Tools, masses, orientations and the ledger's total of the tick that was settled last; wave links' rows follow."""
     ledger = core.ledger
-    return core.tools, core.masses, [] if ledger is None else [ledger.total]
+    return core.tools, core.masses, core.orientations, [] if ledger is None else [ledger.total]
 
 
 def environment_core(bundle: EnvironmentBundle, D_V: Vector, blocks: Blocks | None = None) -> Core:
@@ -383,12 +389,18 @@ def environment_core(bundle: EnvironmentBundle, D_V: Vector, blocks: Blocks | No
     if bundle.model is not None:
         K = bundle.stiffness
         model = make_model(bundle.model, common.ports, common.period, REACT if K is None else PROXY)
-        asked = AskedModel(bundle.model.factory, model, common.ports)
+        if bundle.oriented and not callable(getattr(model, "orientations", None)):
+            raise FactoryError(
+                f"environment.orientations: found {', '.join(bundle.oriented)} with {bundle.model.factory}, which has "
+                "no method orientations(); expected an engine that has it, or no such key"
+            )
+        asked = AskedModel(bundle.model.factory, model, common.ports, common.turning)
         if K is None:
             law = BlackBox(asked)
         else:
             parties = ports_of_blocks(blocks, len(common.ports))
-            law = ProxyLaw(asked, K, bundle.Phi_E, common.period, parties, len(bundle.masses) // 3, bundle.tank)
+            bodies, oriented = len(bundle.masses) // 3, len(bundle.oriented)
+            law = ProxyLaw(asked, K, bundle.Phi_E, common.period, parties, bodies, bundle.tank, oriented)
     elif bundle.scene is not None:
         law = SceneLaw(bundle.scene, common.period)
     elif E is None:

@@ -1,7 +1,8 @@
 """What a physics engine has to say of its world so that it can be drawn: solids, in frames that move.
 
 An engine that offers ``drawing()`` returns a :class:`WorldDrawing` of its start. A session shows it, and moves its
-frames by what its nodes report anyway: the displacements of the tools, and the positions of the reported bodies.
+frames by what its nodes report anyway: the displacements of the tools, and the positions of the reported bodies, with
+the orientations of those that are to be seen to turn.
 Nothing of it is computed with. Whatever moves in a way that is not reported is not drawn, and is named instead: a
 picture of a thing in a place where it is not would be worse than none.
 """
@@ -10,8 +11,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from manyhands.design.models.contacts import Point
 from manyhands.design.models.distance_grid import MOST_DRAWN
@@ -57,10 +61,13 @@ class Frame:
     Attributes:
         at: where it is at the start, m.
         turn: how it is turned at the start.
-        ports: the ports of tools that move it, each along its own direction; empty for a body.
-        directions: of these ports: unit vectors.
+        ports: the ports of tools that move it, from the world outwards, each along its own direction or about it; empty
+            for a body. Each moves what is further out with it.
+        directions: of these ports at the start: unit vectors.
         reported: whether the position of its origin is reported under its name, as that of a body.
         turns: whether it may turn, which is not reported.
+        axes: by port of those that turn it, a point of the axis at the start, m.
+        oriented: whether its orientation is reported besides its position.
     """
 
     at: Point
@@ -69,6 +76,8 @@ class Frame:
     directions: tuple[Point, ...] = ()
     reported: bool = False
     turns: bool = False
+    axes: Added[Mapping[str, Point]] = field(default_factory=dict)
+    oriented: Added[bool] = False
 
 
 @dataclass(frozen=True)
@@ -92,6 +101,13 @@ class WorldDrawing:
     hidden: Added[tuple[str, ...]] = ()
     large: Added[tuple[str, ...]] = ()
 
+    @property
+    def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Two corners between which the origins of frames, and of what stands still, are at the start, m."""
+        standing = [shape.at for shape in self.shapes if not shape.frame]
+        places = np.array([frame.at for frame in self.frames.values()] + standing or [(0.0, 0.0, 0.0)])
+        return places.min(axis=0), places.max(axis=0)
+
     def __post_init__(self) -> None:
         if self.up not in ("y", "z"):
             raise ValueError(f"drawing.up: found {self.up!r}; expected y or z")
@@ -113,3 +129,9 @@ class WorldDrawing:
         for name, frame in self.frames.items():
             if len(frame.ports) != len(frame.directions):
                 raise ValueError(f"drawing.frames.{name}: expected a direction for each port")
+            if not frame.axes.keys() <= {*frame.ports}:
+                raise ValueError(f"drawing.frames.{name}: found an axis of no port of it; expected those of its ports")
+            if not all(
+                map(math.isfinite, (*frame.at, *frame.turn, *sum((*frame.directions, *frame.axes.values()), ())))
+            ):
+                raise ValueError(f"drawing.frames.{name}: found a number that is not finite")

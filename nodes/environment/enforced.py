@@ -77,6 +77,11 @@ class ForceLaw(Protocol):
         ...
 
     @property
+    def orientations(self) -> Floats:
+        """The orientations of bodies after :meth:`advance`, a unit quaternion each; empty where none are reported."""
+        ...
+
+    @property
     def held(self) -> Sequence[int]:
         """By party, the ticks in which a test held its proxies; empty for a law without proxies."""
         ...
@@ -119,6 +124,11 @@ class BlackBox:
         """Empty: a model's masses are not known."""
         return []
 
+    @property
+    def orientations(self) -> Floats:
+        """Empty, likewise."""
+        return []
+
 
 class LinearLaw:
     """The law f_e = -(I + D_E S D_V S)^{-1} (C_E eta + D_E r), eta(k+1) = A_E eta + B_E x_e: E as it is proved."""
@@ -159,6 +169,11 @@ class LinearLaw:
         """The positions of the masses, m."""
         found: Floats = self._eta[self._positions].tolist()
         return found
+
+    @property
+    def orientations(self) -> Floats:
+        """Empty: its masses move along axes, or turn about them."""
+        return []
 
 
 class EnforcedCore:
@@ -263,6 +278,11 @@ class EnforcedCore:
     def masses(self) -> Floats:
         """The positions of the masses in that tick, m; empty where none are known."""
         return self._law.masses
+
+    @property
+    def orientations(self) -> Floats:
+        """The orientations of bodies in that tick, a unit quaternion each; empty where none are reported."""
+        return self._law.orientations
 
     @property
     def held(self) -> Sequence[int]:

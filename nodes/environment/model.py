@@ -15,12 +15,13 @@ model that does not return holds up its ticks; devices then let go by themselves
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, Final, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from manyhands.design.models.axis import units_by_port, units_of
 from manyhands.nodes.kernel.factory import FactoryError, FactoryName, in_one_line, made_by
 
 Vector = NDArray[np.float64]
@@ -31,6 +32,9 @@ MOST_FORCE = 1e9
 
 MOST_POSITION = 1e3
 """The greatest coordinate of a proxy, m, from where the tools begin. Beyond it a position is a mistake."""
+
+UNIT_TO: Final = 1e-6
+"""By how much the length of a unit quaternion may differ from 1."""
 
 PROXY = "proxy"
 STEP = "step"
@@ -60,11 +64,15 @@ class Engine(Protocol):
 
     It is made by a factory of (ports, period, parameters), as every model. Where ``type: engine`` names it, the
     parameters are ``model`` (the text of the model's file), ``assets`` (the files that it names, by name, in base64),
-    ``tools`` (a name in the model for each port), ``bodies`` (those whose positions are reported) and ``stiffness``
-    (the largest K at each port, N/m).
+    ``tools`` (a name in the model for each port), ``turning`` (the ports that turn: in rad, and in N·m), ``bodies``
+    (those whose positions are reported) and ``stiffness`` (the largest K at each port, N/m or N·m/rad).
 
     An engine may have a method ``drawing()`` besides. It is asked for it before the first step, and returns what its
     world looks like (:class:`manyhands.nodes.environment.drawing.WorldDrawing`), which the page of a session draws.
+
+    Where the session lists ``orientations``, bodies that are seen to turn, the parameters have these names under that
+    key, and the engine has ``orientations()``: for each of them the unit quaternion of its orientation, its real part
+    and then its imaginary parts, after :meth:`step`.
     """
 
     def step(self, x: Vector, f: Vector) -> Any:
@@ -142,9 +150,12 @@ class AskedModel:
         failure: what was wrong with its first bad answer, after which it is not asked again; None before.
     """
 
-    def __init__(self, name: str, model: EnvironmentModel, ports: tuple[str, ...]) -> None:
-        """Ask ``model``, which messages call ``name``, for the forces or the proxies at ``ports``."""
+    def __init__(
+        self, name: str, model: EnvironmentModel, ports: tuple[str, ...], turning: Collection[str] = ()
+    ) -> None:
+        """Ask ``model``, which messages call ``name``, for forces or proxies at ``ports``, of which some may turn."""
         self._name, self._ports, self._model = name, ports, model
+        self._units, self._all = units_by_port(ports, turning), units_of(ports, turning)
         self._none = np.zeros(len(ports))
         self.failure: str | None = None
 
@@ -186,6 +197,27 @@ class AskedModel:
             )
         return [0.0] * (3 * bodies)
 
+    def orientations(self, bodies: int) -> list[float]:
+        """A unit quaternion of each body whose orientation is reported; upright where it has failed or gives others."""
+        model: Any = self._model
+        upright = [1.0, 0.0, 0.0, 0.0] * bodies
+        if self.failure is not None:
+            return upright
+        try:
+            found = np.array(model.orientations(), dtype=np.float64)
+        except (Exception, SystemExit) as error:  # noqa: BLE001 -- foreign code, as above
+            self.failure = f"the engine {self._name} failed: found {in_one_line(error)}; expected orientations"
+            return upright
+        if found.shape == (4 * bodies,):
+            lengths = np.linalg.norm(found.reshape(bodies, 4), axis=1)
+            if np.all(np.abs(lengths - 1.0) <= UNIT_TO):  # which no NaN is
+                return [*map(float, found)]
+        self.failure = (
+            f"the engine {self._name} failed: found orientations of the shape {found.shape}, or of a length other than "
+            f"1; expected {4 * bodies} numbers, a unit quaternion for each body"
+        )
+        return upright
+
     def _answer(
         self, ask: Callable[[Vector, int], Any], x: Vector, k: int, kind: tuple[str, str, float]
     ) -> Vector | None:
@@ -193,7 +225,7 @@ class AskedModel:
         if self.failure is not None:
             return None
         what, unit, most = kind
-        m, expected = len(self._ports), f"{kind[0]}s in {kind[1]}"
+        m, expected = len(self._ports), f"{what}s in {self._all(unit)}"
         try:
             # a copy: the model may change the array that it has returned
             answer = np.array(ask(x, k), dtype=np.float64)
@@ -205,6 +237,7 @@ class AskedModel:
                 found, expected = f"an answer of the shape {answer.shape}", f"{m} {what}s, one a port"
             elif not np.abs(answer).max() <= most:
                 port = int(np.argmin(np.abs(answer) <= most))
+                unit = self._units[self._ports[port]](unit)
                 found = f"a {what} of {answer[port]:g} {unit} at {self._ports[port]}"
                 expected = f"a finite number of at most {most:g} {unit} in size"
             else:

@@ -1,4 +1,5 @@
-"""MuJoCo as an engine: a model in MuJoCo's XML, in which each axis of a tool is a slide joint of an avatar.
+"""MuJoCo as an engine: a model in MuJoCo's XML, in which each axis of a tool is a joint of an avatar: a slide joint
+where the axis translates, a hinge joint where it turns.
 
 The springs of the session stand between tools and avatars (:mod:`manyhands.nodes.environment.proxy`): they pull a tool
 towards its avatar, and the avatar is pushed with the opposite force. So an avatar is a free body with a mass of its
@@ -20,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from manyhands.design.models.axis import AxisKind, Units, kinds_of
 from manyhands.nodes.environment.drawing import WorldDrawing
 from manyhands.nodes.environment.mjcf import ModelRefused, steps_of
 from manyhands.nodes.environment.mujoco_compiler import compiled
@@ -30,7 +32,8 @@ from manyhands.nodes.kernel.factory import FactoryError
 Vector = NDArray[np.float64]
 
 LIGHTEST = 4.0
-"""An avatar weighs at least this times K T^2 (kg): lighter, its spring, whose force is held for T, throws it about.
+"""The inertia of an avatar is at least this times K T^2: less, and its spring, whose force is held for T, throws it
+about.
 
 A mass on a spring with a force held for T is unstable from K T^2/m = 4 on; this leaves a factor of 16.
 """
@@ -45,9 +48,10 @@ class MujocoEngine:
         Args:
             ports: of the session.
             period: T, s; MuJoCo takes whole steps of at most the model's own timestep in it.
-            parameters: ``model``, the XML; ``tools``, the slide joint of each port; ``bodies``, the names of the bodies
-                whose positions are reported; ``stiffness``, the largest K at each port, N/m; ``assets``, the files
-                that the model names, by name, in base64; none by default.
+            parameters: ``model``, the XML; ``tools``, the joint of each port; ``bodies``, the names of the bodies whose
+                positions are reported; ``stiffness``, the largest K at each port, N/m or N·m/rad. By default there are
+                none of the others: ``turning``, the ports that turn; ``orientations``, those of the bodies whose
+                orientations are reported, too; ``assets``, the files that the model names, by name, in base64.
 
         Raises:
             FactoryError: the model is refused; a joint, a body or an avatar's mass is not as expected; or MuJoCo is not
@@ -71,20 +75,18 @@ class MujocoEngine:
         self._steps = steps_of(float(model.opt.timestep), period)
         model.opt.timestep = period / self._steps
         joints = [self._id("JOINT", name) for name in parameters["tools"]]
-        for joint, name in zip(joints, parameters["tools"], strict=True):
-            if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_SLIDE:
-                raise FactoryError(
-                    f"found a joint {name!r} of another type; expected a slide joint for an axis of a tool"
-                )
-        self._names = [*parameters["bodies"]]
+        kinds = kinds_of(ports, parameters.get("turning", ()))
+        self._require_types(joints, parameters["tools"], ports, kinds)
+        self._names, self._oriented = [*parameters["bodies"]], [*parameters.get("orientations", ())]
         self._bodies = [self._id("BODY", name) for name in self._names]
+        self._turned = [self._id("BODY", name) for name in self._oriented]
         self._tools = dict(zip(joints, ports, strict=True))
         self._places = np.array([model.jnt_qposadr[joint] for joint in joints])
         self._dofs = np.array([model.jnt_dofadr[joint] for joint in joints])
         self._data: Any = mujoco.MjData(model)
         mujoco.mj_forward(model, self._data)
         self._start = self._data.qpos[self._places].copy()
-        self._require_masses(parameters["tools"], parameters["stiffness"], period)
+        self._require_inertias(parameters["tools"], kinds, parameters["stiffness"], period)
 
     def _id(self, kind: str, name: str) -> int:
         found: int = self._mujoco.mj_name2id(self._model, getattr(self._mujoco.mjtObj, f"mjOBJ_{kind}"), name)
@@ -92,22 +94,41 @@ class MujocoEngine:
             raise FactoryError(f"found no {kind.lower()} {name!r} in the model; expected the names of the session")
         return found
 
-    def _require_masses(self, names: Sequence[str], stiffness: Sequence[float], period: float) -> None:
+    def _require_types(
+        self, joints: Sequence[int], names: Sequence[str], ports: Sequence[str], kinds: Sequence[AxisKind]
+    ) -> None:
+        types = self._mujoco.mjtJoint
+        words = {types.mjJNT_SLIDE: "slide", types.mjJNT_HINGE: "hinge", types.mjJNT_BALL: "ball"}
+        expected = {AxisKind.TRANSLATION: "slide", AxisKind.ROTATION: "hinge"}
+        for joint, name, port, kind in zip(joints, names, ports, kinds, strict=True):
+            found = words.get(int(self._model.jnt_type[joint]), "free")
+            if found != expected[kind]:
+                raise FactoryError(
+                    f"found a {found} joint {name!r} for the port {port!r}, whose axis is a {kind}; "
+                    f"expected a {expected[kind]} joint"
+                )
+            if joints.count(joint) > 1:
+                raise FactoryError(f"found the joint {name!r} for two axes; expected a joint of its own for each axis")
+
+    def _require_inertias(
+        self, names: Sequence[str], kinds: Sequence[AxisKind], stiffness: Sequence[float], period: float
+    ) -> None:
         # 1/m at each joint: the diagonal of the inverse of the mass matrix
         inverse = np.zeros((1, self._model.nv))
-        for name, dof, K in zip(names, self._dofs, stiffness, strict=True):
+        for name, kind, dof, K in zip(names, kinds, self._dofs, stiffness, strict=True):
             unit = np.zeros((1, self._model.nv))
             unit[0, dof] = 1.0
             self._mujoco.mj_solveM(self._model, self._data, inverse, unit)
-            mass, least = 1.0 / inverse[0, dof], LIGHTEST * K * period**2
-            if not mass >= least:
+            inertia, least, units = 1.0 / inverse[0, dof], LIGHTEST * K * period**2, Units.of([kind])
+            if not inertia >= least:
+                kg = units("kg")
                 raise FactoryError(
-                    f"found an avatar of {mass:.3g} kg at the joint {name!r}; expected at least {least:.3g} kg for a "
-                    f"stiffness of {K:g} N/m"
+                    f"found an avatar of {inertia:.3g} {kg} at the joint {name!r}; expected at least {least:.3g} {kg} "
+                    f"for a stiffness of {K:g} {units('N/m')}"
                 )
 
     def step(self, x: Vector, f: Vector) -> Vector:
-        """The avatars' positions after one period, m, from where each began; pushed by -f, N."""
+        """The avatars' positions after one period, m or rad, from where each began; pushed by -f, N or N·m."""
         data = self._data
         data.qfrc_applied[self._dofs] = -f
         self._mujoco.mj_step(self._model, data, self._steps)
@@ -118,9 +139,14 @@ class MujocoEngine:
     def drawing(self) -> WorldDrawing:
         """What the model looks like where it stands, to be asked for before the first step."""
         bodies = dict(zip(self._bodies, self._names, strict=True))
-        return drawing_of(self._mujoco, self._model, self._data, self._tools, bodies)
+        return drawing_of(self._mujoco, self._model, self._data, self._tools, bodies, self._oriented)
 
     def positions(self) -> list[float]:
-        """x, y and z of each reported body, m."""
+        """x, y and z of each reported body, m, at the beginning of MuJoCo's latest step."""
         found: list[float] = self._data.xpos[self._bodies].ravel().tolist()
+        return found
+
+    def orientations(self) -> list[float]:
+        """The unit quaternion of each body whose orientation is reported, at that instant, too."""
+        found: list[float] = self._data.xquat[self._turned].ravel().tolist()
         return found

@@ -1,12 +1,12 @@
 """What a MuJoCo model looks like: its geoms, by the frames in which they move (:mod:`.drawing`).
 
-Bodies without a joint between them move as one. Such a group is moved by the slide joints of tools between it and the
-world, or it is reported as a body, or it does not move at all; every other group is left out and named.
+Bodies without a joint between them move as one. Such a group is moved by the joints of tools between it and the world,
+or it is reported as a body, or it does not move at all; every other group is left out and named.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -27,7 +27,14 @@ _ON_AXIS: Final = 1e-6  # m
 Vector = NDArray[np.float64]
 
 
-def drawing_of(mujoco: Any, model: Any, data: Any, tools: Mapping[int, str], bodies: Mapping[int, str]) -> WorldDrawing:
+def drawing_of(
+    mujoco: Any,
+    model: Any,
+    data: Any,
+    tools: Mapping[int, str],
+    bodies: Mapping[int, str],
+    oriented: Collection[str] = (),
+) -> WorldDrawing:
     """The drawing of a model at its start.
 
     Args:
@@ -36,14 +43,23 @@ def drawing_of(mujoco: Any, model: Any, data: Any, tools: Mapping[int, str], bod
         data: its state at the start.
         tools: the port of each joint that is an axis of a tool, by the joint's id.
         bodies: the name of each reported body, by its id.
+        oriented: the names of those whose orientations are reported, too.
     """
-    return _Drawn(mujoco, model, data, tools, bodies).drawing()
+    return _Drawn(mujoco, model, data, tools, bodies, oriented).drawing()
 
 
 class _Drawn:
-    def __init__(self, mujoco: Any, model: Any, data: Any, tools: Mapping[int, str], bodies: Mapping[int, str]) -> None:
+    def __init__(
+        self,
+        mujoco: Any,
+        model: Any,
+        data: Any,
+        tools: Mapping[int, str],
+        bodies: Mapping[int, str],
+        oriented: Collection[str],
+    ) -> None:
         self._mujoco, self._model, self._data = mujoco, model, data
-        self._tools, self._bodies = tools, bodies
+        self._tools, self._bodies, self._oriented = tools, bodies, frozenset(oriented)
         self._shapes = {int(getattr(mujoco.mjtGeom, f"mjGEOM_{shape.upper()}")): shape for shape in SHAPES}
         self._left, self._large = MOST_DRAWN, list[str]()
 
@@ -72,7 +88,11 @@ class _Drawn:
                 () if known else tuple(ports),
                 () if known else tuple(_point(self._data.xaxis[joint]) for joint in ports.values()),
                 known,
-                any(self._turns(joint, groups.get(group, [])) for joint in joints if joint not in self._tools),
+                known and name not in self._oriented and any(self._turns(j, groups.get(group, [])) for j in joints),
+                {}
+                if known
+                else {port: _point(self._data.xanchor[j]) for port, j in ports.items() if self._is_hinge(j)},
+                name in self._oriented,
             )
         shapes = [
             shape
@@ -101,12 +121,14 @@ class _Drawn:
             yield from reversed(range(first, first + count))
             body = int(self._model.body_parentid[body])
 
+    def _is_hinge(self, joint: int) -> bool:
+        return bool(self._model.jnt_type[joint] == self._mujoco.mjtJoint.mjJNT_HINGE)
+
     def _turns(self, joint: int, geoms: list[int]) -> bool:
         """Whether a joint turns these geoms so that it can be seen: not about an axis about which all are round."""
-        kinds, kind = self._mujoco.mjtJoint, self._model.jnt_type[joint]
-        if kind == kinds.mjJNT_SLIDE:
+        if self._model.jnt_type[joint] == self._mujoco.mjtJoint.mjJNT_SLIDE:
             return False
-        if kind != kinds.mjJNT_HINGE:
+        if not self._is_hinge(joint):
             return bool(geoms)
         axis, anchor = self._data.xaxis[joint], self._data.xanchor[joint]
         return not all(self._is_round(geom, axis, anchor) for geom in geoms)

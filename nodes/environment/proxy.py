@@ -61,6 +61,7 @@ class ProxyLaw:
         parties: Sequence[Sequence[int]],
         bodies: int = 0,
         tank: float = 0.0,
+        oriented: int = 0,
     ) -> None:
         """Start at rest, with every tool and every proxy at 0.
 
@@ -72,6 +73,7 @@ class ProxyLaw:
             parties: the ports of each coupling.
             bodies: the number of bodies whose positions the model, an engine, reports.
             tank: what the world may give out beyond what it has received, at least 0, J.
+            oriented: the number of them whose orientations it reports, too.
 
         Raises:
             ValueError: K is not symmetric positive definite, or Phi not symmetric positive semidefinite.
@@ -83,7 +85,7 @@ class ProxyLaw:
             raise ValueError("found a stiffness that is not symmetric positive definite; expected one that is")
         if not _definite(self._Phi, strict=False):
             raise ValueError("found a level with a negative eigenvalue; expected one of at least 0 for proxies")
-        self._model, self._k, self._T, self._bodies = model, 0, T, bodies
+        self._model, self._k, self._T, self._bodies, self._oriented = model, 0, T, bodies, oriented
         self._parties = [np.array(ports, dtype=np.intp) for ports in parties]
         owner = np.empty(m, dtype=np.intp)
         for party, ports in enumerate(self._parties):
@@ -111,6 +113,11 @@ class ProxyLaw:
     def masses(self) -> Floats:
         """x, y and z of each reported body, m; empty without an engine."""
         return self._model.positions(self._bodies) if self._bodies else []
+
+    @property
+    def orientations(self) -> Floats:
+        """The unit quaternion of each body whose orientation is reported; empty without any."""
+        return self._model.orientations(self._oriented) if self._oriented else []
 
     def propose(self, r: Vector, compliance: Vector, x_e: Vector) -> Vector:
         """The springs' forces, N; the model is asked at the ``r`` of the tick's first call, its later calls reuse q."""

@@ -136,6 +136,11 @@ class SceneLaw:
         return found | ({names.PAUSED: float(self.paused), names.DRIVE_TANK: self.tank} if self._motions else {})
 
     @property
+    def orientations(self) -> Floats:
+        """Empty: nothing in a scene turns."""
+        return []
+
+    @property
     def masses(self) -> Floats:
         """How far the bodies are from where they started, x, y and z of each, m."""
         found: Floats = (self._z - self._home)[self._first :].tolist()

@@ -649,6 +649,7 @@ class EnvironmentBundle:
         budgets: the energy that each coupling may put into the others, in the order of the peers.
         storage: P with the energy 1/2 eta^T P eta, J, that E stores in the state eta; None where it is not known.
         waves: its ends of wave links, by coupling.
+        oriented: the bodies of an engine whose orientations are reported, as a unit quaternion.
 
     Raises:
         ValueError: there is not exactly one of E, a model and a scene, or budgets, storage or rungs do not fit. A model
@@ -673,6 +674,7 @@ class EnvironmentBundle:
     storage: Matrix | None = None
     waves: Mapping[str, WaveEnd] = field(default_factory=dict)
     tank: Added[float] = 0.0
+    oriented: Added[tuple[str, ...]] = ()
 
     @property
     def energy_at_start(self) -> float:

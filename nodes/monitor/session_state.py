@@ -171,6 +171,7 @@ class About:
         force: the limit of the force at each port's device, N.
         drawing: what the world of a physics engine looks like; None for other worlds, and where no engine says it.
         turning: the ports and bodies that turn, whose traces are in rad and N·m.
+        oriented: the bodies whose orientations the environment reports.
     """
 
     session: str
@@ -195,6 +196,7 @@ class About:
     force: Added[Mapping[str, float]] = field(default_factory=dict)
     drawing: Added[WorldDrawing | None] = None
     turning: Added[tuple[str, ...]] = ()
+    oriented: Added[tuple[str, ...]] = ()
 
     @property
     def terms(self) -> Terms:
@@ -252,8 +254,9 @@ class About:
         """The topics that a node reports, with the names of their columns, in the table's order."""
         known, masses = self.nodes[node], tuple(self.masses)
         links = links_at(node, known.role, {name: one.ports for name, one in self.nodes.items()}, self.linked)
-        topics = topics_of(known.role, masses, known.wall, bool(links), known.torques, self.certificate is not None)
-        return {topic: topic.columns_of(known.ports, masses, links) for topic in topics}
+        certified = self.certificate is not None
+        topics = topics_of(known.role, masses, known.wall, bool(links), known.torques, certified, self.oriented)
+        return {topic: topic.columns_of(known.ports, masses, links, self.oriented) for topic in topics}
 
     def as_plain(self) -> dict[str, Any]:
         """As a JSON object."""
@@ -304,7 +307,8 @@ class About:
             if not (bodies <= self.masses.keys() and {*self.scene.ports} <= ports):
                 raise ValueError("scene: found other ports or bodies; expected the environment's")
         for name, frame in () if self.drawing is None else self.drawing.frames.items():
-            if not ({*frame.ports} <= self.reach.keys() and (not frame.reported or f"{name}.x" in self.masses)):
+            known = f"{name}.x" in self.masses and (not frame.oriented or name in self.oriented)
+            if not ({*frame.ports} <= self.reach.keys() and (known or not frame.reported)):
                 raise ValueError(f"drawing.frames.{name}: found other ports or bodies; expected the environment's")
 
 

@@ -17,10 +17,12 @@ from typing import Annotated, Any, Final
 
 from manyhands import __version__
 from manyhands.design.models.scene import ContactScene
+from manyhands.nodes.environment.drawing import WorldDrawing
 from manyhands.nodes.kernel.bundle import REALTIME
 from manyhands.nodes.kernel.json_number import json_figures
 from manyhands.nodes.monitor.session_state import GEOMETRY, PERIOD, About
-from manyhands.nodes.recorder.scene_messages import SCENE_SCHEMAS, SceneMessages
+from manyhands.nodes.recorder.engine_messages import EngineMessages
+from manyhands.nodes.recorder.scene_messages import SCENE_SCHEMAS, SceneMessages, SpaceMessages
 from manyhands.nodes.rows.figures import FIGURES as DECLARED
 from manyhands.nodes.rows.figures import WAVE_HOLDING
 from manyhands.nodes.rows.units import unit_of_all
@@ -223,7 +225,7 @@ class ChannelAbout:
 _KEYS: Final[Mapping[str, str]] = {"version": "manyhands", "linked": "wave_links"}
 """The keys of a recording's metadata that are not named as the fields of :class:`Recorded`."""
 
-_MAY_BE_EMPTY: Final = ("periods", "linked", "scene", "turning")
+_MAY_BE_EMPTY: Final = ("periods", "linked", "scene", "turning", "oriented", "drawing")
 """The fields of which metadata have nothing where they are empty."""
 
 
@@ -244,6 +246,8 @@ class Recorded:
         linked: the couplings that have a wave link, in the session's order.
         scene: the geometry of its tools, bodies and obstacles; None if the environment is neither a scene nor a mesh.
         turning: the ports and masses that turn, whose columns are in rad and N·m.
+        oriented: the bodies whose orientations the environment reports.
+        drawing: what the world of an engine looks like; None for other worlds, and where no engine says it.
     """
 
     session: str
@@ -258,6 +262,8 @@ class Recorded:
     linked: Added[tuple[str, ...]] = ()
     scene: Added[Annotated[ContactScene | None, GEOMETRY]] = None
     turning: Added[tuple[str, ...]] = ()
+    oriented: Added[tuple[str, ...]] = ()
+    drawing: Added[WorldDrawing | None] = None
 
     @property
     def devices(self) -> dict[str, tuple[str, ...]]:
@@ -268,11 +274,13 @@ class Recorded:
         """The topics that a node has or may have, in the table's order; empty for an unknown node."""
         role = self.roles.get(node)
         wall = self.clock == REALTIME
-        return () if role is None else topics_of(role, self.masses, wall, bool(self.links_of(node)), wall)
+        if role is None:
+            return ()
+        return topics_of(role, self.masses, wall, bool(self.links_of(node)), wall, oriented=self.oriented)
 
     def columns(self, node: str, topic: Topic) -> tuple[str, ...]:
         """Names of the columns of a node's topic."""
-        return topic.columns_of(self.ports[node], self.masses, self.links_of(node))
+        return topic.columns_of(self.ports[node], self.masses, self.links_of(node), self.oriented)
 
     def channel(self, node: str, topic: Topic | str) -> ChannelAbout:
         """A node's channel, the same in a recording and on a live connection.
@@ -289,15 +297,20 @@ class Recorded:
         metadata |= {"symbol": topic.symbol, "unit": unit, "columns": columns}
         return ChannelAbout(topic_name(self.session, node, topic.name), *schema_of(topic, unit), metadata)
 
-    def scene_messages(self) -> SceneMessages | None:
-        """What makes the messages that show the scene; None without one.
+    def scene_messages(self) -> SpaceMessages | None:
+        """What makes the messages that show the scene, or an engine's world; None without both.
 
         Raises:
-            ValueError: the scene's ports or bodies are not those of the environment.
+            ValueError: its ports or bodies are not those of the environment.
         """
-        if self.scene is None:
+        if self.scene is None and self.drawing is None:
             return None
         (node,) = (name for name, role in self.roles.items() if role is Role.ENVIRONMENT)
+        if self.drawing is not None:
+            names = self.ports[node], self.masses, self.oriented
+            return EngineMessages(self.drawing, self.session, node, *names, self.tick_ns(node))
+        if self.scene is None:
+            return None
         return SceneMessages(self.scene, self.session, node, self.ports[node], self.masses, self.tick_ns(node))
 
     def behind_wave_link(self, node: str) -> bool:
@@ -356,6 +369,7 @@ class Recorded:
             *out.masses,
             *chain.from_iterable(out.ports.values()),
             *out.turning,
+            *out.oriented,
             *own,
         ):
             if not _NAME.fullmatch(name):
@@ -386,4 +400,6 @@ def recorded_of(about: About) -> Recorded:
         linked=about.linked,
         scene=about.scene,
         turning=about.turning,
+        oriented=about.oriented,
+        drawing=about.drawing,
     )

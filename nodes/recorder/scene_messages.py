@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Collection, Iterator, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 
 from manyhands.design.models.contacts import Point, coordinates
 from manyhands.design.models.scene import ContactScene, Obstacle
+from manyhands.nodes.environment.drawing import Turn
 from manyhands.protocol.channels import MASS_POSITION, TOOL_POSITION
 from manyhands.protocol.messages import Values
 
@@ -114,12 +116,88 @@ class SceneMessage(NamedTuple):
     data: bytes
 
 
-class SceneMessages:
-    """Makes the messages of one session's scene from the telemetry of its environment.
+Pose = tuple[Point, Turn]
+"""A place, m, and how a thing is turned there, a unit quaternion whose real part is first."""
+
+
+class SpaceMessages(ABC):
+    """Makes the messages of what is in a session's space from the telemetry of its environment.
 
     Attributes:
         node: the environment's name.
     """
+
+    def __init__(self, session: str, node: str, tick_ns: float, shapes: Sequence[Mapping[str, Any]]) -> None:
+        """Keep the shapes.
+
+        Args:
+            session: the session's name, which is that of the frame that stands still.
+            node: the environment's name.
+            tick_ns: its period, ns.
+            shapes: the entities, without their time, in the frame of the session or in frames of their own.
+
+        Raises:
+            ValueError: a shape is too large for finite numbers.
+        """
+        self.node, self._frame, self._tick_ns, self._shapes = node, session, tick_ns, shapes
+        self._every = max(1, math.ceil(round(1e9 / UPDATES_PER_SECOND / tick_ns, 9)))
+        self._update(0)  # fails where a shape has no finite size
+
+    @abstractmethod
+    def poses(self, traces: Mapping[str, Values]) -> Sequence[Mapping[str, Pose]] | None:
+        """Where each thing is, by name, tick by tick; None where the traces do not say it.
+
+        Args:
+            traces: of the environment's telemetry.
+        """
+
+    def of(
+        self, tick: int, traces: Mapping[str, Values], start: int, topics: Collection[str] = (SCENE, TRANSFORMS)
+    ) -> Iterator[SceneMessage]:
+        """The messages of one piece of telemetry, in the order of their ticks.
+
+        Args:
+            tick: the one after the last row.
+            traces: of the environment, with as many columns as the session has.
+            start: the time of tick 0, ns since 1970.
+            topics: those whose messages are wanted.
+        """
+        rows = max((len(trace) for trace in traces.values()), default=0)
+        kept = range((rows - tick) % self._every, rows, self._every)
+        poses = self.poses({name: trace[kept.start :: self._every] for name, trace in traces.items()})
+        if poses is None:
+            return
+        for row, now in zip(kept, poses, strict=True):
+            k = tick - rows + row
+            time = start + round(k * self._tick_ns)
+            if SCENE in topics and k % (self._every * _SCENE_EVERY) == 0:
+                yield SceneMessage(SCENE, k, time, self._update(time))
+            if TRANSFORMS in topics:
+                yield SceneMessage(TRANSFORMS, k, time, self._transforms(time, now))
+
+    def _update(self, time: int) -> bytes:
+        entities = [{"timestamp": _stamp(time), **shape} for shape in self._shapes]
+        return json.dumps({"deletions": [], "entities": entities}, allow_nan=False).encode()
+
+    def _transforms(self, time: int, poses: Mapping[str, Pose]) -> bytes:
+        """The frames of all things whose pose is finite."""
+        stamp = _stamp(time)
+        transforms = [
+            {
+                "timestamp": stamp,
+                "parent_frame_id": self._frame,
+                "child_frame_id": f"{self._frame}/{name}",
+                "translation": vector(at),
+                "rotation": quaternion(turn),
+            }
+            for name, (at, turn) in poses.items()
+            if all(map(math.isfinite, (*at, *turn)))
+        ]
+        return json.dumps({"transforms": transforms}, allow_nan=False).encode()
+
+
+class SceneMessages(SpaceMessages):
+    """Makes the messages of one session's scene."""
 
     def __init__(
         self,
@@ -143,8 +221,7 @@ class SceneMessages:
         Raises:
             ValueError: a port or a body of the scene has no column, or a shape is too large for finite numbers.
         """
-        self.node, self._scene, self._frame, self._tick_ns = node, scene, session, tick_ns
-        self._every = max(1, math.ceil(round(1e9 / UPDATES_PER_SECOND / tick_ns, 9)))
+        self._scene = scene
         moved = [
             (point, axis, scene.ports[port])
             for point, tool in enumerate(scene.tools)
@@ -156,24 +233,23 @@ class SceneMessages:
             for axis, name in enumerate(coordinates(body.name))
         ]
         self._moved, self._free = _columns(moved, ports), _columns(free, masses)
-        self._shapes = [*self._moving(), *self._standing()]
-        self._update(0)  # fails where a shape has no finite size
+        super().__init__(session, node, tick_ns, [*self._moving(session), *self._standing(session)])
 
-    def _moving(self) -> Iterator[dict[str, Any]]:
+    def _moving(self, session: str) -> Iterator[dict[str, Any]]:
         """The entities of tools and bodies, without their time."""
         tools = len(self._scene.tools)
         for point, thing in enumerate(self._scene.things):
-            colour = _TOOL_COLOUR if point < tools else _BODY_COLOUR
+            colour = TOOL_COLOUR if point < tools else BODY_COLOUR
             core = thing.core
             radius = thing.radius if thing.radius or core.kind == "box" else DRAWN_RADIUS
             drawn = _box(core.ends, colour) if core.kind == "box" else _capsule(core.ends, radius, colour)
-            yield _entity(thing.name, f"{self._frame}/{thing.name}", **drawn)
+            yield entity(thing.name, f"{session}/{thing.name}", **drawn)
 
-    def _standing(self) -> Iterator[dict[str, Any]]:
+    def _standing(self, session: str) -> Iterator[dict[str, Any]]:
         """The entities of obstacles, without their time."""
         low, high = self._scene.bounds
         for obstacle in self._scene.obstacles:
-            yield _entity(obstacle.name, self._frame, **_primitives(obstacle, low, high))
+            yield entity(obstacle.name, session, **_primitives(obstacle, low, high))
 
     def positions(self, traces: Mapping[str, Values]) -> NDArray[np.float64] | None:
         """Where tools and then bodies are, ticks x P x 3, m; None where the traces do not say it.
@@ -190,49 +266,15 @@ class SceneMessages:
                 points[:, rows, axes] += values[:, columns]
         return points
 
-    def of(
-        self, tick: int, traces: Mapping[str, Values], start: int, topics: Collection[str] = (SCENE, TRANSFORMS)
-    ) -> Iterator[SceneMessage]:
-        """The messages of one piece of telemetry, in the order of their ticks.
-
-        Args:
-            tick: the one after the last row.
-            traces: of the environment, with as many columns as the session has.
-            start: the time of tick 0, ns since 1970.
-            topics: those whose messages are wanted.
-        """
-        rows = max((len(trace) for trace in traces.values()), default=0)
-        kept = range((rows - tick) % self._every, rows, self._every)
-        points = self.positions({name: trace[kept.start :: self._every] for name, trace in traces.items()})
+    def poses(self, traces: Mapping[str, Values]) -> Sequence[Mapping[str, Pose]] | None:
+        """Where tools and then bodies are, which never turn."""
+        points = self.positions(traces)
         if points is None:
-            return
-        for row, now in zip(kept, points, strict=True):
-            k = tick - rows + row
-            time = start + round(k * self._tick_ns)
-            if SCENE in topics and k % (self._every * _SCENE_EVERY) == 0:
-                yield SceneMessage(SCENE, k, time, self._update(time))
-            if TRANSFORMS in topics:
-                yield SceneMessage(TRANSFORMS, k, time, self._transforms(time, now))
-
-    def _update(self, time: int) -> bytes:
-        entities = [{"timestamp": _stamp(time), **shape} for shape in self._shapes]
-        return json.dumps({"deletions": [], "entities": entities}, allow_nan=False).encode()
-
-    def _transforms(self, time: int, points: NDArray[np.float64]) -> bytes:
-        """The frames of all things whose position is finite."""
-        stamp = _stamp(time)
-        transforms = [
-            {
-                "timestamp": stamp,
-                "parent_frame_id": self._frame,
-                "child_frame_id": f"{self._frame}/{thing.name}",
-                "translation": _vector(point),
-                "rotation": _UPRIGHT,
-            }
-            for thing, point in zip(self._scene.things, points.tolist(), strict=True)
-            if all(map(math.isfinite, point))
+            return None
+        names = [thing.name for thing in self._scene.things]
+        return [
+            {name: ((x, y, z), _NO_TURN) for name, (x, y, z) in zip(names, now, strict=True)} for now in points.tolist()
         ]
-        return json.dumps({"transforms": transforms}, allow_nan=False).encode()
 
 
 _Columns = tuple[list[int], list[int], list[int]]
@@ -247,10 +289,11 @@ def _columns(coordinates: list[tuple[int, int, str]], names: tuple[str, ...]) ->
     )
 
 
+_NO_TURN: Final = (1.0, 0.0, 0.0, 0.0)
 _UPRIGHT: Final = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
-_TOOL_COLOUR: Final = {"r": 0.12, "g": 0.47, "b": 0.71, "a": 1.0}
-_BODY_COLOUR: Final = {"r": 0.84, "g": 0.3, "b": 0.16, "a": 1.0}
-_OBSTACLE_COLOUR: Final = {"r": 0.6, "g": 0.6, "b": 0.6, "a": 0.8}
+TOOL_COLOUR: Final = {"r": 0.12, "g": 0.47, "b": 0.71, "a": 1.0}
+BODY_COLOUR: Final = {"r": 0.84, "g": 0.3, "b": 0.16, "a": 1.0}
+OBSTACLE_COLOUR: Final = {"r": 0.6, "g": 0.6, "b": 0.6, "a": 0.8}
 _ENCLOSING_COLOUR: Final = {"r": 0.6, "g": 0.6, "b": 0.6, "a": 0.2}  # of walls and rooms, behind which things are
 
 
@@ -259,11 +302,17 @@ def _stamp(time: int) -> dict[str, int]:
     return {"sec": seconds, "nsec": nanoseconds}
 
 
-def _vector(values: Collection[float]) -> dict[str, float]:
+def quaternion(turn: Turn) -> dict[str, float]:
+    """A rotation as Foxglove has it."""
+    return dict(zip("wxyz", turn, strict=True))
+
+
+def vector(values: Collection[float]) -> dict[str, float]:
+    """A vector, likewise."""
     return dict(zip("xyz", map(float, values), strict=True))
 
 
-def _entity(name: str, frame: str, **primitives: Any) -> dict[str, Any]:
+def entity(name: str, frame: str, **primitives: Any) -> dict[str, Any]:
     """An entity that stays until it is replaced and moves with its frame."""
     kinds = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
     return {
@@ -284,8 +333,8 @@ def _solid(
     orientation: Mapping[str, float] = _UPRIGHT,
 ) -> dict[str, Any]:
     return {
-        "pose": {"position": _vector(at), "orientation": orientation},
-        "size": _vector(size),
+        "pose": {"position": vector(at), "orientation": orientation},
+        "size": vector(size),
         "color": colour,
     }
 
@@ -306,19 +355,19 @@ def _primitives(obstacle: Obstacle, low: NDArray[np.float64], high: NDArray[np.f
             at, normal = obstacle.points
             return {"cubes": [_wall(at, np.array(normal), low, high)]}
         case "room" | "box":
-            colour = _ENCLOSING_COLOUR if obstacle.shape == "room" else _OBSTACLE_COLOUR
+            colour = _ENCLOSING_COLOUR if obstacle.shape == "room" else OBSTACLE_COLOUR
             return _box(obstacle.points, colour)
         case "mesh":
             surface = {
-                "pose": {"position": _vector((0.0, 0.0, 0.0)), "orientation": _UPRIGHT},
-                "points": [_vector(point) for point in obstacle.points],
-                "color": {**_OBSTACLE_COLOUR, "a": 1.0},
+                "pose": {"position": vector((0.0, 0.0, 0.0)), "orientation": _UPRIGHT},
+                "points": [vector(point) for point in obstacle.points],
+                "color": {**OBSTACLE_COLOUR, "a": 1.0},
                 "colors": [],
                 "indices": [corner for triangle in obstacle.triangles for corner in triangle],
             }
             return {"triangles": [surface]}
         case _:
-            return _capsule(obstacle.core.ends, obstacle.radius, _OBSTACLE_COLOUR)
+            return _capsule(obstacle.core.ends, obstacle.radius, OBSTACLE_COLOUR)
 
 
 def _box(corners: tuple[Point, ...], colour: Mapping[str, float]) -> dict[str, Any]:

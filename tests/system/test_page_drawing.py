@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -93,13 +94,24 @@ class Played:
     def __init__(self, about: About) -> None:
         self.about, self.feed, self.model, self.tick = about, Feed(about), HealthModel(about.terms), 0
 
-    def stand(self, at: float, figures: Mapping[str, Mapping[str, float]], **states: str) -> None:
-        """All bodies stand at ``at``, m, for a second and more, and these are the figures of each node."""
+    def stand(
+        self,
+        at: float,
+        figures: Mapping[str, Mapping[str, float]],
+        told: Mapping[str, Sequence[float]] = MappingProxyType({}),
+        **states: str,
+    ) -> None:
+        """All bodies stand at ``at``, m, for a second and more, and these are the figures of each node.
+
+        ``told`` has the columns of traces that have others.
+        """
         for _ in range(20):
             self.tick += 100
             for name, node in self.about.nodes.items():
                 values = {
-                    topic.trace: np.full((100, len(columns)), 50.0 * at if topic.trace == "f_v" else at)
+                    topic.trace: np.full((100, 1), 1.0) * told[topic.trace]
+                    if topic.trace in told
+                    else np.full((100, len(columns)), 50.0 * at if topic.trace == "f_v" else at)
                     for topic, columns in self.about.topics(name).items()
                 }
                 self.take(Observation(name, self.tick, as_figures(figures.get(node.role.value, {})), values))

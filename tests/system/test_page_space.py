@@ -342,3 +342,55 @@ def test_a_page_that_loses_its_webgl_goes_on_in_the_plane(first: Page) -> None:
     until(first, "#world-drawing", "data-view", equals="plane")
     until(first, "#world-legend", "text", has="the browser took WebGL away")
     assert first.locator("#view-switch").is_disabled()
+
+
+AT, TURN = [0.01, 0.02, 0.03, 0.6], (0.8, 0.0, 0.0, 0.6)  # of the gripper, and of the cube, by 74° about its vertical
+LINE = (0.03, 0.0, 0.1)  # m, a point of the axis of its jaw
+
+
+@pytest.fixture(scope="module")
+def gripper(browser: Browser) -> Iterator[ShownPage]:
+    """The shipped gripper, whose jaw turns about a line beside the thumb."""
+    session = load_named("gripper", ["design={coupling: given, stiffness: 2, damping: 0.002}"])
+    drawing = drawing_of(session)
+    assert drawing is not None
+    thumb = replace(drawing.frames["thumb"], axes={"pinch.jaw": LINE})
+    told = replace(drawing, frames={**drawing.frames, "thumb": thumb})
+    played = Played(replace(describe(unproved(session), "simulated", "ipc", 0), drawing=told))
+    played.stand(0.0, {}, {"x": AT, "x_e": AT, "R": [*TURN, 1.0, 0.0, 0.0, 0.0], "q": [0.0] * 6})
+    yield from closing(ShownPage(browser, played.feed, 1280, "light"))
+
+
+def test_an_axis_that_turns_and_a_reported_orientation_are_seen_to_turn(gripper: ShownPage) -> None:
+    page = gripper.page
+    until(page, SPACE, "data-camera", has=" ")
+    until(page, '[data-tool="pinch"]', "data-at", equals="0.01 0.02 0.03 0.6")
+
+    c, s = np.cos(0.6), np.sin(0.6)  # about -y
+    back = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
+    px, py, pz = np.array(LINE) + back @ (np.array([-0.02, 0.0, 0.14]) - LINE) + AT[:3]
+    right, down = Camera.of(page).seen(np.array([px, pz, -py]))
+    box = page.locator(f"{SPACE} canvas").bounding_box()
+    assert box is not None
+    seen = (box["x"] + box["width"] / 2 + right, box["y"] + box["height"] / 2 + down)
+    assert centre(page, '[data-device="pinch"] .body') == pytest.approx(seen, abs=1.0)
+
+    root = 0.5**0.5  # the model's z is upwards in the picture, whose y is
+    assert turn_of(page, '[data-tool="pinch"]') == pytest.approx(hamilton((root, -root, 0, 0), about_y(0.25 - 0.6)))
+    assert turn_of(page, '[data-mass="cube"]') == pytest.approx(hamilton((root, -root, 0, 0), TURN))
+    assert turn_of(page, '[data-mass="palm"]') == pytest.approx((root, -root, 0.0, 0.0))
+
+
+def turn_of(page: Page, selector: str) -> tuple[float, ...]:
+    """How a thing is turned in the picture, a unit quaternion."""
+    return tuple(float(part) for part in (page.get_attribute(selector, "data-turn") or "").split())
+
+
+def about_y(angle: float) -> tuple[float, ...]:
+    return float(np.cos(angle / 2)), 0.0, float(np.sin(angle / 2)), 0.0
+
+
+def hamilton(p: tuple[float, ...], q: tuple[float, ...]) -> tuple[float, ...]:
+    """The product of two quaternions, by the vectors of their imaginary parts."""
+    u, v = np.array(p[1:]), np.array(q[1:])
+    return (p[0] * q[0] - float(u @ v), *(p[0] * v + q[0] * u + np.cross(u, v)).tolist())

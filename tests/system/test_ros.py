@@ -56,6 +56,43 @@ TOPICS = {
     "/three_axes/other/servo_cf": WRENCH,
 }
 HELD = "/three_axes/pen/servo_cp"
+JAWED = """
+session: jawed
+period: 0.01
+devices:
+  grip:
+    dof: 4
+    axes: {x: translation, y: translation, z: translation, jaw: rotation}
+    osp: [1.37, 1.37, 1.37, 0.003]
+    driver: simulated
+    mass: [0.2, 0.2, 0.2, 0.0001]
+    hand: {stiffness: [100, 100, 100, 0.5], damping: [2, 2, 2, 0.01], motion: ["0.02*sin(t)", 0, 0, "0.3*sin(2*t)"]}
+  wheel: {dof: 1, axes: rotation, osp: 0.1, driver: simulated, mass: 0.02, hand: {stiffness: 6, motion: "0.5*sin(t)"}}
+couplings:
+  c: {ports: [grip.jaw, wheel, grip.x, grip.y, grip.z]}
+environment:
+  type: network
+  links:
+    - {between: [grip.x, ground], stiffness: 20}
+    - {between: [grip.y, ground], stiffness: 20}
+    - {between: [grip.z, ground], stiffness: 20}
+    - {between: [grip.jaw, ground], stiffness: 0.02}
+    - {between: [wheel, ground], stiffness: 0.5}
+design: {coupling: spring-damper, tau: 0.001}
+"""
+JAW_TOPICS = {
+    "/jawed/grip/measured_js": JOINTS,
+    "/jawed/grip/servo_jf": JOINTS,
+    "/jawed/grip/measured_cp": POSE,
+    "/jawed/grip/measured_cf": WRENCH,
+    "/jawed/grip/servo_cf": WRENCH,
+    "/jawed/grip/jaw/measured_js": JOINTS,
+    "/jawed/grip/jaw/servo_jf": JOINTS,
+    "/jawed/wheel/measured_js": JOINTS,
+    "/jawed/wheel/measured_cf": WRENCH,
+    "/jawed/wheel/servo_cf": WRENCH,
+}
+ENOUGH = 5  # messages of each of them
 
 pytestmark = pytest.mark.usefixtures("own_interrupt")
 
@@ -73,6 +110,8 @@ class Seen:
     ports: list[set[int]] = field(default_factory=list)
     without_router: str = ""
     said: str = ""
+    of_jaw: dict[str, list[Any]] = field(default_factory=dict)
+    jaw_names: dict[str, list[str]] = field(default_factory=dict)
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +123,7 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Seen:
     """
     out, temporary = Seen(tmp_path_factory.mktemp("run")), tempfile.mkdtemp(prefix="mh", dir="/tmp")
     (out.folder / "three.yaml").write_text(SESSION)
+    (out.folder / "jawed.yaml").write_text(JAWED)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("TMPDIR", temporary)
         patch.delenv("ROS_DOMAIN_ID", raising=False)
@@ -104,6 +144,7 @@ def _look(out: Seen) -> None:
             out.said = read_until(view, "warning: ") + read_until(view, "ros: ")
             with closing(RosNodes(router)) as nodes:
                 _look_through_router(nodes, router, out)
+                _look_at_a_jaw(nodes, router, out)
             read_until(listening, "ros: ")
             out.without_router = _first_sample(own)
             out.ports = [listening_ports(one.pid) - {own} for one in (view, listening)]
@@ -112,6 +153,27 @@ def _look(out: Seen) -> None:
                 out.said += one.communicate(timeout=END)[1]
                 assert one.returncode == 130
         assert session.poll() is None  # the session did not notice
+        session.send_signal(signal.SIGINT)
+        session.communicate(timeout=END)
+
+
+def _look_at_a_jaw(nodes: RosNodes, router: int, out: Seen) -> None:
+    """A second session in the same ROS 2, of a gripper and a wheel."""
+    launched = ("launch", "jawed.yaml", "--record", "jawed.mcap")
+    through = ("view", "--running", "jawed", "--ros", "--router", f"127.0.0.1:{router}", "--every", "2")
+    with started(*launched, cwd=out.folder) as session:
+        read_until(session, ": running")
+        with started(*through) as view:
+            read_until(view, "ros: ")
+            for topic, type_ in JAW_TOPICS.items():
+                nodes.subscribe(topic, type_)
+            out.jaw_names = dict(get_topic_names_and_types(router_port=router))
+            until = time.monotonic() + END
+            while time.monotonic() < until and any(len(nodes.received[topic]) < ENOUGH for topic in JAW_TOPICS):
+                time.sleep(0.05)
+            out.of_jaw = {topic: list(nodes.received[topic]) for topic in JAW_TOPICS}
+            view.send_signal(signal.SIGINT)
+            view.communicate(timeout=END)
         session.send_signal(signal.SIGINT)
         session.communicate(timeout=END)
 
@@ -214,6 +276,33 @@ def test_a_node_receives_the_numbers_of_the_recording(seen: Seen) -> None:
             own = kept[topic][stamp(message) - later]
             assert numbers(message) == numbers(own)
             assert message.header.frame_id == own.header.frame_id
+
+
+def test_a_jaw_is_a_joint_of_its_own_beside_a_point(seen: Seen) -> None:
+    """As CRTK has the jaw of a gripper; read by nodes of others, and in a bag by a reader of others."""
+    types = {name: kinds for name, kinds in seen.jaw_names.items() if name.startswith("/jawed/")}
+    assert types == {name: [type_] for name, type_ in JAW_TOPICS.items()}
+    run("export", "jawed.mcap", "--format", "rosbag", cwd=seen.folder)
+    store, kept = get_typestore(Stores.ROS2_JAZZY), dict[str, list[Any]]()
+    with Reader(seen.folder / "jawed.rosbag") as reader:
+        for connection, _, data in reader.messages():
+            kept.setdefault(connection.topic, []).append(store.deserialize_cdr(data, connection.msgtype))
+    assert {*kept} == {*JAW_TOPICS, "/jawed/grip/measured_cv"}
+    for topic, messages in seen.of_jaw.items():
+        assert len(messages) >= ENOUGH, topic
+        assert {numbers(one) for one in messages} <= {numbers(one) for one in kept[topic]}
+    for whole, point, jaw in zip(*(kept[f"/jawed/grip/{name}"] for name in JAW), strict=True):
+        assert [*jaw.name] == ["grip.jaw"]
+        assert [*whole.position] == [*_three(point.pose.position), *jaw.position]
+        assert whole.effort[3:] == jaw.effort
+        assert [*whole.velocity[3:]] == [*jaw.velocity]
+    for joint, wrench in zip(kept["/jawed/wheel/measured_js"], kept["/jawed/wheel/measured_cf"], strict=True):
+        assert _three(wrench.wrench.torque) == (joint.effort[0], 0.0, 0.0)  # N·m, and no force
+        assert _three(wrench.wrench.force) == (0.0, 0.0, 0.0)
+    assert max(abs(one.position[0]) for one in kept["/jawed/grip/jaw/measured_js"]) > 0.01
+
+
+JAW = ("measured_js", "measured_cp", "jaw/measured_js")
 
 
 def test_attachments_are_those_of_zenohs_own_serialiser(seen: Seen) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from manyhands.launch.audit.audit import audit
@@ -22,6 +23,7 @@ from manyhands.launch.session.shipped import load_named
 ROOT = Path(__file__).parents[2]
 SESSIONS = ROOT / "launch" / "sessions"
 TICKS = 730  # no multiple of the ticks between two telemetry messages
+LIFTED = 2270  # likewise: the gripper has closed by then, and lifts the cube
 
 DISC = """
 class Disc:
@@ -77,21 +79,24 @@ def long(name: str) -> object:
     return pytest.param(name, marks=pytest.mark.long)
 
 
-@pytest.mark.parametrize("name", ["lift", "mujoco", *map(long, ("carry", "rub", "peg", "tray", "puck", "plate"))])
+@pytest.mark.parametrize(
+    "name", ["lift", "mujoco", "gripper", *map(long, ("carry", "rub", "peg", "tray", "puck", "plate"))]
+)
 def test_processes_simulation_replay_and_audit_agree_to_the_last_bit(name: str, tmp_path: Path) -> None:
-    """Scenes, an engine, a model that is asked for forces, and one that is asked for positions."""
-    if name == "mujoco" and importlib.util.find_spec("mujoco") is None:
+    """Scenes, engines, a model that is asked for forces, and one that is asked for positions."""
+    engine, ticks = name in ("mujoco", "gripper"), LIFTED if name == "gripper" else TICKS
+    if engine and importlib.util.find_spec("mujoco") is None:
         pytest.skip("the extra mujoco is not installed")
     (tmp_path / "disc.py").write_text(DISC)
     for own, text in (("plate", PLATE), ("lift", LIFT)):
         (tmp_path / f"{own}.yaml").write_text(text)
     folder = ROOT / "examples" if name == "puck" else tmp_path if name in ("plate", "lift") else SESSIONS
     prepared = prepare(load_named(folder / f"{name}.yaml"))
-    expected = Simulation(prepared).run(TICKS)
+    expected = Simulation(prepared).run(ticks)
     path = tmp_path / "run.mcap"
     recorder = RecorderProcess(prepared, "simulated", path)
     ways = reach(prepared, "ipc")
-    outcome = Supervisor(prepared, clock="simulated", reach=ways, ticks=TICKS, record=False, recorder=recorder).run()
+    outcome = Supervisor(prepared, clock="simulated", reach=ways, ticks=ticks, record=False, recorder=recorder).run()
     assert (outcome.code, outcome.faults, outcome.incidents) == (0, (), ())
 
     run = read_run(path)
@@ -100,10 +105,15 @@ def test_processes_simulation_replay_and_audit_agree_to_the_last_bit(name: str, 
     assert found.x.tobytes() == expected.x.tobytes()
     assert found.f_v.tobytes() == expected.f_v.tobytes()
     again = replay(prepared, run)
-    assert (again.identical, again.ticks, again.missing, again.deviations) == (True, TICKS, {}, ())
+    assert (again.identical, again.ticks, again.missing, again.deviations) == (True, ticks, {}, ())
     done = audit(path, run, lambda text: None, lambda tick: None)
     assert done.holds
     # an audit runs no code that a session names, so it cannot compute such an environment again
-    foreign = name in ("mujoco", "puck", "plate")
+    foreign = engine or name in ("puck", "plate")
+    if name == "gripper":
+        turned = run.traces["environment", "orientations"]
+        assert [*turned.columns] == [f"{body}.q{part}" for body in ("cube", "finger") for part in "wxyz"]
+        assert np.linalg.norm(turned.values.reshape(ticks, 2, 4), axis=2) == pytest.approx(1.0, abs=1e-12)
+        assert np.ptp(turned.values[:, 6]) > 0.1  # the finger's
     unchecked = {check.party for check in done.checks if check.verdict is not CheckVerdict.HOLDS}
     assert unchecked == ({"environment"} if foreign else set())

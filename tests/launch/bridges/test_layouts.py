@@ -23,6 +23,7 @@ from manyhands.launch.bridges.layouts import (
     save_layout,
 )
 from manyhands.launch.files import TargetError
+from manyhands.nodes.environment.drawing import Frame, WorldDrawing
 from manyhands.nodes.recorder.format import recorded_of
 
 from ...support.observed_session import ABOUT, UNCERTIFIED
@@ -75,6 +76,14 @@ def test_a_scene_has_a_panel_of_its_own() -> None:
     assert camera["targetOffset"] == [0.1, 0.2, 0.0]
     assert camera["distance"] * math.tan(math.radians(camera["fovy"] / 2)) > 0.2  # what is 0.4 m high is seen whole
     assert "scene" not in [tab["title"] for tab in panels_without_scene()["Tab!pages"]["tabs"]]
+
+
+def test_an_engines_world_is_seen_from_above_its_ground() -> None:
+    frames = {"a": Frame((0.2, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)), "b": Frame((0.0, 0.4, 0.1), (1.0, 0.0, 0.0, 0.0))}
+    layout = json.loads(foxglove_layout(replace(RECORDED, drawing=WorldDrawing("z", frames, ())), THERE))
+    camera = layout["configById"]["3D!scene"]["cameraState"]
+    assert camera["targetOffset"] == [0.1, 0.2, 0.05]
+    assert 0 < camera["phi"] < 90
 
 
 def panels_without_scene() -> Any:

@@ -312,6 +312,7 @@ def test_the_latest_of_each_publisher_counts() -> None:
 def test_only_what_a_page_could_drag_can_be_held() -> None:
     assert holdable(WIDE) == ("pen", "left")  # an arm of four axes has no pose
     assert holdable(replace(WIDE, grips=())) == ()
+    assert holdable(replace(WIDE, turning=("left", "pen.z"))) == ()  # a pose has metres
 
 
 # ---- how Zenoh is joined

@@ -15,7 +15,17 @@ from rosbags.typesys import Stores, get_typestore
 
 from manyhands.extras import MissingExtra
 from manyhands.launch.bridges import rosbag
-from manyhands.launch.bridges.rosbag import JOINTS, POSE, TWIST, WRENCH, ros_name, save_bag
+from manyhands.launch.bridges.rosbag import (
+    JOINTS,
+    POSE,
+    TWIST,
+    WRENCH,
+    device_topics,
+    ros_name,
+    ros_types,
+    save_bag,
+    serialiser,
+)
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.run import RecordedRun, RecordedTrace, read_run
 from manyhands.nodes.recorder.core import RecorderCore
@@ -208,6 +218,46 @@ def test_devices_of_one_name_in_ros_are_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="which ROS 2 would both call /s/a_b"):
         save_bag(run_of("a-b", "a.b"), tmp_path / "out.rosbag")
     assert [*tmp_path.iterdir()] == []
+
+
+def named(axes: tuple[str, ...], turning: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+    """The topics of a device with these axes: name within its space to the axes."""
+    (parts,) = device_topics("s", {"d": axes}, turning).values()
+    found = [topic for part in parts for topic in part[1:] if topic is not None]
+    assert len({topic.name for topic in found}) == len(found)
+    return {topic.name.removeprefix("/s/d/"): topic.axes for topic in found}
+
+
+def test_an_axis_that_turns_beside_others_has_topics_of_its_own() -> None:
+    x, y, z, jaw, tip = "d.x", "d.y", "d.z", "d.jaw", "d.tip"
+    whole = ("measured_js", "servo_jf")
+    point = dict.fromkeys(("measured_cp", "measured_cv", "measured_cf", "servo_cf"), (x, y, z))
+    jaws = {f"jaw/{name}": (jaw,) for name in whole}
+    assert named((x, y, z), ()) == point
+    assert named((x, jaw, y, z), (jaw,)) == dict.fromkeys(whole, (x, jaw, y, z)) | point | jaws
+    both = dict.fromkeys(("measured_js", "measured_cf", "servo_cf"), (x, jaw))
+    assert named((x, jaw), (jaw,)) == both | jaws
+    three = dict.fromkeys(
+        ("measured_js", "measured_cf", "servo_cf"), (x, jaw, tip)
+    )  # an angle is no coordinate of a pose
+    assert named((x, jaw, tip), (jaw, tip)) == three | jaws | {f"tip/{name}": (tip,) for name in whole}
+    assert named(("d",), ("d",)) == dict.fromkeys(("measured_js", "measured_cf", "servo_cf"), ("d",))
+
+
+def test_a_torque_is_one_in_a_wrench() -> None:
+    ((part,),) = (parts[:1] for parts in device_topics("s", {"d": ("d.x", "d.phi")}, ("d.phi",)).values())
+    assert part.exerted is not None
+    typestore = ros_types()
+    found = typestore.deserialize_cdr(serialiser(typestore, part.exerted)(0, [1.5, -0.25]), WRENCH)
+    assert _three(found.wrench.force) == (1.5, 0.0, 0.0)
+    assert _three(found.wrench.torque) == (0.0, -0.25, 0.0)
+
+
+def test_axes_of_one_name_in_ros_are_refused() -> None:
+    with pytest.raises(
+        RecordingError, match=r"found the axes 'd\.a-b' and 'd\.a\.b', which ROS 2 would both call /s/d/a_b"
+    ):
+        device_topics("s", {"d": ("d.a-b", "d.a.b")}, ("d.a-b", "d.a.b"))
 
 
 def test_times_beyond_those_of_ros_are_refused(tmp_path: Path) -> None:

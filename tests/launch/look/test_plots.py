@@ -52,6 +52,7 @@ def of_users(
     ledgers: bool = True,
     wall: bool = False,
     linked: bool = False,
+    oriented: tuple[str, ...] = (),
     **more: object,
 ) -> RecordedRun:
     """A run of ``count`` users, every trace its own wave."""
@@ -64,14 +65,14 @@ def of_users(
     traces = {}
     for number, (node, role) in enumerate(roles.items()):
         links = links_at(node, role, ports, couplings)
-        for topic in topics_of(role, ("hub",), wall, bool(links)):
+        for topic in topics_of(role, ("hub",), wall, bool(links), oriented=oriented):
             if (topic.name == "ledger" and not ledgers) or (topic.name == "tau" and clock != "realtime"):
                 continue
-            columns = topic.columns_of(ports[node], ("hub",), links)
+            columns = topic.columns_of(ports[node], ("hub",), links, oriented)
             waves = [np.sin((1 + number + 0.1 * i) * time) for i in range(len(columns))]
             values = np.stack(waves, axis=1) if topic.name != "tau" else 300.0 + 10.0 * waves[0][:, None]
             traces[node, topic.name] = RecordedTrace(topic, columns, values)
-    recorded = Recorded("study", "0123456789abcdef", PERIOD, clock, roles, ports, linked=couplings)
+    recorded = Recorded("study", "0123456789abcdef", PERIOD, clock, roles, ports, linked=couplings, oriented=oriented)
     return RecordedRun(recorded, traces, **more)  # type: ignore[arg-type]  # as each test wants it
 
 
@@ -224,11 +225,12 @@ class TestPictures:
     def test_every_topic_of_the_table_can_be_asked_for(self) -> None:
         names = {topic.name for topics in TOPICS.values() for topic in topics}
         assert {*QUANTITIES} == names - {"instants", "applied", "work"} | {"velocity"}  # these are for the audit
-        picture = picture_of_run(of_users(1, 50, wall=True, linked=True), [*reversed(QUANTITIES)])
+        picture = picture_of_run(of_users(1, 50, wall=True, linked=True, oriented=("hub",)), [*reversed(QUANTITIES)])
         assert [panel.name for panel in picture.panels] == [name for name in QUANTITIES if name != "tau"]
         assert picture.delays is not None
         labels = {panel.name: [curve.label for curve in panel.curves] for panel in picture.panels}
         assert labels["masses"] == ["hub"]
+        assert labels["orientations"] == ["hub.qw", "hub.qx", "hub.qy", "hub.qz"]
         assert labels["tool"] == ["u0", "environment u0"]
         assert labels["tank"] == ["c-u0.L", "c-u0.G", "c-u0.H", *(f"environment c-u0.{figure}" for figure in "LGH")]
 

@@ -152,7 +152,7 @@ def test_gears_that_could_not_turn_are_refused_at_their_place() -> None:
     Session.from_dict(data)
 
 
-@pytest.mark.parametrize("name", ["rub", "stroke", "mujoco"])
+@pytest.mark.parametrize("name", ["rub", "stroke"])
 def test_a_tool_in_space_does_not_turn(name: str) -> None:
     from manyhands.launch.session.shipped import load_named
 

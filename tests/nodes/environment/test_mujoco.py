@@ -24,7 +24,10 @@ SHIPPED = Path(__file__).parents[3] / "launch" / "sessions" / "mujoco.yaml"
 MODEL = """<mujoco><option timestep="0.0005"/><worldbody>
 <body name="avatar"><joint name="x" type="slide" axis="1 0 0" damping="0.2"/><geom size="0.01" mass="0.05"/></body>
 <body name="wall" pos="0.03 0 0"><joint name="turn" type="hinge" axis="0 0 1"/><geom type="box" size="0.01 0.05 0.05"/>
-</body></worldbody><option gravity="0 0 0"/></mujoco>"""
+</body>
+<body pos="0.3 0 0"><joint name="loose" type="ball"/><geom size="0.01"/></body>
+<body pos="0.4 0 0"><joint name="away" type="free"/><geom size="0.01"/></body>
+</worldbody><option gravity="0 0 0"/></mujoco>"""
 T = 1e-3
 
 
@@ -38,9 +41,26 @@ def made(**other: Any) -> MujocoEngine:
     [
         ({"model": "<mujoco><worldbody>"}, "XML"),
         ({"tools": ["y"]}, "found no joint 'y' in the model"),
-        ({"tools": ["turn"]}, "found a joint 'turn' of another type; expected a slide joint"),
+        (
+            {"tools": ["turn"]},
+            "found a hinge joint 'turn' for the port 'p', whose axis is a translation; expected a slide joint",
+        ),
+        (
+            {"turning": ["p"]},
+            "found a slide joint 'x' for the port 'p', whose axis is a rotation; expected a hinge joint",
+        ),
+        ({"tools": ["loose"]}, "found a ball joint 'loose' for the port 'p'"),
+        ({"tools": ["away"]}, "found a free joint 'away' for the port 'p'"),
         ({"bodies": ["hub"]}, "found no body 'hub' in the model"),
-        ({"stiffness": [2e4]}, r"found an avatar of 0\.05 kg at the joint 'x'; expected at least 0\.08 kg"),
+        (
+            {"stiffness": [2e4]},
+            r"found an avatar of 0\.05 kg at the joint 'x'; expected at least 0\.08 kg for a stiffness of 20000 N/m",
+        ),
+        (
+            {"tools": ["turn"], "turning": ["p"], "stiffness": [100.0]},
+            r"found an avatar of 0\.000173 kg·m² at the joint 'turn'; expected at least 0\.0004 kg·m² for a "
+            "stiffness of 100 N·m/rad",
+        ),
     ],
 )
 def test_what_does_not_fit_is_refused(other: dict[str, Any], error: str) -> None:
@@ -54,6 +74,22 @@ def test_an_avatar_is_pushed_by_the_opposite_of_the_force_and_stopped_by_a_body(
         (q,) = engine.step(np.zeros(1), np.array([-0.5]))
     assert 0.005 < q < 0.02  # at the wall, whose near face is 20 mm away, less the avatar's radius
     assert len(engine.positions()) == 3
+
+
+def test_an_avatar_that_turns_is_pushed_by_the_opposite_torque() -> None:
+    engine = made(tools=["turn"], turning=["p"], stiffness=[20.0], bodies=[])
+    inertia, ticks = 0.2 * (0.01**2 + 0.05**2) / 3.0, 100
+    for _ in range(ticks):
+        (q,) = engine.step(np.zeros(1), np.array([-0.01]))
+    assert q == pytest.approx(0.5 * 0.01 / inertia * (ticks * T) ** 2, rel=0.02)
+
+
+def test_two_axes_do_not_share_a_joint() -> None:
+    given = {"model": MODEL, "tools": ["x", "x"], "bodies": [], "stiffness": [2000.0, 2000.0]}
+    with pytest.raises(
+        FactoryError, match="found the joint 'x' for two axes; expected a joint of its own for each axis"
+    ):
+        MujocoEngine(("p", "q"), T, given)
 
 
 def test_a_model_that_grows_without_bound_is_a_failure_and_leaves_no_file(
@@ -73,14 +109,17 @@ def test_a_model_that_grows_without_bound_is_a_failure_and_leaves_no_file(
 class Bodies:
     """An engine without any dynamics, which reports what it is given."""
 
-    def __init__(self, positions: Any) -> None:
-        self._positions = positions
+    def __init__(self, positions: Any, orientations: Any = ()) -> None:
+        self._positions, self._orientations = positions, orientations
 
     def step(self, x: np.ndarray, f: np.ndarray) -> np.ndarray:
         return np.minimum(x, 0.0)
 
     def positions(self) -> Any:
         return self._positions() if callable(self._positions) else self._positions
+
+    def orientations(self) -> Any:
+        return self._orientations() if callable(self._orientations) else self._orientations
 
 
 @pytest.mark.parametrize("positions", [[1.0, 2.0], [0.0, 0.0, np.inf], [[0.0, 0.0, 0.0]], None, lambda: 1 / 0])
@@ -92,6 +131,35 @@ def test_positions_that_make_no_sense_are_a_failure(positions: Any) -> None:
     assert "the engine some:engine failed" in law.failure
 
 
+@pytest.mark.parametrize("found", [[1.0, 0.0], [0.9, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, np.nan], None, lambda: 1 / 0])
+def test_orientations_that_make_no_sense_are_a_failure(found: Any) -> None:
+    asked = AskedModel("some:engine", Bodies([0.0] * 3, found), ("p",))
+    law = ProxyLaw(asked, np.eye(1), None, T, [[0]], bodies=1, oriented=1)
+    assert law.masses == [0.0] * 3
+    assert law.failure is None
+    assert law.orientations == [1.0, 0.0, 0.0, 0.0]
+    assert law.failure is not None
+    assert "the engine some:engine failed" in law.failure
+
+
+def test_a_body_is_said_to_turn_as_it_does() -> None:
+    engine = made(tools=["turn"], turning=["p"], stiffness=[20.0], bodies=["wall"], orientations=["wall"])
+    assert engine.orientations() == [1.0, 0.0, 0.0, 0.0]
+    q = [float(engine.step(np.zeros(1), np.array([-0.01]))[0]) for _ in range(50)]
+    w, x, y, z = engine.orientations()
+    assert (x, y) == (0.0, 0.0)
+    assert w == pytest.approx(np.sqrt(1.0 - z * z), abs=1e-12)
+    assert 0.05 < q[-2] < 2.0 * np.arcsin(z) < q[-1]  # it is that of the second of two steps, before it
+
+
+def test_an_engine_that_does_not_say_how_bodies_are_turned_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    prepared = prepare(load_session(SHIPPED, ["environment.orientations=[puck]"]))
+    Simulation(prepared)
+    monkeypatch.delattr(MujocoEngine, "orientations")
+    with pytest.raises(FactoryError, match=r"^environment\.orientations: found puck with .*no method orientations"):
+        Simulation(prepared)
+
+
 def test_the_suite_tries_engines() -> None:
     def findings(make: Any) -> list[Any]:
         return list(check_model("some:engine", make, ("p",), T, 0.005, stiffness=2000.0))
@@ -101,6 +169,13 @@ def test_the_suite_tries_engines() -> None:
     found = findings(made)
     assert broken(found) == []
     assert Conformance.OPEN not in {finding.verdict for finding in found if finding.check != "held"}
+
+
+def test_a_bad_position_has_the_unit_of_its_axis() -> None:
+    asked = AskedModel("some:engine", Bodies([]), ("p", "q"), ("q",))
+    asked.proxies(np.array([0.0, -1e4]), np.zeros(2), 3)
+    assert asked.failure is not None
+    assert "found a position of -10000 rad at q; expected a finite number of at most 1000 rad" in asked.failure
 
 
 def test_mujoco_has_its_short_name() -> None:
@@ -154,6 +229,7 @@ def test_a_model_file_is_found_beside_the_session_and_kept_as_text(tmp_path: Pat
         ("environment.tools.middle=[a]", r"environment\.tools\.middle: .*the name of a device"),
         ("environment.tools.left=['a b', c]", r"environment\.tools.*a name in the model"),
         ("environment.bodies=[puck, puck]", r"environment\.bodies.*different bodies"),
+        ("environment.orientations=[table]", r"environment\.orientations: found 'table'; expected some of.*puck"),
         ("environment.engine=unknown", r"environment\.engine: found 'unknown'; expected mujoco"),
         ("environment.level=-1", r"environment\.level: .*no negative eigenvalue"),
     ],

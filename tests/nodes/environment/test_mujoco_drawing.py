@@ -68,6 +68,25 @@ def test_a_frame_says_what_moves_it() -> None:
     assert frames["vane"] == Frame((0.3, 0.0, 0.0), UPRIGHT, reported=True, turns=True)
 
 
+JAW = """<mujoco><compiler angle="radian"/><worldbody>
+<body name="palm" pos="0 0 0.1"><joint name="x" type="slide" axis="1 0 0"/><geom size="0.01"/>
+  <body name="thumb" pos="0.25 0 0"><joint name="jaw" type="hinge" axis="0 2 0" pos="0.25 0 0"/>
+    <geom type="box" size="0.004 0.01 0.04"/></body></body>
+</worldbody></mujoco>"""
+
+
+def test_a_hinge_of_a_tool_turns_its_frame_about_its_axis_and_a_slide_moves_it() -> None:
+    given = {"model": JAW, "tools": ["x", "jaw"], "turning": ["b"], "bodies": [], "stiffness": [1.0, 1.0]}
+    frames = MujocoEngine(("a", "b"), 1e-3, given).drawing().frames
+    assert frames["palm"] == Frame((0.0, 0.0, 0.1), UPRIGHT, ("a",), ((1.0, 0.0, 0.0),))
+    directions = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    assert frames["thumb"] == Frame((0.25, 0.0, 0.1), UPRIGHT, ("a", "b"), directions, axes={"b": (0.5, 0.0, 0.1)})
+    told = MujocoEngine(("a", "b"), 1e-3, given | {"bodies": ["thumb"]}).drawing().frames["thumb"]
+    assert told == Frame((0.25, 0.0, 0.1), UPRIGHT, reported=True, turns=True)
+    heard = given | {"bodies": ["thumb"], "orientations": ["thumb"]}
+    assert MujocoEngine(("a", "b"), 1e-3, heard).drawing().frames["thumb"] == replace(told, turns=False, oriented=True)
+
+
 def test_what_moves_unreported_is_named_and_not_drawn() -> None:
     assert drawn().hidden == ("unheard",)
     alone = drawn(bodies=())
@@ -135,6 +154,8 @@ def test_the_shipped_session_is_described_with_its_drawing(tmp_path: Path) -> No
         ({"shapes": (Shape("", "mesh", (1, 1, 1), (0, 0, 0), UPRIGHT, ((0, 0, 0),), ((0, 0, 1),)),)}, "of no point"),
         ({"shapes": (Shape("", "box", (1, 1, np.nan), (0, 0, 0), UPRIGHT),)}, "not finite"),
         ({"frames": {"a": Frame((0, 0, 0), UPRIGHT, ("p",))}}, "a direction for each port"),
+        ({"frames": {"a": Frame((0, 0, 0), UPRIGHT, axes={"p": (0, 0, 0)})}}, "found an axis of no port of it"),
+        ({"frames": {"a": Frame((0, 0, np.inf), UPRIGHT)}}, "not finite"),
     ],
 )
 def test_a_drawing_that_cannot_be_drawn_is_refused(changes: dict[str, Any], error: str) -> None:

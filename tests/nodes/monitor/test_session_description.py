@@ -93,7 +93,7 @@ DAMAGED = {
     "deep": "[" * 100_000,
     "another version's": json.dumps({"session": "s"}),
     "more than there is": changed(more=1),
-    **{f"no {key}": without(key) for key in WHOLE.as_plain() if key not in ("force", "drawing", "turning")},
+    **{f"no {key}": without(key) for key in WHOLE.as_plain() if key not in ("force", "drawing", "turning", "oriented")},
     "forces in words": changed(force={"dx": "strong"}),
     "a role that there is not": changed(nodes={"dx": {"role": "king", "ports": [], "process": None}}),
     "ports that are no list": changed(nodes={"dx": {"role": "device", "ports": "dx", "process": None}}, links=[]),

@@ -15,18 +15,25 @@ const times = ([a, b, c, d], [w, x, y, z]) => [
   a * z + b * y - c * x + d * w,
 ];
 
+const inverse = ([w, x, y, z]) => [w, -x, -y, -z];
+
 /** A vector, turned by a unit quaternion. */
-const turned = (turn, v) => times(times(turn, [0, ...v]), [turn[0], -turn[1], -turn[2], -turn[3]]).slice(1);
+const turned = (turn, v) => times(times(turn, [0, ...v]), inverse(turn)).slice(1);
+
+const QUATERNION = ["qw", "qx", "qy", "qz"];
+const STILL = [1, 0, 0, 0];
+const LEAST_LENGTH = 0.5; // of the mean of two unit quaternions of one bucket: a shorter one says nothing
 
 export class Engine {
-  constructor({ about, tracks }) {
-    this.drawing = about.drawing;
+  constructor(session) {
+    const { about, tracks } = session;
+    Object.assign(this, { session, drawing: about.drawing });
     this.upright = UPRIGHT[this.drawing.up];
     this.from = ABOVE;
     this.axes = [[1, 0, 0], [0, 1, 0], [0, 0, 1]].map((axis) => turned(this.upright, axis));
     const devices = Object.entries(about.nodes).filter(([, node]) => node.role === "device");
     this.things = Object.entries(this.drawing.frames).map(([name, frame]) => {
-      const { at, turn, ports, directions, reported } = frame;
+      const { at, turn, ports, directions, reported, axes, oriented } = frame;
       const [device] = devices.find(([, node]) => ports.length === node.ports.length && node.ports.every((port) => ports.includes(port))) ?? [];
       const shapes = this.drawing.shapes.filter((shape) => shape.frame === name);
       const own = device ? about.nodes[device].ports : ports; // in the order of the device's traces
@@ -36,8 +43,13 @@ export class Engine {
       const place = turned(this.upright, at);
       return {
         ...{ name: device ?? name, names, tool: device !== undefined, at: place, radius: size, half: [0, 0, 0], size, shapes },
-        ...{ turn: times(this.upright, turn), track, columns: names.map((column) => tracks.get(track).columns.indexOf(column)) },
-        along: reported ? this.axes : own.map((port) => turned(this.upright, directions[ports.indexOf(port)])),
+        ...{ base: times(this.upright, turn), track, columns: names.map((column) => tracks.get(track).columns.indexOf(column)) },
+        directions: reported ? this.axes : own.map((port) => turned(this.upright, directions[ports.indexOf(port)])),
+        along: reported ? this.axes : own.map((port) => (axes[port] ? [0, 0, 0] : turned(this.upright, directions[ports.indexOf(port)]))),
+        points: names.map((port) => (axes[port] ? turned(this.upright, axes[port]) : null)), // of the axes that turn it
+        inwards: reported ? [0, 1, 2] : ports.map((port) => own.indexOf(port)), // the joints from the world to the thing
+        quaternion: oriented ? QUATERNION.map((part) => tracks.get("environment/orientations").columns.indexOf(`${name}.${part}`)) : null,
+        start: turn,
         from: reported ? at : null, // an engine reports positions, and not displacements
         ...{ place: [...place], device: [...place], moved: names.map(() => 0) },
       };
@@ -52,7 +64,37 @@ export class Engine {
 
   solid(thing, material) {
     const shapes = thing.shapes.length ? thing.shapes : [{ shape: "sphere", size: [thing.radius, thing.radius, thing.radius], at: [0, 0, 0], turn: UPRIGHT.y }];
-    return shapesOf(shapes, thing.turn, () => material, thing.radius);
+    return shapesOf(shapes, thing.base, () => material, thing.radius);
+  }
+
+  /** The pose of a thing whose axes have these displacements: its place, its turn, and where its axes point then. */
+  pose(thing, values) {
+    const pointing = [...thing.along];
+    let place = thing.at;
+    let turn = STILL;
+    [...thing.inwards].reverse().forEach((port, done, outwards) => {
+      const point = thing.points[port];
+      if (point === null) {
+        place = place.map((x, i) => x + values[port] * thing.directions[port][i]);
+        return;
+      }
+      const half = values[port] / 2;
+      const spin = [Math.cos(half), ...thing.directions[port].map((x) => Math.sin(half) * x)];
+      place = turned(spin, place.map((x, i) => x - point[i])).map((x, i) => x + point[i]);
+      turn = times(spin, turn);
+      for (const inner of outwards.slice(0, done)) pointing[inner] = turned(spin, pointing[inner]); // it turns with it
+    });
+    return { place, pointing, turn: times(this.spin(thing, turn), thing.base) };
+  }
+
+  /** How far a thing is turned from the start: as its engine reports it, else by its own axes. */
+  spin({ quaternion, start }, own) {
+    if (!quaternion) return own;
+    const found = quaternion.map((column) => this.session.known("environment/orientations", column));
+    const length = Math.hypot(...found);
+    if (length < LEAST_LENGTH) return STILL;
+    const since = times(found.map((x) => x / length), inverse(start));
+    return times(times(this.upright, since), inverse(this.upright));
   }
 
   /** Where an engine's bodies touch is not reported. */
@@ -65,7 +107,7 @@ export class Engine {
     const turns = Object.keys(frames).filter((name) => frames[name].turns);
     const of = (names, text) => (names.length ? `${names.join(", ")}: ${text}. ` : "");
     return (
-      of(turns, "how it is turned is not reported, and it is drawn as it was at the start") +
+      of(turns, "how it is turned is not reported, and it is drawn as it was at the start (environment.orientations)") +
       of(hidden, "not drawn, since where it is is not reported (environment.bodies)") +
       of(large, "not drawn, since it has too many triangles")
     );

@@ -137,21 +137,18 @@ export class Space {
   /** Where a thing is now, and where its device is. */
   locate(thing) {
     const { session } = this;
-    for (let i = 0; i < 3; i += 1) thing.place[i] = thing.device[i] = thing.at[i];
     thing.columns.forEach((column, port) => {
       const value = session.now(thing.track, column);
       thing.moved[port] = Number.isNaN(value) ? 0 : value - (thing.from?.[port] ?? 0);
-      const x = thing.tool ? session.known(`${thing.name}/sample`, port) : 0;
-      for (let i = 0; i < 3; i += 1) {
-        thing.place[i] += thing.moved[port] * thing.along[port][i];
-        thing.device[i] += x * thing.along[port][i];
-      }
     });
+    Object.assign(thing, this.world.pose(thing, thing.moved));
+    if (thing.tool) thing.device = this.world.pose(thing, this.grips.position(thing.name)).place;
   }
 
   drawSolids() {
     for (const thing of this.things) {
       thing.mesh.position.fromArray(thing.place);
+      if (thing.turn) thing.mesh.quaternion.set(thing.turn[1], thing.turn[2], thing.turn[3], thing.turn[0]);
       thing.shade.put(thing.place);
       if (thing.tool) this.drawForce(thing);
     }
@@ -163,7 +160,7 @@ export class Space {
   }
 
   /** The force on a hand: two sides of the grid for the greatest. */
-  drawForce({ name, along: directions, place: at, drawnRadius, arrow }) {
+  drawForce({ name, pointing: directions, place: at, drawnRadius, arrow }) {
     const force = sum([0, 0, 0], directions, directions.map((_, port) => this.session.known(`${name}/force`, port)));
     const size = Math.hypot(...force);
     const scale = size ? (2 * this.around.step * Math.min(1.2, size / (this.mostForce || size))) / size : 0;
@@ -183,7 +180,7 @@ export class Space {
     this.things.forEach((thing, i) => {
       const far = seen[i] && Math.max(thing.tool ? RING : 0, seen[i].pixels * thing.drawnRadius) + 3;
       this.labels.place(seen[i], far);
-      place(thing.label, { "data-at": thing.moved.join(" ") });
+      place(thing.label, { "data-at": thing.moved.join(" "), "data-turn": (thing.turn ?? []).join(" ") });
     });
     this.drawAxes();
   }
@@ -210,8 +207,8 @@ export class Space {
     return boxAround(here, RING);
   }
 
-  wantedPlace({ at, along }, wanted) {
-    return sum(at, along, wanted);
+  wantedPlace(thing, wanted) {
+    return this.world.pose(thing, wanted).place;
   }
 
   /** The directions of the axes, at a corner of the picture. */
@@ -241,7 +238,7 @@ export class Space {
       [left, top] = [later.clientX, later.clientY];
       moved.forEach((d, i) => (point[i] += d));
       const away = point.map((value, i) => value - start[i]);
-      return x.map((value, port) => value + dot(away, thing.along[port]));
+      return x.map((value, port) => value + dot(away, thing.pointing[port]));
     };
   }
 
@@ -287,6 +284,11 @@ class Scene {
 
   solid(thing, material) {
     return solid(thing, material);
+  }
+
+  /** The place of a thing whose axes have these displacements; nothing turns. */
+  pose({ at, along }, values) {
+    return { place: sum(at, along, values), pointing: along };
   }
 
   contacts() {
@@ -343,7 +345,7 @@ function joinedBy(springs, things) {
 }
 
 /** What the first view shows: its middle and its radius; the ground with the corners of its grid, and a side of it, m. */
-function around({ reach }, world) {
+function around({ reach, turning }, world) {
   const { things } = world;
   const [low, high] = [[Infinity, Infinity, Infinity], [-Infinity, -Infinity, -Infinity]];
   const include = (point, radius) => {
@@ -357,7 +359,7 @@ function around({ reach }, world) {
   for (const [point, radius] of places) include(point, radius);
   const lowest = low[1];
   const most = ROOM * Math.hypot(...low.map((x, i) => high[i] - x)) || Infinity;
-  for (const { tool, at, names } of things) if (tool) include(at, Math.min(most, MOTION * Math.max(...names.map((port) => reach[port] ?? 0))));
+  for (const { tool, at, names } of things) if (tool) include(at, Math.min(most, MOTION * Math.max(0, ...names.filter((port) => !turning.includes(port)).map((port) => reach[port] ?? 0))));
   const middle = low.map((x, i) => (x + high[i]) / 2);
   const radius = Math.max(1e-3, Math.hypot(...low.map((x, i) => high[i] - x)) / 2);
   const corners = room ?? [middle.map((x) => x - radius), middle.map((x) => x + radius)];
