@@ -32,8 +32,8 @@ moves its device.
 - *no release*: after ``release`` less than :data:`LEFT` of a is left.
 - *force kept on silence*: a force that was applied until an instant ends there, though no call follows, give or take
   :data:`GRACE` periods. It is tried with the longest time for which a session of this period holds a force
-  (:data:`manyhands.nodes.kernel.timeouts.HELD_TICKS`), and with one as brief as can be seen. How long it lasted is known
-  by the way that the device has gone when it is read again.
+  (:data:`manyhands.nodes.kernel.timeouts.HELD_TICKS`), and with one as brief as can be seen. How long it lasted follows
+  from the way that the device has gone when it is read again.
 
 The suite can judge what it moves: a hand that holds the device, or much dry friction, leaves checks open. It proves
 nothing about a driver that behaves differently later.
