@@ -30,7 +30,10 @@ moves its device.
   :data:`WORK_GAIN`, asked in every :data:`SELDOM`-th tick and, on the way back, in every one.
 - *estimate*: the damping and friction of that fit with friction, in words; it judges nothing.
 - *no release*: after ``release`` less than :data:`LEFT` of a is left.
-- *force kept on silence*: a force that was applied until an instant ends there, though no call follows.
+- *force kept on silence*: a force that was applied until an instant ends there, though no call follows, give or take
+  :data:`GRACE` periods. It is tried with the longest time for which a session of this period holds a force
+  (:data:`manyhands.nodes.kernel.timeouts.HELD_TICKS`), and with one as brief as can be seen. How long it lasted follows
+  from the way that the device has gone when it is read again.
 
 The suite can judge what it moves: a hand that holds the device, or much dry friction, leaves checks open. It proves
 nothing about a driver that behaves differently later.
@@ -38,6 +41,7 @@ nothing about a driver that behaves differently later.
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -53,6 +57,7 @@ from manyhands.launch.conformance.timing import CallTimer
 from manyhands.nodes.device.drivers import Driver
 from manyhands.nodes.device.plugin import PART, DriverFailure, PluginDriver
 from manyhands.nodes.device.specification import DeviceSpecification
+from manyhands.nodes.kernel.timeouts import HELD_TICKS
 from manyhands.protocol.clock import Clock, Instant, SimulatedClock, from_seconds
 
 Array = NDArray[np.float64]
@@ -80,7 +85,13 @@ PUSH_TICKS: Final = 60
 """Ticks of a push, and of the time after it."""
 
 SILENT_TICKS: Final = 50
-"""Ticks of silence; the force is to end after a fifth of them."""
+"""Ticks of silence, of which a force may last the first ones."""
+
+SILENT_TIME: Final = 0.05
+"""s of silence at least: a way shorter than that is known to a few steps of an encoder alone."""
+
+BRIEF_TICKS: Final = 2
+"""Ticks that a force may last where its device's account allows no more; a session asks for less and for more."""
 
 WINDOWS: Final = 8
 """Times as long as a push, in which a device is looked at before any."""
@@ -120,6 +131,15 @@ MASSES: Final = (0.005, 50.0)
 
 INERTIAS: Final = (1e-6, 5.0)
 """kg·m²; likewise on an axis that turns: from a rotor of a few grams to a ship's wheel."""
+
+KNOWN_TO: Final = 4.0
+"""Steps, or noises, to which the way of two silences is known: where a line before them leads to is one of them."""
+
+PIECES: Final = 200
+"""In which a silence is computed."""
+
+BISECTIONS: Final = 16
+"""Of the time for which a force lasted."""
 
 LOOK: Final = 0.1
 """s, from one look at a running suite to the next."""
@@ -230,11 +250,11 @@ class Bench:
         """Exert f (N) for some ticks, or until the device has moved by ``travel``, m."""
         return self._run(ticks, f, travel)
 
-    def silence(self, f: list[float], end: int, ticks: int) -> Stretch:
-        """Exert f (N) until ``end`` ticks are over, call nothing for ``ticks``, and read the device on both ends."""
+    def silence(self, f: list[float], lasts: int, ticks: int) -> Stretch:
+        """Exert f (N) until ``lasts`` ticks are over, call nothing for ``ticks``, and read the device on both ends."""
         self._tick(None)
         now = self._now()
-        until = Instant(now + end * self._period)
+        until = Instant(now + lasts * self._period)
         self._call("apply", lambda: self._driver.apply(f, now, until))
         record = Stretch(self.samples.at[-1:], self.samples.x[-1:])
         self._slot += ticks - 1
@@ -350,8 +370,7 @@ def check_driver(bench: Bench, stated: DeviceSpecification, push: Push | None) -
             if broken(found):
                 break  # what does not obey is not pushed any more
             if found[-1].check == RELEASE:  # all before it is in order
-                bench.rest(PUSH_TICKS)
-                judged.append(_silence(pushed, (_silent(bench, f), _silent(bench, back)), bench.T, stated))
+                judged.append(_silence(bench, pushed, f, back, stated))
     except DriverFailure as failure:
         yield _failed(failure)
         yield from _times(bench)
@@ -398,13 +417,6 @@ def _fault(ratio: float) -> str:
     if any(abs(ratio * unit - 1.0) <= WORK_GAIN for unit in (1e3, 1e-3, 1e6, 1e-6)):
         return "it is in J, of torques in N·m and angles in rad"
     return "it is the sum of t^T (q_new - q_old) since the last answer, with the torques that were held in between"
-
-
-def _silent(bench: Bench, f: list[float]) -> Stretch:
-    """A push that ends by itself in silence, after some ticks that show how the device moves without it."""
-    before = bench.rest(LEAST_TICKS)
-    during = bench.silence(f, SILENT_TICKS // 5, SILENT_TICKS)
-    return Stretch(before.at + during.at, before.x + during.x)
 
 
 def _failed(failure: DriverFailure) -> Judgement:
@@ -728,31 +740,105 @@ def _answer(t: Array, x: Array, force: Array, T: float, *, dry: bool = False, sp
     return _Fit(delay, mass, -mass * float(found[3]), friction, stiffness, best <= 0.05 * scale)
 
 
-def _silence(pushed: _Pushed, silence: tuple[Stretch, Stretch], T: float, stated: DeviceSpecification) -> Judgement:
-    """Whether a force ended by itself: the way that it moved the device while nothing was called."""
-    axis, of, ways = pushed.axis, pushed.words(stated), []
-    a = float(pushed.answer()[axis])
-    for record in silence:
+def _silence(
+    bench: Bench, pushed: _Pushed, f: list[float], back: list[float], stated: DeviceSpecification
+) -> Judgement:
+    """Whether forces end by themselves while nothing is called, by the way that they have moved the device."""
+    T, of, unit = bench.T, pushed.words(stated), stated.units_by_axis[pushed.axis]
+    fit = _answer_of(pushed, T, stated)
+    step = 0.0 if stated.step is None else stated.step[pushed.axis]
+    bench.rest(PUSH_TICKS)
+    told, ticks = [], HELD_TICKS
+    while True:
+        silences = [_silent(bench, way, ticks) for way in (f, back)]
+        asked, window = ticks * T, silences[0].at[-1] - silences[0].at[-2] - fit.delay
+        lasted, error = _lasted(pushed, fit, silences, step, asked)
+        if lasted - error > asked + GRACE * T:
+            return Judgement(SILENCE, Conformance.BROKEN, _kept_on(of, lasted, ticks, T, lasted > 0.9 * window))
+        if error > asked:
+            text = (
+                f"a step of {step:g} {unit('m')} is too coarse to see whether a force {of} ends after "
+                f"{1e3 * asked:.3g} ms, for it tells the time to {1e3 * error:.2g} ms: push with more force (--force)"
+            )
+            return Judgement(SILENCE, Conformance.OPEN, text)
+        told.append(f"{1e3 * lasted:.2g} of {1e3 * asked:.3g} ms")
+        brief = max(BRIEF_TICKS, math.ceil(error / T))  # as brief as can be seen
+        if ticks < HELD_TICKS or brief >= HELD_TICKS:
+            text = f"forces {of} ended by themselves while nothing was called, after {' and '.join(told)}"
+            return Judgement(SILENCE, Conformance.KEPT, text)
+        ticks = brief
+
+
+def _kept_on(of: str, lasted: float, ticks: int, T: float, throughout: bool) -> str:
+    """The sentence about a force that lasted longer (s) than the ``ticks`` that it was given."""
+    asked, allowed = 1e3 * ticks * T, 1e3 * (ticks + GRACE) * T
+    why = "the longest that a session of this period holds one" if ticks == HELD_TICKS else "as its account may ask"
+    found = f"found a force {of} that went on for {1e3 * lasted:.3g} ms in which nothing was called"
+    text = (
+        f"{found}; expected its end after {asked:.3g} ms, its 'until', {why}, and at most {allowed:.3g} ms: have the "
+        "device, or a thread of its driver, end each force at its 'until'"
+    )
+    if throughout:
+        return text
+    period = math.ceil(1e4 * lasted / (BRIEF_TICKS + GRACE)) / 10.0
+    return f"{text}; a watchdog as coarse as that needs a period of at least {period:g} ms"
+
+
+def _silent(bench: Bench, f: list[float], lasts: int) -> Stretch:
+    """A push that ends by itself in silence, after some ticks that show how the device moves without it."""
+    ticks = max(SILENT_TICKS, math.ceil(SILENT_TIME / bench.T))
+    before = bench.rest(LEAST_TICKS * ticks // SILENT_TICKS)
+    during = bench.silence(f, lasts, ticks)
+    return Stretch(before.at + during.at, before.x + during.x)
+
+
+def _answer_of(pushed: _Pushed, T: float, stated: DeviceSpecification) -> _Fit:
+    """How the device answers a push: by the fit with friction, by that without, or by its acceleration alone."""
+    times, places, force = pushed.whole(len(stated.force))
+    for dry in (True, False):
+        fit = _answer(times - times[0], places[:, pushed.axis], force, T, dry=dry)
+        if fit.good and np.isfinite(fit.mass):
+            return fit
+    mass = pushed.force / float(pushed.answer()[pushed.axis])
+    return _Fit(stated.timing.latency, mass, 0.0, 0.0, 0.0, good=False)
+
+
+def _lasted(pushed: _Pushed, fit: _Fit, silences: list[Stretch], step: float, asked: float) -> tuple[float, float]:
+    """How long a force lasted in silence, s, and how far that is off for steps (m) and noise, s, if it is as ``asked``.
+
+    Half the difference of both ways is what the force did, for gravity is the same in both.
+    """
+    axis, moved, starts, noise = pushed.axis, 0.0, [], 0.0
+    for sign, record in zip((1.0, -1.0), silences, strict=True):
         before = Stretch(record.at[:-1], record.x[:-1])
         t = before.times - before.at[-1]
-        line = np.polyfit(t, before.places[:, axis], 1)
-        ways.append(record.x[-1][axis] - float(np.polyval(line, record.at[-1] - before.at[-1])))
-    moved = (ways[0] - ways[1]) / 2.0
-    W, S = silence[0].at[-1] - silence[0].at[-2], SILENT_TICKS // 5 * T
-    ended, kept = a * (S * W - S**2 / 2.0), a * W**2 / 2.0
-    step = 0.0 if stated.step is None else stated.step[axis]
-    if kept - ended < 4.0 * step:  # each of both ways is known to a step
-        return Judgement(
-            SILENCE,
-            Conformance.OPEN,
-            f"a step of {step:g} {stated.units_by_axis[axis]('m')} is too coarse to see the end of a force {of}",
-        )
-    if moved > (ended + kept) / 2.0:
-        found = f"a force {of} that went on for {1e3 * W:.3g} ms in which nothing was called"
-        return Judgement(
-            SILENCE, Conformance.BROKEN, f"found {found}; expected its end after {1e3 * S:.3g} ms, its 'until'"
-        )
-    return Judgement(SILENCE, Conformance.KEPT, f"a force {of} ended by itself while nothing was called")
+        slope, place = np.polyfit(t, before.places[:, axis], 1)
+        noise = max(noise, float(np.abs(before.places[:, axis] - slope * t - place).max()))
+        moved += sign * (record.x[-1][axis] - float(place)) / 2.0
+        starts.append((sign, float(slope), record.at[-1] - record.at[-2] - fit.delay))
+    window = min(window for _, _, window in starts)
+
+    def way(lasts: float) -> float:
+        return sum(sign * _way(v, sign * pushed.force, lasts, end, fit) / 2.0 for sign, v, end in starts)
+
+    low, high = 0.0, window
+    for _ in range(BISECTIONS):
+        middle = (low + high) / 2.0
+        low, high = (middle, high) if way(middle) < moved else (low, middle)
+    more = (way(asked + window / PIECES) - way(asked)) / (window / PIECES)  # m for each second that it lasts longer
+    return low, KNOWN_TO * max(step, noise) / max(more, np.finfo(float).tiny)
+
+
+def _way(v: float, force: float, lasts: float, end: float, fit: _Fit) -> float:
+    """The way (m) until ``end`` (s) of a device that begins at v (m/s), under a force (N) that ``lasts`` so long, s."""
+    x, dt = 0.0, end / PIECES
+    damping, friction = max(0.0, fit.damping), max(0.0, fit.friction)
+    for piece in range(PIECES):
+        acts = min(1.0, max(0.0, lasts / dt - piece))
+        v += dt * (acts * force - damping * v) / fit.mass
+        v = math.copysign(max(0.0, abs(v) - dt * friction / fit.mass), v)
+        x += dt * v
+    return x
 
 
 def checked_apart(bench: Bench, suite: Callable[[], list[Judgement]], patience: float = PATIENCE) -> list[Judgement]:

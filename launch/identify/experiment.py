@@ -399,13 +399,13 @@ def _around(rig: Rig, one: _AlongLine, levels: Sequence[int], tell: Told) -> Non
 
 
 def _run(rig: Rig, servo: Controller, duration: float, tell: Told) -> MotionLog:
-    """One run; again from its origin where a machine that gave the loop no turn let the device coast out of bounds."""
+    """One run; again from its origin where a machine that gave the loop no turn is why it ended."""
     origin = rig.origin
     for _ in range(TRIES - 1):
         try:
             return rig.run(servo, duration, BEYOND * rig.safety.travel)
         except Late as error:
-            tell(f"once more, for a tick came {1e3 * rig.longest:.3g} ms after the one before: {error}")
+            tell(f"once more, for {error}")
             drag(rig, origin)
             rig.origin = origin
     return rig.run(servo, duration, BEYOND * rig.safety.travel)

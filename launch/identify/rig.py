@@ -1,8 +1,9 @@
 """A driver in a loop of its own that moves its device within bounds, and lets go whatever happens (:class:`Rig`).
 
 Every tick looks at what could be wrong before it exerts anything: the user's key, the way from the place where the
-motion began, the speed, the device's own workspace, and ticks that came late. A force ends by itself after
-:data:`HOLD`. However a run ends, the driver is released, and the rig's ``close`` closes it.
+motion began, the speed, and the device's own workspace. Where a tick that came late is why, that is what is said
+(:class:`Late`). A force ends by itself after :data:`HOLD`. However a run ends, the driver is released, and the rig's
+``close`` closes it.
 """
 
 from __future__ import annotations
@@ -38,6 +39,9 @@ OLDER = "older_than_stated"
 COASTS = 0.5
 """s after a tick whose force had ended, in which a bound that is left is that tick's fault."""
 
+STALLED = 0.5
+"""Periods that a call for a displacement may take; beyond that the speed is known less well than is judged."""
+
 LOOK_EVERY = 0.02
 """s from one look at the user's key to the next."""
 
@@ -47,7 +51,7 @@ class Aborted(Exception):
 
 
 class Late(Aborted):
-    """A bound ended the motion after a tick that came so late that its force had ended: it may be tried again."""
+    """A bound ended the motion, and the machine is why, for it gave the loop no turn: it may be tried again."""
 
 
 @dataclass(frozen=True)
@@ -124,10 +128,11 @@ class Rig:
         self._units = stated.units_by_axis
         self._span = max(1, round(SPAN / T))
         self._past: deque[Floats] = deque()
-        self._means: deque[tuple[float, Floats]] = deque()
+        self._means: deque[Floats] = deque()
         self._sum: Floats = []
         self._last: tuple[Floats, Floats] | None = None  # displacement and force of the tick before
-        self._looked = self._coasted = -math.inf
+        self._looked = -math.inf
+        self._coasts, self._unsure = (-math.inf, ""), (-math.inf, "")  # until when the machine is why, and the words
         self._old = 0  # displacements that were too old
         self.ticks = self.late = self.stale = 0
         self.longest = 0.0
@@ -153,7 +158,11 @@ class Rig:
         try:
             while True:
                 at, x = self._sampled()
-                log.asked.append(seconds(Duration(self._now())) - at)
+                took = seconds(Duration(self._now())) - at
+                log.asked.append(took)
+                if took > STALLED * self.T:
+                    words = f"a call of the driver took {1e3 * took:.3g} ms, within which nobody knows when it read:"
+                    self._unsure = at + took + 2.0 * SPAN + self.T, words
                 # after a tick that came late the wanted motion goes on where it was, and not where it would be
                 phase += 0.0 if before is None else min(at - before, MOST_TICKS * self.T)
                 stale = self._count(at, before)
@@ -217,7 +226,8 @@ class Rig:
         self.late += gap > 1.5 * self.T
         self.longest = max(self.longest, gap)
         if gap > seconds(HOLD):
-            self._coasted = at
+            words = f"a tick came {1e3 * gap:.3g} ms after the one before, when its force had ended, and"
+            self._coasts = at + COASTS, words
         own = self._driver.figures().tables.get(names.DRIVER, {})
         old = int(own.get(OLDER, 0.0))
         stale, self._old = old > self._old, old
@@ -235,19 +245,23 @@ class Rig:
         return done - sum(F * (b - a) for F, a, b in zip(f, before, x, strict=True))
 
     def _smooth(self, at: float, x: Floats) -> tuple[Floats, Floats]:
-        """The mean place over the last :data:`SPAN`, m, and the velocity from the one before that, m/s."""
+        """The mean place over the last :data:`SPAN`, m, and the velocity from the one before that, m/s.
+
+        The velocity is by the mean instants of both: after a tick that came late they are not a span apart.
+        """
         past, means = self._past, self._means
+        timed = [at, *x]
         if not past:
-            self._sum = [0.0] * len(x)
-        past.append(x)
-        self._sum = plus(self._sum, x)
+            self._sum = [0.0] * len(timed)
+        past.append(timed)
+        self._sum = plus(self._sum, timed)
         if len(past) > self._span:
             self._sum = minus(self._sum, past.popleft())
         now = [total / len(past) for total in self._sum]
-        means.append((at, now))
-        begin, before = means.popleft() if len(means) > self._span else means[0]
-        span = max(self.T, at - begin)  # of the clock: a tick may come late
-        return now, [(b - a) / span for a, b in zip(before, now, strict=True)]
+        means.append(now)
+        before = means.popleft() if len(means) > self._span else means[0]
+        span, *way = minus(now, before)
+        return now[1:], [one / max(self.T, span) for one in way]
 
     def _look(self, at: float, x: Floats, v: Floats, reach: float) -> None:
         if at - self._looked >= LOOK_EVERY:
@@ -255,27 +269,25 @@ class Rig:
             if self.stop():
                 raise Aborted("stopped by a key; no force is exerted")
         axes, stated = self.stated.axes, self.stated
-        bound = Late if at - self._coasted < COASTS else Aborted
         for axis, (place, begin, speed) in enumerate(zip(x, self.origin, v, strict=True)):
-            units = self._units[axis]
+            m, mm, per_second = (self._units[axis](unit) for unit in ("m", "mm", "m/s"))
             if abs(place - begin) > reach:
-                raise bound(
-                    f"axis {axes[axis]} moved by {1e3 * (place - begin):.3g} {units('mm')}; expected at most "
-                    f"{1e3 * reach:.3g} {units('mm')}"
-                    ": somebody pushed it, or its force is wrong (manyhands check-driver)"
-                )
-            if abs(place) > stated.displacement[axis]:
-                raise bound(
-                    f"axis {axes[axis]} is at {place:.4g} {units('m')}; expected within ±{stated.displacement[axis]:g} "
-                    f"{units('m')}, the "
-                    "device's own limit: begin nearer to the middle, or give less travel"
-                )
-            if abs(speed) > stated.speed[axis]:
-                raise bound(
-                    f"axis {axes[axis]} moves at {speed:.3g} {units('m/s')}; expected at most {stated.speed[axis]:g} "
-                    f"{units('m/s')}, the "
-                    "device's own limit: give a smaller speed"
-                )
+                found = f"moved by {1e3 * (place - begin):.3g} {mm}; expected at most {1e3 * reach:.3g} {mm}"
+                why = ": somebody pushed it, or its force is wrong (manyhands check-driver)"
+            elif abs(place) > (most := stated.displacement[axis]):
+                found = f"is at {place:.4g} {m}; expected within ±{most:g} {m}"
+                why = ", the device's own limit: begin nearer to the middle, or give less travel"
+            elif abs(speed) > (most := stated.speed[axis]):
+                found = f"moves at {speed:.3g} {per_second}; expected at most {most:g} {per_second}"
+                why = ", the device's own limit: give a smaller speed"
+                if at < self._unsure[0]:
+                    raise Late(
+                        f"{self._unsure[1]} axis {axes[axis]} seems to move at {found.removeprefix('moves at ')}"
+                    )
+            else:
+                continue
+            found = f"axis {axes[axis]} {found}"
+            raise Late(f"{self._coasts[1]} {found}") if at < self._coasts[0] else Aborted(f"{found}{why}")
 
     def _now(self) -> Instant:
         return Instant(self._clock.now() - self._epoch)

@@ -125,7 +125,7 @@ def node_entry(role: Role, report: Report, restarts: int = 0) -> dict[str, Any]:
 
     Args:
         role: the node's.
-        report: its final report; of a node that came back, that of its last process.
+        report: its final report; of a node that came back, with the figures of all its processes.
         restarts: how often it came back.
     """
     figures = report.figures.finite()  # JSON has no NaN
@@ -402,7 +402,7 @@ def run_report(
         clock: "realtime" or "simulated".
         duration: time that was run, by the session's clock, s.
         nodes: every node's role.
-        reports: the final reports of the nodes that sent one.
+        reports: the final reports of the nodes that sent one, each with the figures of all processes of its node.
         refused: what the supervisor did not admit, by kind; only kinds that occurred.
         incidents: the faults that the session survived.
         enforced: parties whose level is enforced at run time instead of proved.

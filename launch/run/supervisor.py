@@ -56,6 +56,7 @@ from manyhands.nodes.kernel.log import Log, LogEvent, log_path
 from manyhands.nodes.monitor.health import PromiseState, cut_forces
 from manyhands.nodes.monitor.health_model import HealthModel
 from manyhands.nodes.rows import figures as names
+from manyhands.nodes.rows.lives import Lives
 from manyhands.nodes.rows.promises import Promise
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds, seconds
 from manyhands.protocol.codec import decode, encode
@@ -241,6 +242,7 @@ class Supervisor:
         self._log = Log(None, session.name, SUPERVISOR, self._clock)
         self._observer_broadcast = ObserverBroadcast(session)
         self._received, self._reported = LastMessages(), LastMessages()
+        self._lives = Lives()
         self._directory = Path()
         self._places = self._choose_places() if places is None else places
         self._to_start: set[str] = set()
@@ -438,8 +440,12 @@ class Supervisor:
         after = self.conductor.states.get(sender)
         if sender in self._reach.remote and before is not after and after is NodeState.RUNNING:
             self._forget(sender)  # it is another process than before, which was not started here
+        conductor = self.conductor
+        if message is conductor.reports.get(sender) or message is conductor.left.get(sender):
+            self._lives.take(sender, message.figures)
         if isinstance(message, Telemetry) and self.conductor.states.get(sender) is NodeState.RUNNING:
             self._telemetry[sender] = message
+            self._lives.take(sender, message.figures)
             self._health.take(sender, message.tick, message.figures)
             self._listening.hear()
             self._reported.note(sender, self._clock.now())
@@ -509,6 +515,7 @@ class Supervisor:
     def _forget(self, name: str) -> None:
         """Forget what the former process of a node has reported: the next one counts anew, and is not silent yet."""
         self._telemetry.pop(name, None)
+        self._lives.forget(name)
         self._reported.forget(name)
         self._assumptions.forget(name)
         self._users.forget(name)
@@ -612,6 +619,10 @@ class Supervisor:
             )
         self._health.conclude()
         promises = self._promises()
+        reports = {
+            node: replace(report, figures=self._lives.of(node))
+            for node, report in {**conductor.left, **conductor.reports}.items()
+        }
         return Outcome(
             code,
             tuple(conductor.faults),
@@ -622,15 +633,12 @@ class Supervisor:
                 self._clock_name,
                 lasted,
                 self._graph.nodes,
-                {**conductor.left, **conductor.reports},
+                reports,
                 self._refused,
                 conductor.incidents,
                 self._prepared.loop.enforced,
                 lateness_entry(self._prepared, self._clock_name),
-                felt_links(
-                    self._session,
-                    {node: report.figures for node, report in {**conductor.left, **conductor.reports}.items()},
-                ),
+                felt_links(self._session, {node: report.figures for node, report in reports.items()}),
                 promises,
                 self._unreported(),
                 self._health.by_itself,

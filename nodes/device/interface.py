@@ -115,7 +115,7 @@ from manyhands.nodes.kernel.allowance import LatenessAllowance
 from manyhands.nodes.kernel.arithmetic import Floats, dot, linear_map, minus
 from manyhands.nodes.kernel.bundle import DeviceBundle
 from manyhands.nodes.kernel.inertia import Inertia
-from manyhands.nodes.kernel.timeouts import timeouts
+from manyhands.nodes.kernel.timeouts import HELD_TICKS, timeouts
 from manyhands.protocol.clock import Duration, Instant, from_seconds
 
 Matrix = NDArray[np.float64]
@@ -839,7 +839,7 @@ class DeviceInterface:
 def interface_of(bundle: DeviceBundle) -> DeviceInterface:
     """The interface of a device in wall time, at rest; a force is held until it is stale, and one period more."""
     rung, T = bundle.rungs[0], bundle.common.period
-    longest = Duration((timeouts(bundle.common).stale or 0) + from_seconds(T))
+    longest = Duration((HELD_TICKS if timeouts(bundle.common).stale else 1) * from_seconds(T))
     return DeviceInterface(
         bundle.osp,
         rung.share,

@@ -267,6 +267,7 @@ class DeviceTelemetry:
         tables = {
             names.TAU: {"p50": self._tau.quantile(0.5), "p99": self._tau.quantile(0.99)},
             names.PERIOD: {"p50": self._true_period.quantile(0.5), "p99": self._true_period.quantile(0.99)},
+            names.LATE_CAUSE: self._lateness.table(),
             **of_driver.tables,
         }
         control.publish(Telemetry(self.ticks, Figures(numbers, tables), traces))
@@ -301,7 +302,11 @@ class DeviceTelemetry:
         interface = self._interface
         if interface is None:
             return {}
-        suspended = {names.SUSPENDED: float(self.suspended), names.SUSPENDED_ENERGY: self._suspended_energy}
+        suspended = {
+            names.SUSPENDED: float(self.suspended),
+            names.SUSPENDED_TIME: self._suspended_time / 1e3,
+            names.SUSPENDED_ENERGY: self._suspended_energy,
+        }
         return (suspended if self.suspended else {}) | {
             names.INTERFACE: interface.account.energy,
             names.INTERFACE_LEAST: interface.account.least,

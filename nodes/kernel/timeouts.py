@@ -20,6 +20,12 @@ the coupling."""
 STALE_TICKS = 5
 """A device that has waited this many periods for its force applies zero force until one comes."""
 
+HELD_TICKS: Final = STALE_TICKS + 1
+"""The most periods after its sample for which a force is held: until it is stale, and one period more.
+
+No ``until`` of a driver is further away. The account of late forces often asks for a nearer one, and counts on that.
+"""
+
 RAMP: Final = 100
 """Ticks of a clutch from s = 0 to s = 1, and of a force that rises from 0."""
 

@@ -224,6 +224,7 @@ class HealthModel:
         # by node, figure and key of its table: of former processes, latest
         self._counts: dict[tuple[str, str, str], tuple[float, float]] = {}
         self._seen: dict[tuple[str, str, str], float] = {}
+        self._worst: dict[tuple[str, str], float] = {}  # by node and figure, over all processes
         self._paces: dict[str, _Pace] = {}  # by node, of its present process
         self._unbegun = _Pace(terms.period)  # while nobody has told of a tick
         self._free: frozenset[str] = frozenset()
@@ -289,10 +290,10 @@ class HealthModel:
             cost = {unit: self._total(node, figure, figures) for unit, figure in counter.cost.items()}
             self._count(counter.promise, node, counter.grows, self._grown(node, counter.grows, figures), at, cost)
         if (entry := self._entries.get((Promise.SPEED, node))) is not None:
-            fastest = figures.get(names.FASTEST, math.nan)
+            fastest = self._most(node, names.FASTEST, figures.get(names.FASTEST, math.nan))
             moved = "may have moved" if node in self._terms.drivers else "moved"  # measured, to a step
             unit = self._terms.units.get(node, TRANSLATING)("m/s")
-            entry.remark = f"{node} {moved} at up to {fastest:.3g} {unit} on an axis" if math.isfinite(fastest) else ""
+            entry.remark = f"{node} {moved} at up to {fastest:.3g} {unit} on an axis" if fastest else ""
         if figures.get(names.WAVE_HOLDING, 0.0) > 0.0:
             self._go_on(Promise.LINK, node, at)
         self._energy(node, at, figures)
@@ -407,6 +408,12 @@ class HealthModel:
         self._counts[node, figure, key] = before, value
         return before + value
 
+    def _most(self, node: str, figure: str, value: float) -> float:
+        """The greatest finite value from 0 on, over all processes of the node."""
+        if math.isfinite(value):
+            self._worst[node, figure] = max(self._worst.get((node, figure), 0.0), value)
+        return self._worst.get((node, figure), 0.0)
+
     def _grown(self, node: str, figure: str, figures: Figures, key: str = "") -> bool:
         """Whether a figure has grown since this was last asked."""
         before, total = self._grow(node, figure, figures, key)
@@ -505,7 +512,7 @@ class HealthModel:
         least = figures.get(names.INTERFACE_LEAST, 0.0)
         if not math.isfinite(least) and Promise.LATENESS in self._made:
             self._senseless(Promise.LATENESS, node, at, "its interface account")
-        put_in = max(0.0, -least) if math.isfinite(least) else 0.0
+        put_in = self._most(node, names.INTERFACE_LEAST, -least)
         cost = {"ticks": self._total(node, names.INTERFACE_TICKS, figures), "J": put_in}
         if self._terms.bounded:
             self._count(Promise.LATENESS, node, node, self._grown(node, names.INTERFACE_TICKS, figures), at, cost)

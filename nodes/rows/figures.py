@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import StrEnum
+from enum import Enum, StrEnum
 from types import MappingProxyType
 from typing import Final
 
@@ -73,6 +73,15 @@ class Unit(StrEnum):
     def whole(self) -> bool:
         """Whether a figure of this unit is a whole number."""
         return self in (Unit.TICKS, Unit.TIMES, Unit.NUMBER)
+
+
+class OverLives(Enum):
+    """What the figures of a node's processes make together, where a node came back after the end of one."""
+
+    SUM = "their sum"
+    GREATEST = "the greatest"
+    LEAST = "the least"
+    LATEST = "that of the latest process"
 
 
 class Key(StrEnum):
@@ -135,6 +144,9 @@ class Figure:
         plot: the title of its plot in viewers, and the role of the nodes that are drawn.
         promise: what is not kept whenever a node's own figure grows; a figure in J is the cost of that.
         promise_of: likewise for a table of the environment, about the coupling.
+        lives: what its numbers of several processes make together; None for what follows from the unit: counts and
+            impulses are added, and of all else the latest counts.
+        beside: the figure in J whose least it belongs to, and with which it is that of the same process; or empty.
     """
 
     name: str
@@ -146,6 +158,16 @@ class Figure:
     plot: tuple[str, Role] | None = None
     promise: Promise | None = None
     promise_of: Promise | None = None
+    lives: OverLives | None = None
+    beside: str = ""
+
+    @property
+    def over_lives(self) -> OverLives:
+        """What its numbers of several processes of a node make together."""
+        if self.lives is not None:
+            return self.lives
+        added = self.unit in (Unit.TICKS, Unit.TIMES, Unit.IMPULSE)
+        return OverLives.SUM if added else OverLives.LATEST
 
 
 _DECLARED: Final[dict[str, Figure]] = {}
@@ -159,6 +181,8 @@ def _figure(declared: Figure) -> str:
 def _at(*path: str, needed: bool = False, positive: bool = False, scale: float = 1.0) -> ReportKey:
     return ReportKey(path, needed, positive, scale)
 
+
+_SUM, _GREATEST, _LEAST = OverLives.SUM, OverLives.GREATEST, OverLives.LEAST
 
 # fmt: off
 # --- time
@@ -190,10 +214,10 @@ SUSPENDED: str = _figure(Figure(
     report=_at("suspended", "times", needed=True, positive=True)))
 SUSPENDED_TIME: str = _figure(Figure(
     "suspended_us", Unit.MICROSECONDS, "that its process did not run, in all",
-    report=_at("suspended", "seconds", needed=True, scale=1e-6)))
+    report=_at("suspended", "seconds", needed=True, scale=1e-6), lives=_SUM))
 SUSPENDED_ENERGY: str = _figure(Figure(
     "suspended_energy", Unit.JOULES, "by which its interface account fell meanwhile",
-    report=_at("suspended", "energy", needed=True)))
+    report=_at("suspended", "energy", needed=True), lives=_SUM))
 REALTIME: str = _figure(Figure(
     "realtime", Unit.STATE, "whether the machine granted it", Key.RIGHT, report=_at("realtime")))
 
@@ -205,12 +229,14 @@ FORCE_ASKED: str = _figure(Figure(
 FORCE_GIVEN: str = _figure(Figure("force_given", Unit.IMPULSE, "that it exerted", report=_at("interface", "given")))
 FORCE_TIME: str = _figure(Figure(
     "force_time_us", Unit.MICROSECONDS, "in which a device could be given a force",
-    columns=(Column("given [%]", "", 5),)))
+    columns=(Column("given [%]", "", 5),), lives=_SUM))
 FORCE_AWAY: str = _figure(Figure(
-    "force_away_us", Unit.MICROSECONDS, "of these in which it had no valid answer, or its force rose again after that"))
+    "force_away_us", Unit.MICROSECONDS, "of these in which it had no valid answer, or its force rose again after that",
+    lives=_SUM))
 FORCE_HELD_BACK: str = _figure(Figure(
-    "force_held_back_us", Unit.MICROSECONDS, "in which the reserve for lateness lowered its force, or ended it early"))
-FORCE_CUT: str = _figure(Figure("force_cut_us", Unit.MICROSECONDS, "in which a limit cut its force"))
+    "force_held_back_us", Unit.MICROSECONDS, "in which the reserve for lateness lowered its force, or ended it early",
+    lives=_SUM))
+FORCE_CUT: str = _figure(Figure("force_cut_us", Unit.MICROSECONDS, "in which a limit cut its force", lives=_SUM))
 
 # --- limits and presence
 
@@ -242,10 +268,11 @@ JUMPS: str = _figure(Figure(
 ABSENCES: str = _figure(Figure("absences", Unit.TIMES, "that any coupling was frozen or lost"))
 SPEED: str = _figure(Figure(
     "speed", Unit.SPEED, "the greatest since the last telemetry", columns=(Column("speed [m/s]", ".2e", 9),)))
-PEAK_SPEED: str = _figure(Figure("peak_speed", Unit.SPEED, "the greatest of the run", report=_at("peak_speed")))
+PEAK_SPEED: str = _figure(Figure(
+    "peak_speed", Unit.SPEED, "the greatest of the run", report=_at("peak_speed"), lives=_GREATEST))
 PEAK_FORCE: str = _figure(Figure(
     "peak_force", Unit.NEWTONS, "the greatest that an axis of a device exerted", report=_at("peak_force"),
-    columns=(Column("peak [N]", ".2f", 12),)))
+    columns=(Column("peak [N]", ".2f", 12),), lives=_GREATEST))
 FINAL_SPEED: str = _figure(Figure(
     "final_speed", Unit.SPEED, "the greatest of the last rows of a run", report=_at("final_speed")))
 
@@ -253,10 +280,10 @@ FINAL_SPEED: str = _figure(Figure(
 
 INTERFACE_LEAST: str = _figure(Figure(
     "interface_min", Unit.JOULES, "the least of a device's interface account, at most 0",
-    report=_at("interface", "min", needed=True)))
+    report=_at("interface", "min", needed=True), lives=_LEAST))
 INTERFACE_MARGIN: str = _figure(Figure(
     "interface_margin", Unit.JOULES, "the least distance of that account from its bound -(E_0 + P t)",
-    report=_at("interface", "margin", needed=True)))
+    report=_at("interface", "margin", needed=True), lives=_LEAST))
 _figure(Figure(
     INTERFACE, Unit.JOULES, "the account of what lateness puts in", report=_at("interface", "final", needed=True),
     columns=(Column("account [J]", ".2e", 7),)))
@@ -265,57 +292,58 @@ INTERFACE_TICKS: str = _figure(Figure(
     report=_at("interface", "changed_ticks", needed=True)))
 INTERFACE_KEPT_BACK: str = _figure(Figure(
     "interface_kept_back", Unit.JOULES, "that the changed motions kept from being lost",
-    report=_at("interface", "kept_back", needed=True)))
+    report=_at("interface", "kept_back", needed=True), lives=_SUM))
 INTERFACE_OFFSET: str = _figure(Figure(
     "interface_offset", Unit.METRES, "the greatest offset between a device and the motion sent",
-    report=_at("interface", "offset")))
+    report=_at("interface", "offset"), lives=_GREATEST))
 INTERFACE_BEHIND: str = _figure(Figure(
     "interface_behind", Unit.METRES, "of offset between a device and the motion sent now: so far its tool lags behind"))
 QUICKER: str = _figure(Figure(
-    "quicker", Unit.STATE, "whether a device moved further than the stated mass and hand allow"))
+    "quicker", Unit.STATE, "whether a device moved further than the stated mass and hand allow", lives=_GREATEST))
 BEYOND: str = _figure(Figure(
     "beyond", Unit.TIMES, "that an axis was faster, from one sample to the next, than the speed below which the "
     "certificate holds", report=_at("proved_speed", "beyond", needed=True), promise=Promise.SPEED))
 FASTEST: str = _figure(Figure(
     "fastest", Unit.SPEED, "the greatest of an axis from one sample to the next, where the certificate holds below a "
-    "speed", report=_at("proved_speed", "fastest", needed=True)))
+    "speed", report=_at("proved_speed", "fastest", needed=True), lives=_GREATEST))
 LEDGER_MIN: str = _figure(Figure(
-    "ledger_min", Unit.JOULES, "the least total of the ledger", report=_at("ledger", "min", needed=True)))
+    "ledger_min", Unit.JOULES, "the least total of the ledger", report=_at("ledger", "min", needed=True), lives=_LEAST))
 _figure(Figure(
     LEDGER, Unit.JOULES, "the energy that a party has taken in above its promised level",
     report=_at("ledger", "final", needed=True), columns=(Column("ledger [J]", ".2e", 8),)))
 LEDGER_MIN_TICK: str = _figure(Figure(
     "ledger_min_tick", Unit.TICK, "of the party's own ticks, from 1 on, in which the total was least; 0 where it never "
-    "fell below its beginning", report=_at("ledger", "at")))
+    "fell below its beginning", report=_at("ledger", "at"), beside=LEDGER_MIN))
 LEDGER_MARGIN: str = _figure(Figure(
     "ledger_margin", Unit.JOULES, "by which the least total stayed above the bound", report=_at("ledger", "margin"),
-    columns=(Column("margin [J]", ".2e", 10),)))
+    columns=(Column("margin [J]", ".2e", 10),), lives=_LEAST))
 ENFORCED_TICKS: str = _figure(Figure(
     "enforced_ticks", Unit.TICKS, "in which a passivity controller kept a force back",
     report=_at("enforcement", "ticks", needed=True), promise=Promise.LEVEL))
 ENFORCED_ENERGY: str = _figure(Figure(
     "enforced_energy", Unit.JOULES, "that it kept back", report=_at("enforcement", "energy", needed=True),
-    promise=Promise.LEVEL))
+    promise=Promise.LEVEL, lives=_SUM))
 
 # --- energy between users, by the environment
 
 GIVEN: str = _figure(Figure(
     "given", Unit.JOULES, "that the others have received of the coupling's energy", Key.COUPLING,
-    report=_at("energy", "given"), promise_of=Promise.BUDGET))
+    report=_at("energy", "given"), promise_of=Promise.BUDGET, lives=_SUM))
 RECEIVED: str = _figure(Figure(
     "received", Unit.JOULES, "that the coupling has received of the others' energy", Key.COUPLING,
-    report=_at("energy", "received")))
+    report=_at("energy", "received"), lives=_SUM))
 MOVED: str = _figure(Figure(
-    "moved", Unit.JOULES, "that one coupling has given another", Key.PAIR, report=_at("energy", "moved")))
+    "moved", Unit.JOULES, "that one coupling has given another", Key.PAIR, report=_at("energy", "moved"), lives=_SUM))
 SCALED: str = _figure(Figure(
     "scaled", Unit.TICKS, "in which its ratio was below 1, for its energy budget", Key.COUPLING,
     report=_at("energy", "scaled"), promise_of=Promise.BUDGET))
 STOPS: str = _figure(Figure(
     "stops", Unit.TIMES, "that its energy budget stopped it", Key.COUPLING, report=_at("energy", "stopped")))
 SUPPLIED: str = _figure(Figure(
-    "supplied", Unit.JOULES, "of its own that the coupling has put into the environment", Key.COUPLING))
+    "supplied", Unit.JOULES, "of its own that the coupling has put into the environment", Key.COUPLING, lives=_SUM))
 UNOWNED: str = _figure(Figure(
-    "unowned", Unit.JOULES, "that users received of the environment's own energy", report=_at("energy", "unowned")))
+    "unowned", Unit.JOULES, "that users received of the environment's own energy", report=_at("energy", "unowned"),
+    lives=_SUM))
 
 # --- the world
 
@@ -324,7 +352,7 @@ HELD: str = _figure(Figure(
 REVERSALS: str = _figure(Figure(
     "reversals", Unit.TICKS, "in which the force on its tools reversed", Key.COUPLING, report=_at("reversals")))
 CHATTER: str = _figure(Figure(
-    "chatter", Unit.TICKS, "of these, the most in a second", Key.COUPLING, report=_at("chatter")))
+    "chatter", Unit.TICKS, "of these, the most in a second", Key.COUPLING, report=_at("chatter"), lives=_GREATEST))
 UNFINISHED: str = _figure(Figure(
     "unfinished", Unit.TICKS, "in which the iteration of a scene's contacts did not end",
     report=_at("scene", "unfinished", needed=True)))
@@ -338,7 +366,7 @@ DRIVE_TANK: str = _figure(Figure(
 WAITED_TICKS: str = _figure(Figure(
     "waited_ticks", Unit.TICKS, "in which the others waited for the coupling alone", Key.COUPLING))
 WAITED_TIME: str = _figure(Figure(
-    "waited_us", Unit.MICROSECONDS, "that the others waited in them", Key.COUPLING))
+    "waited_us", Unit.MICROSECONDS, "that the others waited in them", Key.COUPLING, lives=_SUM))
 FROZEN_LATE: str = _figure(Figure(
     "frozen_late", Unit.TIMES, "that the coupling was frozen for being silent", Key.COUPLING))
 OVERDUE: str = _figure(Figure(
@@ -362,14 +390,15 @@ WAVE_LAG: str = _figure(Figure(
 
 DRIVER: str = _figure(Figure("driver", Unit.OWN, "figures of a driver of another package, by its names", Key.OWN))
 UNEXERTED: str = _figure(Figure("unexerted", Unit.TICKS, "in which a device exerted another force than it was given"))
-UNEXERTED_MOST: str = _figure(Figure("unexerted_most", Unit.NEWTONS, "the greatest difference of an axis"))
+UNEXERTED_MOST: str = _figure(Figure(
+    "unexerted_most", Unit.NEWTONS, "the greatest difference of an axis", lives=_GREATEST))
 MEASURED: str = _figure(Figure(
     "measured", Unit.TICKS, "in which a driver of another package measured the force that its device exerted"))
 UNTRUE: str = _figure(Figure("untrue", Unit.TICKS, "of these in which there was a force that it had not been given"))
 UNTRUE_MOST: str = _figure(Figure(
-    "untrue_most", Unit.NEWTONS, "by which that was beyond them at most, on any of the driver's axes"))
+    "untrue_most", Unit.NEWTONS, "by which that was beyond them at most, on any of the driver's axes", lives=_GREATEST))
 LIMP: str = _figure(Figure("limp", Unit.TICKS, "of these in which there was no force, though one had been given"))
-LIMP_MOST: str = _figure(Figure("limp_most", Unit.NEWTONS, "the greatest that an axis lacked then"))
+LIMP_MOST: str = _figure(Figure("limp_most", Unit.NEWTONS, "the greatest that an axis lacked then", lives=_GREATEST))
 GRASPED: str = _figure(Figure("grasped", Unit.STATE, "whether a person who feels no force holds the device"))
 GRASPS: str = _figure(Figure(
     "grasps", Unit.TIMES, "positions of a pointer, or reports of a SpaceMouse or a gamepad, that the device took"))
@@ -383,13 +412,13 @@ GRASPS_LAPSED: str = _figure(Figure("grasps_lapsed", Unit.TIMES, "that a pointer
 
 NOT_ADMITTED: str = _figure(Figure(
     "not_admitted", Unit.NUMBER, "connections and frames that were not admitted, in one sum",
-    columns=(Column("refused", ".0f", 11),)))
+    columns=(Column("refused", ".0f", 11),), lives=_SUM))
 REFUSED: str = _figure(Figure(
     "refused", Unit.NUMBER, "connections that the process did not admit", Key.REASON,
-    report=_at("refused", positive=True)))
+    report=_at("refused", positive=True), lives=_SUM))
 DROPPED: str = _figure(Figure(
     "dropped", Unit.NUMBER, "frames of its links that were dropped, telemetry that the supervisor did not take fast "
-    "enough, and lines that did not fit into its log", Key.REASON, report=_at("dropped", positive=True)))
+    "enough, and lines that did not fit into its log", Key.REASON, report=_at("dropped", positive=True), lives=_SUM))
 # fmt: on
 
 

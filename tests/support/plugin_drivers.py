@@ -215,6 +215,17 @@ class KeptOnSilence(Counterpart):
         return super().apply(f, at)
 
 
+class Watchdog(Counterpart):
+    """Its device ends each force after the same time (``watchdog``, ns), whatever was asked."""
+
+    def __init__(self, ports: tuple[str, ...], period: float, parameters: Mapping[str, Any]) -> None:
+        super().__init__(ports, period, parameters)
+        self.watchdog = int(parameters["watchdog"])
+
+    def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> Sequence[float] | None:
+        return super().apply(f, at, Instant(at + self.watchdog) if any(f) else None)
+
+
 class MovesByItself(Counterpart):
     """A driven stage: it goes to and fro whatever the force, so a push seems to move it anyhow."""
 

@@ -8,15 +8,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from manyhands.nodes.kernel.timeouts import STALE_TICKS
+from manyhands.nodes.kernel.timeouts import HELD_TICKS
 
 from ..fakes.far_side import FarSide
 
 KILL: Final = "KILL"
 """In place of an order: the process of the device's driver is killed, which then cannot let go."""
 
-LASTS: Final = STALE_TICKS + 1
-"""Periods from a sample on for which its force is held at the longest (nodes/device/interface.py, ``interface_of``)."""
+LASTS: Final = HELD_TICKS
+"""Periods from a sample on for which its force is held at the longest."""
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ commands = typer.Typer()
 LATE = 0.01
 """Part of the ticks; where more come late, the machine may be why too little was measured."""
 
-_ADVICE = "; many ticks came late: end other programs, or give a longer --period"
+_ADVICE = "end other programs, or give a longer --period"
 
 STARTS = 3
 """How often a driver that measures its times is started: each start measures others."""
@@ -156,8 +156,11 @@ def _measured(
                 drag(rig, wanted[pose])
             try:
                 found.append(experiment(rig, partial(_tell, f"pose {pose + 1} of {number}")))
-            except (Late, TooLittle) as error:
-                raise type(error)(f"{error}{_ADVICE if rig.late > LATE * rig.ticks else ''}") from error
+            except Late as error:
+                raise Late(f"{error}; {_ADVICE}") from error
+            except TooLittle as error:
+                many = rig.late > LATE * rig.ticks
+                raise TooLittle(f"{error}; many ticks came late: {_ADVICE}" if many else str(error)) from error
             finally:
                 if stated.hardware:
                     say(err, _lateness(rig))

@@ -43,11 +43,11 @@ from ...support import plugin_drivers as drivers
 T = 1e-3
 
 
-def bench_of(kind: type[DeviceDriver], axes: int = 2, **parameters: Any) -> tuple[Bench, Any]:
-    driver = kind(tuple(f"d.{axis}" for axis in range(axes)), T, parameters)  # type: ignore[call-arg]
+def bench_of(kind: type[DeviceDriver], axes: int = 2, period: float = T, **parameters: Any) -> tuple[Bench, Any]:
+    driver = kind(tuple(f"d.{axis}" for axis in range(axes)), period, parameters)  # type: ignore[call-arg]
     stated = driver.specification()
-    plugin = PluginDriver(kind.__name__, driver, AxisMap(tuple(range(axes)), (1.0,) * axes), stated, T)
-    return Bench(plugin, T, SimulatedClock(), CallTimer(drivers.CALLS, lambda: 0)), stated
+    plugin = PluginDriver(kind.__name__, driver, AxisMap(tuple(range(axes)), (1.0,) * axes), stated, period)
+    return Bench(plugin, period, SimulatedClock(), CallTimer(drivers.CALLS, lambda: 0)), stated
 
 
 def findings(kind: type[DeviceDriver], axes: int = 2, push: Push | None = Push(), **parameters: Any) -> list[Judgement]:  # noqa: B008
@@ -181,6 +181,42 @@ def test_a_broken_driver_is_named_for_what_it_is(kind: type[DeviceDriver], name:
     text = next(finding.text for finding in found if finding.verdict is Conformance.BROKEN)
     assert "found" in text
     assert "expected" in text
+
+
+def silence_of(kind: type[DeviceDriver], **parameters: Any) -> Judgement:
+    (found,) = [one for one in findings(kind, 1, push=Push(travel=0.05), **parameters) if one.check == SILENCE]
+    return found
+
+
+@pytest.mark.parametrize(("damping", "friction"), [(0.1, 0.0), (0.1, 0.15), (1.5, 0.0), (10.0, 0.0)])
+@pytest.mark.parametrize(
+    ("watchdog", "period", "asked"),
+    [(20, 0.002, 12), (20, 0.001, 6), (10, 0.002, 4), (10, 0.004, None), (3, 0.001, None)],  # ms, s, ms
+)
+def test_a_watchdog_is_judged_by_the_time_that_a_session_of_this_period_counts_on(
+    watchdog: int, period: float, asked: int | None, damping: float, friction: float
+) -> None:
+    """One of 20 ms outlives the 12 ms of a session of 2 ms; one of 10 ms outlives what its account may ask."""
+    device = {"watchdog": watchdog * 1_000_000, "period": period, "damping": damping, "friction": friction}
+    found = silence_of(drivers.Watchdog, **device)
+    assert (found.verdict is Conformance.KEPT) == (asked is None), found
+    if asked is not None:
+        said = re.search(r"went on for (\S+) ms .* expected its end after (\S+) ms, its 'until'.*", found.text)
+        assert said is not None, found.text
+        assert float(said[1]) == pytest.approx(watchdog, rel=0.06)
+        assert float(said[2]) == asked
+        period = float(re.findall(r"a period of at least (\S+) ms$", found.text)[0]) * 1e-3
+        assert silence_of(drivers.Watchdog, **{**device, "period": period}).verdict is Conformance.KEPT
+
+
+def test_a_coarse_encoder_sees_only_the_end_of_longer_forces_or_of_none() -> None:
+    found = silence_of(drivers.Counterpart, step=1e-4)
+    assert found.verdict is Conformance.KEPT
+    assert [float(asked) for asked in re.findall(r" of (\S+) ms", found.text)] == [6.0, 5.0]
+    found = silence_of(drivers.Counterpart, step=3e-4)
+    assert found.verdict is Conformance.OPEN
+    assert found.text.startswith("a step of 0.0003 m is too coarse to see whether a force on its axis ends after 6 ms")
+    assert silence_of(drivers.KeptOnSilence, step=1e-4).verdict is Conformance.BROKEN
 
 
 @pytest.fixture

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -158,9 +160,62 @@ def test_a_motion_that_a_late_tick_let_out_of_bounds_is_begun_again() -> None:
     assert coasting(every=1e9).found.damping.low <= 0.05
 
 
-def test_a_machine_that_is_late_again_and_again_ends_it() -> None:
-    with pytest.raises(Late):
+def test_a_machine_that_is_late_again_and_again_ends_it_and_is_named_for_it() -> None:
+    with pytest.raises(Late) as ended:
         coasting(every=1.0)
+    assert str(ended.value).startswith("a tick came 402 ms after the one before, when its force had ended, and axis 0 ")
+    assert "own limit" not in str(ended.value)
+    assert "somebody" not in str(ended.value)
+
+
+class Uneven(SimulatedClock):
+    """Every 40th tick comes 14 ms late: none of its forces has ended by then."""
+
+    ticks = 0
+
+    def sleep_until(self, t: Instant) -> None:
+        self.ticks += 1
+        super().sleep_until(Instant(t + 14_000_000) if self.ticks % 40 == 0 else t)
+
+
+def test_ticks_that_come_late_make_no_device_faster_than_it_is() -> None:
+    """The velocity that a servo is told, and that is judged, is a mean of true ones, whenever the samples came."""
+    driver = PlantDriver(Slide(m=0.2, b=0.3, c=0.0), step=0.0)
+    rig = Rig(rig_of(driver)._driver, driver.stated, T, Uneven(), QUICK)
+    told, true = [], []
+
+    def push(x: Sequence[float], v: Sequence[float], t: float) -> list[float]:
+        told.append(abs(v[0]))
+        true.append(abs(driver.plant.v))
+        return [0.5 * math.sin(20.0 * t)]
+
+    rig.run(push, 5.0, 1.0)
+    assert rig.late > 40
+    assert rig.longest == pytest.approx(0.016)
+    assert 0.95 * max(true) < max(told) <= max(true)
+
+
+class Stalling(PlantDriver):
+    """The program gets no turn for 30 ms within a call, before it reads: in every 400th tick from the 8000th on."""
+
+    clock: SimulatedClock
+
+    def sample(self, tick: int, at: Instant) -> Any:
+        if tick > 8000 and tick % 400 == 0:
+            self.clock.sleep_until(Instant(self.clock.now() + 30_000_000))
+        return super().sample(tick, self.clock.now())
+
+
+def test_a_call_that_stood_still_is_no_speed_of_the_device() -> None:
+    driver = stating(Stalling(Slide(m=0.2, b=0.3, c=0.1), step=5e-6), speed=(0.3,))
+    driver.clock = SimulatedClock()
+    rig = Rig(rig_of(driver)._driver, driver.stated, 4e-3, driver.clock, replace(QUICK, speed=0.2))
+    with pytest.raises(Late) as ended:
+        experiment(rig)
+    assert str(ended.value).startswith(
+        "a call of the driver took 30 ms, within which nobody knows when it read: axis 0"
+    )
+    assert "own limit" not in str(ended.value)
 
 
 def test_the_device_s_own_limits_end_it() -> None:

@@ -168,6 +168,28 @@ def test_a_guest_that_joins_again_is_not_taken_for_silent(prepared: Prepared, mo
     heard.transport.close()
 
 
+def test_the_report_is_about_all_processes_of_a_node(prepared: Prepared) -> None:
+    """One that left with a report, one that fell silent, and one that ran to the end."""
+    heard = Heard(prepared, run=True, remote=frozenset({"dx"}))
+    heard.say("dx", Telemetry(100, Figures({names.LATE: 1.0, names.PEAK_FORCE: 3.0, names.LEDGER: 0.5}), {}))
+    heard.say("dx", Report(110, Figures({names.LATE: 2.0, names.PEAK_FORCE: 4.0, names.CLIPPED: 7.0})))
+    for endpoint, last in (("ipc:///t", False), ("ipc:///u", True)):
+        heard.say("cx", Offer("dx", endpoint))
+        heard.say("dx", hello(prepared, heard.graph, "dx"))
+        heard.say("dx", Ready())
+        heard.say("dx", Telemetry(200, Figures({names.LATE: 10.0, names.PEAK_FORCE: 1.0}), {}))
+        if not last:
+            heard.supervisor.carry_out(
+                heard.supervisor.conductor.silent("dx", heard.supervisor._clock.now()), heard.hub, heard.processes
+            )
+    heard.say("dx", Report(300, Figures({names.LATE: 20.0, names.PEAK_FORCE: 2.0, names.TAU_BREACHES: 5.0})))
+    entry = heard.supervisor.outcome(None).report["nodes"]["dx"]
+    assert {key: entry[key] for key in ("late", "peak_force", "clipped", "tau_breaches")} == {
+        "late": 2 + 10 + 20, "peak_force": 4.0, "clipped": 7, "tau_breaches": 5,
+    }  # fmt: skip
+    heard.transport.close()
+
+
 def test_a_guest_that_reports_impossible_ticks_has_left_after_those_that_were_seen(prepared: Prepared) -> None:
     """`[33, 2**63 - 1, {}, {}, {}]` on a guest's own line ended a timed session for everybody."""
     heard = Heard(prepared, run=True, remote=frozenset({"dx"}), ticks=60_000)

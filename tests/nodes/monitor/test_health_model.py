@@ -215,6 +215,26 @@ def test_costs_are_those_of_all_processes_of_a_node(event: bool) -> None:
     assert only(found).cost == {"times": 8.0}
 
 
+@pytest.mark.parametrize("terms", [TERMS, COUNTED])
+def test_the_worst_account_of_all_processes_is_told(terms: Terms) -> None:
+    """A promise that broke in a former process stays broken, at what it cost then."""
+    found = model(terms, ("dx", 100, {"interface_ticks": 2.0, "interface_min": -0.25}))
+    found.take("dx", 300, Figures({"interface_ticks": 3.0, "interface_min": -0.001, "began@200": 1.0}))
+    row = only(found)
+    assert (row.promise, row.state, row.cost["J"]) == (Promise.LATENESS, BROKEN, 0.25)
+    assert row.remark.startswith("dx: lateness has put 0.25 J into the loop")
+    kept = model(terms, ("dx", 100, {"interface_ticks": 2.0, "interface_min": -0.003}))
+    kept.take("dx", 300, Figures({"interface_ticks": 3.0, "interface_min": -0.001, "began@200": 1.0}))
+    if terms is TERMS:
+        assert only(kept).cost == {"ticks": 5.0, "J": 0.003}
+
+
+def test_the_greatest_speed_of_all_processes_is_told() -> None:
+    found = model(TERMS, ("dx", 100, {"beyond": 2.0, "fastest": 0.7}))
+    found.take("dx", 300, Figures({"beyond": 1.0, "fastest": 0.6, "began@200": 1.0}))
+    assert only(found).remark == "dx moved at up to 0.7 m/s on an axis"
+
+
 def test_a_node_of_its_own_period_counts_the_sessions_time() -> None:
     found = model(replace(TERMS, rates={"dx": 4.0}), ("dx", 400, {"let_go": 1.0}))
     assert (found.now, only(found).since) == (0.1, 0.1)
