@@ -147,6 +147,9 @@ class EnvironmentCore:
         self._deflection: LinearMap = list  # the same for all of J
         self._F_D = np.zeros((0, 0))  # F_JJ D_V at J
 
+    def press(self, pressed: int) -> None:
+        """Do nothing: no button acts on matrices."""
+
     def react(self, p: Floats) -> Floats:
         """f_c(k) = S f_e(k), N, for the couplings, from the free tool positions p(k), m; ignores p of frozen blocks."""
         self._rest_of_tick = self._rest

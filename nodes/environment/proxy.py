@@ -112,6 +112,9 @@ class ProxyLaw:
         """x, y and z of each reported body, m; empty without an engine."""
         return self._model.positions(self._bodies) if self._bodies else []
 
+    def press(self, pressed: int) -> None:
+        """Do nothing: the model does not ask for buttons."""
+
     def propose(self, r: Vector, compliance: Vector, x_e: Vector) -> Vector:
         """The springs' forces, N; the model is asked at the ``r`` of the tick's first call, its later calls reuse q."""
         if compliance is not self._compliance:

@@ -141,6 +141,9 @@ class SceneLaw:
         found: Floats = (self._z - self._home)[self._first :].tolist()
         return found
 
+    def press(self, pressed: int) -> None:
+        """Do nothing: nothing in the scene is held by a button."""
+
     def propose(self, r: Vector, compliance: Vector, x_e: Vector) -> Vector:
         """The forces on the tools, N, of the tick's solution."""
         if compliance is not self._compliance:
