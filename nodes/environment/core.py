@@ -393,7 +393,7 @@ def environment_core(bundle: EnvironmentBundle, D_V: Vector, blocks: Blocks | No
             parties = ports_of_blocks(blocks, len(common.ports))
             law = ProxyLaw(asked, K, bundle.Phi_E, common.period, parties, len(bundle.masses) // 3, bundle.tank)
     elif bundle.scene is not None:
-        law = SceneLaw(bundle.scene, common.period)
+        law = SceneLaw(bundle.scene, common.period, common.buttons)
     elif E is None:
         raise ValueError("found an environment without matrices, a model and a scene; expected one of them")
     elif bundle.enforce:
