@@ -48,6 +48,7 @@ def test_the_shipped_sessions() -> None:
         "ball": "ball",
         "browser": "browser",
         "carry": "carry",
+        "handover": "handover",
         "mujoco": "mujoco",
         "example1": "example-1",
         "example1-centralised": "example-1-centralised",
