@@ -14,6 +14,9 @@ takes the general path. So do waves: their fixed layout is
 
     array of 4 | type id | tick, uint 64 | length of the sums, bin 16 | sums | shipped, float 64
 
+**Buttons.** Samples, tools and waves end with the state of the buttons where any is held down: the array has one entry
+more, and the frame :data:`BUTTONS_TAIL` at its end, with the same layout before it.
+
 **Heads.** The head of a signal's frame is everything before its values:
 
     array of 4 | type id | tick | stamp | length of the values | values
@@ -35,6 +38,7 @@ import msgpack
 import numpy as np
 
 from manyhands.protocol.limits import (
+    MAX_BUTTONS,
     MAX_BY_ITSELF,
     MAX_CONTAINERS,
     MAX_CONTROL_BYTES,
@@ -368,6 +372,9 @@ BY_ITSELF: Final = _list_of("sentences", MAX_BY_ITSELF, _word(MAX_SENTENCE))
 ALL_BY_ITSELF: Final = _mapping(_list_of("sentences", 2 * MAX_BY_ITSELF, _word(MAX_SENTENCE)))
 STATES: Final = _mapping(NAME)
 RUNG: Final = integer(0, MAX_RUNG)
+BUTTONS: Final = integer(1, 2**MAX_BUTTONS - 1)
+"""A field that is left out where its value is 0, so that a state has one form alone."""
+
 VALUES: Final = PlainForm(pack_values, read_values)
 SUMS: Final = PlainForm(_pack_sums, _read_sums)
 CONNECTION: Final = _raw(CONNECTION_BYTES, CONNECTION_BYTES)
@@ -387,7 +394,12 @@ TRACES: Final = _mapping(PlainForm(_pack_trace, _read_trace))
 USUAL: Final = struct.Struct(">BBBQBQBH")
 """array of 4, type id, uint 64, tick, uint 64, stamp, bin 16, length; the constant bytes are MessagePack's own tags."""
 
+BUTTONS_TAIL: Final = struct.Struct(">BI")
+"""uint 32, buttons."""
+
 ARRAY_OF_4: Final = 0x94
+ARRAY_OF_5: Final = 0x95
+UINT32: Final = 0xCE
 UINT64: Final = 0xCF
 BIN16: Final = 0xC5
 
@@ -419,12 +431,16 @@ class Head(NamedTuple):
     Attributes:
         tick: k.
         stamp: when x(k) was sampled, ns.
-        size: bytes of the head; the values follow, 8 bytes each, up to the end of the frame.
+        size: bytes of the head; the values follow, 8 bytes each.
+        length: bytes of the values.
+        buttons: those that are held down; 0 where the frame ends with the values.
     """
 
     tick: int
     stamp: int
     size: int
+    length: int
+    buttons: int = 0
 
 
 def type_of(frame: bytes) -> int | None:
@@ -449,15 +465,18 @@ def type_and_next(frame: bytes) -> tuple[int, int] | None:
 def read_head(frame: bytes) -> Head | None:
     """The head of a signal of any type; None if this is no frame of a signal. Never raises."""
     try:
-        entries, _, at = _start(frame)
+        entries, number, at = _start(frame)
         tick, at = _integer(frame, at)
         stamp, at = _integer(frame, at)
         length, at = _tagged(frame, at, _BINARIES)
+        pressed = entries == 5 and number in _WITH_BUTTONS
+        buttons, end = _integer(frame, at + length) if pressed else (0, at + length)
     except (IndexError, KeyError, struct.error):
         return None
     counts = 0 <= tick <= MAX_COUNT and 0 <= stamp <= MAX_COUNT
-    whole = length == len(frame) - at and length % 8 == 0 and 8 <= length <= 8 * MAX_PORTS
-    return Head(tick, stamp, at) if entries == 4 and counts and whole else None
+    whole = end == len(frame) and length % 8 == 0 and 8 <= length <= 8 * MAX_PORTS
+    fits = (entries == 4 or pressed) and int(pressed) <= buttons < 2**MAX_BUTTONS
+    return Head(tick, stamp, at, length, buttons) if fits and counts and whole else None
 
 
 class RawWave(NamedTuple):
@@ -467,11 +486,13 @@ class RawWave(NamedTuple):
         tick: n, from 0 to ``MAX_COUNT``.
         sums: U, 8 bytes for each of 1 to ``MAX_PORTS`` entries.
         shipped: G.
+        buttons: those that are held down.
     """
 
     tick: int
     sums: bytes
     shipped: float
+    buttons: int = 0
 
 
 def read_wave(frame: bytes) -> RawWave | None:
@@ -482,11 +503,14 @@ def read_wave(frame: bytes) -> RawWave | None:
         length, at = _tagged(frame, at, _BINARIES)
         end = at + length
         shipped, after = _tagged(frame, end, _FLOATS)
+        pressed = entries == 5
+        buttons, after = _integer(frame, after) if pressed else (0, after)
     except (IndexError, KeyError, struct.error):
         return None
     whole = after == len(frame) and length % 8 == 0 and 8 <= length <= 8 * MAX_PORTS
-    is_wave = entries == 4 and number == WAVE_ID and type(tick) is int and 0 <= tick <= MAX_COUNT
-    return RawWave(int(tick), frame[at:end], float(shipped)) if is_wave and whole else None
+    fits = (entries == 4 or pressed) and int(pressed) <= buttons < 2**MAX_BUTTONS
+    is_wave = fits and number == WAVE_ID and type(tick) is int and 0 <= tick <= MAX_COUNT
+    return RawWave(int(tick), frame[at:end], float(shipped), buttons) if is_wave and whole else None
 
 
 def _start(frame: bytes) -> tuple[int, int, int]:
@@ -545,6 +569,7 @@ _SIGNALS: Final[dict[int, type[SignalMessage]]] = {
 }
 WAVE_ID: Final = 20
 _SIGNAL_IDS: Final[dict[type[Signal], int]] = {kind: number for number, kind in _SIGNALS.items()}
+_WITH_BUTTONS: Final = {_SIGNAL_IDS[Sample], _SIGNAL_IDS[Tool]}
 
 
 _Layout: TypeAlias = tuple[int, tuple[PlainForm, ...]]
@@ -567,8 +592,11 @@ LAYOUTS: Final[dict[type[Message], _Layout]] = {
     Return: (13, (NAME, ENDPOINT)),
     Shift: (14, (NAME, RUNG)),
     Rung: (15, (RUNG,)),
-    **{kind: (number, (COUNT, COUNT, VALUES)) for number, kind in _SIGNALS.items()},
-    Wave: (WAVE_ID, (COUNT, SUMS, FINITE)),
+    **{
+        kind: (number, (COUNT, COUNT, VALUES, *([BUTTONS] if number in _WITH_BUTTONS else [])))
+        for number, kind in _SIGNALS.items()
+    },
+    Wave: (WAVE_ID, (COUNT, SUMS, FINITE, BUTTONS)),
     PathKey: (21, (CONNECTION, SECRET, PORT_NUMBER)),
     Fetch: (22, (PLACE,)),
     Piece: (23, (PLACE, LENGTH, PIECE)),
@@ -602,11 +630,16 @@ def encode(message: Message) -> bytes:
             and values.ndim == 1
             and 1 <= len(values) <= MAX_PORTS
             and all(map(math.isfinite, values.tolist()))
+            and getattr(message, "buttons", 0) == 0
         ):
             return USUAL.pack(ARRAY_OF_4, number, UINT64, tick, UINT64, stamp, BIN16, values.nbytes) + values.tobytes()
     if type(message) is Wave:
         _encode_any(message)  # refuses a field that is not allowed, and names it
-        return WaveWriter(len(message.sums)).frame(message.tick, message.sums, message.shipped)
+        return WaveWriter(len(message.sums)).frame(message.tick, message.sums, message.shipped, message.buttons)
+    if isinstance(message, Sample | Tool):
+        _encode_any(message)
+        writer = SignalWriter(type(message), len(message.values))
+        return writer.frame(message.tick, message.stamp, message.values.tolist(), message.buttons)
     return _encode_any(message)
 
 
@@ -626,8 +659,8 @@ class SignalWriter:
         self._values = struct.Struct(f"<{width}d")
         self._length = self._values.size
 
-    def frame(self, tick: int, stamp: int, values: Sequence[float]) -> bytes:
-        """The frame that :func:`encode` makes of the same signal.
+    def frame(self, tick: int, stamp: int, values: Sequence[float], buttons: int = 0) -> bytes:
+        """The frame that :func:`encode` makes of the same signal; ``buttons`` are of a Sample or a Tool.
 
         Raises:
             ValueError: as :func:`encode`.
@@ -638,9 +671,16 @@ class SignalWriter:
             and 1 <= len(values) == self._width <= MAX_PORTS
             and all_finite(values)
         ):
-            head = USUAL.pack(ARRAY_OF_4, self._number, UINT64, tick, UINT64, stamp, BIN16, self._length)
-            return head + self._values.pack(*values)
-        return encode(self.kind(tick, stamp, np.array(values, dtype=np.float64)))  # raises, and names the field
+            if not buttons:
+                head = USUAL.pack(ARRAY_OF_4, self._number, UINT64, tick, UINT64, stamp, BIN16, self._length)
+                return head + self._values.pack(*values)
+            if self._number in _WITH_BUTTONS and 0 < buttons < 2**MAX_BUTTONS:
+                head = USUAL.pack(ARRAY_OF_5, self._number, UINT64, tick, UINT64, stamp, BIN16, self._length)
+                return head + self._values.pack(*values) + BUTTONS_TAIL.pack(UINT32, buttons)
+        array = np.array(values, dtype=np.float64)
+        if self.kind is Sample or self.kind is Tool:
+            return encode(self.kind(tick, stamp, array, buttons))  # raises, and names the field
+        return encode(self.kind(tick, stamp, array))
 
 
 class WaveWriter:
@@ -655,7 +695,7 @@ class WaveWriter:
         self._length = self._values.size
         self._layout = struct.Struct(f"{WAVE_HEAD.format}{self._length}s{WAVE_TAIL.format[1:]}")
 
-    def frame(self, tick: int, sums: Sequence[float], shipped: float) -> bytes:
+    def frame(self, tick: int, sums: Sequence[float], shipped: float, buttons: int = 0) -> bytes:
         """The frame of a wave, as :func:`encode` makes it.
 
         Raises:
@@ -667,12 +707,14 @@ class WaveWriter:
             and 1 <= len(sums) == self._width <= MAX_PORTS
             and all(map(math.isfinite, sums))
             and math.isfinite(shipped)
+            and 0 <= buttons < 2**MAX_BUTTONS
         ):
-            values = self._values.pack(*sums)
-            return self._layout.pack(ARRAY_OF_4, WAVE_ID, UINT64, tick, BIN16, self._length, values, FLOAT64, shipped)
+            values, entries = self._values.pack(*sums), ARRAY_OF_5 if buttons else ARRAY_OF_4
+            wave = self._layout.pack(entries, WAVE_ID, UINT64, tick, BIN16, self._length, values, FLOAT64, shipped)
+            return wave + BUTTONS_TAIL.pack(UINT32, buttons) if buttons else wave
         if len(sums) != self._width:
             raise ValueError(f"Wave.sums: found {len(sums)} sums; expected {self._width}")
-        return _encode_any(Wave(tick, tuple(map(float, sums)), shipped))  # raises, and names the field
+        return _encode_any(Wave(tick, tuple(map(float, sums)), shipped, buttons))  # raises, and names the field
 
 
 def decode(frame: bytes, limit: int) -> Received:
@@ -715,8 +757,11 @@ def _encode_any(message: Message) -> bytes:
     number, layout = LAYOUTS[kind]
     plain: list[object] = [number]
     for name, field in zip(_FIELD_NAMES[kind], layout, strict=True):
+        value = getattr(message, name)
+        if field is BUTTONS and value == 0 and type(value) is int:
+            continue
         try:
-            packed = field.write(getattr(message, name))
+            packed = field.write(value)
             field.read(packed)
         except (Unfit, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise ValueError(f"{kind.__name__}.{name}: {error}") from None
@@ -744,10 +789,11 @@ def _decode_any(frame: bytes) -> Received:
     if kind is None:
         return Malformed(f"found type {number!r:.40}; expected one of {sorted(_KINDS)}")
     _, layout = LAYOUTS[kind]
-    if len(packed) != len(layout):
+    fewer = len(packed) == len(layout) - 1 and layout[-1] is BUTTONS
+    if len(packed) != len(layout) and not fewer:
         return Malformed(f"{kind.__name__}: found {len(packed)} fields; expected {len(layout)}")
     values = []
-    for name, field, value in zip(_FIELD_NAMES[kind], layout, packed, strict=True):
+    for name, field, value in zip(_FIELD_NAMES[kind], layout, packed, strict=not fewer):
         try:
             values.append(field.read(value))
         except NotFinite as error:

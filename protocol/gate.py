@@ -14,14 +14,18 @@ from typing import Final
 from manyhands.protocol.clock import Clock, Duration, Instant, from_seconds
 from manyhands.protocol.codec import (
     ARRAY_OF_4,
+    ARRAY_OF_5,
     BIN16,
+    BUTTONS_TAIL,
     FLOAT64,
     LAYOUTS,
     LONGEST,
+    UINT32,
     UINT64,
     USUAL,
     WAVE_ID,
     WAVE_TAIL,
+    RawWave,
     all_finite,
     read_head,
     read_wave,
@@ -37,7 +41,9 @@ DROP_REASONS: Final = (
     "old_tick",  # it is of a tick before the one awaited: it came too late, or twice
     "future_tick",  # it is of a tick after the one awaited
     "not_finite",  # it is of the tick awaited, but a value is infinite or not a number
-    "out_of_range",  # it is of the tick awaited, but a value, or its change since the last tick, is beyond its bound
+    # it is of the tick awaited, but a value, or its change since the last tick, is beyond its bound, or a button is
+    # held down that the peer has not
+    "out_of_range",
 )
 """The reasons why a frame is not admitted; where several apply, the first counts."""
 
@@ -60,6 +66,8 @@ _ULPS: Final = 4.0 * sys.float_info.epsilon  # of two sums, by which their diffe
 
 _HEAD: Final = struct.Struct(">3sQBQ3s")  # as USUAL, its constant bytes in groups
 _TYPES: Final = {number for number, _ in LAYOUTS.values()}
+_LONGEST_TAIL: Final = 9  # bytes, of the buttons: an integer of 64 bits with its tag
+_NO_WAVE: Final = RawWave(0, b"", 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,11 +107,13 @@ class Gate:
     Attributes:
         dropped: frames not admitted, by reason; the keys are always all of :data:`DROP_REASONS`.
         stamp: the stamp of the latest signal admitted, ns; 0 before the first.
+        buttons: those that are held down by that signal, bit by bit; 0 before the first.
     """
 
     __slots__ = (
         "_balance",
         "_before",
+        "_beyond",
         "_bounded",
         "_clock",
         "_end",
@@ -118,12 +128,19 @@ class Gate:
         "_seen",
         "_start",
         "_step",
+        "_with_buttons",
+        "buttons",
         "dropped",
         "stamp",
     )
 
     def __init__(
-        self, kind: type[SignalMessage], width: int, bounds: Bounds | None = None, clock: Clock | None = None
+        self,
+        kind: type[SignalMessage],
+        width: int,
+        bounds: Bounds | None = None,
+        clock: Clock | None = None,
+        buttons: int = 0,
     ) -> None:
         """Wait for the signals of one end of a link.
 
@@ -132,6 +149,7 @@ class Gate:
             width: the number of values of a signal.
             bounds: the bounds of the values; None where they need only be finite.
             clock: the receiver's clock, which bounds with a period need.
+            buttons: how many buttons the peer has.
 
         Raises:
             ValueError: ``bounds`` have a different width, or a period without a clock.
@@ -143,8 +161,9 @@ class Gate:
         self._number, _ = LAYOUTS[kind]
         self._floats = struct.Struct(f"<{width}d")
         self._length = USUAL.size + self._floats.size
-        self._longest = LONGEST + self._floats.size
+        self._longest = LONGEST + self._floats.size + _LONGEST_TAIL
         self._start = bytes((ARRAY_OF_4, self._number, UINT64))
+        self._with_buttons, self._beyond = bytes((ARRAY_OF_5, self._number, UINT64)), 1 << buttons
         self._end = struct.pack(">BH", BIN16, self._floats.size)
         self._bounded = bounds is not None
         magnitude = (math.inf,) * width if bounds is None else bounds.magnitude
@@ -165,6 +184,7 @@ class Gate:
         self._seen = Instant(0)  # when the latest signal was admitted
         self.dropped: dict[str, int] = dict.fromkeys(DROP_REASONS, 0)
         self.stamp: int = 0
+        self.buttons: int = 0
 
     def forget(self) -> None:
         """Take the next signal as the first one, whose step has no bound, after a time in which no bound holds."""
@@ -176,19 +196,27 @@ class Gate:
         Returns:
             One finite value for each port of the link, within the bounds.
         """
-        usual = False
+        usual, buttons = False, 0
         if len(frame) == self._length:
             start, found, tag, stamp, end = _HEAD.unpack_from(frame)
             usual = start == self._start and end == self._end and tag == UINT64
+        elif self._beyond > 1 and len(frame) == self._length + BUTTONS_TAIL.size:
+            start, found, tag, stamp, end = _HEAD.unpack_from(frame)
+            kind, buttons = BUTTONS_TAIL.unpack_from(frame, self._length)
+            usual = start == self._with_buttons and end == self._end and tag == UINT64 and kind == UINT32
+            usual = usual and buttons > 0
         if usual and found <= MAX_COUNT and stamp <= MAX_COUNT:
             size = USUAL.size
         else:
-            reason, found, stamp, size = self._other(frame)
+            reason, found, stamp, size, buttons = self._other(frame)
             if reason is not None:
                 self.dropped[reason] += 1
                 return None
         if found != tick:
             self.dropped["old_tick" if found < tick else "future_tick"] += 1
+            return None
+        if buttons >= self._beyond:
+            self.dropped["out_of_range"] += 1
             return None
         values: tuple[float, ...] = self._floats.unpack_from(frame, size)
         if self._bounded:
@@ -210,7 +238,7 @@ class Gate:
         elif not all_finite(values):
             self.dropped["not_finite"] += 1
             return None
-        self.stamp = stamp
+        self.stamp, self.buttons = stamp, buttons
         return values
 
     def _affords(self, taken: float, now: Instant) -> bool:
@@ -235,23 +263,27 @@ class Gate:
         if type_of(frame) != self._number or len(frame) > self._longest:
             return None
         head = read_head(frame)
-        if head is None or len(frame) != head.size + self._floats.size:
+        if head is None or head.length != self._floats.size:
             return None
         values = self._floats.unpack_from(frame, head.size)
         return (head.tick, not any(values)) if all_finite(values) else None
 
-    def _other(self, frame: bytes) -> tuple[str | None, int, int, int]:
-        """Read a frame that is not in the usual layout: the reason to refuse it or None, tick, stamp, size of head."""
+    def _other(self, frame: bytes) -> tuple[str | None, int, int, int, int]:
+        """Read a frame that is not in the usual layout.
+
+        Returns:
+            The reason to refuse it or None, tick, stamp, size of the head, and the buttons.
+        """
         if len(frame) > self._longest:
-            return "malformed", 0, 0, 0
+            return "malformed", 0, 0, 0, 0
         number = type_of(frame)
         if number != self._number:
-            return "wrong_kind" if number in _TYPES else "malformed", 0, 0, 0
+            return "wrong_kind" if number in _TYPES else "malformed", 0, 0, 0, 0
         head = read_head(frame)
         if head is None:
-            return "malformed", 0, 0, 0
-        tick, stamp, size = head
-        return None if len(frame) == size + self._floats.size else "wrong_width", tick, stamp, size
+            return "malformed", 0, 0, 0, 0
+        reason = None if head.length == self._floats.size else "wrong_width"
+        return reason, head.tick, head.stamp, head.size, head.buttons
 
 
 @dataclass(frozen=True, slots=True)
@@ -296,6 +328,7 @@ class WaveGate:
     """
 
     __slots__ = (
+        "_beyond",
         "_bounds",
         "_clock",
         "_first",
@@ -316,6 +349,7 @@ class WaveGate:
         period: Duration | None = None,
         clock: Clock | None = None,
         bounds: WaveBounds | None = None,
+        buttons: int = 0,
     ) -> None:
         """Admit waves of ``width`` sums.
 
@@ -324,6 +358,7 @@ class WaveGate:
             period: T of the sender, ns; None where its ticks take no time that a clock shows.
             clock: the receiver's clock, which a period needs.
             bounds: of the waves; None where they need only be finite.
+            buttons: how many buttons the peer has.
 
         Raises:
             ValueError: there is a period without a clock, or the bounds have a different width.
@@ -335,7 +370,8 @@ class WaveGate:
         size = 8 * width
         self._floats = struct.Struct(f"<{width}d")
         self._layout = struct.Struct(f">3sQ3s{size}s{WAVE_TAIL.format[1:]}")
-        self._longest = LONGEST + size + WAVE_TAIL.size
+        self._longest = LONGEST + size + WAVE_TAIL.size + _LONGEST_TAIL
+        self._beyond = 1 << buttons
         self._start = (bytes((ARRAY_OF_4, WAVE_ID, UINT64)), struct.pack(">BH", BIN16, size), FLOAT64)
         self._period, self._clock, self._bounds = period, clock, bounds
         self._first, self._since = 0, Instant(0)
@@ -350,14 +386,15 @@ class WaveGate:
             usual = (start, length, tag) == self._start and tick <= MAX_COUNT
         else:
             usual = False
+        buttons = 0
         if not usual:
-            reason, tick, sums, shipped = self._other(frame)
+            reason, (tick, sums, shipped, buttons) = self._other(frame)
             if reason is not None:
                 self.dropped[reason] += 1
                 return None
-        return self._take(tick, self._floats.unpack(sums), shipped)
+        return self._take(tick, self._floats.unpack(sums), shipped, buttons)
 
-    def _take(self, tick: int, sums: tuple[float, ...], shipped: float) -> Wave | None:
+    def _take(self, tick: int, sums: tuple[float, ...], shipped: float, buttons: int) -> Wave | None:
         newest = self.newest
         if newest is not None and tick <= newest.tick:
             self.dropped["old_tick"] += 1
@@ -374,12 +411,13 @@ class WaveGate:
             self.dropped["not_finite"] += 1
             return None
         fell = shipped < (0.0 if newest is None else newest.shipped)
-        if fell or (self._bounds is not None and not self._possible(self._bounds, newest, tick, sums, shipped)):
+        beyond = fell or buttons >= self._beyond
+        if beyond or (self._bounds is not None and not self._possible(self._bounds, newest, tick, sums, shipped)):
             self.dropped["out_of_range"] += 1
             return None
         if newest is None:
             self._first = tick
-        self.newest = Wave(tick, sums, shipped)
+        self.newest = Wave(tick, sums, shipped, buttons)
         return self.newest
 
     def _possible(
@@ -396,14 +434,14 @@ class WaveGate:
                 return False
         return True
 
-    def _other(self, frame: bytes) -> tuple[str | None, int, bytes, float]:
-        """Read a frame that is not in the usual layout: the reason to refuse it or None, tick, sums, energy."""
+    def _other(self, frame: bytes) -> tuple[str | None, RawWave]:
+        """Read a frame that is not in the usual layout: the reason to refuse it or None, and the wave."""
         if len(frame) > self._longest:
-            return "malformed", 0, b"", 0.0
+            return "malformed", _NO_WAVE
         number = type_of(frame)
         if number != WAVE_ID:
-            return "wrong_kind" if number in _TYPES else "malformed", 0, b"", 0.0
+            return "wrong_kind" if number in _TYPES else "malformed", _NO_WAVE
         wave = read_wave(frame)
         if wave is None:
-            return "malformed", 0, b"", 0.0
-        return None if len(wave.sums) == self._floats.size else "wrong_width", *wave
+            return "malformed", _NO_WAVE
+        return None if len(wave.sums) == self._floats.size else "wrong_width", wave

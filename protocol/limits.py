@@ -17,6 +17,9 @@ admits no more than the signals of its link need.
 MAX_PORTS: Final = 256
 """Most ports that one link carries (those of one device in one coupling block, or of one block)."""
 
+MAX_BUTTONS: Final = 32
+"""Most buttons of the devices of one coupling, and so of one link: their state is one unsigned integer."""
+
 MAX_NAME: Final = 96
 """Longest name of a node, port, session or figure, and longest certificate id, characters."""
 

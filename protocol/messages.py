@@ -251,17 +251,31 @@ class Signal:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Signal) or type(other) is not type(self):
             return NotImplemented
-        return self.tick == other.tick and self.stamp == other.stamp and np.array_equal(self.values, other.values)
+        alike = self.tick == other.tick and self.stamp == other.stamp and np.array_equal(self.values, other.values)
+        return alike and getattr(self, "buttons", 0) == getattr(other, "buttons", 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample(Signal):
-    """x(k), the sampled device displacement, m. Device to coupling."""
+    """x(k), the sampled device displacement, m. Device to coupling.
+
+    Attributes:
+        buttons: which of the device's buttons are held down in this tick, bit i for its i-th; the field is left out
+            where none is.
+    """
+
+    buttons: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tool(Signal):
-    """p(k) = x(k) + C_V ξ(k), the free tool position, m. Coupling to environment."""
+    """p(k) = x(k) + C_V ξ(k), the free tool position, m. Coupling to environment.
+
+    Attributes:
+        buttons: those of its devices, one after the other, as in a :class:`Sample`.
+    """
+
+    buttons: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -283,11 +297,13 @@ class Wave:
         sums: U = Σ T a, the sum of the outgoing wave a over the sender's ticks of T seconds; one entry for each port of
             the link, √(J·s), finite.
         shipped: G, the energy shipped so far, J, finite; it never falls within a life.
+        buttons: from a coupling, those of its devices in tick n, as in a :class:`Tool`.
     """
 
     tick: int
     sums: tuple[float, ...]
     shipped: float
+    buttons: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,7 +33,7 @@ from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives.ciphers.aead import ChaCha20Poly1305
 
 from manyhands.protocol.clock import Instant, from_seconds
-from manyhands.protocol.codec import CONNECTION_BYTES, WAVE_HEAD, WAVE_TAIL
+from manyhands.protocol.codec import BUTTONS_TAIL, CONNECTION_BYTES, WAVE_HEAD, WAVE_TAIL
 from manyhands.protocol.limits import MAX_COUNT, MAX_DATAGRAM_BYTES
 from manyhands.protocol.messages import PathKey
 
@@ -62,7 +62,7 @@ _TAG_BYTES: Final = 16
 OVERHEAD: Final = _HEADER.size + _TAG_BYTES
 """What a datagram adds to the frame in it, bytes."""
 
-MOST_PORTS: Final = (MAX_DATAGRAM_BYTES - OVERHEAD - WAVE_HEAD.size - WAVE_TAIL.size) // 8
+MOST_PORTS: Final = (MAX_DATAGRAM_BYTES - OVERHEAD - WAVE_HEAD.size - WAVE_TAIL.size - BUTTONS_TAIL.size) // 8
 """The most ports of a link whose waves fit into datagrams."""
 
 

@@ -225,6 +225,27 @@ class SceneLink:
     rest: Point | None = None
 
 
+@dataclass(frozen=True)
+class SceneHold:
+    """By a button, a tool holds the body that is nearest to it: a spring and a damper join the two while it is pressed.
+
+    Their present offset is the one at which the spring has no force.
+
+    Attributes:
+        tool: of the device that has the button.
+        button: its name, after the device's.
+        stiffness: N/m.
+        damping: N*s/m.
+        within: the greatest gap between the two at which the button takes hold, m.
+    """
+
+    tool: str
+    button: str
+    stiffness: float
+    damping: float = 0.0
+    within: float = 0.0
+
+
 UNTOUCHED: Final = Surface(0.0)
 """How things touch that never do."""
 
@@ -243,6 +264,7 @@ class ContactScene:
         surfaces: how two named things touch.
         gravity: the acceleration of free bodies, m/s^2.
         tank: the energy that all driven bodies together may give out, J.
+        holds: what buttons hold.
 
     Raises:
         Falling: gravity would move a body down without end.
@@ -260,6 +282,7 @@ class ContactScene:
     surfaces: tuple[tuple[tuple[str, str], Surface], ...] = ()
     gravity: Point = (0.0, 0.0, 0.0)
     tank: float = 0.0
+    holds: tuple[SceneHold, ...] = ()
 
     __repr__ = brief_repr
 
@@ -334,11 +357,15 @@ class ContactScene:
                 yield f"body {body.name}: found a motion of {max(samples)} samples; expected at most {MOST_SAMPLES}"
         if not 0.0 <= self.tank <= MOST_DRIVE:
             yield f"found a tank of {self.tank} J; expected 0 to {MOST_DRIVE:g} J"
+        tools = {tool.name for tool in self.tools}
+        if unknown := [hold.tool for hold in self.holds if hold.tool not in tools]:
+            yield f"found a hold of {unknown[0]!r}; expected one of the tools {sorted(tools)}"
         masses = [body.mass for body in self.bodies if not body.motion]
         if not all(0.0 < mass < math.inf for mass in masses):
             yield f"found the masses {masses}; expected finite ones > 0"
         amounts = [thing.radius for thing in self.things] + [obstacle.radius for obstacle in self.obstacles]
         amounts += [amount for link in self.links for amount in (link.stiffness, link.damping)]
+        amounts += [amount for hold in self.holds for amount in (hold.stiffness, hold.damping, hold.within)]
         stated = [self.surface, *(surface for _, surface in self.surfaces)]
         amounts += [amount for surface in stated for amount in surface]
         if not all(0.0 <= amount < math.inf for amount in amounts):
@@ -416,6 +443,27 @@ class ContactScene:
     def contacts(self) -> Contacts:
         """The pairs that may touch."""
         return Contacts(self.pairs(), len(self.points))
+
+    @cached_property
+    def graspable(self) -> Contacts:
+        """The pairs of a tool with a hold and a body, whatever happens when they touch.
+
+        Raises:
+            UnknownGap: the gap of a pair is not known here.
+        """
+        return Contacts(self._graspable(), len(self.points))
+
+    def _graspable(self) -> Iterator[ContactPair]:
+        holders = {hold.tool for hold in self.holds}
+        for i, tool in enumerate(self.tools):
+            for j, body in enumerate(self.bodies if tool.name in holders else (), len(self.tools)):
+                reach, known = tool.radius + body.radius, core_difference(tool.core, body.core)
+                if tool.core.is_point and body.core.is_point:
+                    yield ContactPair((tool.name, body.name), i, j, UNTOUCHED, reach, "spheres")
+                elif known is None:
+                    raise UnknownGap(tool.name, body.name)
+                else:
+                    yield ContactPair((tool.name, body.name), i, j, UNTOUCHED, reach, *known)
 
     def pairs(self) -> Iterator[ContactPair]:
         """The pairs that may touch: two things, or a thing and an obstacle; of a room one for each face.
@@ -575,6 +623,7 @@ class ContactScene:
             ],
             "contact": self.surface._asdict(),
             "contacts": [{"between": list(ends), **surface._asdict()} for ends, surface in self.surfaces],
+            **({"holds": [vars(hold).copy() for hold in self.holds]} if self.holds else {}),
         }
 
     def geometry_terms(self) -> dict[str, Any]:
@@ -678,6 +727,10 @@ def scene_of(data: Mapping[str, Any], ports: tuple[str, ...]) -> ContactScene:
         surfaces=tuple(((str(a), str(b)), _surface(c)) for c in data["contacts"] for a, b in [c["between"]]),
         gravity=_point(data["gravity"]),
         tank=float(data.get("tank", 0.0)),
+        holds=tuple(
+            SceneHold(str(h["tool"]), str(h["button"]), *(float(h[key]) for key in ("stiffness", "damping", "within")))
+            for h in data.get("holds", ())
+        ),
     )
 
 

@@ -226,6 +226,7 @@ class SceneData(DeclaredData):
         stiffness: of all other contacts, N/m.
         gravity: m/s^2.
         tank: what the driven bodies may give out, J.
+        holds: the number of springs that buttons set and take away.
     """
 
     moved: tuple[tuple[int, int, int], ...]
@@ -237,6 +238,7 @@ class SceneData(DeclaredData):
     stiffness: Number
     gravity: tuple[Number, ...]
     tank: Number
+    holds: int
 
 
 DynamicsData = NetworkData | SystemData | TransferData | StiffenedData
@@ -348,7 +350,7 @@ _POINTS = {"wall": 2, "room": 2, "box": 2, "sphere": 1, "capsule": 2}
 
 def _scene(item: Item, ports: tuple[str, ...]) -> SceneData:
     keys_of_all = ("type", "gravity", "tools", "bodies", "obstacles", "links", "contact", "contacts")
-    parts = item.fields(keys_of_all, ("tank",))
+    parts = item.fields(keys_of_all, ("tank", "holds"))
     tools, bodies, things = (parts[key].entries(_MOST_THINGS) for key in ("tools", "bodies", "obstacles"))
     names = [*tools, *bodies, *things, GROUND]
     if len(set(names)) != len(names):
@@ -394,6 +396,12 @@ def _scene(item: Item, ports: tuple[str, ...]) -> SceneData:
     amounts.append(tank)
     everywhere = parts["contact"].fields(keys)
     amounts += [everywhere[key].number() for key in keys]
+    holds = parts["holds"].items(MAX_LINKS) if "holds" in parts else []
+    for hold in holds:
+        fields = hold.fields(("tool", "button", "stiffness", "damping", "within"))
+        fields["button"].text()  # the theorem has no condition on when a spring begins and ends
+        fields["tool"].text(*tools)
+        amounts += [fields[key].number() for key in ("stiffness", "damping", "within")]
     touching: dict[frozenset[str], Number] = {}
     for contact in parts["contacts"].items(MAX_LINKS):
         fields = contact.fields(("between", *keys))
@@ -411,6 +419,7 @@ def _scene(item: Item, ports: tuple[str, ...]) -> SceneData:
         everywhere["stiffness"].number(),
         _vector(parts["gravity"]),
         tank,
+        len(holds),
     )
 
 

@@ -53,6 +53,8 @@ def argument(data: SceneData) -> str:
     )
     if data.tank > 0:
         parts.append(f"driven bodies give out at most the {float(data.tank):g} J of their tank, which counts as stored")
+    if data.holds:
+        parts.append("what a button holds by springs that begin without energy and lose theirs")
     kept = "kept at run time by a controller, which is not proved here"
     return f"for solved ticks by a theorem, {'; '.join(parts)}; {kept}"
 

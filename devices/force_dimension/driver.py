@@ -56,6 +56,9 @@ REACHES: Final[Mapping[str, tuple[tuple[int, ...], float]]] = {
 }
 """Of each family the system types, and the radius of its workspace, m (CHAI3D 3.3.0, src/devices/CDeltaDevices.cpp)."""
 
+BUTTONS: Final = tuple(f"button{i}" for i in range(16))
+"""The names of its buttons, by the numbers that the library gives them; button0 is that of the grip."""
+
 TICK: Final = Duration(125_000)
 """ns; the watchdog's step."""
 
@@ -205,6 +208,7 @@ class ForceDimension(DeviceDriver):
             axes=("x", "y", "z"),
             step=self._survey.step,
             holds_torque=True,
+            buttons=BUTTONS,
             by_itself=(
                 "takes its force away and brakes where it is faster than its velocity threshold "
                 f"({self._threshold} in units of its own)",
@@ -228,6 +232,10 @@ class ForceDimension(DeviceDriver):
         self._answer, self._work = self._answer + self._work, 0.0
         self._answer_lost, self._lost = self._answer_lost or self._lost, False
         return self._x
+
+    def buttons(self) -> int:
+        """The buttons that are held down, by the maker's numbers."""
+        return self._kinematics.buttons()
 
     def apply(self, f: Sequence[float], at: Instant, until: Instant | None = None) -> None:
         """Hold the torques that stand for f, N; from ``until`` on the device's watchdog ends them."""

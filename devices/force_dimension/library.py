@@ -65,6 +65,7 @@ PROTOTYPES: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
     "dhdDeltaJointTorquesExtrema": (c_int, (c_double, c_double, c_double, c_void_p, c_void_p, _ID)),
     "dhdSetDeltaJointTorques": (c_int, (c_double, c_double, c_double, _ID)),
     "dhdGetForce": (c_int, (_D, _D, _D, _ID)),
+    "dhdGetButtonMask": (c_uint, (_ID,)),
     "dhdGetComFreq": (c_double, (_ID,)),
     "dhdStop": (c_int, (_ID,)),
 }
@@ -162,6 +163,10 @@ class Kinematics:
     def close(self) -> None:
         """Close the device; one that is gone needs none."""
         self._library.drdClose(self.device)
+
+    def buttons(self) -> int:
+        """The buttons that are held down, bit by bit."""
+        return int(self._library.dhdGetButtonMask(self.device))
 
     def rate(self) -> float:
         """The rate at which forces are sent, by the library's own count, kHz."""

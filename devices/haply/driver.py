@@ -34,12 +34,14 @@ from typing import Any, Final
 
 from manyhands.devices.haply.channel import PATIENCE, Channel, asked
 from manyhands.devices.haply.service import (
+    BUTTONS,
     OFF,
     ZERO,
     HaplyError,
     Reading,
     Speech,
     Vector,
+    buttons_in,
     decoded,
     devices,
     left_on,
@@ -139,6 +141,7 @@ class HaplyInverse3(DeviceDriver):
         self._offset = 0  # ns of the clock ahead of the session's instants
         self._due = self._wakes = Instant(0)
         self._gone = ""
+        self._buttons = 0  # of a VerseGrip, by the newest frame
         self._newest: tuple[Instant, Reading, Vector] | None = None  # when its message was sent, and of which force
         self._work = MotorWork()
         self._told = self._sampled = 0.0, 0  # J, and what is unknown of it: as told last, and up to the sample
@@ -306,7 +309,12 @@ class HaplyInverse3(DeviceDriver):
             axes=("x", "y", "z"),
             holds_torque=given["force_held"] == "torque",
             by_itself=by_itself,
+            buttons=BUTTONS,
         )
+
+    def buttons(self) -> int:
+        """The buttons of its VerseGrip that are held down by the newest frame."""
+        return self._buttons
 
     def sample(self, tick: int, at: Instant) -> Sequence[float]:
         """The newest displacement from the origin, m."""
@@ -404,7 +412,9 @@ class HaplyInverse3(DeviceDriver):
             self._work.gap()
             return None
         sent, f = self._outstanding.popleft()
-        device = devices(decoded(text)).get(self._id)
+        frame = decoded(text)
+        self._buttons = buttons_in(frame)
+        device = devices(frame).get(self._id)
         now = None if device is None else reading(device)
         if device is None or now is None:
             self._gone = f"{self._name}: found a frame without it; expected its state: see its cable and its power"

@@ -119,6 +119,26 @@ def devices(frame: Any) -> dict[str, dict[str, Any]]:
     return {str(one.get("device_id")): one for one in listed if isinstance(one, dict)}
 
 
+BUTTONS: Final = ("a", "b", "c")
+"""The buttons of a VerseGrip; one with a cable has the first alone."""
+
+GRIPS: Final = ("wireless_verse_grip", "verse_grip")
+
+
+def buttons_in(frame: Any) -> int:
+    """The buttons of the first VerseGrip of a frame that are held down, by the order of :data:`BUTTONS`."""
+    for family in GRIPS:
+        listed = frame.get(family) if isinstance(frame, dict) else None
+        for grip in listed if isinstance(listed, list) else []:
+            state = grip.get("state") if isinstance(grip, dict) else None
+            if not isinstance(state, dict):
+                continue
+            told = state.get("buttons")
+            told = told if isinstance(told, dict) else {"a": state.get("button")}
+            return sum(1 << i for i, name in enumerate(BUTTONS) if told.get(name) is True)
+    return 0
+
+
 def decoded(text: str) -> Any:
     """A frame; None where it is no JSON."""
     try:

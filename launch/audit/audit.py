@@ -85,6 +85,7 @@ from manyhands.launch.recordings.run import (
     changed_after,
     first_sign,
     grown_in,
+    presses_in,
     rows_of,
     there,
 )
@@ -513,7 +514,8 @@ class _AuditRun:
         )
         sign = first_sign(run, ENVIRONMENT)
         tools, ports = rows_of(run, ENVIRONMENT, names.TOOL_POSITION), bundle.common.ports
-        again = self._again(FollowedEnvironment(bundle, blocks, tools, sign), Course({}, {}, len(tools)))
+        buttons = presses_in(run.figures.get(ENVIRONMENT, ()))
+        again = self._again(FollowedEnvironment(bundle, blocks, tools, sign, buttons), Course({}, {}, len(tools)))
         follows = [one for one in ENVIRONMENT_FOLLOWS if one.field != names.MASS_POSITION or bundle.masses]
         out = self._compared(ENVIRONMENT, again, follows, recorded={names.FORCE: blocks.f}, masses=bundle.masses)
         out.append(tools_agree(blocks, ports, ENVIRONMENT, tools, sign, self._presence.owed[ENVIRONMENT]))

@@ -14,6 +14,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -24,7 +25,7 @@ from manyhands.launch.audit.simulation import Simulation
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.recorded import Traces
 from manyhands.launch.recordings.recording import RecordingError
-from manyhands.launch.recordings.run import RecordedRun, RecordedTrace, rows_of
+from manyhands.launch.recordings.run import RecordedRun, RecordedTrace, presses_in, rows_of
 from manyhands.launch.session import PERSONS, Session
 from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.environment.model import ModelFailure
@@ -69,6 +70,7 @@ class GivenMotion:
         x: NDArray[np.float64],
         applied: NDArray[np.float64] | None = None,
         work: NDArray[np.float64] | None = None,
+        pressed: Mapping[int, int] = MappingProxyType({}),
     ) -> None:
         """Move as ``x`` at the samples, and as ``applied`` when a force is applied.
 
@@ -76,7 +78,9 @@ class GivenMotion:
             x: ticks x axes, m.
             applied: likewise; NaN in ticks in which it is not known. None for ``x``.
             work: of motors that hold torques, until the sample and from then until the force, ticks x 2, J.
+            pressed: by tick in which that changes, the buttons that are held down from then on.
         """
+        self._presses, self._pressed = pressed, 0
         self._work, self._called = work, 0
         self._x, self._applied, self._tick = x, x if applied is None else applied, 0
         holes = np.flatnonzero(~np.isfinite(x).all(axis=1))
@@ -90,6 +94,7 @@ class GivenMotion:
     def sample(self, tick: int, at: Instant) -> list[float]:
         """The position at that tick, m."""
         self._tick, self._called = tick, 0
+        self._pressed = self._presses.get(tick, self._pressed)
         row: list[float] = self._x[tick].tolist()
         return row
 
@@ -119,6 +124,10 @@ class GivenMotion:
             return None
         done = float(self._work[self._tick, self._called])
         return done if math.isfinite(done) else math.inf
+
+    def buttons(self) -> int:
+        """The buttons that were held down at that tick."""
+        return self._pressed
 
     def figures(self) -> Figures:
         """No figures."""
@@ -227,7 +236,10 @@ def replay(prepared: Prepared, run: RecordedRun, progress: Callable[[int], None]
         ModelFailure: the model gave no usable forces, as it had when it was recorded.
     """
     given = given_devices(prepared.session, run.recorded.clock)
-    drivers = {name: GivenMotion(rows_of(run, name, DISPLACEMENT)) for name in given}
+    drivers = {
+        name: GivenMotion(rows_of(run, name, DISPLACEMENT), pressed=_pressed(prepared.session, run, name))
+        for name in given
+    }
     ticks = min([run.ticks, *(driver.ticks for driver in drivers.values())])
     simulation = Simulation(prepared, drivers)
     traces = simulation.traces(ticks)
@@ -237,6 +249,18 @@ def replay(prepared: Prepared, run: RecordedRun, progress: Callable[[int], None]
     except ModelFailure as error:
         ended = str(error)
     return _compared(run, ticks, traces, given, ended)
+
+
+def _pressed(session: Session, run: RecordedRun, name: str) -> dict[int, int]:
+    """By tick in which that changes, the buttons of a device that are held down from then on."""
+    bits = {button: 1 << i for i, button in enumerate(session.buttons_at[name])}
+    found, state = dict[int, int](), 0
+    for tick, changes in sorted(presses_in(run.figures.get(name, ())).items()):
+        for button, down in changes:
+            bit = bits.get(button, 0)
+            state = state | bit if down else state & ~bit
+        found[tick] = state
+    return found
 
 
 def _compared(run: RecordedRun, ticks: int, traces: Traces, given: Sequence[str], ended: str) -> Replayed:

@@ -32,15 +32,18 @@ from manyhands.nodes.environment.core import environment_core, row_of
 from manyhands.nodes.environment.model import ModelFailure
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle
+from manyhands.nodes.kernel.buttons import Buttons
 from manyhands.nodes.kernel.passivity import Ledger
 from manyhands.nodes.kernel.simulated_way import WavesUnderWay
 from manyhands.nodes.link.join import WaveRow
+from manyhands.nodes.rows.tick_events import TickEvents
 from manyhands.nodes.rows.two_port import TwoPort
 from manyhands.nodes.wave_link.ends import turns, user_face, world_face
 from manyhands.nodes.wave_link.faces import UserFace, WorldFace, wave_feedthrough
 from manyhands.nodes.wave_link.felt import FeltLink, stiffness_and_mass
 from manyhands.nodes.wave_link.rows import user_row, world_row
 from manyhands.protocol.clock import Instant, from_seconds
+from manyhands.protocol.messages import Figures
 
 Array = NDArray[np.float64]
 
@@ -139,6 +142,11 @@ class LinkInside:
             kinds=kinds,
         )  # fmt: skip
 
+    @property
+    def world_pressed(self) -> int:
+        """The user's buttons that are held down, as the world knows; none of a user who is silent."""
+        return 0 if self.world.holding else self.world.heard
+
     def book(self) -> None:
         """Nothing is left to do."""
 
@@ -158,9 +166,9 @@ def _carry(sender: UserFace | WorldFace, hearer: UserFace | WorldFace, way: Wave
     """Send a wave: it arrives at once, or goes under way."""
     wave = sender.message()
     if way is None:
-        hearer.hear(wave.n, wave.U, wave.G)
+        hearer.hear(wave.n, wave.U, wave.G, buttons=wave.buttons)
     else:
-        way.send((wave.n, [*wave.U], wave.G))
+        way.send((wave.n, [*wave.U], wave.G, 0, wave.buttons))
 
 
 def _arrive(way: WavesUnderWay | None, hearer: UserFace | WorldFace, by: float) -> None:
@@ -176,6 +184,8 @@ class Simulation:
         devices: the devices by name.
         couplings: the couplings by name; one that returns from silence is a new one.
         links: the wave links, by coupling.
+        buttons: all of the session, as the environment knows them.
+        events: by node with buttons, what it would record of them.
         environment: the environment's core; its blocks are ``couplings``, in this order.
     """
 
@@ -196,6 +206,9 @@ class Simulation:
         if not isinstance(world, EnvironmentBundle):
             raise AssertionError("every session has an environment")
         index = {port: i for i, port in enumerate(prepared.session.ports)}
+        self.buttons = Buttons(world.common.buttons, world.common.period)
+        self.events = {name: TickEvents() for name, of in bundles.items() if of.common.buttons}
+        self._buttons_of = {name: of.common.buttons for name, of in bundles.items() if name != ENVIRONMENT}
         self._ports = {name: np.array([index[port] for port in of.common.ports]) for name, of in bundles.items()}
         self._bundles: dict[str, CouplingBundle] = {}
         self.devices: dict[str, DeviceTick] = {}
@@ -296,11 +309,17 @@ class Simulation:
         x, sent = np.empty_like(tool), np.empty_like(tool)
         for name, device in self.devices.items():
             sent[ports[name]], x[ports[name]] = device.sample(k, now), device.x
+            if device.changed:
+                self._note(name, k, device.buttons, device.changed)
         for name, way in ways.items():
+            if name in self.links:
+                self.links[name].user.buttons = self._pressed(name)
             p: Floats = sent[ports[name]].tolist()
             for port in way:
                 p = port.up(p)
             tool[ports[name]] = p
+        if self.buttons.names:
+            self._press(k, ways)
         f = np.array(environment.react(tool.tolist()))
         if environment.failure is not None:
             raise ModelFailure(environment.failure)
@@ -316,6 +335,29 @@ class Simulation:
             device.book()
             device.driver.idle(due)
         return x, f
+
+    def _pressed(self, name: str) -> int:
+        """The buttons that are held down of the devices of a coupling, among all, or of one device."""
+        return sum(
+            1 << self.buttons.names.index(button)
+            for device in self.devices.values()
+            for i, button in enumerate(device.buttons.names)
+            if button in self._buttons_of[name] and device.buttons.state >> i & 1
+        )
+
+    def _press(self, k: int, ways: Iterable[str]) -> None:
+        """The environment learns which buttons are held down behind the couplings that are not silent."""
+        pressed = 0
+        for name in ways:
+            pressed |= self.links[name].world_pressed if name in self.links else self._pressed(name)
+        if changed := self.buttons.take(k, pressed):
+            self._note(ENVIRONMENT, k, self.buttons, changed)
+            self.environment.press(self.buttons.state)
+
+    def _note(self, node: str, k: int, buttons: Buttons, changed: int) -> None:
+        """Keep what a node would record of its buttons in the tick."""
+        for button, held_down in buttons.changes(changed):
+            self.events[node].press(k, button, held_down)
 
     def _keep(self, traces: Traces, k: int, couplings: Iterable[str]) -> None:
         """Keep what each node would report of the tick; of the couplings these alone."""
@@ -370,7 +412,8 @@ def simulate(
     traces = simulation.traces(ticks)
     simulation.run(ticks, progress, silences, traces)
     kept = {(node, one.topic.name): one for node, own in traces.by_node.items() for one in own}
-    return RecordedRun(recorded_of(prepared, SIMULATED), kept, attachments=kept_files(prepared))
+    figures = {node: [(ticks, Figures(events.take(0, ticks)))] for node, events in simulation.events.items()}
+    return RecordedRun(recorded_of(prepared, SIMULATED), kept, figures, attachments=kept_files(prepared))
 
 
 def require_one_period(session: Session) -> None:

@@ -32,7 +32,7 @@ from manyhands.launch.plan.loop import NotCertified
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.reach import IPC, Listen, Reach, ReachError, reach
 from manyhands.launch.plan.topology import Topology
-from manyhands.launch.session import PERSONS, Device, Session
+from manyhands.launch.session import PERSONS, SCRIPTED, Device, Session
 from manyhands.launch.session.errors import one_of
 from manyhands.launch.session.limits import HAND_STORE
 from manyhands.launch.session.motion import plain_intent
@@ -241,9 +241,11 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         time = WALL if session.in_wall_time(name, run.clock) else OWN
         inertia = session.devices[name].inertia
         held = session.devices[name].held_torque if prepared.certified else None  # without a certificate, no promise
+        buttons = session.devices[name].buttons or {}
+        scripts = tuple(buttons.values()) if session.devices[name].driver in SCRIPTED else ()
         bundles[name] = DeviceBundle(
             commons[name], osp, of_device, _source(session, name), limits, time, allowance, inertia, held,
-            _friction_of(prepared, name),
+            _friction_of(prepared, name), scripts,
         )  # fmt: skip
     longest = max(map(len, rungs.values()))
     at_rungs = ([of_one[min(rung, len(of_one) - 1)].block for of_one in rungs.values()] for rung in range(longest))
@@ -445,12 +447,16 @@ def _links_of(graph: Topology) -> dict[str, list[int]]:
 def _common(prepared: Prepared, run: RunPlan, name: str, links_of: Mapping[str, Sequence[int]]) -> Common:
     graph = prepared.graph
     peers, ports = [], graph.ports.get(name, ())
+    buttons = prepared.session.buttons_at
+    own = buttons.get(name, ())
     for index in links_of.get(name, ()):
         link = graph.links[index]
         binds = link.binder == name
         other = link.connector if binds else link.binder
         address = run.reach.address(graph, index) if binds else ""
-        peers.append(Peer(other, graph.nodes[other], link.ports, binds, address))
+        carried = [button for button in own if button in buttons[other]]  # they follow each other at either end
+        first = own.index(carried[0]) if carried else 0
+        peers.append(Peer(other, graph.nodes[other], link.ports, binds, address, buttons=(first, len(carried))))
     period = prepared.session.period_of(name)
     every = _telemetry_ticks(period, _columns(prepared.session, graph, name, run.clock))
     return Common(
@@ -472,6 +478,7 @@ def _common(prepared: Prepared, run: RunPlan, name: str, links_of: Mapping[str, 
         rate=prepared.session.period / period,
         phase=_phase(prepared.session, name) if run.clock == REALTIME else 0.0,
         turning=tuple(port for port in ports if port in prepared.session.turning),
+        buttons=own,
     )
 
 

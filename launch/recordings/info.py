@@ -5,6 +5,7 @@ numbers.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,7 @@ from manyhands.nodes.recorder.coverage import Gap as MissingTicks
 from manyhands.nodes.recorder.format import METADATA, SUPERVISOR, Recorded, decode_condition, decode_figures
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.own_ticks import session_tick
+from manyhands.nodes.rows.tick_events import Kind, events_in
 from manyhands.protocol.channels import CONDITION, DISPLACEMENT, TELEMETRY, topic_name, topics_of
 from manyhands.protocol.messages import Role
 
@@ -62,6 +64,7 @@ class Info:
         gaps: the missing ticks by device; the first :data:`MOST_GAPS`.
         accounts: the least interface account of each device that reported one, J.
         by_itself: what devices do by themselves, which no certificate covers, by device.
+        presses: how often each button was pressed, by its name; without those that were not.
         cut: why the file cannot be read to its end, and up to which tick it can; None for a whole file.
     """
 
@@ -75,6 +78,7 @@ class Info:
     gaps: Mapping[str, tuple[MissingTicks, ...]]
     accounts: Mapping[str, float]
     by_itself: Mapping[str, tuple[str, ...]]
+    presses: Mapping[str, int]
     cut: str | None
 
     @property
@@ -102,6 +106,7 @@ class Info:
             "gaps": {device: [[gap.begin, gap.end] for gap in gaps] for device, gaps in self.gaps.items()},
             "accounts": dict(self.accounts),
             "by_itself": {device: list(own) for device, own in self.by_itself.items()},
+            "presses": dict(self.presses),
             "cut": self.cut,
         }
 
@@ -140,6 +145,7 @@ class _InfoReader:
         self._reporting: dict[str, str] = {}  # devices, by the topic of their figures
         self._accounts: dict[str, float] = {}
         self._by_itself: dict[str, tuple[str, ...]] = {}
+        self._presses: Counter[str] = Counter()
         self._attachments: dict[str, int] = {}
         self._why: str | None = None
 
@@ -184,15 +190,16 @@ class _InfoReader:
                 ticks = np.fromiter((message.sequence for message in own), dtype=np.int64, count=len(own))
                 self._devices[channel.topic][1].take_each(ticks)
             elif channel.topic in self._reporting:
-                self._take_accounts(self._reporting[channel.topic], own)
+                self._take_figures(self._reporting[channel.topic], own)
             elif channel.topic == self._condition:
                 for _, condition in fitting(objects([message.data for message in own]), decode_condition):
                     self._by_itself |= condition.by_itself
 
-    def _take_accounts(self, device: str, found: list[Message]) -> None:
-        """Take the least account from figures; each message has the least since the device's process began."""
+    def _take_figures(self, device: str, found: list[Message]) -> None:
+        """Take presses, and the least account; each message has the least since the device's process began."""
         for _, figures in fitting(objects([message.data for message in found]), decode_figures):
             least = figures.get(names.INTERFACE_LEAST, math.nan)
+            self._presses.update(e.peer for e in events_in(figures) if e.kind is Kind.PRESSED and e.value)
             if math.isfinite(least):
                 self._accounts[device] = min(least, self._accounts.get(device, math.inf))
 
@@ -219,5 +226,6 @@ class _InfoReader:
             gaps={device: devices[device].gaps_in(spans[device].start, spans[device].stop) for device in missing},
             accounts={device: self._accounts[device] for device in devices if device in self._accounts},
             by_itself=self._by_itself,
+            presses=self._presses,
             cut=None if self._why is None else cut_at(self._why, end),
         )

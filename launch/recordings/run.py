@@ -312,6 +312,16 @@ def grown_in(figures: FiguresByTick, name: str, ticks: int) -> NDArray[np.bool_]
     return out
 
 
+def presses_in(figures: FiguresByTick) -> dict[int, list[tuple[str, bool]]]:
+    """By tick, the buttons that are held down from then on, or not any more, by the events of a node."""
+    found: dict[int, list[tuple[str, bool]]] = {}
+    for _, values in figures:
+        for event in events_in(values):
+            if event.kind is Kind.PRESSED:
+                found.setdefault(event.tick, []).append((event.peer, bool(event.value)))
+    return found
+
+
 def first_sign(run: RecordedRun, environment: str) -> tuple[int, str]:
     """The first tick at which a clutch may have been at work, and why; the run's end where there is no sign of one.
 

@@ -6,7 +6,7 @@ format.
 """
 
 from manyhands.launch.session.design import BlockMatrices, Design, Pole, Weight, Weights
-from manyhands.launch.session.device import BROWSER_HAND, DEFAULT_HAND, PERSONS, Device, Hand
+from manyhands.launch.session.device import BROWSER_HAND, DEFAULT_HAND, PERSONS, SCRIPTED, Device, Hand
 from manyhands.launch.session.environment import (
     EngineEnvironment,
     Environment,
@@ -41,6 +41,7 @@ __all__ = [
     "ENVIRONMENT",
     "PERSONS",
     "RESERVED",
+    "SCRIPTED",
     "SUPERVISOR",
     "BlockMatrices",
     "CouplingBlock",

@@ -92,6 +92,8 @@ from manyhands.launch.session.limits import (
     MAX_DOF,
     MAX_TRACE_ROWS,
     MIN_POSITIVE,
+    MOST_BUTTONS,
+    MOST_SPANS,
     PROBE_COUNT,
     PROBE_SECONDS,
 )
@@ -100,6 +102,7 @@ from manyhands.launch.session.motion import MOTION_FORM, Motion, TraceData, moti
 from manyhands.launch.session.rate import rate_motion
 from manyhands.nodes.device.motion_sources import MOTION_SOURCES
 from manyhands.nodes.kernel.bundle import WALL, RateMotion
+from manyhands.nodes.kernel.buttons import Script
 from manyhands.nodes.kernel.driver_statement import DeviceTiming, DriverWord
 from manyhands.nodes.kernel.factory import DRIVERS
 from manyhands.nodes.kernel.inertia import Inertia
@@ -275,7 +278,10 @@ _SIMULATED, _TRACE = "simulated", "trace"
 PERSONS: Final = ("browser", *MOTION_SOURCES)
 """Drivers by which a person moves a simulated device without feeling it."""
 
-_DRIVERS: Final = (_SIMULATED, _TRACE, *PERSONS)
+SCRIPTED: Final = (_SIMULATED, _TRACE)
+"""Drivers of devices whose buttons the session file presses."""
+
+_DRIVERS: Final = (*SCRIPTED, *PERSONS)
 _ELSEWHERE: Final = ("mass", "damping", "hand")
 """Keys of a simulated mechanism; a recorded motion has none of them."""
 
@@ -434,6 +440,48 @@ def _kappa_of(kinematics: str) -> float:
     return _SEARCHED * greatest_bending(linkage_of(json.loads(kinematics)))
 
 
+_TIME: Final = Quantity("a time", "s", least=0.0, most=1e6)
+BUTTON: Final = Name("a button", "[a-z0-9][a-z0-9_]{0,31}", "lower-case letters, digits and _, at most 32 of them")
+_BUTTON_NAMES: Final = Items("buttons", MOST_BUTTONS, BUTTON)
+_SPANS: Final = list_of(list_of(_TIME.json_schema, 2, 2), MOST_SPANS)
+_BUTTONS_FORM: Final = either(
+    _BUTTON_NAMES.json_schema, {**NamedParts(BUTTON, MOST_BUTTONS).json_schema, "additionalProperties": _SPANS}
+)
+
+
+def _buttons(value: object) -> dict[str, Script]:
+    """Of each button when it is held down, s; a list names buttons that nobody but a person presses."""
+    if not isinstance(value, Mapping):
+        names: tuple[str, ...] = _BUTTON_NAMES(value)
+        if twice := [name for i, name in enumerate(names) if name in names[:i]]:
+            raise refuse(f"the button {twice[0]!r} twice", "each name once")
+        return dict.fromkeys(names, ())
+    NamedParts(BUTTON, MOST_BUTTONS)(value)
+    return each_named(_spans, value)
+
+
+def _spans(value: object) -> Script:
+    """When a button is held down: [[from, until], ...], s, one after the other."""
+    if not isinstance(value, list | tuple) or len(value) > MOST_SPANS:
+        raise refuse(show(value), f"at most {MOST_SPANS} times [from, until] in s")
+    spans: list[tuple[float, float]] = []
+    for span in value:
+        if not isinstance(span, list | tuple) or len(span) != 2:
+            raise refuse(show(span), "[from, until] in s")
+        begin, end = each(_TIME, span)
+        if not (spans[-1][1] if spans else -1.0) < begin < end:
+            raise refuse(show([begin, end]), "[from, until] in s, each after the one before")
+        spans.append((begin, end))
+    return tuple(spans)
+
+
+def _plain_buttons(buttons: Mapping[str, Script] | None) -> object:
+    """The buttons in the notation of a session file."""
+    if buttons is None or not any(buttons.values()):
+        return None if buttons is None else list(buttons)
+    return {name: [list(span) for span in spans] for name, spans in buttons.items()}
+
+
 _NAMES: Final = Items("axis names", MAX_DOF, AXIS_NAME)
 _BY_NAME: Final = NamedParts(AXIS_NAME, MAX_DOF)
 _KINDS: Final = tuple(kind.value for kind in AxisKind)
@@ -533,6 +581,12 @@ class Device(SessionModel):
     )
     by_itself: Annotated[tuple[str, ...] | None, _DEEDS] = Field(
         default=None, description="with a driver's factory, what it does by itself, outside the certificate: sentences"
+    )
+    buttons: Annotated[
+        dict[str, Script] | None, Described(_buttons, _BUTTONS_FORM), PlainSerializer(_plain_buttons)
+    ] = Field(
+        default=None,
+        description="names of its buttons; {NAME: [[from, until]]}, in s, presses those of a simulated one",
     )
     step: Annotated[tuple[float, ...] | None, _STEP] = Field(
         default=None, description="the step of its encoder in m: a number, or one for each axis"
@@ -651,6 +705,10 @@ class Device(SessionModel):
             return (name,)
         return tuple(f"{name}.{axis}" for axis in named or range(self.dof))
 
+    def buttons_of(self, name: str) -> tuple[str, ...]:
+        """The buttons of this device under the name ``name``: ``d.grip``."""
+        return tuple(f"{name}.{button}" for button in self.buttons or ())
+
     def turning(self, name: str) -> tuple[str, ...]:
         """Those of its ports that turn."""
         return tuple(port for port, kind in zip(self.ports(name), self.kinds, strict=True) if kind is AxisKind.ROTATION)
@@ -724,6 +782,10 @@ class Device(SessionModel):
         if self.kinematics is not None:
             yield from self._linkage_problems(self.kinematics)
         yield from self._friction_problems(here)
+        if self.driver == "browser" and self.buttons is not None:
+            yield Problem(("buttons",), f"buttons {here}", "no buttons: a page presses none yet")
+        if self.driver not in SCRIPTED and any((self.buttons or {}).values()):
+            yield Problem(("buttons",), f"times of buttons {here}", "their names alone: its user presses them")
         if self.factory is not None:
             yield from self._plugin_problems(here)
             return

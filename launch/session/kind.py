@@ -68,6 +68,11 @@ class EnvironmentKind(SessionModel):
             Infeasible: a static gain is stated that its poles do not permit.
         """
 
+    @property
+    def buttons(self) -> Iterator[tuple[tuple[str | int, ...], str, str]]:
+        """The buttons that it uses: where it names each, its device and its name."""
+        return iter(())
+
     def code(self, ports: tuple[str, ...], turning: Collection[str] = ()) -> tuple[str, dict[str, Any]] | None:
         """The factory of the model that is asked, and its parameters, where these ports turn; None where none is."""
         return None

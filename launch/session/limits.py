@@ -17,6 +17,14 @@ MAX_OVERRIDE_CHARACTERS: Final = 1 << 16
 MAX_DEVICES: Final = 1024
 MAX_DOF: Final = 32
 MAX_PORTS: Final = 2048
+MOST_BUTTONS: Final = 16
+"""Of one device."""
+MOST_BUTTONS_IN_ALL: Final = 64
+"""Of a session: each may change five times in a telemetry of the environment, which has room for these events."""
+MOST_HOLDS: Final = 32
+"""Of a scene, by buttons."""
+MOST_SPANS: Final = 1000
+"""Times at which a button of a simulated device is held down."""
 MAX_COUPLINGS: Final = 1024
 MAX_OBSERVERS: Final = 32
 MAX_READS: Final = 4096

@@ -26,10 +26,11 @@ from manyhands.design.models.scene import (
     ContactScene,
     Obstacle,
     SceneError,
+    SceneHold,
     SceneLink,
     ToolSphere,
 )
-from manyhands.launch.session.device import Intent, ports_by_device
+from manyhands.launch.session.device import BUTTON, Intent, ports_by_device
 from manyhands.launch.session.errors import listed, one_of, show
 from manyhands.launch.session.fields import (
     DAMPING,
@@ -51,7 +52,7 @@ from manyhands.launch.session.fields import (
 )
 from manyhands.launch.session.forms import JsonSchema, either, list_of, where
 from manyhands.launch.session.kind import EnvironmentKind
-from manyhands.launch.session.limits import MAX_LINKS
+from manyhands.launch.session.limits import MAX_LINKS, MOST_HOLDS
 from manyhands.launch.session.motion import TraceData, plain_intent
 from manyhands.nodes.kernel.intent import intent_from
 
@@ -77,6 +78,7 @@ _ACCELERATION: Final = _vector(Quantity("an acceleration", "m/s²", least=-100.0
 _RADIUS: Final = Quantity("a radius", "m", least=0.0, most=_FARTHEST)
 _ROUND: Final = Quantity("a radius", "m", above=0.0, most=_FARTHEST)
 _CONTACT_STIFFNESS: Final = Quantity("a stiffness", "N/m", least=0.0, most=STIFFEST)
+_SPRING: Final = Quantity("a stiffness", "N/m", above=0.0, most=STIFFEST)
 _TANK: Final = Quantity("a tank", "J", least=0.0, most=MOST_DRIVE)
 FRICTION: Final = Quantity("a coefficient of friction", least=0.0, most=10.0)
 
@@ -307,6 +309,23 @@ class SceneSpring(SessionModel):
         return self
 
 
+class SceneHoldByButton(SessionModel):
+    """A tool holds the nearest body while a button of its device is pressed."""
+
+    tool: str = Field(description="the tool, by its device's name")
+    button: Annotated[str, BUTTON] = Field(description="the button of that device, by its name")
+    stiffness: Annotated[float, _SPRING] = Field(description="the stiffness in N/m of the spring that holds the body")
+    damping: Annotated[float, DAMPING] = Field(default=0.0, description="the damping in N·s/m beside it")
+    within: Annotated[float, _RADIUS] = Field(
+        default=0.0, description="the greatest gap in m at which it takes hold; 0 for what the tool touches"
+    )
+
+    @property
+    def hold(self) -> SceneHold:
+        """The same as design has it."""
+        return SceneHold(self.tool, f"{self.tool}.{self.button}", self.stiffness, self.damping, self.within)
+
+
 def _axes_of(ports: list[str]) -> tuple[int, ...]:
     """The axis along which each of a device's ports moves its tool: by their names, else x, y and z in order."""
     names = [port.partition(".")[2] for port in ports]
@@ -365,6 +384,9 @@ class SceneEnvironment(EnvironmentKind):
     tank: Annotated[float, _TANK] = Field(
         default=0.0, description="the energy in J that the driven bodies together may give out"
     )
+    holds: Annotated[tuple[SceneHoldByButton, ...], Items("holds", MOST_HOLDS, least=0)] = Field(
+        default=(), description="which button of a tool's device holds the body that the tool touches"
+    )
     enforce: ClassVar[bool] = True
 
     def problems(self, ports: tuple[str, ...]) -> Iterator[Problem]:
@@ -392,6 +414,9 @@ class SceneEnvironment(EnvironmentKind):
                         )
         if self.tank and not any(body.motion for body in self.bodies.values()):
             yield Problem(("tank",), "a tank, and no body with a motion", "a driven body, or no tank")
+        for index, hold in enumerate(self.holds):
+            if hold.tool not in self.tools:
+                yield Problem(("holds", index, "tool"), f"the name {hold.tool!r}", one_of(tuple(self.tools), hold.tool))
         for index, contact in enumerate(self.contacts):
             if all(end in self.obstacles for end in contact.between):
                 yield Problem(("contacts", index, "between"), "two obstacles", "a tool or a body at one of the ends")
@@ -400,10 +425,10 @@ class SceneEnvironment(EnvironmentKind):
         """The problems of what stands where: bodies that fall, shapes, pairs, and tools inside other things."""
         try:
             scene = self.scene(ports)
+            contacts, _ = scene.contacts, scene.graspable
         except SceneError as error:
             yield Problem(("bodies", error.body) if error.body else ("bodies",), error.found, error.expected)
             return
-        contacts = scene.contacts
         for pair, gap in zip(contacts.pairs, contacts.gaps(scene.points)[0].tolist(), strict=True):
             for name in {*pair.names} & {*self.tools} if gap < -TOUCH else ():
                 (other,) = {*pair.names} - {name}
@@ -427,7 +452,14 @@ class SceneEnvironment(EnvironmentKind):
             surfaces=tuple((pair.between, pair.surface) for pair in self.contacts),
             gravity=self.gravity,
             tank=self.tank,
+            holds=tuple(hold.hold for hold in self.holds),
         )
+
+    @property
+    def buttons(self) -> Iterator[tuple[tuple[str | int, ...], str, str]]:
+        """Those that hold bodies."""
+        for index, hold in enumerate(self.holds):
+            yield ("holds", index, "button"), hold.tool, hold.button
 
     def for_design(self, ports: tuple[str, ...]) -> DeclaredScene:
         """The scene, at the level 0."""

@@ -71,6 +71,7 @@ from manyhands.launch.session.limits import (
     MAX_READS,
     MAX_RESTARTS,
     MIN_POSITIVE,
+    MOST_BUTTONS_IN_ALL,
 )
 from manyhands.launch.session.matrices import Array
 from manyhands.launch.session.motion import motion_problems, with_own_names
@@ -81,6 +82,7 @@ from manyhands.nodes.kernel.allowance import LatenessAllowance
 from manyhands.nodes.kernel.bundle import REALTIME, WALL
 from manyhands.nodes.kernel.factory import FactoryName
 from manyhands.protocol.channels import CHANNELS, Channel, Rate
+from manyhands.protocol.limits import MAX_BUTTONS
 from manyhands.protocol.messages import Role
 
 ENVIRONMENT: Final = "environment"
@@ -383,6 +385,8 @@ class Session(SessionModel):
         problems += islice(observer_problems(self.observers, self.roles), MAX_PROBLEMS)
         motions = {name: (d.trace, d.limits) for name, d in self.devices.items() if d.trace is not None}
         problems += islice(motion_problems(motions, self.period), MAX_PROBLEMS)
+        if not problems:
+            problems += islice(self._button_problems(), MAX_PROBLEMS)
         if not problems and self.colocated:
             problems += islice(self._colocation_problems(), MAX_PROBLEMS)
         if not problems:
@@ -644,6 +648,37 @@ class Session(SessionModel):
     def blocks(self) -> tuple[tuple[str, ...], ...]:
         """The ports of each coupling, in the order of the couplings: the block structure of V."""
         return tuple(self.blocks_by_name.values())
+
+    def _button_problems(self) -> Iterator[Problem]:
+        for where, device, button in self.environment.buttons:
+            own = tuple((self.devices[device].buttons or {}) if device in self.devices else ())
+            if button not in own:
+                expected = one_of(own, button) if own else f"buttons: [{button}] at the device {device}"
+                yield Problem(("environment", *where), f"the button {button!r} of {device}", expected)
+        at = self.buttons_at
+        if len(at[ENVIRONMENT]) > MOST_BUTTONS_IN_ALL:
+            yield Problem(("devices",), f"{len(at[ENVIRONMENT])} buttons", f"at most {MOST_BUTTONS_IN_ALL} in all")
+        for name in self.couplings:
+            if len(at[name]) > MAX_BUTTONS:
+                expected = f"at most {MAX_BUTTONS} in one coupling: divide it into more couplings"
+                yield Problem(("couplings", name), f"devices with {len(at[name])} buttons", expected)
+
+    @cached_property
+    def buttons_at(self) -> Mapping[str, tuple[str, ...]]:
+        """The buttons at each node, in order: of a device its own; of a coupling those of the devices whose first port
+        it has, so that each is known by one way alone; of the environment all.
+        """
+        devices = {name: device.buttons_of(name) for name, device in self.devices.items()}
+        couplings = {
+            name: tuple(
+                button
+                for device in self.devices_of(name)
+                if self.ports_of(device)[0] in own
+                for button in devices[device]
+            )
+            for name, own in self.blocks_by_name.items()
+        }
+        return {**devices, **couplings, ENVIRONMENT: tuple(button for own in couplings.values() for button in own)}
 
     def ports_of(self, device: str) -> tuple[str, ...]:
         """The ports of a device, in the order of its axes."""

@@ -38,7 +38,7 @@ class Block:
         self.environment = environment
         self._next_rung = 0
         self.jumps = self.ticks = 0
-        self._stamp, self.sent = 0, -1
+        self._stamp, self._pressed, self.sent = 0, 0, -1
         self._life: Life | None = None  # until the loop begins
         self._f: Floats = [0.0] * len(self._common.ports)  # the environment's force, filled in place
         self._rows = RowBuffer(Role.COUPLING, self._common.telemetry_first, self._common.telemetry_ticks)
@@ -53,15 +53,22 @@ class Block:
         """Begin the loop; ``life`` fails when the environment floods the link."""
         self._life = life
 
-    def send(self, x: Floats, tick: int, stamp: int) -> None:
-        """Send the environment p(k), m, for the devices' x(k), m; ``stamp`` is that of the first sample, ns."""
-        self.sent = tick
+    def send(self, x: Floats, tick: int, stamp: int, pressed: int = 0) -> None:
+        """Send the environment p(k), m, for the devices' x(k), m.
+
+        Args:
+            x: those of all devices.
+            tick: k.
+            stamp: of the first sample, ns.
+            pressed: the devices' buttons that are held down.
+        """
+        self.sent, self._pressed = tick, pressed
         self._stamp = stamp  # the age of the force is counted from the sample
-        self.environment.send(Tool, tick, stamp, self.port.up(x))
+        self.environment.send(Tool, tick, stamp, self.port.up(x), pressed)
 
     def send_again(self, tick: int) -> None:
         """Send the last p once more: the signal or its answer may have been lost, or the session has gone on."""
-        self.environment.send(Tool, tick, self._stamp, self.port.p)
+        self.environment.send(Tool, tick, self._stamp, self.port.p, self._pressed)
 
     def hear(self, tick: int, timeout: Duration) -> Received:
         """Listen for f_v(k), at most ``timeout``.

@@ -74,7 +74,8 @@ class CouplingNode:
     @property
     def as_peer(self) -> Peer:
         """This node, as a device in the same process is joined to it."""
-        return Peer(self._common.name, Role.COUPLING, self._common.ports, binds=False)
+        common = self._common
+        return Peer(common.name, Role.COUPLING, common.ports, binds=False, buttons=(0, len(common.buttons)))
 
     def join_from(self, own: OwnEnd) -> Within:
         """Join this node to a device in the same process, whose loop runs the block's ticks from then on.
@@ -129,7 +130,10 @@ class CouplingNode:
                 break
             tick = sampled
             stamp = devices[0].stamp
-            block.send(x, tick, stamp)
+            pressed = 0
+            for join in devices:
+                pressed |= join.pressed
+            block.send(x, tick, stamp, pressed)
             received = block.hear(tick, turn)
             if received is not Received.SIGNAL:
                 answered = self._await_reaction(received, tick, block, life, control)

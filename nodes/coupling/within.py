@@ -44,12 +44,12 @@ class Within(Join):
         """Whether there is a link to the environment, without which the block has no answer."""
         return self._block.environment.reachable
 
-    def send(self, kind: type[SignalMessage], tick: int, stamp: int, values: Floats) -> bool:
+    def send(self, kind: type[SignalMessage], tick: int, stamp: int, values: Floats, pressed: int = 0) -> bool:
         """Make the block send p(k) for x(k); a second call for the same tick sends the same p(k) again."""
         if tick == self._block.sent:
             self._block.send_again(tick)
         else:
-            self._block.send(self.share(values), tick, stamp)
+            self._block.send(self.share(values), tick, stamp, self.share_of_buttons(pressed))
         return True
 
     def send_again(self) -> None:

@@ -25,7 +25,7 @@ from manyhands.nodes.device.dry_joints import DryMechanism
 from manyhands.nodes.device.friction import DryPlant
 from manyhands.nodes.device.mechanism import Mechanism
 from manyhands.nodes.device.motion_sources import MOTION_SOURCES
-from manyhands.nodes.device.plugin import plugin_driver
+from manyhands.nodes.device.plugin import buttons_among, plugin_driver
 from manyhands.nodes.device.pointer import Follower, GoalSource, browser_goal, pointer_hand, pointer_of
 from manyhands.nodes.device.rate_goal import RateGoal
 from manyhands.nodes.device.simulated import Hand, HeldDeviceDriver, OwnTimeDriver, Plant, device_of, intent_hand
@@ -48,6 +48,8 @@ from manyhands.protocol.messages import Figures
 
 class Driver(Protocol):
     """A force-feedback device: displacement out, force in, one of each a tick.
+
+    One that has buttons has a method ``buttons() -> int`` as well: those of its bundle that are held down, bit by bit.
 
     Instants count from tick 0's instant, ns, and never decrease from call to call; an instant before that of the last
     call counts as that one. A driver in its own time ignores them.
@@ -266,7 +268,8 @@ def _goal(rate: RateMotion | None, bundle: DeviceBundle) -> Callable[[Follower],
     if wrong := [name for name in rate.axes if name.removeprefix("-") not in kind.AXES]:
         raise ValueError(f"found the axis {wrong[0]!r} of a {kind.NAME}; expected one of {', '.join(kind.AXES)}")
     axes = [(kind.AXES.index(name.removeprefix("-")), -1.0 if name.startswith("-") else 1.0) for name in rate.axes]
-    return lambda follower: RateGoal(kind(rate.device), axes, rate.speed, rate.dead_zone, follower, T)
+    buttons = buttons_among(bundle.common.buttons, kind.BUTTONS, f"a {kind.NAME}")
+    return lambda follower: RateGoal(kind(rate.device), axes, rate.speed, rate.dead_zone, follower, T, buttons)
 
 
 def _held(hand: Hand, T: float, wall: bool) -> Driver:

@@ -156,12 +156,14 @@ class DeviceNode:
             if first:
                 sent_tick = tick
                 repeats.begin(sampled)
+                if device.changed:
+                    account.press(tick, device.buttons.changes(device.changed))
             if guard.let_go != let_go:
                 control.log.note(LogEvent.BREACH, tick=tick, reason=guard.why)
             if first or repeats.due(sampled):
                 for join in joins:
                     if join.tick != tick:
-                        join.send(Sample, tick, sampled, x)
+                        join.send(Sample, tick, sampled, x, device.buttons.state)
             sent = clock.now()
             turns += 1
             answered: int | None = tick
@@ -261,9 +263,9 @@ class DeviceNode:
                 for other in joins:  # a coupling that answered the earlier tick must answer this one as well
                     if other.tick != tick:
                         other.notify(Absent(self._common.name))  # no sample comes for the ticks in between
-                        other.send(Sample, tick, sampled, x)
+                        other.send(Sample, tick, sampled, x, self.device.buttons.state)
             elif result is Received.RECONNECTED:
-                join.send(Sample, tick, sampled, x)
+                join.send(Sample, tick, sampled, x, self.device.buttons.state)
             return tick
 
         def pause(tick: int) -> Duration | None:

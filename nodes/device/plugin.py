@@ -24,6 +24,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Integral
 from typing import Final
 
 from manyhands.nodes.device.specification import AxisMap, DeviceSpecification, other_kinds, promises_too_much
@@ -39,8 +40,8 @@ from manyhands.protocol.messages import Figures
 REQUIRED: Final = (
     "specification", "sample", "apply", "release", "close", "exerted", "idle", "figures",
 )  # fmt: skip
-"""The methods of a driver; the last three have a default in :class:`DeviceDriver`, as ``work`` has, which is asked only
-where motors hold torques."""
+"""The methods of a driver; the last three have a default in :class:`DeviceDriver`. So have ``work``, which is asked for
+where motors hold torques, and ``buttons``, which is asked for where the session names buttons."""
 
 
 class DeviceDriver(ABC):
@@ -101,6 +102,13 @@ class DeviceDriver(ABC):
         the next answer then begins with this call.
         """
         return None
+
+    def buttons(self) -> int:
+        """Which buttons are held down: bit i for the i-th that the specification names; it must not wait.
+
+        The loop asks after each displacement that it sends, where the session names buttons of the device.
+        """
+        return 0
 
     def idle(self, due: Instant) -> None:
         """Do work that was put off; the next sample is due at ``due``."""
@@ -213,6 +221,24 @@ def axis_map_of(device: PluginDevice, own: tuple[str, ...]) -> AxisMap:
     return AxisMap(axes, tuple(-1.0 if name.startswith("-") else 1.0 for name in wanted), device.scale)
 
 
+def buttons_among(wanted: Sequence[str], own: Sequence[str], who: str) -> tuple[int, ...]:
+    """By button of a session's device, ``device.button``, its number among the buttons that its driver has.
+
+    Raises:
+        FactoryError: the driver has no such button; ``who`` names it.
+    """
+    found = []
+    for name in wanted:
+        device, _, button = name.rpartition(".")
+        if button not in own:
+            has = ", ".join(own) or "none"
+            raise FactoryError(
+                f"devices.{device}.buttons: found {button!r:.40}; expected buttons of {who}, which has {has}"
+            )
+        found.append(own.index(button))
+    return tuple(found)
+
+
 def made_driver(name: FactoryName, ports: tuple[str, ...], T: float) -> tuple[DeviceDriver, DeviceSpecification]:
     """Make a driver, and ask it what it states.
 
@@ -253,6 +279,7 @@ class PluginDriver:
         stated: DeviceSpecification,
         T: float,
         timing: DeviceTiming | None = None,
+        buttons: Sequence[int] = (),
     ) -> None:
         """Map and check a driver.
 
@@ -264,7 +291,9 @@ class PluginDriver:
             T: period, s.
             timing: of the device as the session has it; None for what the driver states. Where its latency is not 0,
                 the driver's displacement at a force is not that of its instant, and is not used.
+            buttons: by button of the session, its number among the driver's.
         """
+        self._buttons = tuple(buttons)
         timing = timing or stated.timing
         self.by_itself, self._units = stated.uncovered, stated.units
         self._name, self._driver, self._measures = name, driver, timing.latency == 0.0
@@ -333,6 +362,16 @@ class PluginDriver:
         self._given.measured(F)
         self._unexerted.count(max(abs(a - b) for a, b in zip(F, self._F, strict=True)))
         return [F[axis] / gain for axis, gain in self._to_ports]
+
+    def buttons(self) -> int:
+        """Which of the session's buttons are held down, bit by bit."""
+        try:
+            state = self._driver.buttons()
+        except (Exception, SystemExit) as error:  # foreign code: every exception is named
+            raise self._raised("buttons", error, "an integer") from error
+        if not isinstance(state, Integral) or state < 0:
+            raise self._unusable("buttons", state, "an integer of at least 0, with a bit for each button")
+        return sum((int(state) >> of_driver & 1) << i for i, of_driver in enumerate(self._buttons))
 
     def idle(self, due: Instant) -> None:
         """Let the driver do what it has put off."""
@@ -444,7 +483,10 @@ def plugin_driver(device: PluginDevice, bundle: DeviceBundle) -> PluginDriver:
                 "mechanism moves in real time"
             )
         limits = bundle.limits.force, bundle.limits.displacement, bundle.limits.speed
-        made = PluginDriver(name, driver, axis_map, stated, bundle.common.period, device.timing)
+        buttons = buttons_among(bundle.common.buttons, stated.buttons, f"the driver {name}")
+        if buttons and not callable(getattr(driver, "buttons", None)):
+            raise FactoryError(f"the driver {name}: found buttons, and no method buttons; expected it to tell them")
+        made = PluginDriver(name, driver, axis_map, stated, bundle.common.period, device.timing, buttons)
         if stated.holds_torque and bundle.held is None:
             raise FactoryError(
                 f"devices.{bundle.common.name}.held: found force; expected torque, for the driver {name} states that "

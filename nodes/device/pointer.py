@@ -58,6 +58,10 @@ class GoalSource(Protocol):
         """
         ...
 
+    def buttons(self) -> int:
+        """Which of the session's buttons of the device are held down, bit by bit."""
+        ...
+
     def begin(self, position: Floats) -> Floats:
         """The hand has closed on the device at ``position``, m; returns the goal with which it begins, m."""
         ...
@@ -145,6 +149,10 @@ class BrowserGoal:
             inlet: receives the pointer's messages, and is closed with the source; None where no pointer can connect.
         """
         self._pointer, self._inlet = pointer, inlet
+
+    def buttons(self) -> int:
+        """None: a page has no buttons of a device."""
+        return 0
 
     def tick(self) -> Floats | None:
         """Read the pointer's messages."""
@@ -257,6 +265,10 @@ class PointerHand(Hand):
     def figures(self) -> Figures:
         """Whether the device is held, and counts of what moves it."""
         return self._source.figures()
+
+    def buttons(self) -> int:
+        """The buttons that are held down at the source, bit by bit."""
+        return self._source.buttons()
 
     def close(self) -> None:
         """Close the source. A second call does nothing."""

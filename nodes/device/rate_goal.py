@@ -11,8 +11,8 @@ follower's reach, at which the goal stays.
 
 **A hand closes only from rest**: on the device as it is, at the first deflection after all axes were in the dead zone.
 So a stick that drifts from the start, or is held while a process starts anew, moves nothing: the kernel tells its state
-first. A SpaceMouse tells none, and counts as at rest until it does. A button opens the hand. Otherwise it stays closed:
-who lets the cap go holds still.
+first. A SpaceMouse tells none, and counts as at rest until it does. A button opens the hand, unless the session has a
+use for it. Otherwise it stays closed: who lets the cap go holds still.
 """
 
 from __future__ import annotations
@@ -32,6 +32,8 @@ class Deflected(Protocol):
     deflection: list[float]
     reports: int
     refused: int
+    buttons: int
+    pressed: int
 
     def look(self) -> bool:
         """Take in what has come, without waiting; returns whether a button was pressed."""
@@ -53,6 +55,7 @@ class RateGoal:
         dead_zone: float,
         follower: Follower,
         T: float,
+        buttons: Sequence[int] = (),
     ) -> None:
         """Hold nothing.
 
@@ -63,7 +66,10 @@ class RateGoal:
             dead_zone: the part of the full deflection up to which nothing moves, below 1.
             follower: smooths the goal; it has the reach, and the greatest speed.
             T: period, s.
+            buttons: by button of the session, its number at the source.
         """
+        self._buttons = tuple(buttons)
+        self._used = sum(1 << number for number in buttons)
         self._source, self._follower, self._dead = source, follower, dead_zone
         steps = [T * min(speed, most) / (1.0 - dead_zone) for most in follower.speed]
         self._axes = [(axis, sign, step) for (axis, sign), step in zip(axes, steps, strict=True)]
@@ -84,7 +90,7 @@ class RateGoal:
         except ValueError:
             self._goal, self._lost = None, True
             raise
-        if pressed:
+        if pressed and (not self._used or self._source.pressed & ~self._used):
             self._goal, self._rested = None, False
         deflection, dead = self._source.deflection, self._dead
         ways: Floats = []
@@ -102,6 +108,11 @@ class RateGoal:
             self._goal = self._follower.within(wanted)
             self._clipped += self._goal != wanted
         return self._goal
+
+    def buttons(self) -> int:
+        """Which of the session's buttons are held down, bit by bit; none of a device that has gone."""
+        state = 0 if self._lost else self._source.buttons
+        return sum((state >> number & 1) << i for i, number in enumerate(self._buttons))
 
     def begin(self, position: Floats) -> Floats:
         """The goal begins where the device is, or at the nearest point of the reach."""

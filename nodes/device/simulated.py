@@ -192,6 +192,10 @@ class Hand(ABC):
             The state with which the period begins, and the hand's intention over it.
         """
 
+    def buttons(self) -> int:
+        """The buttons that the hand holds down, bit by bit; most hands press none."""
+        return 0
+
     @abstractmethod
     def figures(self) -> Figures:
         """The hand's own figures for the telemetry."""
@@ -253,6 +257,10 @@ class OwnTimeDriver:
         since, self._done = done - self._done, done
         return since
 
+    def buttons(self) -> int:
+        """The buttons that the hand holds down, bit by bit."""
+        return self._hand.buttons()
+
     def figures(self) -> Figures:
         """The hand's figures."""
         return self._hand.figures()
@@ -311,6 +319,10 @@ class HeldDeviceDriver(WallTimeDriver):
             return None
         since, self._done = done - self._done, done
         return since
+
+    def buttons(self) -> int:
+        """The buttons that the hand holds down, bit by bit."""
+        return self._hand.buttons()
 
     def figures(self) -> Figures:
         """The hand's figures."""

@@ -67,6 +67,7 @@ class DeviceSpecification:
             sentence each, as "compensates gravity by a force of its own". They are stated beside the certificate.
         measured: which of :data:`TIMES` the driver measured at this start. Its next start may measure greater ones, so
             a session needs room above them (:meth:`promised`); a time that is not named is the same at every start.
+        buttons: the names of its buttons, in the order of the bits that :meth:`DeviceDriver.buttons` returns.
         hardware: whether forces act on a real mechanism, in real time. A simulated counterpart states False: it moves
             by the instants of the calls, and also takes part under the simulated clock.
 
@@ -87,6 +88,7 @@ class DeviceSpecification:
     hardware: bool = True
     moved_by_force: bool = True
     measured: tuple[str, ...] = ()
+    buttons: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         m = len(self.force)
@@ -103,6 +105,8 @@ class DeviceSpecification:
             raise ValueError(f"axes: found {self.axes!r:.60}; expected {m} names, each once")
         if not {*(self.turning or ())} <= {*self.axes}:
             raise ValueError(f"turning: found {self.turning!r:.60}; expected some of its axes {self.axes!r:.60}")
+        if isinstance(self.buttons, str) or len({*self.buttons}) != len(self.buttons):
+            raise ValueError(f"buttons: found {self.buttons!r:.60}; expected names, each once")
         fit = all(0 < len(one) <= MAX_SENTENCE and one.isprintable() for one in self.by_itself)
         if isinstance(self.by_itself, str) or len(self.uncovered) > MAX_BY_ITSELF or not fit:
             expected = f"at most {MAX_BY_ITSELF} sentences, each printable and of at most {MAX_SENTENCE} characters"

@@ -22,7 +22,7 @@ the details. A processor that the kernel or a hypervisor took during the thread'
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from enum import StrEnum
 
 import numpy as np
@@ -155,6 +155,7 @@ class DeviceTelemetry:
         self.ticks = self.stale = self.released = self.jumps = 0
         self._late = self._tau_breaches = self._period_breaches = 0
         self.suspended, self._suspended_time, self._suspended_energy = 0, 0, 0.0
+        self._presses = 0
         self._peak_force = 0.0  # N, up to the last telemetry
         self._before: float | None = None  # the account when the process was suspended, until the next tick
         period = self._period = from_seconds(common.period)
@@ -176,6 +177,12 @@ class DeviceTelemetry:
     def leave(self, tick: int) -> None:
         """Record that the device begins to let go for good with its sample of ``tick``."""
         self._events.leave(tick)
+
+    def press(self, tick: int, changes: Iterable[tuple[str, bool]]) -> None:
+        """Record which buttons are held down from the sample of ``tick`` on, or not any more."""
+        for button, held_down in changes:
+            self._events.press(tick, button, held_down)
+            self._presses += held_down
 
     def _assume(self, rung: DeviceRung) -> None:
         self._assumed_tau, self._share = from_seconds(rung.tau), rung.share
@@ -289,6 +296,7 @@ class DeviceTelemetry:
             **names.ledger_figures(core.ledger),
             **self._speed_figures(),
             **self._interface_figures(),
+            **({names.BUTTON_PRESSES: float(self._presses)} if self._device.buttons.names else {}),
         }
 
     def _speed_figures(self) -> dict[str, float]:

@@ -19,6 +19,9 @@ the time from a sample to a force counts, so one shift stands for both. A force 
 taken. The account has both at their true instants. The loop's schedule knows nothing of it: a late device is no late
 loop.
 
+**Buttons** are read with the sample that is sent. Scripts hold those of a simulated device and of a recorded motion;
+any other driver tells them, if it can (``buttons()``).
+
 **Encoder steps.** What a simulated device sends is rounded to the steps of its encoder. Its row, ledger and account
 have its true displacement, which no real device knows. So they count the energy that the steps put into the loop.
 """
@@ -36,6 +39,7 @@ from manyhands.nodes.device.interface import DeviceInterface, interface_of
 from manyhands.nodes.device.plugin import PluginDriver
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import WALL, DeviceBundle, SimulatedHand
+from manyhands.nodes.kernel.buttons import Buttons, scripted
 from manyhands.nodes.kernel.passivity import Ledger
 from manyhands.nodes.rows.two_port import Row
 from manyhands.protocol.clock import Instant, from_seconds
@@ -68,6 +72,8 @@ class DeviceTick(ABC):
         beyond: the times that it was greater than that.
         x_a: the displacement when the force was applied, m; None where it is not known.
         instants: of the last tick, of a device in wall time.
+        buttons: those that are held down in the tick.
+        changed: of them, those that changed with its sample.
         done: the work of motors that hold torques until the sample of the last tick, and from then until its force, J;
             NaN where it is not known. Empty for others.
     """
@@ -93,6 +99,9 @@ class DeviceTick(ABC):
         self.known_to = self._zero if bundle.measured is None else list(bundle.measured)
         self._jitter = bundle.timing.jitter  # s
         self.fastest, self.beyond = 0.0, 0
+        self.buttons, self.changed = Buttons(common.buttons, common.period), 0
+        self._scripts, self._told = bundle.scripts, getattr(driver, "buttons", None) if common.buttons else None
+        self._samples = 0  # those that were sent
         self._last: Floats | None = None  # the true displacement of the last sample, where there is such a speed
         self.moved = self.x = self.sent = self.held = self._zero
         self.x_a: Floats | None = None
@@ -121,6 +130,9 @@ class DeviceTick(ABC):
         if self.below is not None:
             self._compare(x, (period if interface is None else at - last) * 1e-9, self.below)
         self._at, self._first = at, first
+        self.changed = 0
+        if first and self.buttons.names:
+            self._read_buttons(turn, at)
         if interface is None:
             self.x, self.sent = x, goal
         elif first:
@@ -131,6 +143,14 @@ class DeviceTick(ABC):
             if interface.shortened:
                 self.driver.apply(interface.exerted, at, interface.until)
         return self.sent
+
+    def _read_buttons(self, turn: int, at: Instant) -> None:
+        if self._scripts:
+            wanted = scripted(self._scripts, (turn * self._period if self.interface is None else at) * 1e-9)
+        else:
+            wanted = 0 if self._told is None else self._told()
+        self.changed = self.buttons.take(self._samples, wanted)
+        self._samples += 1
 
     def _compare(self, x: Floats, h: float, below: float) -> None:
         """Compare the speed of each axis, from the last sample to that at x (m), h (s) later, with ``below``, m/s.

@@ -148,6 +148,9 @@ class EnvironmentCore:
         self._deflection: LinearMap = list  # the same for all of J
         self._F_D = np.zeros((0, 0))  # F_JJ D_V at J
 
+    def press(self, pressed: int) -> None:
+        """Do nothing: no button acts on matrices."""
+
     def react(self, p: Floats) -> Floats:
         """f_c(k) = S f_e(k), N, for the couplings, from the free tool positions p(k), m; ignores p of frozen blocks."""
         self._rest_of_tick = self._rest
@@ -402,7 +405,7 @@ def environment_core(bundle: EnvironmentBundle, D_V: Vector, blocks: Blocks | No
             bodies, oriented = len(bundle.masses) // 3, len(bundle.oriented)
             law = ProxyLaw(asked, K, bundle.Phi_E, common.period, parties, bodies, bundle.tank, oriented)
     elif bundle.scene is not None:
-        law = SceneLaw(bundle.scene, common.period)
+        law = SceneLaw(bundle.scene, common.period, common.buttons)
     elif E is None:
         raise ValueError("found an environment without matrices, a model and a scene; expected one of them")
     elif bundle.enforce:

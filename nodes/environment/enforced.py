@@ -57,6 +57,10 @@ class ForceLaw(Protocol):
         """The reason why it cannot be asked any more; None while it can."""
         ...
 
+    def press(self, pressed: int) -> None:
+        """Take in which buttons are held down from this tick on; called before the tick's first proposal."""
+        ...
+
     def propose(self, r: Vector, compliance: Vector, x_e: Vector) -> Vector:
         """The forces wanted at this tick, N; the core may call this several times in a tick, with different r.
 
@@ -108,6 +112,9 @@ class BlackBox:
         """What was wrong with the model's first bad answer; None without one."""
         return self._model.failure
 
+    def press(self, pressed: int) -> None:
+        """Do nothing: the model does not ask for buttons."""
+
     def propose(self, r: Vector, compliance: Vector, x_e: Vector) -> Vector:
         """The model's forces at the ``x_e`` of the tick's first call, N."""
         if self._answer is None:
@@ -150,6 +157,9 @@ class LinearLaw:
         self._eta = np.zeros(E.order)
         self._compliance: Vector | None = None
         self._force: Vector = self._output
+
+    def press(self, pressed: int) -> None:
+        """Do nothing: no button acts on matrices."""
 
     def propose(self, r: Vector, compliance: Vector, x_e: Vector) -> Vector:
         """The force that solves the algebraic loop; under a certificate there is exactly one."""
@@ -242,6 +252,10 @@ class EnforcedCore:
     def failure(self) -> str | None:
         """Why the model is not asked any more, in one sentence; its forces are zero then, or its proxies rest."""
         return self._law.failure
+
+    def press(self, pressed: int) -> None:
+        """Take in which buttons are held down from the next :meth:`react` on, bit by bit as the bundle names them."""
+        self._law.press(pressed)
 
     def react(self, p: Floats) -> Floats:
         """f_c(k) = S f_e(k), N, for the couplings, from the free tool positions p(k), m."""

@@ -329,6 +329,15 @@ class Members:
         """Whether the signal of a later tick is kept for any coupling."""
         return any(member.early is not None for member in self.all)
 
+    @property
+    def pressed(self) -> int:
+        """The buttons that are held down, of all members that are there: who is frozen or gone holds none."""
+        found = 0
+        for member in self.all:
+            if member.membership.state in _THERE:
+                found |= member.join.pressed
+        return found
+
     def hear(self, member: Member, p: Floats, tick: int, timeout: Duration) -> Received:
         """Listen to one member for its signal of ``tick``, at most ``timeout``, and put it into ``p``, m."""
         self._tick, self._p = tick, p

@@ -37,6 +37,7 @@ from manyhands.nodes.environment.pace import Pace
 from manyhands.nodes.joins import establish
 from manyhands.nodes.kernel.arithmetic import Floats, feedthrough_digest
 from manyhands.nodes.kernel.bundle import REALTIME, Common, EnvironmentBundle
+from manyhands.nodes.kernel.buttons import Buttons
 from manyhands.nodes.kernel.lifetime import Life
 from manyhands.nodes.kernel.realtime import way_giver
 from manyhands.nodes.kernel.timeouts import LISTEN_TICKS, timeouts
@@ -193,6 +194,7 @@ class EnvironmentNode:
         self._later: TelemetryLater | None = None  # there alone
         self._pace = Pace(Instant(0), self._period, Instant(0))
         self._p: Floats = [0.0] * len(bundle.common.ports)
+        self._buttons = Buttons(bundle.common.buttons, bundle.common.period)
         self._passed: tuple[Member, ...] = ()  # the member that did not come at its turn in this tick
         # without a covered delay no certificate can be lost by a longer allowance, so the period serves
         covered = from_seconds(bundle.longest_tau or bundle.common.period)
@@ -281,7 +283,7 @@ class EnvironmentNode:
         """Run the ticks; returns the one after the last."""
         core, account, late, p = members.core, self._account, self._late, self._p
         period, epoch, patience, give_way = self._period, self._epoch, self._timeouts.patience, way_giver()
-        tick, answered = start.tick, Instant(2**62)
+        tick, answered, buttons = start.tick, Instant(2**62), self._buttons
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):
             life.look(self._now)
             if tick % LISTEN_TICKS == 0 and (word := control.listen()) is not None:
@@ -297,6 +299,10 @@ class EnvironmentNode:
                     members.let_in_again(tick)
                 if members.waives or not members.all_active:
                     members.hold(tick, late.full)
+            if buttons.names and (changed := buttons.take(tick, members.pressed)):
+                for button, held_down in buttons.changes(changed):
+                    members.events.press(tick, button, held_down)
+                core.press(buttons.state)
             f = core.react(p)
             if core.failure is not None:
                 life.fail(f"{self._common.name}: {core.failure}")

@@ -119,6 +119,9 @@ class ProxyLaw:
         """The unit quaternion of each body whose orientation is reported; empty without any."""
         return self._model.orientations(self._oriented) if self._oriented else []
 
+    def press(self, pressed: int) -> None:
+        """Do nothing: the model does not ask for buttons."""
+
     def propose(self, r: Vector, compliance: Vector, x_e: Vector) -> Vector:
         """The springs' forces, N; the model is asked at the ``r`` of the tick's first call, its later calls reuse q."""
         if compliance is not self._compliance:

@@ -19,6 +19,11 @@ A driven body has no compliance, so z_free is where its motion puts it. The work
 from the scene's tank. In a tick whose work the tank cannot pay, all driven bodies stand still, where their work is 0,
 and their motion goes on from there in the next tick.
 
+A button may hold a body by a tool: a spring and a damper join the two from the tick in which it is pressed, with the
+offset that they had in the tick before as the one without force. They go when it is let go. A button takes hold of the
+body whose gap to the tool is the smallest, and no greater than stated; where there is none, it holds nothing until it
+is pressed again. The two go on touching each other.
+
 A primal-dual active-set iteration [Hintermueller2002]_ finds the solution, from the forces of the tick before on, in
 :data:`MOST_STEPS` steps at most. It works with the forces along the rows of a matrix G, one row along the gradient of
 each pair and three across it, and projects them on what the laws admit [Alart1991]_. The forces that are sent are those
@@ -28,7 +33,7 @@ passivity controller of :class:`manyhands.nodes.environment.enforced.EnforcedCor
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -63,10 +68,18 @@ class SceneLaw:
         held: always empty, for a scene has no proxies.
         steps: Newton steps so far.
         unfinished: ticks whose iteration did not end in :data:`MOST_STEPS` steps.
+        held_bodies: by each hold of the scene, the body that its button holds, by its number among tools and bodies;
+            None where it holds none.
     """
 
-    def __init__(self, scene: ContactScene, T: float) -> None:
-        """Start at rest, with all displacements 0; T is the period, s."""
+    def __init__(self, scene: ContactScene, T: float, buttons: Sequence[str] = ()) -> None:
+        """Start at rest, with all displacements 0.
+
+        Args:
+            scene: the scene.
+            T: period, s.
+            buttons: the names of the buttons, in the order of their bits.
+        """
         tools, bodies = scene.tools, scene.bodies
         points = len(tools) + len(bodies)
         size = 3 * points
@@ -103,6 +116,14 @@ class SceneLaw:
         self.tank, self._work = scene.tank, 0.0  # J
         self._pauses, self.paused = False, 0
         self._K, self._B, self._load = K + B / T, B / T, load
+        self._plain = self._K, self._B, self._load  # without what is held
+        names_of_tools = [tool.name for tool in tools]
+        self._holds = [(hold, names_of_tools.index(hold.tool)) for hold in scene.holds]
+        self._bits = [1 << buttons.index(hold.button) if hold.button in buttons else 0 for hold in scene.holds]
+        self._graspable = scene.graspable if scene.holds else None
+        self.held_bodies: list[int | None] = [None] * len(scene.holds)
+        self._offsets = np.zeros((len(scene.holds), 3))  # of tool and body where the spring has no force, m
+        self._pressed = 0
         contacts = self._contacts = scene.contacts
         self._total = contacts.stiffness + contacts.damping / T
         self._jacobian = np.kron(contacts.incidence, np.eye(3)).reshape(len(contacts), 3, size)
@@ -133,6 +154,8 @@ class SceneLaw:
     def figures(self) -> Mapping[str, float]:
         """The unfinished ticks; with driven bodies the ticks in which they paused, and what is in their tank, J."""
         found = {names.UNFINISHED: float(self.unfinished)}
+        if self._holds:
+            found[names.HOLDING] = float(sum(body is not None for body in self.held_bodies))
         return found | ({names.PAUSED: float(self.paused), names.DRIVE_TANK: self.tank} if self._motions else {})
 
     @property
@@ -145,6 +168,55 @@ class SceneLaw:
         """How far the bodies are from where they started, x, y and z of each, m."""
         found: Floats = (self._z - self._home)[self._first :].tolist()
         return found
+
+    def press(self, pressed: int) -> None:
+        """Hold what buttons that are pressed now take hold of, and let go what is held by those that are not any more.
+
+        It allocates, and the next proposal inverts a matrix, in a tick in which a button changes and in no other: a
+        finger does so a few times a second, and no button in less than 20 ms.
+        """
+        before, self._pressed = self._pressed, pressed
+        changed = False
+        for i, bit in enumerate(self._bits):
+            if pressed & bit and not before & bit:
+                self.held_bodies[i] = self._grasp(i)
+                changed = changed or self.held_bodies[i] is not None
+            elif not pressed & bit and self.held_bodies[i] is not None:
+                self.held_bodies[i], changed = None, True
+        if changed:
+            self._join()
+
+    def _grasp(self, hold: int) -> int | None:
+        """The body that a hold takes hold of where all things are, by its number; keeps its offset from the tool."""
+        own, tool = self._holds[hold]
+        z, pairs = self._z.reshape(-1, 3), self._graspable
+        if pairs is None:
+            return None
+        gaps, _ = pairs.gaps(z)
+        near = [(gap, pair.b) for gap, pair in zip(gaps.tolist(), pairs.pairs, strict=True) if pair.a == tool]
+        gap, body = min(near, default=(np.inf, -1))
+        if not gap <= own.within:
+            return None
+        self._offsets[hold] = z[tool] - z[body]
+        return body
+
+    def _join(self) -> None:
+        """Make springs and dampers anew, with those of what is held."""
+        K, B, load = (part.copy() for part in self._plain)
+        for (hold, tool), body, offset in zip(self._holds, self.held_bodies, self._offsets, strict=True):
+            if body is None:
+                continue
+            b = hold.damping / self._T
+            a, c = slice(3 * tool, 3 * tool + 3), slice(3 * body, 3 * body + 3)
+            for own, other, sign in ((a, c, 1.0), (c, a, -1.0)):
+                load[own] += sign * hold.stiffness * offset
+                K[own, own] += (hold.stiffness + b) * np.eye(3)
+                K[own, other] -= (hold.stiffness + b) * np.eye(3)
+                B[own, own] += b * np.eye(3)
+                B[own, other] -= b * np.eye(3)
+        self._K, self._B, self._load = K, B, load
+        self._past = load + B @ self._z
+        self._compliance = None  # the matrices of the solution are made anew
 
     def propose(self, r: Vector, compliance: Vector, x_e: Vector) -> Vector:
         """The forces on the tools, N, of the tick's solution."""

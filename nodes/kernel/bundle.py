@@ -34,6 +34,7 @@ from manyhands.design.models.coupling import loop_gain
 from manyhands.design.models.scene import ContactScene, scene_of
 from manyhands.design.models.statespace import Matrix, StateSpace
 from manyhands.nodes.kernel.allowance import LatenessAllowance
+from manyhands.nodes.kernel.buttons import Script
 from manyhands.nodes.kernel.driver_statement import NO_DELAY, DeviceTiming
 from manyhands.nodes.kernel.energy_budget import EnergyBudget
 from manyhands.nodes.kernel.factory import FactoryName
@@ -42,6 +43,7 @@ from manyhands.nodes.kernel.inertia import Inertia
 from manyhands.nodes.kernel.simulated_way import SimulatedWay
 from manyhands.nodes.kernel.site_bounds import SiteBounds
 from manyhands.protocol.clock import from_seconds
+from manyhands.protocol.limits import MAX_BUTTONS
 from manyhands.protocol.messages import Role, Start
 from manyhands.protocol.plain import Added, PlainForm, Requirement, Unfit, by_kind, read, written
 
@@ -84,6 +86,10 @@ class Peer:
         binds: whether *this* node binds the link's endpoint.
         address: the address that this node binds (tcp), host:port; empty for any port of the loopback.
         certificate: the id that the two ends of the link share; empty where it is the node's own.
+        buttons: where those buttons begin among the node's own whose state the link carries, and how many they are.
+
+    Raises:
+        ValueError: they are no buttons, or more than a signal carries.
     """
 
     name: str
@@ -92,6 +98,12 @@ class Peer:
     binds: bool
     address: str = ""
     certificate: str = ""
+    buttons: Added[tuple[int, int]] = (0, 0)
+
+    def __post_init__(self) -> None:
+        first, count = self.buttons
+        if not (first >= 0 and 0 <= count <= MAX_BUTTONS):
+            raise ValueError(f"found the buttons {self.buttons}; expected the first, and 0 to {MAX_BUTTONS} of them")
 
 
 @dataclass(frozen=True)
@@ -120,6 +132,7 @@ class Common:
         phase: when its tick 0 is, after the session's, s. Sites and their world need no common instant, so they take
             turns at the processors.
         turning: those of its ports that turn.
+        buttons: those of its devices, or of the device itself, each after its device's name.
 
     Raises:
         ValueError: the first telemetry has more ticks than the others, whose number a node has room for.
@@ -143,6 +156,7 @@ class Common:
     rate: Annotated[Added[float], _SPAN] = 1.0
     phase: Annotated[Added[float], _TIME] = 0.0
     turning: Added[tuple[str, ...]] = ()
+    buttons: Added[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
         if self.telemetry_first > self.telemetry_ticks:
@@ -434,6 +448,8 @@ class DeviceBundle:
         inertia: what is stated of the device's mass and its hand; None where nothing is.
         held: how the motors of its linkage hold torques in place of the force; None where the force itself is held.
         friction: the dry friction that its account counts; None where it counts none.
+        scripts: when each of its buttons is held down, s, where nobody presses them: those of a simulated device and of
+            a recorded motion. Empty where its driver tells.
 
     Raises:
         ValueError: Delta_D is not symmetric positive definite with a row for each port, the axes of the source are not
@@ -452,9 +468,12 @@ class DeviceBundle:
     inertia: Added[Inertia | None] = None
     held: Added[HeldTorque | None] = None
     friction: Added[DryFriction | None] = None
+    scripts: Added[tuple[Script, ...]] = ()
 
     def __post_init__(self) -> None:
         m = len(self.common.ports)
+        if self.scripts and len(self.scripts) != len(self.common.buttons):
+            raise ValueError(f"found {len(self.scripts)} scripts of {len(self.common.buttons)} buttons; expected each")
         if self.time not in TIMES or (self.time == WALL and self.common.clock == SIMULATED):
             raise ValueError(
                 f"found a device in the time {self.time!r:.40} under the {self.common.clock} clock; expected {WALL} "

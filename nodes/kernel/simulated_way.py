@@ -40,8 +40,8 @@ class SimulatedWay:
             raise ValueError(f"found {self}; expected finite times of at least 0 s, and a loss of at least 0, below 1")
 
 
-Kept = tuple[int, Floats, float]
-"""A wave as a face hears it: its tick, its sums, and the energy shipped."""
+Kept = tuple[int, Floats, float, int, int]
+"""A wave as a face hears it: its tick, its sums, the energy shipped, its life, and the buttons that are held down."""
 
 
 class WavesUnderWay:

@@ -114,6 +114,8 @@ class Join(ABC):
         self.waited_for = True
         self._clock = clock
         self._part = indices if isinstance(indices, slice) else None
+        self._first_button, buttons = peer.buttons
+        self._buttons = (1 << buttons) - 1
         self._at = () if isinstance(indices, slice) else tuple(indices.tolist())
 
     @property
@@ -149,6 +151,11 @@ class Join(ABC):
         """The stamp of the latest signal, ns; 0 where signals have none, and before the first."""
         return 0
 
+    @property
+    def pressed(self) -> int:
+        """The buttons behind the peer that are held down, among the node's own; 0 before its first signal."""
+        return 0
+
     def resume(self) -> None:
         """Begin in a session that runs already, where the join has something to begin with."""
 
@@ -171,8 +178,12 @@ class Join(ABC):
         for at, value in zip(self._at, share, strict=True):
             values[at] = value
 
+    def share_of_buttons(self, pressed: int) -> int:
+        """Those of the node's buttons that are held down whose state this link carries."""
+        return pressed >> self._first_button & self._buttons
+
     @abstractmethod
-    def send(self, kind: type[SignalMessage], tick: int, stamp: int, values: Floats) -> bool:
+    def send(self, kind: type[SignalMessage], tick: int, stamp: int, values: Floats, pressed: int = 0) -> bool:
         """Send this join's share of the node's ``values``.
 
         Args:
@@ -180,6 +191,7 @@ class Join(ABC):
             tick: k.
             stamp: when the device took the sample that the signal follows from, ns.
             values: those of all ports of the node.
+            pressed: the node's buttons that are held down; of no use to a peer nearer to the hand.
 
         Returns:
             Whether they are on their way; False where the peer is lost, or its queue is full.

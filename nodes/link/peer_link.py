@@ -70,7 +70,7 @@ class PeerLink(Join):
         """
         super().__init__(own, peer, link, indices, clock)
         self._admits, self._bounds = admits, bounds
-        self.gate = Gate(admits, len(peer.ports), bounds, clock)
+        self.gate = self._new_gate()
         self._writer: SignalWriter | None = None  # made with the first signal sent, whose kind is known only then
         self._last: bytes = b""
         self._junk_tick, self._junk = -1, 0  # an awaited tick, and the frames during its wait that were no signals
@@ -91,11 +91,16 @@ class PeerLink(Join):
         """The stamp of the latest signal admitted, ns; 0 before the first."""
         return self.gate.stamp
 
+    @property
+    def pressed(self) -> int:
+        """The buttons behind the peer that are held down by the latest signal admitted, among the node's own."""
+        return self.gate.buttons << self._first_button
+
     def forget(self) -> None:
         """Take the next signal as the first one, whose step has no bound."""
         self.gate.forget()
 
-    def send(self, kind: type[SignalMessage], tick: int, stamp: int, values: Floats) -> bool:
+    def send(self, kind: type[SignalMessage], tick: int, stamp: int, values: Floats, pressed: int = 0) -> bool:
         """Send this link's share of the node's ``values`` in one frame; see :meth:`.Join.send`."""
         link = self.link
         if link is None or self.handshake is not None:
@@ -105,7 +110,7 @@ class PeerLink(Join):
             writer = self._writer = SignalWriter(kind, len(self.peer.ports))
         part = self._part
         share = self.share(values) if part is None else values[part]
-        self._last = frame = writer.frame(tick, stamp, share)
+        self._last = frame = writer.frame(tick, stamp, share, pressed >> self._first_button & self._buttons)
         return link.send(frame)
 
     def send_again(self) -> None:
@@ -223,9 +228,12 @@ class PeerLink(Join):
                 return Received.DECLINED if listener.on_notice(self, message) else None
         return None
 
+    def _new_gate(self) -> Gate:
+        return Gate(self._admits, len(self.peer.ports), self._bounds, self._clock, self.peer.buttons[1])
+
     def _begin_life(self) -> None:
         """Begin anew with a peer that has shaken hands."""
-        before, self.gate = self.gate, Gate(self._admits, len(self.peer.ports), self._bounds, self._clock)
+        before, self.gate = self.gate, self._new_gate()
         self.gate.dropped.update(before.dropped)
         self._last, self.tick, self._newest = b"", -1, -1
         self._admissions = deque([self._clock.now()], TICKS_BACK)

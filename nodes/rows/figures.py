@@ -273,6 +273,9 @@ PEAK_SPEED: str = _figure(Figure(
 PEAK_FORCE: str = _figure(Figure(
     "peak_force", Unit.NEWTONS, "the greatest that an axis of a device exerted", report=_at("peak_force"),
     columns=(Column("peak [N]", ".2f", 12),), lives=_GREATEST))
+BUTTON_PRESSES: str = _figure(Figure(
+    "button_presses", Unit.TIMES, "of a device with buttons: how often one was pressed", report=_at("button_presses"),
+    columns=(Column("buttons", ".0f", 13),)))
 FINAL_SPEED: str = _figure(Figure(
     "final_speed", Unit.SPEED, "the greatest of the last rows of a run", report=_at("final_speed")))
 
@@ -356,6 +359,8 @@ CHATTER: str = _figure(Figure(
 UNFINISHED: str = _figure(Figure(
     "unfinished", Unit.TICKS, "in which the iteration of a scene's contacts did not end",
     report=_at("scene", "unfinished", needed=True)))
+HOLDING: str = _figure(Figure(
+    "holding", Unit.NUMBER, "springs by which buttons hold bodies of a scene now", report=_at("scene", "holding")))
 PAUSED: str = _figure(Figure(
     "paused", Unit.TICKS, "in which the tank of a scene held its driven bodies", report=_at("scene", "paused")))
 DRIVE_TANK: str = _figure(Figure(

@@ -11,6 +11,7 @@
 | ``returned:cx@k`` | environment | 1: from tick k on it was again |
 | ``held:cx@k`` | environment | ticks, from tick k on, in which cx was held, for its signal had not come |
 | ``raised@k`` | environment | 1: in tick k it raised the forces of all couplings again by the ramp |
+| ``pressed:d.grip@k`` | device, environment | 1: from tick k on the button grip of d is held down; 0: no more |
 | ``linked:cx@k`` | environment | 1: in tick k the tool took its place from the first wave of a life of cx's wave link |
 
 Rows and events travel in one telemetry message, so a recording that has the rows has the events as well. An audit
@@ -29,7 +30,7 @@ MOST_EVENTS: Final = 512
 """The most events of one telemetry; further releases and holds are only counted in the figures, which show it."""
 
 _FIGURE: Final = re.compile(
-    r"(?:(began|jumped|released|rung|leaving|raised)|(frozen|returned|held|linked):(.+))@([0-9]{1,15})"
+    r"(?:(began|jumped|released|rung|leaving|raised)|(frozen|returned|held|linked|pressed):(.+))@([0-9]{1,15})"
 )
 _MOST_VALUE: Final = 2.0**53
 
@@ -47,10 +48,11 @@ class Kind(StrEnum):
     HELD = "held"
     LINKED = "linked"
     RAISED = "raised"
+    PRESSED = "pressed"
 
 
 class TickEvent(NamedTuple):
-    """One event: its kind, its tick, its value by the table of this module, and the peer that it is about.
+    """One event: its kind, its tick, its value by the table of this module, and the peer or button that it is about.
 
     ``peer`` is empty for an event of the node itself.
     """
@@ -106,6 +108,13 @@ class TickEvents:
         """Record that the environment raised the forces of all couplings again in ``tick``, by the ramp."""
         if len(self._figures) < MOST_EVENTS:
             self._figures[f"{Kind.RAISED}@{tick}"] = 1.0
+
+    def press(self, tick: int, button: str, held_down: bool) -> None:
+        """Record that ``button`` is held down from ``tick`` on, or not any more.
+
+        How often it may change is bounded (:mod:`manyhands.nodes.kernel.buttons`), so none of these is left out.
+        """
+        self._figures[f"{Kind.PRESSED}:{button}@{tick}"] = float(held_down)
 
     def link(self, tick: int, coupling: str) -> None:
         """Record that a life of the wave link of ``coupling`` begins with the tool's place in ``tick``."""

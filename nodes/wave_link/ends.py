@@ -178,10 +178,14 @@ class _End(Join):
         self._ticks, self._born, self.tick, self._following = 0, 0, -1, 1
 
     def _new_gate(self) -> WaveGate:
-        width, bounds = len(self.peer.ports), self._honest
+        width, bounds, buttons = len(self.peer.ports), self._honest, self._admits_buttons()
         if self._waits:
-            return WaveGate(width, bounds=bounds)
-        return WaveGate(width, self._peer_period, self._clock, bounds)
+            return WaveGate(width, bounds=bounds, buttons=buttons)
+        return WaveGate(width, self._peer_period, self._clock, bounds, buttons)
+
+    def _admits_buttons(self) -> int:
+        """How many buttons the other end has; those of the world are none."""
+        return 0
 
     def _note_silence(self) -> None:
         """Count a silence when it begins."""
@@ -204,7 +208,7 @@ class _End(Join):
             if self._take_frame(frame):
                 return True
         if self._path is not None and (wave := self._path.receive()) is not None:
-            self.face.hear(wave.tick, wave.sums, wave.shipped)
+            self.face.hear(wave.tick, wave.sums, wave.shipped, buttons=wave.buttons)
         return False
 
     def _await_wave(self, n: int, timeout: Duration) -> Received:
@@ -231,9 +235,9 @@ class _End(Join):
         if wave is not None:
             self._strays = 0
             if self._under_way is None:
-                self.face.hear(wave.tick, wave.sums, wave.shipped)
+                self.face.hear(wave.tick, wave.sums, wave.shipped, buttons=wave.buttons)
             else:
-                self._under_way.send((wave.tick, [*wave.sums], wave.shipped))
+                self._under_way.send((wave.tick, [*wave.sums], wave.shipped, 0, wave.buttons))
         elif type_of(frame) != WAVE_ID:  # a wave that is refused is no stray: no more of them are read in a tick
             self._strays += 1
         return False
@@ -282,8 +286,8 @@ class _End(Join):
         message = self.face.message()
         self._gate.granted = message.G
         if self._path is not None:
-            return self._path.send(Wave(message.n, message.U, message.G))
-        return link.send(self._waves.frame(message.n, message.U, message.G))
+            return self._path.send(Wave(message.n, message.U, message.G, message.buttons))
+        return link.send(self._waves.frame(message.n, message.U, message.G, message.buttons))
 
     def _measure(self) -> bool:
         """Count a tick in which waves come, and choose the depth; returns whether it is settled."""
@@ -319,12 +323,13 @@ class UserEnd(_End):
         self._f = self._zeros
         self._datagrams: DatagramSocket | None = None
 
-    def send(self, kind: type[SignalMessage], tick: int, stamp: int, values: Floats) -> bool:
+    def send(self, kind: type[SignalMessage], tick: int, stamp: int, values: Floats, pressed: int = 0) -> bool:
         """Answer p(k) from the waves that have come; the world's wave leaves once the force is on its way."""
         if not self._waits:
             self._take_waves()
             self._keep_time()
         self._f = self._face.step(self.share(values))
+        self._face.buttons = self.share_of_buttons(pressed)
         self._row = WaveRow(self._face.wave, self._face.tank.row())
         self._note_silence()
         if self._waits:  # the world waits for the wave before it answers with one
@@ -438,7 +443,15 @@ class WorldEnd(_End):
         if self._frames is not None:
             self._frames.append(frame)
 
-    def send(self, kind: type[SignalMessage], tick: int, stamp: int, values: Floats) -> bool:
+    @property
+    def pressed(self) -> int:
+        """The user's buttons that are held down by the newest wave; none of a user who is silent."""
+        return 0 if self._face.holding else self._face.heard << self._first_button
+
+    def _admits_buttons(self) -> int:
+        return self.peer.buttons[1]
+
+    def send(self, kind: type[SignalMessage], tick: int, stamp: int, values: Floats, pressed: int = 0) -> bool:
         """Give the face f_e(k) behind the clutch, and send the user a wave."""
         self._take_force(self.share(values))
         return self._send_wave()

@@ -69,19 +69,21 @@ _NOTHING: Final[Floats] = []
 
 
 class Sums(NamedTuple):
-    """What one face sends the other; :class:`manyhands.protocol.messages.Wave` carries the first three.
+    """What one face sends the other; :class:`manyhands.protocol.messages.Wave` carries all but the life.
 
     Attributes:
         n: the sender's tick; the receiver uses the newest only.
         U: sum of T a over the ticks in which the sender plays, m numbers, W^(1/2)*s.
         G: energy shipped in this life, J.
         life: the number of the life.
+        buttons: those at the user's end that are held down in that tick.
     """
 
     n: int
     U: tuple[float, ...]
     G: float
     life: int = 0
+    buttons: int = 0
 
 
 class _Face(ABC):
@@ -94,6 +96,8 @@ class _Face(ABC):
         n: ticks of this life; the next message has it.
         silent: ticks since the newest message.
         refused: messages that no honest face sends.
+        buttons: those at this end that are held down, which the next message has.
+        heard: those at the other end, by its newest message.
     """
 
     def __init__(
@@ -166,6 +170,7 @@ class _Face(ABC):
 
     def _begin(self, life: int) -> None:
         self.life, self.n, self.silent = life, 0, 0
+        self.buttons = self.heard = 0
         self._U = self._backlog = self._zero
         self._played = self._played_before = self._zero  # P, the sum that was played, and that of the tick before
         self._along = 0.0  # way through the ramp, from 0 to 1
@@ -175,7 +180,7 @@ class _Face(ABC):
         self._told, self._told_at = _NOTHING, 0  # U of the last message within the bounds, and its n
         self._joined = 0  # the tick in which the face was aligned
 
-    def hear(self, n: int, U: Sequence[float], G: float, life: int = 0) -> bool:
+    def hear(self, n: int, U: Sequence[float], G: float, life: int = 0, buttons: int = 0) -> bool:
         """Take a message of the other face; returns whether it is the newest of this life.
 
         An older one, a duplicate and one of a different life change nothing. Neither does one that no honest face
@@ -189,7 +194,7 @@ class _Face(ABC):
             return False
         self.tank.receive(G)
         self._play.hear(n, sums)
-        self.silent = 0
+        self.silent, self.heard = 0, buttons
         return True
 
     def skip(self, ticks: int) -> None:
@@ -248,7 +253,7 @@ class _Face(ABC):
         nothing beyond it. What is left is told later.
         """
         U = self._U if self._bounds is None else self._within_reach(self._U)
-        return Sums(self.n, tuple(U), self.tank.shipped, self.life)
+        return Sums(self.n, tuple(U), self.tank.shipped, self.life, self.buttons)
 
     def _within_reach(self, U: Floats) -> Floats:
         before, ticks = self._told, self.n - self._told_at

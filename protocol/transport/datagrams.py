@@ -278,7 +278,7 @@ class DatagramPath:
             ValueError: the wave's tick is not above that of the wave before, or the protocol does not allow a field.
             TransportError: the socket or the link is closed.
         """
-        frame = self._writer.frame(wave.tick, wave.sums, wave.shipped)
+        frame = self._writer.frame(wave.tick, wave.sums, wave.shipped, wave.buttons)
         now = self._datagrams._clock.now()
         replies = self._replies
         token = self.end.token if replies is None else replies.token

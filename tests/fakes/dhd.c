@@ -42,6 +42,7 @@ static const int64_t STEP_NS = 50000, FORGOTTEN_NS = 300000000;
 
 typedef struct {
     int32_t present, unplugged, uncalibrated, no_watchdog, com, stuck, rotated, transposed, lying, deaf;
+    int32_t pressed;
     int32_t owner, forces, braked, cause, gravity, guard_us, saturations, watchdogs, reads, sets, trip_us, stall_ms;
     int32_t watchdog, enc[3];
     int64_t now, read_at, set_at, manual; /* manual: of the first device, the time where a test makes it */
@@ -306,6 +307,7 @@ static int obey(device *d, const char *line) {
     else if (sscanf(line, "transposed %d", &n) == 1) d->transposed = n;  /* the Jacobian is another one than stated */
     else if (sscanf(line, "scale %lf", &a) == 1) d->scale = a;           /* from the next reading on places and J have another unit */
     else if (sscanf(line, "lying %d", &n) == 1) d->lying = n;            /* torques of the wrong sign */
+    else if (sscanf(line, "pressed %d", &n) == 1) d->pressed = n;        /* its buttons, bit by bit */
     else if (sscanf(line, "deaf %d", &n) == 1) d->deaf = n, d->watchdog = n ? 0 : d->watchdog;
     else if (sscanf(line, "most %lf", &a) == 1) d->most = a;             /* N m, of each motor */
     else if (sscanf(line, "fastest %lf", &a) == 1) d->fastest = a;       /* m/s, its velocity threshold */
@@ -592,6 +594,14 @@ int dhdSetForce(double fx, double fy, double fz, char id) {
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++) t[j] += J[i][j] * f[i];
     return dhdSetDeltaJointTorques(t[0], t[1], t[2], id);
+}
+
+unsigned int dhdGetButtonMask(char id) {
+    device *d = enter(id);
+    if (!d) return 0;
+    const unsigned int mask = d->unplugged ? 0 : d->pressed;
+    leave(0);
+    return mask;
 }
 
 double dhdGetComFreq(char id) {

@@ -58,6 +58,7 @@ DEFAULTS: dict[str, Any] = {
     "gain": 0.3,  # of the force gate, as it stands at first
     "filters": True,  # whether a client may configure gate and damping
     "sign": 1.0,  # of the forces
+    "pressed": None,  # the buttons of a VerseGrip that are held down, as "ac"; None without one
 }
 LINK = 0.15  # m, both
 HOME = (0.0, -0.15, 0.15)
@@ -254,7 +255,11 @@ class Service:
 
     def inventory(self, session: int, config: bool) -> dict[str, Any]:
         """A frame."""
-        return {"session_id": session, "inverse3": [device.entry(config) for device in self.devices.values()]}
+        frame = {"session_id": session, "inverse3": [device.entry(config) for device in self.devices.values()]}
+        if (pressed := self.given["pressed"]) is not None:
+            buttons = {name: name in pressed for name in "abc"}
+            frame["wireless_verse_grip"] = [{"device_id": "61562", "state": {"buttons": buttons, "hall": 0}}]
+        return frame
 
     def hear(self, text: str, session: int) -> dict[str, Any]:
         """Obey a message; returns its answer."""
@@ -438,6 +443,8 @@ class Service:
                 self.lost[one.name] = self.devices.pop(one.name)
             case "find":
                 self.devices[one.name] = self.lost.pop(one.name)
+            case "pressed":  # the buttons of a VerseGrip, as "ac"
+                self.given["pressed"] = "".join(rest)
             case "mute" | "speak":
                 self.mute = word == "mute"
             case "first":

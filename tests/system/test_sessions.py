@@ -51,6 +51,7 @@ def test_processes_in_lockstep_give_the_simulations_numbers_twice(transport: str
         pytest.param("example1-operator.yaml", marks=pytest.mark.long),
         "example1-uncoupled.yaml",
         "carry.yaml",
+        "handover.yaml",
         "steering.yaml",
         pytest.param("stroke.yaml", marks=pytest.mark.long),
     ],

@@ -165,6 +165,8 @@ def _print(found: Info, damages: list[Damage]) -> None:
         say(out, f"missing of {device}: {counted(ticks, 'tick')}: {listed}{', …' if len(gaps) > _GAPS_SHOWN else ''}")
     for device, least in found.accounts.items():
         say(out, f"least interface account of {device}: {joules(least)}")
+    for button, presses in found.presses.items():
+        say(out, f"button {printable(button)}: pressed {counted(presses, 'time')}")
     for device, by_itself in found.by_itself.items():
         say(out, outside(device, by_itself))
     if found.cut is not None:

@@ -26,7 +26,7 @@ import struct
 from pathlib import Path
 from typing import ClassVar, Final
 
-from manyhands.nodes.device.motion_sources.source import MotionSource, MotionSourceError
+from manyhands.nodes.device.motion_sources.source import MOST_BUTTONS, MotionSource, MotionSourceError
 
 FULL: Final = 32767.0
 """An axis' value at full deflection."""
@@ -101,7 +101,11 @@ class Gamepad(MotionSource):
             elif kind & ~INITIAL != _BUTTON:
                 self.refused += 1
                 continue
-            pressed = pressed or (kind == _BUTTON and value != 0)
+            if kind & ~INITIAL == _BUTTON and number < MOST_BUTTONS:
+                self.buttons = self.buttons | 1 << number if value else self.buttons & ~(1 << number)
+            if kind == _BUTTON and value != 0:
+                pressed = True
+                self.pressed |= 1 << min(number, MOST_BUTTONS)
             self.reports += 1
         x, y, z, rx = (self._value.get(code, 0.0) for code in self._use)
         right, left = (self._value[code] for code in self._triggers)

@@ -19,6 +19,9 @@ from typing import ClassVar, Final
 MOST_AT_ONCE: Final = 64
 """Reads in one look. A kernel keeps 64 reports of a hidraw device for a reader, and 64 events of a joystick."""
 
+MOST_BUTTONS: Final = 32
+"""Buttons of a device that are told apart."""
+
 READ_BYTES: Final = 512
 """Bytes of one read: a report of a hidraw device, or up to 64 events of a joystick."""
 
@@ -32,12 +35,17 @@ class MotionSource(ABC):
 
     Attributes:
         deflection: of each of :data:`AXES`, from -1 to 1.
+        buttons: those that are held down, bit i for the button i.
+        pressed: those that were pressed between the last two looks.
         reports: reports that were taken.
         refused: reports that were none of this device's.
     """
 
     AXES: ClassVar[tuple[str, ...]]
     """The names of its axes, those first that a device of the session has unless it says otherwise."""
+
+    BUTTONS: ClassVar[tuple[str, ...]] = tuple(f"button{i}" for i in range(MOST_BUTTONS))
+    """The names of its buttons, by the numbers that its reports have."""
 
     DEAD_ZONE: ClassVar[float]
     """The part of the full deflection that a device of this kind may report at rest, unless the session says more."""
@@ -62,6 +70,7 @@ class MotionSource(ABC):
         """
         self.deflection = [0.0] * len(self.AXES)
         self.reports = self.refused = 0
+        self.buttons = self.pressed = 0
         self.path = device or self.found()
         self._fd = self._opened()
         try:
@@ -97,7 +106,7 @@ class MotionSource(ABC):
         Raises:
             MotionSourceError: the device has gone.
         """
-        pressed = False
+        pressed, self.pressed = False, 0
         for _ in range(MOST_AT_ONCE):
             try:
                 data = os.read(self._fd, READ_BYTES)

@@ -112,7 +112,11 @@ class SpaceMouse(MotionSource):
             self.refused += 1  # a battery's, for one
             return False
         self.reports += 1
-        return number == _BUTTONS and any(data[1:])
+        if number != _BUTTONS:
+            return False
+        before, self.buttons = self.buttons, int.from_bytes(data[1:5], "little")
+        self.pressed |= self.buttons & ~before
+        return any(data[1:])
 
     def _turn(self, which: int, data: bytes, begin: int) -> None:
         for axis, (raw, sign) in enumerate(zip(_THREE.unpack_from(data, begin), _SIGNS[which], strict=True)):

@@ -13,7 +13,7 @@ from manyhands.design.certificate import content, from_content, identity
 from manyhands.design.models.contacts import Surface
 from manyhands.design.models.coupling import Partition
 from manyhands.design.models.declared import DeclaredScene
-from manyhands.design.models.scene import Body, ContactScene, Obstacle, SceneLink, ToolSphere
+from manyhands.design.models.scene import Body, ContactScene, Obstacle, SceneHold, SceneLink, ToolSphere
 from manyhands.design.problem import DeviceLevel, HapticLoop, SpringDamperWanted
 from manyhands.design.proof import ProofInputError, prove
 from manyhands.design.synthesis import design
@@ -38,6 +38,7 @@ SCENE = ContactScene(
     surfaces=((("lamp", "floor"), Surface(0.0)),),
     gravity=(0.0, 0.0, -9.81),
     tank=2.5,
+    holds=(SceneHold("a", "a.grip", 500.0, 2.0, 0.01),),
 )
 
 
@@ -61,6 +62,7 @@ def test_a_scene_is_proved_and_its_level_enforced(data: dict[str, Any]) -> None:
     assert [finding for finding in findings if not finding.holds] == []
     (level,) = [finding for finding in findings if finding.enforced]
     assert "driven bodies give out at most the 2.5 J of their tank" in level.argument
+    assert "a button holds by springs that begin without energy" in level.argument
     assert "wall by convex potentials; box, tools and bodies by tangent planes" in level.argument
     assert data["levels"]["Phi_E"] == [[0.0] * 3] * 3 or not np.any(
         [np.any(block) for block in data["levels"]["Phi_E"].values()]
@@ -99,6 +101,10 @@ BODIES, FALLS = "masses are positive", "no body falls"
         (setter("bodies", "crate", "half", to=[0.05, -0.06, 0.07]), BODIES),
         (setter("bodies", "rod", "half", to=[0.05, -0.06, 0.07]), ""),
         (setter("links", 0, "stiffness", to=-1.0), BODIES),
+        (setter("holds", 0, "stiffness", to=-1.0), BODIES),
+        (setter("holds", 0, "damping", to=-0.1), BODIES),
+        (setter("holds", 0, "within", to=-0.1), BODIES),
+        (setter("holds", 0, "button", to="b.other"), ""),
         (setter("links", 0, "damping", to=-0.1), BODIES),
         (setter("contact", "stiffness", to=-3000.0), BODIES),
         (setter("contact", "friction", to=-0.1), BODIES),
@@ -142,6 +148,9 @@ def test_a_level_below_that_of_the_scene_is_not_proved(data: dict[str, Any]) -> 
     [
         (setter("bodies", "a", to={"mass": 1.0, "at": [0, 0, 0], "radius": 0}), "environment"),
         (setter("tank", to="full"), "tank"),
+        (setter("holds", 0, "tool", to="c"), "holds[0].tool"),
+        (setter("holds", 0, "button", to=3), "holds[0].button"),
+        (setter("holds", 0, "until", to=3), "holds[0]"),
         (setter("bodies", "piston", "motion", to=[0, 0]), "bodies.piston.motion"),
         (setter("bodies", "crate", "half", to=[0, 0]), "bodies.crate.half"),
         (setter("bodies", "crate", "shape", to="cone"), "bodies.crate.shape"),

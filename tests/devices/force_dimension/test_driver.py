@@ -472,3 +472,12 @@ def test_the_command_prints_what_a_session_has_to_state(
     assert "displacement: 0.03" in printed
     assert main(["--library", devices.path, "--serial", "9"]) == 2
     assert "found no device with the serial number 9" in capsys.readouterr().err
+
+
+def test_its_buttons_are_those_of_the_library(devices: FakeDevices, driver: ForceDimension) -> None:
+    assert driver.specification().buttons[:2] == ("button0", "button1")
+    assert driver.buttons() == 0
+    devices.order("pressed 5")
+    assert driver.buttons() == 0b101
+    devices.order("unplugged 1")
+    assert driver.buttons() == 0

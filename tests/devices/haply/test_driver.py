@@ -503,3 +503,15 @@ def test_parameters_that_are_none_are_refused(parameters: dict[str, Any], said: 
 def test_it_has_three_axes() -> None:
     with pytest.raises(ValueError, match="dof: found 2; expected 3"):
         HaplyInverse3(PORTS[:2], 1e-3, {})
+
+
+def test_the_buttons_of_a_verse_grip_come_with_the_frames() -> None:
+    with fake_haply(pressed="") as one, opened(one) as driver:
+        loop = Loop(driver)
+        loop.turn()
+        assert driver.specification().buttons == ("a", "b", "c")
+        assert driver.buttons() == 0
+        one.order("pressed ac")
+        until(lambda: loop.turn() and driver.buttons() == 0b101)
+        one.order("pressed")
+        until(lambda: loop.turn() and driver.buttons() == 0)

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from manyhands.devices.haply import HaplyError
-from manyhands.devices.haply.service import decoded, devices, left_on, reading, unusable, version_of
+from manyhands.devices.haply.service import buttons_in, decoded, devices, left_on, reading, unusable, version_of
 
 from ...fakes.haply_service import DEFAULTS, Service
 
@@ -114,3 +114,20 @@ def test_what_is_on_is_said_with_how_it_stands() -> None:
     assert left_on(off) == {}
     off["filters"]["damping"] = {"scalar": 0.0, "vector": {"x": 0.0, "y": 1.0, "z": 0.0}}
     assert left_on(off) == {"damping": "vector is (0.0, 1.0, 0.0)"}
+
+
+@pytest.mark.parametrize(
+    ("frame", "held"),
+    [
+        ({"wireless_verse_grip": [{"state": {"buttons": {"a": True, "b": False, "c": True}}}]}, 0b101),
+        ({"verse_grip": [{"state": {"button": True}}]}, 1),
+        ({"wireless_verse_grip": [], "verse_grip": [{"state": {"button": False}}]}, 0),
+        ({"wireless_verse_grip": [{"state": {"buttons": {"a": 1, "b": "true", "z": True}}}]}, 0),
+        ({"wireless_verse_grip": [None, {"state": 3}, {"state": {"buttons": [True]}}]}, 0),
+        ({"wireless_verse_grip": {"a": True}}, 0),
+        (None, 0),
+        ([], 0),
+    ],
+)
+def test_buttons_are_held_down_where_a_frame_says_so_and_nowhere_else(frame: Any, held: int) -> None:
+    assert buttons_in(frame) == held

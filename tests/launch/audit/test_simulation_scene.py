@@ -64,6 +64,24 @@ def test_a_user_who_falls_silent_comes_back_to_the_ball() -> None:
     assert min(ledger.minimum for ledger in simulation.ledgers.values()) >= -1e-12
 
 
+def test_a_ball_is_handed_over_by_buttons() -> None:
+    simulation = Simulation(prepare(load_session(SHIPPED / "handover.yaml")))
+    environment, found = simulation.environment, {}
+    assert isinstance(environment, EnforcedCore)
+
+    def look(ticks: int) -> None:
+        found[ticks] = (*environment.masses[:2], environment.figures["holding"])
+
+    simulation.run(6000, progress=look)
+    seconds = (2000, 3000, 4000, 6000)  # anna holds it; both do; ben does; and it lies at his side
+    assert [found[k][2] for k in seconds] == [1.0, 2.0, 1.0, 0.0]
+    assert [found[k][0] for k in seconds] == pytest.approx([0.024, 0.06, 0.108, 0.12], abs=3e-3)
+    assert [found[k][1] for k in seconds] == pytest.approx([0.073, 0.073, 0.067, 0.0], abs=3e-3)
+    assert environment.controller is not None
+    assert environment.controller.ticks == 0
+    assert min(ledger.minimum for ledger in simulation.ledgers.values()) >= 0.0
+
+
 @pytest.mark.parametrize("name", ["carry", "rub", "peg", "tray"])
 def test_a_shipped_scene_runs_without_its_controller(name: str) -> None:
     """The promise comes from the contacts themselves: nothing is kept back in any tick."""

@@ -41,6 +41,7 @@ from manyhands.launch.session.kind import EnvironmentKind
 from manyhands.launch.session.scene import (
     SceneBody,
     SceneContact,
+    SceneHoldByButton,
     SceneObstacle,
     ScenePair,
     SceneSpring,
@@ -76,6 +77,7 @@ MODELS: dict[str, tuple[type[SessionModel], ...]] = {
     "Contact": (SceneContact,),
     "Contact pair": (ScenePair,),
     "Spring": (SceneSpring,),
+    "Hold": (SceneHoldByButton,),
     "State space": (StateSpaceEnvironment,),
     "Transfer function": (TransferFunctionEnvironment,),
     "Model": (PythonEnvironment,),
@@ -120,7 +122,7 @@ def test_the_example_is_a_session(tmp_path: Path) -> None:
 BASE = """
 session: one-port
 period: 0.001
-devices: {dx: {dof: 1, osp: 1.37, driver: simulated, mass: 0.2, hand: {}}}
+devices: {dx: {dof: 1, osp: 1.37, driver: simulated, mass: 0.2, buttons: [grip], hand: {}}}
 couplings: {cx: {devices: [dx]}}
 environment:
   type: network
@@ -150,6 +152,7 @@ OVERRIDES = {
     "obstacles: {{floor: {{shape: sphere, at: [0, 0, -1], radius: 0.1}}}}, contacts: [{{{key}: {value}}}]}}",
     "Spring": "environment={{type: scene, tools: {{dx: {{}}}}, bodies: {{ball: {{mass: 1, at: [0, 0, 0]}}}}, "
     "links: [{{{key}: {value}}}]}}",
+    "Hold": "environment={{type: scene, tools: {{dx: {{}}}}, holds: [{{{key}: {value}}}]}}",
     "State space": "{key}={value}",
     "Transfer function": "{key}={value}",
     "Model": "{key}={value}",

@@ -49,6 +49,7 @@ def test_the_shipped_sessions() -> None:
         "browser": "browser",
         "carry": "carry",
         "gripper": "gripper",
+        "handover": "handover",
         "mujoco": "mujoco",
         "example1": "example-1",
         "example1-centralised": "example-1-centralised",

@@ -448,3 +448,47 @@ def test_a_device_with_a_latency_does_not_say_where_it_was() -> None:
     driver.sample(0, instant(0))
     assert driver.apply([1.0], instant(0)) is None
     assert driver_of(bundle_for(PluginDevice(named(), 1))).apply([1.0], instant(0)) is not None
+
+
+class Pressing(Counterpart):
+    """A driver with two buttons, whose state a test sets."""
+
+    state: Any = 0
+
+    def specification(self) -> DeviceSpecification:
+        return replace(super().specification(), buttons=("menu", "grip"))
+
+    def buttons(self) -> Any:
+        return type(self).state
+
+
+def pressing(*buttons: str) -> PluginDriver:
+    """A device whose session names these buttons."""
+    bundle = bundle_for(PluginDevice(FactoryName("tests.nodes.device.test_plugin:Pressing", {}), 1))
+    made = driver_of(replace(bundle, common=replace(bundle.common, buttons=tuple(f"dx.{name}" for name in buttons))))
+    assert isinstance(made, PluginDriver)
+    return made
+
+
+def test_the_buttons_of_a_driver_are_those_that_the_session_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = []
+    for state in (0b00, 0b01, 0b10, 0b110, np.int64(3)):
+        monkeypatch.setattr(Pressing, "state", state)
+        found.append((pressing("grip").buttons(), pressing("grip", "menu").buttons()))
+    assert found == [(0, 0), (0, 0b10), (1, 0b01), (1, 0b01), (1, 0b11)]
+
+
+@pytest.mark.parametrize("state", [-1, 1.0, None, "1"])
+def test_a_state_of_buttons_that_is_none_ends_the_node(state: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Pressing, "state", state)
+    with pytest.raises(DriverFailure, match=r"failed in buttons: found .*; expected an integer of at least 0"):
+        pressing("grip").buttons()
+
+
+def test_a_button_that_the_driver_does_not_have_is_refused() -> None:
+    with pytest.raises(FactoryError, match=r"devices.dx.buttons: found 'red'; expected buttons of .*menu, grip"):
+        pressing("grip", "red")
+
+
+def test_a_driver_without_buttons_needs_no_method_for_them() -> None:
+    assert plugin()[1].buttons() == 0

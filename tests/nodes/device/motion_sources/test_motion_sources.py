@@ -12,7 +12,7 @@ import pytest
 
 from manyhands.nodes.device.motion_sources import MOTION_SOURCES
 from manyhands.nodes.device.motion_sources import spacemouse as spacemouse_module
-from manyhands.nodes.device.motion_sources.gamepad import Gamepad
+from manyhands.nodes.device.motion_sources.gamepad import EVENT, Gamepad
 from manyhands.nodes.device.motion_sources.source import MOST_AT_ONCE, MotionSource, MotionSourceError
 from manyhands.nodes.device.motion_sources.spacemouse import PRODUCTS, SpaceMouse
 
@@ -249,3 +249,26 @@ def test_reading_never_waits(tmp_path: Path) -> None:
         except BlockingIOError:
             writer.join(0.01)
     mouse.close()
+
+
+@pytest.mark.parametrize("kind", ["compact", "gamepad"])
+def test_buttons_are_known_as_long_as_they_are_held_down(kind: str, tmp_path: Path) -> None:
+    def tell(*down: int) -> None:
+        if kind == "compact":
+            fake.send(b"\x03" + sum(1 << button for button in down).to_bytes(4, "little"))
+        else:
+            for button in range(3):
+                fake.send(EVENT.pack(0, int(button in down), 1, button))
+
+    with fake_motion_device(kind, tmp_path) as fake:
+        source = MOTION_SOURCES["gamepad" if kind == "gamepad" else "spacemouse"](str(fake.path))
+        for down, held, pressed in (((0, 2), 0b101, 0b101), ((0, 1), 0b011, 0b010), ((), 0, 0)):
+            tell(*down)
+            source.look()
+            assert source.buttons == held
+            if kind == "compact":
+                assert source.pressed == pressed, "of these it has told no release"
+        fake.press(1)
+        source.look()
+        assert (source.buttons, source.pressed & 0b10) == (0, 0b10), "it was pressed and let go between two looks"
+        source.close()
