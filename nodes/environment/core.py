@@ -386,7 +386,7 @@ def environment_core(bundle: EnvironmentBundle, D_V: Vector, blocks: Blocks | No
     if bundle.model is not None:
         K = bundle.stiffness
         model = make_model(bundle.model, common.ports, common.period, REACT if K is None else PROXY)
-        asked = AskedModel(bundle.model.factory, model, common.ports)
+        asked = AskedModel(bundle.model.factory, model, common.ports, common.buttons)
         if K is None:
             law = BlackBox(asked)
         else:

@@ -113,7 +113,8 @@ class ProxyLaw:
         return self._model.positions(self._bodies) if self._bodies else []
 
     def press(self, pressed: int) -> None:
-        """Do nothing: the model does not ask for buttons."""
+        """Tell the model, where it asks for buttons."""
+        self._model.press(pressed)
 
     def propose(self, r: Vector, compliance: Vector, x_e: Vector) -> Vector:
         """The springs' forces, N; the model is asked at the ``r`` of the tick's first call, its later calls reuse q."""
