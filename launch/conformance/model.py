@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import wraps
 from typing import Any, cast
 
 import numpy as np
@@ -264,9 +265,10 @@ class _Noted:
         self.raised = False
         ask = getattr(model, method)
 
-        def asked(x: Array, of: object) -> object:
+        @wraps(ask)  # so that its parameters are seen
+        def asked(x: Array, of: object, **also: object) -> object:
             self.raised = True
-            answer: object = ask(x, of)
+            answer: object = ask(x, of, **also)
             self.raised = False
             return answer
 

@@ -322,7 +322,7 @@ def part_id(certificate: str, bundles: Sequence[Bundle]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True, allow_nan=False).encode()).hexdigest()
 
 
-_OF_A_PART = ("session", "name", "role", "period", "clock", "ports", "rate")
+_OF_A_PART = ("session", "name", "role", "period", "clock", "ports", "rate", "buttons")
 
 
 def _site_bounds(session: Session, tools: PortBounds, feedthrough: Mapping[str, Matrix]) -> dict[str, SiteBounds]:

@@ -582,12 +582,6 @@ class Device(SessionModel):
     by_itself: Annotated[tuple[str, ...] | None, _DEEDS] = Field(
         default=None, description="with a driver's factory, what it does by itself, outside the certificate: sentences"
     )
-    buttons: Annotated[
-        dict[str, Script] | None, Described(_buttons, _BUTTONS_FORM), PlainSerializer(_plain_buttons)
-    ] = Field(
-        default=None,
-        description="names of its buttons; {NAME: [[from, until]]}, in s, presses those of a simulated one",
-    )
     step: Annotated[tuple[float, ...] | None, _STEP] = Field(
         default=None, description="the step of its encoder in m: a number, or one for each axis"
     )
@@ -613,6 +607,12 @@ class Device(SessionModel):
     )
     linkage: Annotated[dict[str, Any] | None, Completed(_linkage, _LINKAGE_FORM)] = Field(
         default=None, description="with held: torque, the linkage from its motors to its tip"
+    )
+    buttons: Annotated[
+        dict[str, Script] | None, Described(_buttons, _BUTTONS_FORM), PlainSerializer(_plain_buttons)
+    ] = Field(
+        default=None,
+        description="names of its buttons; {NAME: [[from, until]]}, in s, presses those of a simulated one",
     )
     hand: Hand | None = defaulted(None, "the simulated hand that holds it")
 

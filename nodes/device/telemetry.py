@@ -296,7 +296,7 @@ class DeviceTelemetry:
             **names.ledger_figures(core.ledger),
             **self._speed_figures(),
             **self._interface_figures(),
-            **({names.BUTTON_PRESSES: float(self._presses)} if self._device.buttons.names else {}),
+            **({names.BUTTON_PRESSES: float(self._presses)} if self._common.buttons else {}),
         }
 
     def _speed_figures(self) -> dict[str, float]:

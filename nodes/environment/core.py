@@ -397,7 +397,7 @@ def environment_core(bundle: EnvironmentBundle, D_V: Vector, blocks: Blocks | No
                 f"environment.orientations: found {', '.join(bundle.oriented)} with {bundle.model.factory}, which has "
                 "no method orientations(); expected an engine that has it, or no such key"
             )
-        asked = AskedModel(bundle.model.factory, model, common.ports, common.turning)
+        asked = AskedModel(bundle.model.factory, model, common.ports, common.turning, common.buttons)
         if K is None:
             law = BlackBox(asked)
         else:

@@ -113,7 +113,8 @@ class BlackBox:
         return self._model.failure
 
     def press(self, pressed: int) -> None:
-        """Do nothing: the model does not ask for buttons."""
+        """Tell the model, where it asks for buttons."""
+        self._model.press(pressed)
 
     def propose(self, r: Vector, compliance: Vector, x_e: Vector) -> Vector:
         """The model's forces at the ``x_e`` of the tick's first call, N."""

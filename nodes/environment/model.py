@@ -4,6 +4,9 @@ A session names the model's factory (:mod:`manyhands.nodes.kernel.factory`). The
 and asks the model that it returns once a tick: for proxies (:class:`ProxyModel`) where the session states their
 stiffness, else for forces (:class:`ForceModel`).
 
+**Buttons.** A model whose method has a parameter ``buttons`` besides is given those that are held down in the tick, as
+a frozenset of names such as ``anna.grip``. What it does with them is its own; its level is kept all the same.
+
 **The model is trusted code.** It runs in the environment's process with that process's rights, and nothing here
 confines it: to start a session that names a model is to run the model's code. It receives no key and no socket, and of
 the session only the factory's arguments.
@@ -15,7 +18,8 @@ model that does not return holds up its ticks; devices then let go by themselves
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+import inspect
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, Final, Protocol, TypeAlias
 
 import numpy as np
@@ -39,6 +43,8 @@ UNIT_TO: Final = 1e-6
 PROXY = "proxy"
 STEP = "step"
 REACT = "react"
+BUTTONS = "buttons"
+"""The parameter by which a method asks for the buttons."""
 
 
 class ProxyModel(Protocol):
@@ -143,6 +149,14 @@ _EXPECTED: Final[Mapping[str | None, str]] = {
 }
 
 
+def _asks_for_buttons(method: Any) -> bool:
+    """Whether a model's method has a parameter of that name."""
+    try:
+        return callable(method) and BUTTONS in inspect.signature(method).parameters
+    except (TypeError, ValueError):  # of a built-in function, which tells none
+        return False
+
+
 class AskedModel:
     """A model and the checks on its answers.
 
@@ -151,18 +165,42 @@ class AskedModel:
     """
 
     def __init__(
-        self, name: str, model: EnvironmentModel, ports: tuple[str, ...], turning: Collection[str] = ()
+        self,
+        name: str,
+        model: EnvironmentModel,
+        ports: tuple[str, ...],
+        turning: Collection[str] = (),
+        buttons: Sequence[str] = (),
     ) -> None:
-        """Ask ``model``, which messages call ``name``, for forces or proxies at ``ports``, of which some may turn."""
-        self._name, self._ports, self._model = name, ports, model
+        """Ask a model.
+
+        Args:
+            name: of it, for messages.
+            model: the model.
+            ports: at which it is asked for forces or proxies.
+            turning: those of them that turn.
+            buttons: the names of the buttons, in the order of their bits.
+        """
+        self._name, self._ports, self._model, self._buttons = name, ports, model, tuple(buttons)
         self._units, self._all = units_by_port(ports, turning), units_of(ports, turning)
+        self._down: frozenset[str] = frozenset()
+        self._wants = {one for one in (PROXY, STEP, REACT) if _asks_for_buttons(getattr(model, one, None))}
         self._none = np.zeros(len(ports))
         self.failure: str | None = None
+
+    def press(self, pressed: int) -> None:
+        """Tell the model from the next tick on which buttons are held down, where it asks for them."""
+        self._down = frozenset(name for i, name in enumerate(self._buttons) if pressed >> i & 1)
+
+    def _also(self, method: str) -> dict[str, frozenset[str]]:
+        """What a method is given beside its arguments."""
+        return {BUTTONS: self._down} if method in self._wants else {}
 
     def forces(self, x_e: Vector, k: int) -> Vector:
         """The model's forces at x_e, N; zero once it has failed. The model may keep the array ``x_e``, m."""
         model: Any = self._model
-        found = self._answer(model.react, x_e, k, ("force", "N", MOST_FORCE))
+        also = self._also(REACT)
+        found = self._answer(lambda at, tick: model.react(at, tick, **also), x_e, k, ("force", "N", MOST_FORCE))
         return self._none if found is None else found
 
     def proxies(self, x: Vector, f: Vector, k: int) -> Vector | None:
@@ -177,8 +215,10 @@ class AskedModel:
         model: Any = self._model
         kind = ("position", "m", MOST_POSITION)
         if callable(getattr(model, STEP, None)):
-            return self._answer(lambda at, tick: model.step(at, f), x, k, kind)
-        return self._answer(model.proxy, x, k, kind)
+            also = self._also(STEP)
+            return self._answer(lambda at, tick: model.step(at, f, **also), x, k, kind)
+        also = self._also(PROXY)
+        return self._answer(lambda at, tick: model.proxy(at, tick, **also), x, k, kind)
 
     def positions(self, bodies: int) -> list[float]:
         """Three coordinates of each of an engine's reported bodies, m; 0 where it has failed or gives others."""

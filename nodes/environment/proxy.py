@@ -120,7 +120,8 @@ class ProxyLaw:
         return self._model.orientations(self._oriented) if self._oriented else []
 
     def press(self, pressed: int) -> None:
-        """Do nothing: the model does not ask for buttons."""
+        """Tell the model, where it asks for buttons."""
+        self._model.press(pressed)
 
     def propose(self, r: Vector, compliance: Vector, x_e: Vector) -> Vector:
         """The springs' forces, N; the model is asked at the ``r`` of the tick's first call, its later calls reuse q."""

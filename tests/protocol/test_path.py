@@ -161,13 +161,16 @@ def test_an_exhausted_n_ends_the_path_and_never_wraps() -> None:
 
 
 def test_the_widest_link_fits_and_a_wider_one_is_refused() -> None:
+    def pressed(k: int, ports: int) -> bytes:
+        return encode(Wave(k, (0.5,) * ports, 0.0, buttons=1))
+
     coupling, environment = ends()
-    datagram, _ = coupling.outgoing(0, frame_of(0, MOST_PORTS), START)
+    datagram, _ = coupling.outgoing(0, pressed(0, MOST_PORTS), START)
     assert datagram is not None
     assert MAX_DATAGRAM_BYTES - 8 < len(datagram) <= MAX_DATAGRAM_BYTES
-    assert environment.opens(datagram, START) == frame_of(0, MOST_PORTS)
-    with pytest.raises(ValueError, match="found a frame of 1167 bytes; expected at most 1159"):
-        coupling.outgoing(1, frame_of(1, MOST_PORTS + 1), after(1000))
+    assert environment.opens(datagram, START) == pressed(0, MOST_PORTS)
+    with pytest.raises(ValueError, match="found a frame of 1164 bytes; expected at most 1159"):
+        coupling.outgoing(1, pressed(1, MOST_PORTS + 1), after(1000))
 
 
 @given(st.lists(st.binary(max_size=90), max_size=20), st.randoms(use_true_random=False))
