@@ -116,7 +116,7 @@ def test_the_age_of_samples_is_bounded_though_the_clocks_differ(make: Made) -> N
 def test_a_far_side_that_says_or_hears_nothing_any_more_is_named(far: OrderedFake, make: Made, order: str) -> None:
     driver = make()
     far.order(order)
-    with pytest.raises(OSError, match="found no state that answers our forces for 100 ms"):
+    with pytest.raises(OSError, match="found no state that answers our forces for 500 ms"):
         heard(driver, lambda: driver.release(0) is not None)
 
 
