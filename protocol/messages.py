@@ -157,11 +157,20 @@ class Probe:
 
 @dataclass(frozen=True, slots=True)
 class Echo:
-    """The supervisor's answer to a probe: its own time when it ``heard`` the probe and ``answered``, monotonic ns."""
+    """The supervisor's answer to a probe: its own time when it ``heard`` the probe and ``answered``, monotonic ns.
+
+    Attributes:
+        sent: as in the probe.
+        heard: when the probe was read.
+        answered: when this answer was made.
+        round_trip: to the coupling of a wave link, R as its two ends measure it now, s: above 0, and at most
+            ``MAX_ROUND_TRIP``; None where that is not known, and to every other node.
+    """
 
     sent: int
     heard: int
     answered: int
+    round_trip: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,7 +31,7 @@ from manyhands.nodes.kernel.words import counted
 from manyhands.nodes.monitor.health import FREE_STATE
 from manyhands.protocol.codec import ForeignHello, Malformed, Received
 from manyhands.protocol.handshake import check_node_hello
-from manyhands.protocol.limits import MAX_PIECE_BYTES
+from manyhands.protocol.limits import MAX_PIECE_BYTES, MAX_ROUND_TRIP
 from manyhands.protocol.messages import (
     Connect,
     Echo,
@@ -153,6 +153,7 @@ class Conductor:
     ignored: int = 0
     _endpoints: dict[tuple[str, str], str] = field(default_factory=dict)
     _welcomed: dict[str, int] = field(default_factory=dict)  # by node, the process id of its latest accepted hello
+    _round_trips: dict[str, float] = field(default_factory=dict)  # of wave links, by coupling, s
     _reception: Reception = field(init=False)
     _recovery: Recovery = field(init=False)
 
@@ -215,7 +216,8 @@ class Conductor:
                 part = self.parts[sender]
                 return [Send(sender, Piece(at, len(part), part[at : at + MAX_PIECE_BYTES])), ReleaseName(sender)]
             case Probe(sent):
-                return [Send(sender, Echo(sent, now, now))]
+                R = self._round_trips.get(sender) if target is NodeState.RUNNING else None
+                return [Send(sender, Echo(sent, now, now, R))]
             case Ready():
                 return self._ready(sender, now)
             case Telemetry(tick) if self.graph.nodes[sender] is Role.ENVIRONMENT:
@@ -274,6 +276,13 @@ class Conductor:
     def note(self, sentence: str, now: int) -> None:
         """Record an incident that happened ``now``, monotonic ns."""
         self._recovery.note(sentence, now)
+
+    def note_round_trip(self, coupling: str, R: float) -> None:
+        """Note R of a coupling's wave link, s, which its echoes tell it while it runs; a guest may claim any number."""
+        if 0.0 < R <= MAX_ROUND_TRIP:
+            self._round_trips[coupling] = R
+        else:
+            self._round_trips.pop(coupling, None)
 
     @property
     def finished(self) -> tuple[str, ...]:

@@ -47,7 +47,7 @@ from manyhands.launch.run.states import (
     StartProcess,
     Terminate,
 )
-from manyhands.launch.session import SUPERVISOR
+from manyhands.launch.session import ENVIRONMENT, SUPERVISOR
 from manyhands.nodes.guest.handed_over import handed_over
 from manyhands.nodes.joins import HANDSHAKE_TIME
 from manyhands.nodes.kernel import bundle as bundle_files
@@ -57,6 +57,7 @@ from manyhands.nodes.monitor.health import PromiseState, cut_forces
 from manyhands.nodes.monitor.health_model import HealthModel
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.promises import Promise
+from manyhands.nodes.wave_link.felt import round_trip
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds, seconds
 from manyhands.protocol.codec import decode, encode
 from manyhands.protocol.limits import HUB_FRAMES_PER_S, MAX_CONTROL_BYTES
@@ -440,6 +441,7 @@ class Supervisor:
             self._forget(sender)  # it is another process than before, which was not started here
         if isinstance(message, Telemetry) and self.conductor.states.get(sender) is NodeState.RUNNING:
             self._telemetry[sender] = message
+            self._note_round_trip(sender)
             self._health.take(sender, message.tick, message.figures)
             self._listening.hear()
             self._reported.note(sender, self._clock.now())
@@ -460,6 +462,17 @@ class Supervisor:
             x, f_v = message.traces.get(names.DISPLACEMENT), message.traces.get(names.FORCE)
             if self._record and self._graph.nodes[sender] is Role.DEVICE and x is not None and f_v is not None:
                 self._collector.add(sender, message.tick, x, f_v)
+
+    def _note_round_trip(self, coupling: str) -> None:
+        """Tell the conductor R of a wave link by the latest figures of its two ends, for its coupling."""
+        if coupling in self._session.wave_links:
+            user, world = (self._figures_of(node) for node in (coupling, ENVIRONMENT))
+            self.conductor.note_round_trip(coupling, round_trip(coupling, user, world))
+
+    def _figures_of(self, node: str) -> Figures:
+        """The latest figures of a node; none where none have come."""
+        latest = self._telemetry.get(node)
+        return Figures() if latest is None else latest.figures
 
     def _most_ticks(self, node: str) -> int:
         now, period = self._clock.now(), self._session.period_of(node)
@@ -509,6 +522,7 @@ class Supervisor:
     def _forget(self, name: str) -> None:
         """Forget what the former process of a node has reported: the next one counts anew, and is not silent yet."""
         self._telemetry.pop(name, None)
+        self._note_round_trip(name)
         self._reported.forget(name)
         self._assumptions.forget(name)
         self._users.forget(name)

@@ -324,6 +324,25 @@ def test_across_a_wan_a_link_that_is_lost_for_a_while_comes_back(tmp_path: Path)
     require_unaccused(home / "run.mcap")
 
 
+@pytest.mark.alone
+def test_a_guest_is_told_the_round_trip_that_the_host_sees(tmp_path: Path) -> None:
+    """Both are told by what both ends measure; the host's figures are those of a moment later."""
+    home = tmp_path / "home"
+    with wan(Wire(delay=0.02, jitter=0.005, loss=0.01)) as net, ExitStack() as stack:
+        near = net.within("near")
+        host = stack.enter_context(hosted(home, f"{net.address('near')}:{PORT}", within=near))
+        right = stack.enter_context(guest("right_seat", home, tmp_path / "far", within=net.within("far")))
+        told = right.until("both ends measure")
+        look = [*near, *MANYHANDS, "top", "--once", "--json"]
+        shown = json.loads(subprocess.run(look, check=True, capture_output=True, cwd=home).stdout)["wave_links"]
+        assert right.end(signal.SIGINT) == 130
+        assert host.end(signal.SIGINT) == 130
+    figures = [float(figure) for figure in re.findall(r"(?:R of|K =|M =) ([\d.]+)", told)]
+    seen = shown["right_seat"]
+    assert figures == pytest.approx([1e3 * seen["round_trip"], seen["stiffness"], 1e3 * seen["mass"]], rel=0.05)
+    assert figures[0] > 40.0, "it is no shorter than the network's"
+
+
 @pytest.mark.long
 @pytest.mark.alone
 @pytest.mark.minutes
