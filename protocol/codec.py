@@ -585,9 +585,9 @@ LAYOUTS: Final[dict[type[Message], _Layout]] = {
     Piece: (23, (PLACE, LENGTH, PIECE)),
     Telemetry: (32, (COUNT, FIGURES, TRACES)),
     Report: (33, (COUNT, FIGURES)),
-    Fault: (34, (TEXT,)),
+    Fault: (34, (TEXT, form_of(bool))),
     Observation: (35, (NAME, COUNT, FIGURES, TRACES)),
-    Condition: (36, (NAME, FINITE, STATES, NAMES, *[SENTENCES] * 3, PROMISES, ALL_BY_ITSELF)),
+    Condition: (36, (NAME, FINITE, STATES, NAMES, *[SENTENCES] * 3, PROMISES, ALL_BY_ITSELF, SENTENCES)),
     Grasp: (37, (VALUES,)),
     Release: (38, ()),
 }

@@ -465,6 +465,7 @@ class Condition:
         faults: a sentence for each failure.
         promises: how each promise of the session stands.
         by_itself: by device, what it does by itself, which no certificate covers.
+        visits: a sentence for each of the latest users who have taken a seat, or left one as they wanted.
     """
 
     phase: str
@@ -476,6 +477,7 @@ class Condition:
     faults: tuple[str, ...] = ()
     promises: Added[tuple[PromiseStatus, ...]] = ()
     by_itself: Added[Mapping[str, tuple[str, ...]]] = field(default_factory=dict)
+    visits: Added[tuple[str, ...]] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -503,9 +505,15 @@ class Report:
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """To the supervisor: the reason for which the sender ends."""
+    """To the supervisor: the reason for which the sender ends.
+
+    Attributes:
+        text: for a person.
+        by_user: whether the sender's user has ended it, and nothing is wrong.
+    """
 
     text: str
+    by_user: bool = False
 
 
 SignalMessage: TypeAlias = Sample | Tool | Reaction | Force

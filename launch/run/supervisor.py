@@ -383,6 +383,8 @@ class Supervisor:
             self._log.note(LogEvent.NOTICE, text=text)
         for text in conductor.incidents.sentences:
             self._log.note(LogEvent.INCIDENT, text=text)
+        for text in conductor.visits.sentences:
+            self._log.note(LogEvent.VISIT, text=text)
         for fault in _with_logs(conductor, processes):
             conductor.faults.append(fault)
         self._report(self.progress(processes))
@@ -584,6 +586,7 @@ class Supervisor:
             tuple(conductor.faults),
             promises,
             dict(self._health.by_itself),
+            conductor.visits.sentences,
         )
 
     def _promises(self) -> tuple[PromiseStatus, ...]:
@@ -649,6 +652,7 @@ class Supervisor:
                 self._unreported(),
                 self._health.by_itself,
                 {name: device.kinds for name, device in self._session.devices.items()} if self._session.turning else {},
+                conductor.visits.sentences,
             )
             | recorder.as_plain(),
             recording,

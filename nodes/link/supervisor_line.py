@@ -335,9 +335,12 @@ class ControlLine:
         """Send the node's report, and wait for a bounded time until the supervisor confirms it."""
         self._last_word(report, life)
 
-    def fault(self, text: str, life: Life) -> None:
-        """Report why this node ends, and wait for a bounded time until the supervisor confirms it."""
-        self._last_word(Fault(presentable(text)), life)
+    def fault(self, text: str, life: Life, by_user: bool = False) -> None:
+        """Report why this node ends, and wait for a bounded time until the supervisor confirms it.
+
+        ``by_user`` is whether its user has ended it.
+        """
+        self._last_word(Fault(presentable(text), by_user), life)
 
     def _last_word(self, message: Message, life: Life) -> None:
         """Send ``message`` and wait, for a bounded time, for the supervisor's Stop.
