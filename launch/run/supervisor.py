@@ -59,9 +59,9 @@ from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.promises import Promise
 from manyhands.nodes.wave_link.felt import round_trip
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds, seconds
-from manyhands.protocol.codec import decode, encode
+from manyhands.protocol.codec import ForeignHello, decode, encode
 from manyhands.protocol.limits import HUB_FRAMES_PER_S, MAX_CONTROL_BYTES
-from manyhands.protocol.messages import Figures, PromiseStatus, Ready, Report, Role, Telemetry
+from manyhands.protocol.messages import Fetch, Figures, NodeHello, PromiseStatus, Ready, Report, Role, Telemetry
 from manyhands.protocol.transport import Hub
 from manyhands.protocol.transport.zeromq import ZmqTransport
 
@@ -421,9 +421,9 @@ class Supervisor:
 
         Telemetry of a tick that cannot have run yet is counted and dropped.
         """
-        if sender in self._reach.remote:
-            self._received.note(sender, self._clock.now())
         message = decode(frame, MAX_CONTROL_BYTES)
+        if sender in self._reach.remote and not isinstance(message, NodeHello | ForeignHello | Fetch):
+            self._received.note(sender, self._clock.now())
         if isinstance(message, Telemetry) and message.tick > self._most_ticks(sender):
             self._untimely += 1
             return
@@ -439,8 +439,12 @@ class Supervisor:
             self._health.hear(sender, message.by_itself)
         self.carry_out(self.conductor.receive(sender, message, self._clock.now()), hub, processes)
         after = self.conductor.states.get(sender)
-        if sender in self._reach.remote and before is not after and after is NodeState.RUNNING:
-            self._forget(sender)  # it is another process than before, which was not started here
+        if sender in self._reach.remote and before is not after:
+            # so a hello counts once it is taken: one that knocks at a seat that is taken is of another process, and
+            # would keep a dead one from being counted as silent
+            self._received.note(sender, self._clock.now())
+            if after is NodeState.RUNNING:
+                self._forget(sender)  # it is another process than before, which was not started here
         if isinstance(message, Telemetry) and self.conductor.states.get(sender) is NodeState.RUNNING:
             self._telemetry[sender] = message
             self._note_round_trip(sender)
