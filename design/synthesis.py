@@ -54,11 +54,20 @@ from manyhands.design.problem import (
     Wish,
 )
 from manyhands.design.proof import Finding, ProofInputError, prove
+from manyhands.design.proof.prove import of_block
 from manyhands.design.proof.quantisation import BOUNDED
 from manyhands.design.quantisation import KeptTooLittle, encoder_claim, force_of_steps, friction
 from manyhands.design.solver import SOLVER
 from manyhands.design.statics import check_block, check_environment
-from manyhands.design.theorem3 import MOST_SEARCHED, BlockLevel, certifies, certify_beside, certify_given, devices
+from manyhands.design.theorem3 import (
+    MOST_SEARCHED,
+    BlockLevel,
+    certifies,
+    certify_beside,
+    certify_given,
+    devices,
+    nearly_too_stiff,
+)
 from manyhands.design.theorem4 import Interrupted, LinearCoupling, StoppedShort, design_linear, design_spring_damper
 from manyhands.design.transparency import design as transparency
 from manyhands.design.transparency.families import UNWEIGHTED, NormalisedLoop
@@ -534,6 +543,10 @@ def _proved(
         # the responses decay too slowly to be summed: a certificate that says so is better than none
         draft, failing = _tried(replace(draft, encoder=EncoderClaim(None, False)))
     if failing:
+        conditions = {finding.condition for finding in failing}
+        broken = {name for name in loop.partition.names if of_block(name) in conditions}
+        if error := nearly_too_stiff(loop.cut, found.coupling, levels.device.kappa, broken):
+            raise error
         worst = failing[0]
         figure = "" if np.isnan(worst.value) else f": found {worst.value:.3g}, bound {worst.bound:.3g}"
         because = f" ({worst.argument})" if worst.argument else ""

@@ -42,7 +42,7 @@ Linear couplings with several ports in a block need it. It is also the reference
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -78,6 +78,9 @@ _SPRING = "expected a spring of positive stiffness between hand and tool in ever
 _FREQUENCIES = 400
 _ROUNDING = 1e-9  # relative to the largest gain on the circle
 _EDGE = 1e-12  # relative: exact arithmetic may find a coupling that is this near to the limit beyond it
+# relative: nearer than this to the limit, rounding may leave a level in closed form above the greatest one, for that
+# grows with the inverse of the distance, and its error with the inverse once more
+_BAND = 1e-5
 
 
 def check_spring_damper(
@@ -100,14 +103,46 @@ def check_spring_damper(
         raise Infeasible(
             f"coupling {name}: V(1) is not positive, so that V_hat is output strictly passive at no level; {_SPRING}"
         )
-    inverse = np.linalg.inv(np.linalg.cholesky(Lambda))
     limit = 2.0 / T * float(np.linalg.eigvalsh(Lambda)[0])
     # where there is a damping, its sum with the stiffness is the stricter of both, and the limit to state
     both = T / 2.0 * coupling.stiffness + coupling.damping
     for part, damped in ((both, bool(coupling.damping.any())), (T / 2.0 * coupling.stiffness, False)):
-        used = float(np.linalg.eigvalsh(symmetric_part(inverse @ part @ inverse.T))[-1])
+        used = _used(part, Lambda)
         if not used < 1.0 - _EDGE:
             raise TooStiff(name, used, limit, kappa, damped, units)
+
+
+def nearly_too_stiff(
+    loop: HapticLoop, coupling: tuple[CouplingBlock, ...], kappa: float, broken: Collection[str]
+) -> TooStiff | None:
+    """The refusal of springs whose levels did not survive the proof, for rounding near their limit; None of others.
+
+    Args:
+        loop: the haptic loop.
+        coupling: V's blocks in the partition's order.
+        kappa: the gain of the levels.
+        broken: the blocks whose levels did not survive the proof.
+    """
+    parts = zip(loop.partition.names, coupling, loop.partition.blocks, loop.Delta_D_blocks, strict=True)
+    for name, part, ports, Delta_D in parts:
+        if name in broken and isinstance(part, SpringDamper):
+            units = loop.units(*(loop.ports[port] for port in ports))
+            if error := _near(name, part, Delta_D / (2.0 * kappa), loop.period, kappa, units):
+                return error
+    return None
+
+
+def _near(name: str, coupling: SpringDamper, Lambda: Matrix, T: float, kappa: float, units: Units) -> TooStiff | None:
+    """The refusal of one block's springs, if they are so near to their limit; arguments as check_spring_damper."""
+    used = _used(T / 2.0 * coupling.stiffness, Lambda)
+    limit = 2.0 / T * float(np.linalg.eigvalsh(Lambda)[0])
+    return TooStiff(name, used, limit, kappa, False, units) if used > 1.0 - _BAND else None
+
+
+def _used(part: Matrix, Lambda: Matrix) -> float:
+    """The part of Lambda that a stiffness or damping, N*s/m, uses in the direction where it uses most."""
+    inverse = np.linalg.inv(np.linalg.cholesky(Lambda))
+    return float(np.linalg.eigvalsh(symmetric_part(inverse @ part @ inverse.T))[-1])
 
 
 class TooStiff(Infeasible):
@@ -124,10 +159,12 @@ class TooStiff(Infeasible):
         meaning = "stiffness plus 2/T times its damping" if damped else "stiffness"
         self.name, self.limit, self.over = name, limit, over
         unit = units("N/m")
-        super().__init__(
-            f"coupling {name}: its {meaning}, {over * limit:.4g} {unit}, is not below {formula} = {limit:.4g} {unit}, "
-            "so that V_hat is output strictly passive at no level"
-        )
+        found, most = f"{over * limit:.4g} {unit}", f"{formula} = {limit:.4g} {unit}"
+        if over < 1.0 - _EDGE:
+            below = f"too little below {most}, by {1.0 - over:.1g} of it, for floating point to find a level of V_hat"
+        else:
+            below = f"not below {most}, so that V_hat is output strictly passive at no level"
+        super().__init__(f"coupling {name}: its {meaning}, {found}, is {below}")
 
 
 def check_block(
@@ -614,7 +651,7 @@ def _promises(
     own: list[BlockLevel] = []
     for name, part, K, Delta_D, units in parts:
         if isinstance(part, SpringDamper):
-            own.append(BlockLevel(_closed_form(name, part, Delta_D / (2.0 * device.kappa), loop.period, units), None))
+            own.append(BlockLevel(_closed_form(name, part, Delta_D, loop.period, device.kappa, units), None))
         elif part.inputs == 1 or not _small(loop) or loop.environment.declared_level is not None:
             own.append(block_level(name, part, K, Delta_D, loop.period, most))
     if len(own) == len(blocks):
@@ -627,13 +664,14 @@ def _small(loop: HapticLoop) -> bool:
     return len(loop.ports) <= MOST_JOINT and loop.environment.order + len(loop.ports) <= MOST_JOINT
 
 
-def _closed_form(name: str, coupling: SpringDamper, Lambda: Matrix, T: float, units: Units) -> Matrix:
+def _closed_form(name: str, coupling: SpringDamper, Delta_D: Matrix, T: float, kappa: float, units: Units) -> Matrix:
     """Delta_V slightly below the greatest level of a block."""
+    Lambda = Delta_D / (2.0 * kappa)
     greatest = greatest_level(coupling, Lambda, T)
     level = symmetric_part((1.0 - _GIVEN_UP) * greatest - _GIVEN_UP * Lambda)
     least = float(np.linalg.eigvalsh(level)[0])
     if least <= 0.0:
-        raise Infeasible(
+        raise _near(name, coupling, Lambda, T, kappa, units) or Infeasible(
             f"coupling {name}: the greatest level of V_hat has the eigenvalue {least:.4g} {units('N·s/m')}; "
             "expected > 0"
         )

@@ -50,6 +50,7 @@ from manyhands.protocol.limits import (
     MAX_PID,
     MAX_PIECE_BYTES,
     MAX_PORTS,
+    MAX_ROUND_TRIP,
     MAX_RUNG,
     MAX_SENTENCE,
     MAX_SENTENCES,
@@ -148,6 +149,16 @@ def _read_finite(value: object) -> float:
 
 
 FINITE: Final = PlainForm(_plain_number, _read_finite)
+
+
+def _read_round_trip(value: object) -> float:
+    number = _read_finite(value)
+    if not 0.0 < number <= MAX_ROUND_TRIP:
+        raise Unfit(f"found {number}; expected a round trip above 0 s, and at most {MAX_ROUND_TRIP} s")
+    return number
+
+
+ROUND_TRIP: Final = optional(PlainForm(_plain_number, _read_round_trip))
 
 
 # --- text
@@ -586,7 +597,7 @@ LAYOUTS: Final[dict[type[Message], _Layout]] = {
     Start: (7, (COUNT, COUNT, COUNT)),
     Stop: (8, (TEXT,)),
     Probe: (9, (COUNT,)),
-    Echo: (10, (COUNT, COUNT, COUNT)),
+    Echo: (10, (COUNT, COUNT, COUNT, ROUND_TRIP)),
     Absent: (11, (NAME,)),
     Offer: (12, (NAME, ENDPOINT)),
     Return: (13, (NAME, ENDPOINT)),
@@ -602,9 +613,9 @@ LAYOUTS: Final[dict[type[Message], _Layout]] = {
     Piece: (23, (PLACE, LENGTH, PIECE)),
     Telemetry: (32, (COUNT, FIGURES, TRACES)),
     Report: (33, (COUNT, FIGURES)),
-    Fault: (34, (TEXT,)),
+    Fault: (34, (TEXT, form_of(bool))),
     Observation: (35, (NAME, COUNT, FIGURES, TRACES)),
-    Condition: (36, (NAME, FINITE, STATES, NAMES, *[SENTENCES] * 3, PROMISES, ALL_BY_ITSELF)),
+    Condition: (36, (NAME, FINITE, STATES, NAMES, *[SENTENCES] * 3, PROMISES, ALL_BY_ITSELF, SENTENCES)),
     Grasp: (37, (VALUES,)),
     Release: (38, ()),
 }

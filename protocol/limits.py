@@ -59,6 +59,9 @@ MAX_RUNG: Final = 15
 MAX_PID: Final = 2**31 - 1
 """Greatest process id."""
 
+MAX_ROUND_TRIP: Final = 60
+"""Longest round trip of a wave link that an Echo tells, s."""
+
 MAX_PART_BYTES: Final = 16 * 1024 * 1024
 """Longest part of a session that a guest fetches, bytes: two bundles, one with a recorded motion of minutes."""
 

@@ -157,11 +157,20 @@ class Probe:
 
 @dataclass(frozen=True, slots=True)
 class Echo:
-    """The supervisor's answer to a probe: its own time when it ``heard`` the probe and ``answered``, monotonic ns."""
+    """The supervisor's answer to a probe: its own time when it ``heard`` the probe and ``answered``, monotonic ns.
+
+    Attributes:
+        sent: as in the probe.
+        heard: when the probe was read.
+        answered: when this answer was made.
+        round_trip: to the coupling of a wave link, R as its two ends measure it now, s: above 0, and at most
+            ``MAX_ROUND_TRIP``; None where that is not known, and to every other node.
+    """
 
     sent: int
     heard: int
     answered: int
+    round_trip: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -472,6 +481,7 @@ class Condition:
         faults: a sentence for each failure.
         promises: how each promise of the session stands.
         by_itself: by device, what it does by itself, which no certificate covers.
+        visits: a sentence for each of the latest users who have taken a seat, or left one as they wanted.
     """
 
     phase: str
@@ -483,6 +493,7 @@ class Condition:
     faults: tuple[str, ...] = ()
     promises: Added[tuple[PromiseStatus, ...]] = ()
     by_itself: Added[Mapping[str, tuple[str, ...]]] = field(default_factory=dict)
+    visits: Added[tuple[str, ...]] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -510,9 +521,15 @@ class Report:
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """To the supervisor: the reason for which the sender ends."""
+    """To the supervisor: the reason for which the sender ends.
+
+    Attributes:
+        text: for a person.
+        by_user: whether the sender's user has ended it, and nothing is wrong.
+    """
 
     text: str
+    by_user: bool = False
 
 
 SignalMessage: TypeAlias = Sample | Tool | Reaction | Force

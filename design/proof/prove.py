@@ -83,9 +83,14 @@ def _identity(claim: Claim) -> Finding:
     return Finding("the id is the SHA-256 of the content", holds, float(holds) - 1.0, 0.0, argument="computed again")
 
 
+def of_block(name: str) -> str:
+    """The condition on one block of the coupling, as its finding has it."""
+    return f"V_hat of {name} is Delta_V-OSP, Lemma 1"
+
+
 def _block(claim: Claim, i: int) -> Finding:
     V, Delta_D, Delta_V = claim.coupling[i], claim.Delta_D[i], claim.Delta_V[i]
-    condition = f"V_hat of {claim.blocks[i].name} is Delta_V-OSP, Lemma 1"
+    condition = of_block(claim.blocks[i].name)
     if isinstance(V, StatedSpringDamper):
         verdict = spring_damper(V, Delta_D, Delta_V, claim.kappa, claim.period)
         return verdict.finding(condition, "the spring-damper class in closed form")

@@ -25,7 +25,7 @@ _LISTS: Final = {"docs/session-file": "session-file/", "docs/devices": "devices/
 
 _ORDINARY: Final = frozenset(
     {"end", "face", "fault", "gate", "held", "holding", "incident", "join", "life", "notice", "part", "port", "room"}
-    | {"run", "share", "site", "tool", "world"}
+    | {"run", "share", "site", "tool", "visit", "world"}
 )
 """Words of the glossary that have an ordinary sense as well: where they are meant, the page itself has the link."""
 

@@ -77,10 +77,12 @@ class LiveTable:
         if progress.phase is not self._phase:
             self._phase = progress.phase
             say(self._console, f"{self._title}: {progress.phase}")
-        for incident in progress.incidents:
-            if incident not in self._printed:
-                say(self._console, f"! {incident}")
-        self._printed = {*progress.incidents}
+        # a guest may join and fail at once, but a lost one does not join at once
+        for mark, happened in (("", progress.visits), ("! ", progress.incidents)):
+            for sentence in happened:
+                if sentence not in self._printed:
+                    say(self._console, f"{mark}{sentence}")
+        self._printed = {*progress.incidents, *progress.visits}
         for row in progress.promises:
             if row.promise == Promise.PACE and row.remark and row.remark not in self.announced:
                 self.announced.add(row.remark)

@@ -238,13 +238,12 @@ def between(picture: Picture, start: float | None, end: float | None) -> Picture
 
 
 def marks_of(conditions: Iterable[tuple[int, Condition]], period: float) -> tuple[Mark, ...]:
-    """The notices, incidents and faults that are new in each condition."""
+    """The notices, incidents, visits and faults that are new in each condition."""
     marks: list[Mark] = []
     before: Counter[str] = Counter()
     for tick, condition in conditions:
-        now = Counter(
-            text for text in (*condition.notices, *condition.incidents, *condition.faults) if not is_summary(text)
-        )
+        told = (*condition.notices, *condition.incidents, *condition.visits, *condition.faults)
+        now = Counter(text for text in told if not is_summary(text))
         marks += [Mark(tick * period, text) for text in (now - before).elements()]
         before = now
     return tuple(marks)

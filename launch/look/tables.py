@@ -220,7 +220,7 @@ def top_object(live: LiveSession) -> dict[str, Any]:
     found["links"] = [{"between": list(link.ends), "health": live.link_health(link).value} for link in live.about.links]
     found |= {"wave_links": {name: felt.as_plain() for name, felt in links.items()}} if links else {}
     condition = live.condition
-    for kind in ("notices", "incidents", "faults"):
+    for kind in ("notices", "incidents", "faults", "visits"):
         found[kind] = [] if condition is None else list(getattr(condition, kind))
     return found
 

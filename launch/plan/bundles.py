@@ -44,6 +44,7 @@ from manyhands.nodes.kernel.bundle import (
     MAX_TELEMETRY_TICKS,
     OWN,
     REALTIME,
+    TELEMETRY_PERIOD,
     WALL,
     Bundle,
     Common,
@@ -188,7 +189,6 @@ def _in_order(session: Session, bounds: Mapping[str, float]) -> PortBounds:
     return tuple(bounds[port] if math.isfinite(bounds[port]) else None for port in session.ports)
 
 
-TELEMETRY_PERIOD = 0.1  # s: ten messages a second, the rate in the channel table
 MOST_TRACE_VALUES = MAX_CONTROL_BYTES // 8 - 4096  # values of all traces in a message, limited by the size of a frame
 USUAL_TRACE_VALUES = 8192  # beyond, a frame takes longer to make than a tick leaves: 0.7 ms for six times as many
 FEWEST_TICKS = 10  # in such a message, for its figures cost time as well

@@ -7,7 +7,7 @@ have one row a tick. :mod:`manyhands.launch.recordings.tables` reads ``.npz``, `
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +22,7 @@ from manyhands.extras import require
 from manyhands.launch.files import require_target
 from manyhands.launch.recordings.curves import backward_difference
 from manyhands.launch.recordings.formats import EXTRAS, STREAMED, SUFFIXES, TABLES, TableOfRun
+from manyhands.nodes.kernel.bundle import MAX_TELEMETRY_TICKS, TELEMETRY_PERIOD
 from manyhands.nodes.recorder.coverage import Coverage, missing_by_party, spans_by_party
 
 if TYPE_CHECKING:
@@ -71,6 +72,16 @@ class Recording:
     def velocity(self) -> Array:
         """(x(k) - x(k-1))/T, m/s, ticks x m."""
         return backward_difference(self.x, self.period)
+
+    def final_speed(self, ports: Sequence[str]) -> float:
+        """The greatest speed that a device with these ports had in its last 0.1 s (at most 1000 ticks), m/s.
+
+        So does a node state it in its report; the first sample has no speed.
+        """
+        own = [self.ports.index(port) for port in ports]
+        last = min(MAX_TELEMETRY_TICKS, max(1, round(TELEMETRY_PERIOD / self.period)))
+        speeds = np.linalg.norm(self.velocity[1:, own][-last:], axis=1)
+        return float(np.max(speeds, initial=0.0))
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """The recording as a table: ``tick``, ``time_s``, ``x[PORT]_m`` and ``f_v[PORT]_N``, by name.

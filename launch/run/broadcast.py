@@ -44,13 +44,13 @@ def observation_frame(node: str, telemetry: Telemetry) -> bytes | None:
 
 def condition_of(progress: Progress) -> Condition:
     """The session's condition, as a message, from its progress."""
-    sentences = (progress.notices, progress.incidents, progress.faults)
-    notices, incidents, faults = (tuple(map(presentable, texts[-MAX_SENTENCES:])) for texts in sentences)
+    sentences = (progress.notices, progress.incidents, progress.faults, progress.visits)
+    notices, incidents, faults, visits = (tuple(map(presentable, texts[-MAX_SENTENCES:])) for texts in sentences)
     silent = tuple(sorted(progress.silent))
     promises = tuple(replace(row, remark=presentable(row.remark)) for row in progress.promises)
     return Condition(
         progress.phase.value, progress.elapsed, progress.states, silent, notices, incidents, faults, promises,
-        progress.by_itself,
+        progress.by_itself, visits,
     )  # fmt: skip
 
 

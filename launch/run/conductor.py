@@ -17,6 +17,7 @@ from manyhands.launch.run.recovery import Recovery, Restarts
 from manyhands.launch.run.states import (
     RETURNING,
     TRANSITIONS,
+    Happenings,
     Incidents,
     Instruction,
     Kill,
@@ -31,7 +32,7 @@ from manyhands.nodes.kernel.words import counted
 from manyhands.nodes.monitor.health import FREE_STATE
 from manyhands.protocol.codec import ForeignHello, Malformed, Received
 from manyhands.protocol.handshake import check_node_hello
-from manyhands.protocol.limits import MAX_PIECE_BYTES
+from manyhands.protocol.limits import MAX_PIECE_BYTES, MAX_ROUND_TRIP
 from manyhands.protocol.messages import (
     Connect,
     Echo,
@@ -153,6 +154,7 @@ class Conductor:
     ignored: int = 0
     _endpoints: dict[tuple[str, str], str] = field(default_factory=dict)
     _welcomed: dict[str, int] = field(default_factory=dict)  # by node, the process id of its latest accepted hello
+    _round_trips: dict[str, float] = field(default_factory=dict)  # of wave links, by coupling, s
     _reception: Reception = field(init=False)
     _recovery: Recovery = field(init=False)
 
@@ -165,6 +167,11 @@ class Conductor:
     def incidents(self) -> Incidents:
         """The incidents that the session survived."""
         return self._recovery.incidents
+
+    @property
+    def visits(self) -> Happenings:
+        """Who has taken a seat, and who has left one as its user wanted."""
+        return self._recovery.visits
 
     def shown_state(self, node: str) -> str:
         """The state of a node for people: a seat that nobody has taken is free, and not lost."""
@@ -215,15 +222,16 @@ class Conductor:
                 part = self.parts[sender]
                 return [Send(sender, Piece(at, len(part), part[at : at + MAX_PIECE_BYTES])), ReleaseName(sender)]
             case Probe(sent):
-                return [Send(sender, Echo(sent, now, now))]
+                R = self._round_trips.get(sender) if target is NodeState.RUNNING else None
+                return [Send(sender, Echo(sent, now, now, R))]
             case Ready():
                 return self._ready(sender, now)
             case Telemetry(tick) if self.graph.nodes[sender] is Role.ENVIRONMENT:
                 self._recovery.reached = max(self._recovery.reached, tick)
             case Report():
                 return self._reported(sender, received, now)
-            case Fault(text):
-                return self._faulted(sender, state, text, now)
+            case Fault():
+                return self._faulted(sender, state, received, now)
         return []
 
     def exited(self, node: str, code: int, now: int, said: str = "") -> list[Instruction]:
@@ -274,6 +282,13 @@ class Conductor:
     def note(self, sentence: str, now: int) -> None:
         """Record an incident that happened ``now``, monotonic ns."""
         self._recovery.note(sentence, now)
+
+    def note_round_trip(self, coupling: str, R: float) -> None:
+        """Note R of a coupling's wave link, s, which its echoes tell it while it runs; a guest may claim any number."""
+        if 0.0 < R <= MAX_ROUND_TRIP:
+            self._round_trips[coupling] = R
+        else:
+            self._round_trips.pop(coupling, None)
 
     @property
     def finished(self) -> tuple[str, ...]:
@@ -388,9 +403,8 @@ class Conductor:
         early = self.phase is SessionPhase.RUNNING and not 0 < self.ticks <= report.ticks
         if early and self._does_without(sender):
             self.left[sender] = report
-            return out + self._withstood(
-                self._recovery.lose(sender, f"left after {counted(report.ticks, 'tick')}", now)
-            )
+            how = f"left after {counted(report.ticks, 'tick')}"
+            return out + self._withstood(self._recovery.lose(sender, how, now, visit=sender in self.seats))
         self.reports[sender] = report
         if early:  # the other nodes would wait for its signals for ever
             out += self._fail(f"{sender} left after {counted(report.ticks, 'tick')}, before the session was over")
@@ -399,13 +413,16 @@ class Conductor:
         self._gone_if_remote(sender)
         return out
 
-    def _faulted(self, sender: str, state: NodeState, text: str, now: int) -> list[Instruction]:
+    def _faulted(self, sender: str, state: NodeState, fault: Fault, now: int) -> list[Instruction]:
         """A node ends by its own decision. That ends the session, except for a guest, a device whose driver may find
         its hardware again, and a node that was on its way back.
         """
         out: list[Instruction] = [Send(sender, Stop("received"))]
+        text = fault.text
         if self.phase is SessionPhase.RUNNING and state in RETURNING:
-            lost = self._recovery.lose(sender, f"could not return: {text}", now, alive=sender not in self.remote)
+            visit = fault.by_user and sender in self.seats
+            how = "left before its first tick" if visit else f"could not return: {text}"
+            lost = self._recovery.lose(sender, how, now, alive=sender not in self.remote, visit=visit)
             return out + self._withstood(lost)
         device = self.graph.nodes[sender] is Role.DEVICE and self._starts_anew
         if self.phase is SessionPhase.RUNNING and (device or self._does_without(sender)):

@@ -51,6 +51,7 @@ class Progress:
         faults: what went wrong.
         promises: how each promise of the session stands.
         by_itself: by device, what it does by itself, as its driver states.
+        visits: who has lately taken a seat, or left one as its user wanted.
     """
 
     phase: SessionPhase
@@ -65,6 +66,7 @@ class Progress:
     faults: tuple[str, ...] = ()
     promises: tuple[PromiseStatus, ...] = ()
     by_itself: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    visits: tuple[str, ...] = ()
 
     __repr__ = brief_repr
 
@@ -393,6 +395,7 @@ def run_report(
     unreported: Sequence[str] = (),
     by_itself: Mapping[str, Sequence[str]] = MappingProxyType({}),
     axes: Mapping[str, Sequence[AxisKind]] = MappingProxyType({}),
+    visits: Sequence[str] = (),
 ) -> dict[str, Any]:
     """The whole report.
 
@@ -412,6 +415,7 @@ def run_report(
         unreported: the nodes that have run and sent no final report.
         by_itself: by device, what it does by itself, as its driver states.
         axes: by device, what its axes do, where some axis of the session turns.
+        visits: who has lately taken a seat, or left one as its user wanted.
     """
     restarts = incidents.restarts
     return {
@@ -431,6 +435,7 @@ def run_report(
         **({"promises": [written(row) for row in promises]} if promises else {}),
         **({"refused": dict(refused)} if refused else {}),
         **({"incidents": list(incidents.sentences)} if incidents.total else {}),
+        **({"visits": list(visits)} if visits else {}),
     }
 
 

@@ -30,6 +30,7 @@ from manyhands.launch.plan.topology import LinkPlan, Topology
 from manyhands.launch.run.states import (
     OFFERING,
     RETURNING,
+    Happenings,
     Incidents,
     Instruction,
     KillProcess,
@@ -183,6 +184,7 @@ class Recovery:
         states: of each node; shared with the conductor.
         faults: receives a sentence for each node that is gone for good; shared with the conductor.
         incidents: those of the session.
+        visits: who has taken a seat, and who has left one as its user wanted.
         start: the message that every node received before tick 0; a returning node receives it again, with ``reached``.
         reached: the latest tick that the environment has reported; it counts the session's ticks.
         rungs: the rung of the ladder that each coupling was asked to change to.
@@ -197,6 +199,7 @@ class Recovery:
     states: dict[str, NodeState]
     faults: list[str]
     incidents: Incidents = field(default_factory=Incidents)
+    visits: Happenings = field(default_factory=lambda: Happenings("visits"))
     start: Start = field(default_factory=lambda: Start(0, 0))
     reached: int = 0
     rungs: dict[str, int] = field(default_factory=dict)
@@ -216,7 +219,9 @@ class Recovery:
         absent = [(seat, peer) for seat in self.seats for peer in self._links.lost(seat)]
         return [Send(peer, Absent(seat)) for seat, peer in sorted(absent) if peer not in self.seats]
 
-    def lose(self, node: str, how: str, now: int, *, alive: bool = False, vain: bool = False) -> list[Instruction]:
+    def lose(
+        self, node: str, how: str, now: int, *, alive: bool = False, vain: bool = False, visit: bool = False
+    ) -> list[Instruction]:
         """Take ``node`` out of the session: it is lost, or has failed to return. It counts as a death.
 
         Args:
@@ -225,8 +230,9 @@ class Recovery:
             now: monotonic ns.
             alive: whether the end of its process is still to come.
             vain: whether its process started in vain, so that the next start waits.
+            visit: whether this is how a guest leaves its seat when its user wants to; everything else is an incident.
         """
-        self.note(f"{node} {how}", now)
+        (self.visits if visit else self.incidents).add(self._dated(f"{node} {how}", now))
         if vain:
             pause = min(Duration(2 * self._vain[node][0]), LONGEST_PAUSE) if node in self._vain else FIRST_PAUSE
             self._vain[node] = pause, now + pause
@@ -267,7 +273,7 @@ class Recovery:
         self._since.pop(node, None)
         self._vain.pop(node, None)
         if node in self.seats:
-            self.note(f"{node} has joined", now)
+            self.visits.add(self._dated(f"{node} has joined", now))
         else:
             self.restarts.ran(node, now)
             self.incidents.restarts[node] += 1
@@ -357,7 +363,10 @@ class Recovery:
 
     def note(self, sentence: str, now: int) -> None:
         """Record an incident that happened ``now``, monotonic ns, with its time since tick 0."""
-        self.incidents.add(f"at {max(0, now - self.start.epoch) / 1e9:.1f} s: {sentence}")
+        self.incidents.add(self._dated(sentence, now))
+
+    def _dated(self, sentence: str, now: int) -> str:
+        return f"at {max(0, now - self.start.epoch) / 1e9:.1f} s: {sentence}"
 
     def _drop(self, node: str, future: NodeState, alive: bool, now: int) -> list[Instruction]:
         """Take ``node`` out of the session, and inform the peers that were linked to it."""

@@ -1,11 +1,13 @@
-"""The states of nodes and of their session, the instructions to the supervisor, and the list of incidents.
+"""The states of nodes and of their session, the instructions to the supervisor, and the lists of what happened.
 
 A message moves a node from one state to the next by the table :data:`TRANSITIONS`. The conductor decides and returns
-instructions; the supervisor carries them out. An incident is a fault that the session survives.
+instructions; the supervisor carries them out. An incident is a fault that the session survives; a visit is that of a
+guest at a seat, who comes and goes as intended.
 """
 
 from __future__ import annotations
 
+import re
 import signal
 from collections import Counter, deque
 from collections.abc import Mapping
@@ -111,41 +113,51 @@ class Kill:
 Instruction = Send | ReleaseName | StartProcess | KillProcess | Terminate | Kill
 
 
-MOST_INCIDENTS: Final = 100
-"""Number of incidents that are kept, the latest ones: a session may run for days."""
+MOST_KEPT: Final = 100
+"""Number of incidents, and of visits, that are kept, the latest ones: a session may run for days."""
 
 
-_FORGOTTEN = " earlier incidents"
-
-
-class Incidents:
-    """The latest incidents of a session, and how many there were.
+class Happenings:
+    """The latest sentences about what happened in a session, and how many there were.
 
     Attributes:
-        total: number of all incidents.
-        restarts: how often each node came back into the session.
+        what: the word for all of them.
+        total: number of all of them.
     """
 
-    def __init__(self) -> None:
-        self._latest: deque[str] = deque(maxlen=MOST_INCIDENTS)
+    def __init__(self, what: str) -> None:
+        """None yet."""
+        self.what = what
+        self._latest: deque[str] = deque(maxlen=MOST_KEPT)
         self.total = 0
-        self.restarts: Counter[str] = Counter()
 
     def add(self, sentence: str) -> None:
-        """Add an incident, in one sentence."""
+        """Add one, in one sentence."""
         self._latest.append(sentence)
         self.total += 1
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """The latest incidents, oldest first. If older ones were dropped, the first line states how many."""
+        """The latest ones, oldest first. If older ones were dropped, the first line states how many."""
         forgotten = self.total - len(self._latest)
-        return (*([f"{forgotten}{_FORGOTTEN}"] if forgotten else []), *self._latest)
+        return (*([f"{forgotten} earlier {self.what}"] if forgotten else []), *self._latest)
+
+
+class Incidents(Happenings):
+    """What the session survived.
+
+    Attributes:
+        restarts: how often each node came back into the session.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("incidents")
+        self.restarts: Counter[str] = Counter()
 
 
 def is_summary(sentence: str) -> bool:
-    """Whether a sentence is the line that counts the dropped incidents, and no incident itself."""
-    return sentence.endswith(_FORGOTTEN) and sentence.removesuffix(_FORGOTTEN).isdecimal()
+    """Whether a sentence is the line that counts those that were dropped, and says nothing else."""
+    return re.fullmatch(r"\d+ earlier (incidents|visits)", sentence) is not None
 
 
 def ending(code: int) -> str:

@@ -47,7 +47,7 @@ from manyhands.launch.run.states import (
     StartProcess,
     Terminate,
 )
-from manyhands.launch.session import SUPERVISOR
+from manyhands.launch.session import ENVIRONMENT, SUPERVISOR
 from manyhands.nodes.guest.handed_over import handed_over
 from manyhands.nodes.joins import HANDSHAKE_TIME
 from manyhands.nodes.kernel import bundle as bundle_files
@@ -58,10 +58,11 @@ from manyhands.nodes.monitor.health_model import HealthModel
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.lives import Lives
 from manyhands.nodes.rows.promises import Promise
+from manyhands.nodes.wave_link.felt import round_trip
 from manyhands.protocol.clock import Duration, Instant, RealtimeClock, from_seconds, seconds
-from manyhands.protocol.codec import decode, encode
+from manyhands.protocol.codec import ForeignHello, decode, encode
 from manyhands.protocol.limits import HUB_FRAMES_PER_S, MAX_CONTROL_BYTES
-from manyhands.protocol.messages import Figures, PromiseStatus, Ready, Report, Role, Telemetry
+from manyhands.protocol.messages import Fetch, Figures, NodeHello, PromiseStatus, Ready, Report, Role, Telemetry
 from manyhands.protocol.transport import Hub
 from manyhands.protocol.transport.zeromq import ZmqTransport
 
@@ -384,6 +385,8 @@ class Supervisor:
             self._log.note(LogEvent.NOTICE, text=text)
         for text in conductor.incidents.sentences:
             self._log.note(LogEvent.INCIDENT, text=text)
+        for text in conductor.visits.sentences:
+            self._log.note(LogEvent.VISIT, text=text)
         for fault in _with_logs(conductor, processes):
             conductor.faults.append(fault)
         self._report(self.progress(processes))
@@ -420,9 +423,9 @@ class Supervisor:
 
         Telemetry of a tick that cannot have run yet is counted and dropped.
         """
-        if sender in self._reach.remote:
-            self._received.note(sender, self._clock.now())
         message = decode(frame, MAX_CONTROL_BYTES)
+        if sender in self._reach.remote and not isinstance(message, NodeHello | ForeignHello | Fetch):
+            self._received.note(sender, self._clock.now())
         if isinstance(message, Telemetry) and message.tick > self._most_ticks(sender):
             self._untimely += 1
             return
@@ -438,14 +441,19 @@ class Supervisor:
             self._health.hear(sender, message.by_itself)
         self.carry_out(self.conductor.receive(sender, message, self._clock.now()), hub, processes)
         after = self.conductor.states.get(sender)
-        if sender in self._reach.remote and before is not after and after is NodeState.RUNNING:
-            self._forget(sender)  # it is another process than before, which was not started here
+        if sender in self._reach.remote and before is not after:
+            # so a hello counts once it is taken: one that knocks at a seat that is taken is of another process, and
+            # would keep a dead one from being counted as silent
+            self._received.note(sender, self._clock.now())
+            if after is NodeState.RUNNING:
+                self._forget(sender)  # it is another process than before, which was not started here
         conductor = self.conductor
         if message is conductor.reports.get(sender) or message is conductor.left.get(sender):
             self._lives.take(sender, message.figures)
         if isinstance(message, Telemetry) and self.conductor.states.get(sender) is NodeState.RUNNING:
             self._telemetry[sender] = message
             self._lives.take(sender, message.figures)
+            self._note_round_trip(sender)
             self._health.take(sender, message.tick, message.figures)
             self._listening.hear()
             self._reported.note(sender, self._clock.now())
@@ -466,6 +474,17 @@ class Supervisor:
             x, f_v = message.traces.get(names.DISPLACEMENT), message.traces.get(names.FORCE)
             if self._record and self._graph.nodes[sender] is Role.DEVICE and x is not None and f_v is not None:
                 self._collector.add(sender, message.tick, x, f_v)
+
+    def _note_round_trip(self, coupling: str) -> None:
+        """Tell the conductor R of a wave link by the latest figures of its two ends, for its coupling."""
+        if coupling in self._session.wave_links:
+            user, world = (self._figures_of(node) for node in (coupling, ENVIRONMENT))
+            self.conductor.note_round_trip(coupling, round_trip(coupling, user, world))
+
+    def _figures_of(self, node: str) -> Figures:
+        """The latest figures of a node; none where none have come."""
+        latest = self._telemetry.get(node)
+        return Figures() if latest is None else latest.figures
 
     def _most_ticks(self, node: str) -> int:
         now, period = self._clock.now(), self._session.period_of(node)
@@ -516,6 +535,7 @@ class Supervisor:
         """Forget what the former process of a node has reported: the next one counts anew, and is not silent yet."""
         self._telemetry.pop(name, None)
         self._lives.forget(name)
+        self._note_round_trip(name)
         self._reported.forget(name)
         self._assumptions.forget(name)
         self._users.forget(name)
@@ -577,6 +597,7 @@ class Supervisor:
             tuple(conductor.faults),
             promises,
             dict(self._health.by_itself),
+            conductor.visits.sentences,
         )
 
     def _promises(self) -> tuple[PromiseStatus, ...]:
@@ -643,6 +664,7 @@ class Supervisor:
                 self._unreported(),
                 self._health.by_itself,
                 {name: device.kinds for name, device in self._session.devices.items()} if self._session.turning else {},
+                conductor.visits.sentences,
             )
             | recorder.as_plain(),
             recording,

@@ -5,7 +5,9 @@
 
 **Before it engages** the guest measures how long frames take to the session and back. From that and from b follows what
 will be felt (:class:`FeltDistance`), which the user is asked about. Nothing moves before the answer: the coupling takes
-part at s = 0 only once its waves come, and its force rises by the clutch's ramp.
+part at s = 0 only once its waves come, and its force rises by the clutch's ramp. How long the host's end of the wave
+link waits for late waves the guest cannot know before. Once both ends have measured that, the host tells the round trip
+in its answers to the guest's signs of life, and the guest says once what is felt (:func:`felt_as_measured`).
 
 **Leaving** is felt by nobody: the environment freezes the coupling, and the device lets its own hand go by a ramp
 (:meth:`manyhands.nodes.device.core.Guard.leave`). A guest that loses its session lets go in the same way and joins
@@ -79,9 +81,6 @@ SETTLED: Final = 3.0
 """The time after joining at which both ends have measured how late waves come, s: for a third of a second, and for two
 windows of a second (nodes/wave_link/ends.py)."""
 
-DIFFERS: Final = 0.1
-"""The part by which a round trip must differ from the one foretold to be told anew."""
-
 _GLANCE: Final = 0.1  # s, between two looks at the life while waiting for the user
 _LONG_WAITS: Final = 50  # waits for a part before the user is told that nothing comes: ten seconds
 _NOBODY_WAITS: Final = 10  # the same where nobody answers at all
@@ -111,19 +110,6 @@ class FeltDistance:
     def round_trip(self) -> float:
         """R, s."""
         return self.network + self.play_out
-
-    def differs(self, other: FeltDistance) -> bool:
-        """Whether the round trip is another than the one of ``other``, by more than :data:`DIFFERS` of that."""
-        return abs(self.round_trip - other.round_trip) > DIFFERS * other.round_trip
-
-    def correction(self, foretold: FeltDistance) -> str:
-        """What is felt in place of what was ``foretold``, as a sentence; it rests on what no guest can measure."""
-        return (
-            f"waves come: if the host's end waits for late ones as long as this one, the round trip R is about "
-            f"{_ms(self.round_trip)}, and not {_ms(foretold.round_trip)}; then a wall feels no stiffer than about K = "
-            f"{self.stiffness:.4g} {self.units('N/m')}, and free space weighs about M = "
-            f"{kilograms(self.mass, self.units)} more"
-        )
 
     def sentence(self) -> str:
         """What will be felt, in two lines."""
@@ -158,26 +144,25 @@ def felt(coupling: CouplingBundle, trips: Sequence[Duration]) -> FeltDistance:
         depth = seconds(Duration(covered - least)) + _turn(wave, coupling.common.period)
     else:
         depth = wave.depth * (coupling.common.period + wave.peer_period)
-    return _felt(wave, coupling.common.period, seconds(least), depth, Units.of(coupling.common.kinds))
+    network, period = seconds(least), coupling.common.period
+    play_out = depth + _turn(wave, period) + 0.5 * (period + wave.peer_period)
+    felt_as = stiffness_and_mass(_impedance(wave), network + play_out)
+    return FeltDistance(network, play_out, *felt_as, Units.of(coupling.common.kinds))
 
 
-def felt_now(coupling: CouplingBundle, network: float, latency: float) -> FeltDistance:
-    """What is felt once waves come, and both ends' play-outs have measured how late they are.
-
-    No guest knows how long the host's end waits. It measures the same network, so it is taken to wait as long.
-
-    Args:
-        coupling: the seat's, with a wave link.
-        network: the shortest time that a frame took to the session and back, s.
-        latency: what play-out and smoothing of the guest's own end add to the round trip, s.
+def felt_as_measured(coupling: CouplingBundle, R: float) -> str:
+    """What is felt at the round trip R, s, that both ends of a seat's wave link measure, as a sentence.
 
     Raises:
         ValueError: the coupling has no wave link.
     """
     if coupling.wave is None:
         raise ValueError("found a coupling without a wave link; expected one with it")
-    units = Units.of(coupling.common.kinds)
-    return _felt(coupling.wave, coupling.common.period, network, 2.0 * latency, units)
+    units, (K, M) = Units.of(coupling.common.kinds), stiffness_and_mass(_impedance(coupling.wave), R)
+    return (
+        f"both ends measure a round trip R of {_ms(R)}: a wall feels no stiffer than K = {K:.4g} {units('N/m')}, and "
+        f"free space weighs M = {kilograms(M, units)} more"
+    )
 
 
 def _turn(wave: WaveEnd, period: float) -> float:
@@ -185,12 +170,10 @@ def _turn(wave: WaveEnd, period: float) -> float:
     return 0.5 * ((wave.every - 1.0) * period + (wave.peer_every - 1.0) * wave.peer_period)
 
 
-def _felt(wave: WaveEnd, period: float, network: float, depth: float, units: Units) -> FeltDistance:
-    """What is felt over a network, where the play-outs of both ends together wait for ``depth``, s."""
-    play_out = depth + _turn(wave, period) + 0.5 * (period + wave.peer_period)
+def _impedance(wave: WaveEnd) -> tuple[float, float]:
+    """The least and the greatest eigenvalue of b, N*s/m."""
     b = np.linalg.eigvalsh(wave.b)
-    K, M = stiffness_and_mass((float(b[0]), float(b[-1])), network + play_out)
-    return FeltDistance(network, play_out, K, M, units)
+    return float(b[0]), float(b[-1])
 
 
 def is_calm(trips: Sequence[Duration]) -> bool:
@@ -405,7 +388,7 @@ class _Visit:
         self._lines: Sequence[ControlLine] = ()
         self._distance: FeltDistance | None = None
         self._since: Instant | None = None  # when the guest was in; None before
-        self._told = False  # whether it was told, since then, how what is felt differs from what was foretold
+        self._told = False  # whether it was told, since then, what is felt
 
     def stay(self, life: SeatLife) -> int:
         while True:
@@ -442,7 +425,7 @@ class _Visit:
             _say(f"error: {error}")
             return EXIT_BAD_INPUT
         life.joined = partial(self._joined, coupling.common.period)
-        life.seen = partial(self._correct, coupling, inside)
+        life.seen = partial(self._tell, coupling, inside)
         nodes: list[tuple[Common, Node, KeyRing | None]] = [(device.common, node, part.ring(device.common)),
                  (coupling.common, inside, part.ring(coupling.common))]  # fmt: skip
         try:
@@ -499,17 +482,18 @@ class _Visit:
         delay = "" if self._distance is None else f", round trip R of about {_ms(self._distance.round_trip)}"
         _say(f"{self._invitation.seat}: in, at {1.0 / period:.4g} ticks a second{delay}; Ctrl-C leaves")
 
-    def _correct(self, coupling: CouplingBundle, node: CouplingNode) -> None:
-        """Tell once what is felt, if it is something else than was foretold; the loop waits for this."""
-        end = next((join for join in node.joins if isinstance(join, UserEnd)), None)
-        if self._told or self._since is None or self._distance is None or end is None or end.face.holding:
+    def _tell(self, coupling: CouplingBundle, node: CouplingNode) -> None:
+        """Tell once what is felt, when both ends have settled and the host has told R; the loop waits for this."""
+        if self._told or self._since is None:
             return
-        if RealtimeClock().now() - self._since < from_seconds(SETTLED) or not _has_room(sys.stderr):
+        settled = self._since + from_seconds(SETTLED)
+        echoes = [line.echo for line in self._lines if line.echo is not None and line.echo.sent >= settled]
+        R = next((echo.round_trip for echo in echoes if echo.round_trip is not None), None)
+        end = next((join for join in node.joins if isinstance(join, UserEnd)), None)
+        if R is None or end is None or end.face.holding or not _has_room(sys.stderr):
             return
         self._told = True
-        now = felt_now(coupling, self._distance.network, end.face.latency)
-        if now.differs(self._distance):
-            _say(f"{self._invitation.seat}: {now.correction(self._distance)}")
+        _say(f"{self._invitation.seat}: {felt_as_measured(coupling, R)}")
 
 
 def _has_room(stream: TextIO) -> bool:

@@ -64,6 +64,9 @@ OWN = "own"
 
 TIMES = (WALL, OWN)
 
+TELEMETRY_PERIOD = 0.1
+"""The usual time between two telemetry messages, s: ten a second, the rate in the channel table."""
+
 MAX_TELEMETRY_TICKS = 1000
 """The most ticks between two telemetry messages: a node keeps the traces of all of them."""
 

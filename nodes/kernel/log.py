@@ -67,6 +67,7 @@ class LogEvent(StrEnum):
     PHASE = "phase"  # the session has reached a phase: phase
     NOTICE = "notice"  # a message to the user: text
     INCIDENT = "incident"  # a message to the user about an incident: text
+    VISIT = "visit"  # a message to the user about a guest at a seat: text
     FAULT = "fault"  # a message to the user about a failure: text
     TRUNCATED = "truncated"  # this log has its greatest length
     END = "end"  # the process ends: reason, ticks, dropped

@@ -345,7 +345,7 @@ def _stopped(members: Sequence[HostedNode], life: Life) -> int:
         return _lost(members[0].common)
     if life.stopping:  # its user ended it, for a Stop of the supervisor does not set this
         for member in members:
-            member.control.fault(f"{member.common.name}: its user ended it before the first tick", life)
+            member.control.fault(f"{member.common.name}: its user ended it before the first tick", life, by_user=True)
     return EXIT_OK
 
 

@@ -77,6 +77,7 @@ class ControlLine:
         log: the node's log, written when telemetry is sent.
         absent: peers that are absent at the start; the loop receives them as messages as well.
         stop: the supervisor's Stop; None before that.
+        echo: the supervisor's latest answer to a sign of life of a guest in its loop; None before that.
         dropped: telemetry messages that could not be queued.
         malformed: frames of the supervisor that could not be understood, or were not expected.
     """
@@ -104,6 +105,7 @@ class ControlLine:
         self._words: deque[Word] = deque(maxlen=_WORDS_KEPT)
         self._host = host
         self.stop: Stop | None = None
+        self.echo: Echo | None = None
         self._introduction: Message | None = None
         self._welcomed = False
         self.absent: set[str] = set()
@@ -323,7 +325,9 @@ class ControlLine:
                 self._words.append(message)
             elif isinstance(message, Stop):
                 self.stop = message
-            elif not isinstance(message, Echo):
+            elif isinstance(message, Echo):
+                self.echo = message
+            else:
                 self.malformed += 1
             timeout = NOT_AT_ALL
 
@@ -331,9 +335,12 @@ class ControlLine:
         """Send the node's report, and wait for a bounded time until the supervisor confirms it."""
         self._last_word(report, life)
 
-    def fault(self, text: str, life: Life) -> None:
-        """Report why this node ends, and wait for a bounded time until the supervisor confirms it."""
-        self._last_word(Fault(presentable(text)), life)
+    def fault(self, text: str, life: Life, by_user: bool = False) -> None:
+        """Report why this node ends, and wait for a bounded time until the supervisor confirms it.
+
+        ``by_user`` is whether its user has ended it.
+        """
+        self._last_word(Fault(presentable(text), by_user), life)
 
     def _last_word(self, message: Message, life: Life) -> None:
         """Send ``message`` and wait, for a bounded time, for the supervisor's Stop.

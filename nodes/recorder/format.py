@@ -116,6 +116,7 @@ OTHER_SCHEMAS: Final[Mapping[str, tuple[str, str]]] = {
             **dict.fromkeys(("silent", "notices", "incidents", "faults"), _TEXTS),
             "promises": {"type": "array", "items": _PROMISE},
             "by_itself": {"type": "object", "properties": {}, "additionalProperties": _TEXTS},
+            "visits": _TEXTS,
         },
     ),
     **SCENE_SCHEMAS,

@@ -82,6 +82,18 @@ def stiffness_and_mass(impedance: tuple[float, float], R: float) -> tuple[float,
     return 2.0 * softest / R, 0.5 * heaviest * R
 
 
+def round_trip(coupling: str, user: Figures, world: Figures) -> float:
+    """R, s, of the wave link of ``coupling``, by the figures of its two ends; not a number where one has none.
+
+    Args:
+        coupling: its name.
+        user: the figures of the coupling.
+        world: the figures of the environment.
+    """
+    ends = user.get(names.WAVE_LAG, math.nan), world.table(names.of(names.WAVE_LAG)).get(coupling, math.nan)
+    return 1e-6 * sum(ends)
+
+
 def felt_link(
     coupling: str,
     impedance: tuple[float, float],
@@ -98,8 +110,7 @@ def felt_link(
         world: the figures of the environment.
         kinds: what the ports of the coupling do.
     """
-    lags = user.get(names.WAVE_LAG, math.nan), world.table(names.of(names.WAVE_LAG)).get(coupling, math.nan)
-    R = 1e-6 * sum(lags)
+    R = round_trip(coupling, user, world)
     figures = (names.WAVE_TANK, names.WAVE_CLIPPED, names.WAVE_SILENCES, names.WAVE_HOLDING)
     found = [(user.get(one, math.nan), world.table(names.of(one)).get(coupling, math.nan)) for one in figures]
     if not all(0.0 <= value < math.inf for pair in found for value in pair) or not 0.0 < R < math.inf:

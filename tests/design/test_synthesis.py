@@ -1,6 +1,7 @@
 """From a wish to a certificate; errors name the condition that fails."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -9,10 +10,10 @@ from manyhands.design import synthesis
 from manyhands.design.certificate import content
 from manyhands.design.errors import Infeasible, NotConverged, SolverFailure
 from manyhands.design.levels.contract import ENERGY, Levels
-from manyhands.design.models.coupling import Partition
+from manyhands.design.models.coupling import Partition, SpringDamper
 from manyhands.design.models.environment import DelayedNetwork, StateSpaceEnvironment, TransferEnvironment
 from manyhands.design.models.network import GROUND, Network, NetworkLink
-from manyhands.design.models.statespace import StateSpace
+from manyhands.design.models.statespace import StateSpace, symmetric_part
 from manyhands.design.models.weights import Filter, Transparency
 from manyhands.design.problem import (
     DeviceLevel,
@@ -26,6 +27,7 @@ from manyhands.design.problem import (
 )
 from manyhands.design.proof import prove
 from manyhands.design.synthesis import Designed, design, finds_levels
+from manyhands.design.theorem3 import devices
 from manyhands.design.theorem4 import Interrupted
 
 
@@ -286,6 +288,46 @@ def test_a_solver_that_lies_is_not_believed(problems, monkeypatch: pytest.Monkey
     for wanted in (SpringDamperGiven(problems.C26), LinearGiven(problems.blocks(problems.example_1(), problems.C26))):
         with pytest.raises(SolverFailure, match="does not survive the proof: V_hat of cx is Delta_V-OSP"):
             design(problems.example_1(), wanted)
+
+
+@pytest.mark.parametrize("tau", [0.0, 0.3e-3])
+@pytest.mark.parametrize("distance", [0.5, 1e-3, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-13, 0.0, -1e-12])
+@pytest.mark.parametrize("osp", [1.37, 0.913])
+def test_a_stiffness_at_its_limit_is_certified_or_called_too_stiff(
+    problems, osp: float, distance: float, tau: float
+) -> None:
+    """So near to the limit rounding decides which of the two."""
+    loop = dataclasses.replace(problems.example_1(osp=osp), tau=tau)
+    limit = osp / (min(device.kappa for device in devices(loop)) * loop.period)
+    given = SpringDamperGiven(problems.uniform(limit * (1.0 - distance), 0.0))
+    said = refusal(loop, given)
+    if distance >= 1e-5:
+        assert said == ""
+    elif said or distance <= 1e-12:
+        side = "not" if distance <= 1e-12 else "too little"
+        assert re.match(rf"coupling cx: its stiffness, \S+ N/m, is {side} below .* = ", said)
+
+
+@pytest.mark.parametrize("distance", [1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11])
+def test_of_several_blocks_the_one_at_its_limit_is_named(problems, distance: float) -> None:
+    """It has two ports, which share the stiff direction; the other block is far from its limit."""
+    partition = Partition(("soft", "stiff"), ((0,), (1, 2)))
+    turn = np.array([[0.8, -0.6], [0.6, 0.8]])
+    stiffness = np.diag([500.0, 0.0, 0.0])
+    stiffness[1:, 1:] = symmetric_part(turn @ np.diag([2740.0 * (1.0 - distance), 300.0]) @ turn.T)
+    said = refusal(problems.example_1(partition), SpringDamperGiven(SpringDamper(stiffness, np.zeros((3, 3)))))
+    assert not said or said.startswith(
+        "coupling stiff: its stiffness, 2740 N/m, is too little below 2 Delta_D / T = 2740 N/m, by "
+    )
+
+
+def refusal(loop: HapticLoop, given: SpringDamperGiven) -> str:
+    """Why no coupling that is given is certified; empty where it is, and its proof holds."""
+    try:
+        assert proved(design(loop, given))
+    except Infeasible as error:
+        return str(error)
+    return ""
 
 
 def test_a_norm_that_lies_is_not_believed(problems, monkeypatch: pytest.MonkeyPatch) -> None:

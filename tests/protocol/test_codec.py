@@ -107,7 +107,7 @@ MESSAGES: dict[type[Any], st.SearchStrategy[Message]] = {
     Report: st.builds(Report, counts, figures),
     Fault: st.builds(Fault, texts),
     Probe: st.builds(Probe, counts),
-    Echo: st.builds(Echo, counts, counts, counts),
+    Echo: st.builds(Echo, counts, counts, counts, st.none() | st.floats(0.0, 60.0, exclude_min=True)),
     Absent: st.builds(Absent, names),
     Offer: st.builds(Offer, names, names),
     Return: st.builds(Return, names, names),
@@ -305,6 +305,7 @@ HELLO = LinkHello(1, "c", "s", "n", Role.DEVICE, ("p",))
         (Offer("cx", ""), "Offer.endpoint: found ''; expected a printable name"),
         (Probe(-1), "Probe.sent: found -1; expected an integer from 0"),
         (Echo(0, 2**63, 0), "Echo.heard: found 9223372036854775808"),
+        *((Echo(0, 0, 0, R), "Echo.round_trip: found") for R in (0.0, -0.1, 60.1, math.inf, math.nan, 1j)),
         (Observation("", 1, Figures(), {}), "Observation.node: found ''"),
         (
             Observation("dx", 1, Figures(), {"x": np.ones(3)}),

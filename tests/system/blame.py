@@ -30,7 +30,7 @@ from .test_seats import command, guest, hosted, invitation_to
 REPOSITORY = Path(__file__).parents[2]
 OF_THE_MACHINE = {"pace", "delay", "period", "punctuality", "presence"}
 """What a busy machine breaks by itself: such a row alone asks for no cause, and its names are printed, not judged."""
-OF_PROCESSES = re.compile(r"has joined|fell silent while running|has left|is back")
+OF_PROCESSES = re.compile(r"fell silent while running|is back")
 """Incidents that say who came and went; a process without its turn falls silent on a busy machine."""
 
 

@@ -105,6 +105,24 @@ def test_the_readmes_session_is_valid_and_certified(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.stderr
 
 
+@pytest.mark.usefixtures("own_interrupt")
+def test_the_readmes_speeds_are_printed_under_their_names(tmp_path: Path) -> None:
+    """And those of `simulate` are those that the processes report."""
+    text = (ROOT / "README.md").read_text()
+    named = r"dx has a peak speed of ([\d.]+) m/s and a final speed of ([\d.]+) m/s"
+    ((peak, final),) = re.findall(named, " ".join(text.split()))
+    simulated = manyhands_command("simulate", "example1.yaml", "--duration", "2")
+    assert f"dx: peak speed {peak} m/s, final speed {final} m/s, " in simulated.stdout
+    assert (
+        f"peak speed {peak} m/s" in re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)[0]
+    )
+    run("launch", "example1.yaml", "--duration", "2", "--clock", "simulated", "--report", "r.json", cwd=tmp_path)
+    told = json.loads((tmp_path / "r.json").read_text())["nodes"]
+    for name in ("dx", "dy", "dz"):
+        speeds = [f"{told[name][key]:.3g}" for key in ("peak_speed", "final_speed")]
+        assert "{}: peak speed {} m/s, final speed {} m/s, ".format(name, *speeds) in simulated.stdout
+
+
 def test_the_readmes_python_prints_its_quoted_output(tmp_path: Path) -> None:
     (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.DOTALL)
     done = subprocess.run(

@@ -24,6 +24,8 @@ import pytest
 
 from manyhands.launch.recordings.run import read_run
 from manyhands.launch.session.session import ENVIRONMENT
+from manyhands.launch.session.shipped import load_named
+from manyhands.nodes.wave_link.felt import round_trip, stiffness_and_mass
 
 from ..support.capture import free_ports
 from ..support.commands import MANYHANDS, Command, manyhands_command
@@ -91,7 +93,7 @@ class Host(Said):
     def line(self, end: float) -> str:
         """As :meth:`Said.line`; what it says of users and ticks is noted."""
         line = super().line(end)
-        if found := re.match(r"! at ([\d.]+) s: (\w+) (has joined)?", line):
+        if found := re.match(r"(?:! )?at ([\d.]+) s: (\w+) (has joined)?", line):
             (self.there.add if found[3] else self.there.discard)(found[2])
         if found := re.match(r"running: tick (\d+)", line):
             self.tick = int(found[1])
@@ -255,6 +257,10 @@ def test_two_guests_come_and_go_by_their_invitations_alone(tmp_path: Path) -> No
     assert "M = " in felt
     report = require_sound(home, certificates)
     assert report["nodes"].keys() == {*SEATS, *SEATS.values(), ENVIRONMENT}
+    visits = [re.sub(r"after \d+ ticks", "after some ticks", text.partition(": ")[2]) for text in report["visits"]]
+    came = [f"{node} has joined" for nodes in SEATS.items() for node in nodes]
+    assert sorted(visits) == sorted([*came, "left left after some ticks", "left_seat left after some ticks"])
+    assert not any("has joined" in text or " left after " in text for text in report.get("incidents", ()))
     assert sorted(path.name for path in here.iterdir()) == ["left_seat.invitation"]
 
 
@@ -322,6 +328,33 @@ def test_across_a_wan_a_link_that_is_lost_for_a_while_comes_back(tmp_path: Path)
     assert report["wave_links"]["right_seat"]["silences"] > 0
     assert report["wave_links"]["right_seat"]["mass"] < 0.5
     require_unaccused(home / "run.mcap")
+
+
+@pytest.mark.alone
+def test_a_guest_is_told_the_round_trip_that_the_host_sees(tmp_path: Path) -> None:
+    """That of `top` a moment later. On a busy machine it goes on changing, so it is one of those that were recorded."""
+    home = tmp_path / "home"
+    with wan(Wire(delay=0.02, jitter=0.005, loss=0.01)) as net, ExitStack() as stack:
+        near, address = net.within("near"), f"{net.address('near')}:{PORT}"
+        host = stack.enter_context(hosted(home, address, "--record", "run.mcap", within=near))
+        right = stack.enter_context(guest("right_seat", home, tmp_path / "far", within=net.within("far")))
+        told = right.until("both ends measure")
+        look = [*near, *MANYHANDS, "top", "--once", "--json"]
+        top = json.loads(subprocess.run(look, check=True, capture_output=True, cwd=home).stdout)["wave_links"]
+        assert right.end(signal.SIGINT) == 130
+        assert host.end(signal.SIGINT) == 130
+    R, K, M = (float(figure) for figure in re.findall(r"(?:R of|K =|M =) ([\d.]+)", told))
+    assert R > 40.0, "it is no shorter than the network's"
+    figures = read_run(home / "run.mcap").figures
+    seen = []
+    for tick, user in figures["right_seat"]:
+        _, world = min(figures[ENVIRONMENT], key=lambda told, at=tick: abs(told[0] - at))  # type: ignore[misc]
+        seen.append(1e3 * round_trip("right_seat", user, world))
+    assert min(abs(R - one) for one in seen) < 0.01 * R, seen
+    b = load_named("ball").impedance_of("right_seat")
+    assert b is not None
+    assert pytest.approx(stiffness_and_mass(b, 1e-3 * R), rel=0.01) == (K, 1e-3 * M)
+    assert top["right_seat"]["round_trip"] == pytest.approx(1e-3 * R, rel=0.3)
 
 
 @pytest.mark.long

@@ -110,7 +110,7 @@ def simulate(
             say(
                 out,
                 f"{name}: peak speed {device.core.peak_speed:.3g} {unit}, "
-                f"speed at the end {device.core.speed:.3g} {unit}, "
+                f"final speed {recording.final_speed(loaded.ports_of(name)):.3g} {unit}, "
                 f"ledger {device.ledger.total:.3g} J (least {device.ledger.minimum:.3g} J)",
             )
         for name, link in simulation.links.items():

@@ -79,3 +79,12 @@ def test_a_line_says_once_that_a_hand_lacks_its_force_though_its_figures_change(
         row = PromiseStatus("force given", "broken", ("dx",), 1.0, remark=f"dx was given {n} %")
         table(Progress(SessionPhase.RUNNING, {}, {}, {}, 0.1 * n, (), {}, promises=(row,)))
     assert [line for line in out.getvalue().splitlines() if "given" in line] == ["! dx was given 0 %"]
+
+
+def test_who_comes_and_goes_is_said_once_and_warns_of_nothing() -> None:
+    out = io.StringIO()
+    table = LiveTable(Console(file=out, width=200), "s", ABOUT)
+    for visits in (("dx has joined",), ("dx has joined", "dx left after 5 ticks")):
+        table(Progress(SessionPhase.RUNNING, {}, {}, {}, 0.1, (), {}, incidents=("dy is back",), visits=visits))
+    said = out.getvalue().splitlines()
+    assert said == ["s: running", "dx has joined", "! dy is back", "dx left after 5 ticks"]

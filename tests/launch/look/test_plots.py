@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -34,7 +35,7 @@ from manyhands.launch.look.plots import (
 from manyhands.launch.recordings.curves import COLUMNS, Curve, Panel, alone, backward_difference, band, gaps, thinned
 from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.recordings.run import RecordedRun, RecordedTrace
-from manyhands.launch.run.states import MOST_INCIDENTS, Incidents
+from manyhands.launch.run.states import MOST_KEPT, Happenings, Incidents
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import CERTIFICATE_FILE, Recorded
 from manyhands.protocol.channels import TOPICS, links_at, topics_of
@@ -294,12 +295,13 @@ class TestPictures:
             Mark(0.3, "broken"),
         )
 
-    def test_a_summary_of_incidents_is_no_incident(self) -> None:
-        incidents = Incidents()
-        for number in range(MOST_INCIDENTS + 3):
-            incidents.add(f"incident {number}")
-        condition = Condition("running", 0.0, {}, (), (), incidents.sentences)
-        assert len(marks_of([(0, condition)], PERIOD)) == MOST_INCIDENTS
+    @pytest.mark.parametrize("happened", [Incidents(), Happenings("visits")], ids=["incidents", "visits"])
+    def test_a_summary_of_what_happened_has_no_mark(self, happened: Happenings) -> None:
+        for number in range(MOST_KEPT + 3):
+            happened.add(f"number {number}")
+        field = {happened.what: happened.sentences}
+        condition = replace(Condition("running", 0.0, {}), **field)
+        assert len(marks_of([(0, condition)], PERIOD)) == MOST_KEPT
 
 
 class TestFigures:

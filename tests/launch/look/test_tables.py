@@ -28,7 +28,8 @@ from manyhands.launch.look.tables import (
 from manyhands.nodes.monitor import given
 from manyhands.nodes.monitor.session_state import LiveSession
 from manyhands.protocol.clock import Duration, Instant
-from manyhands.protocol.messages import Figures
+from manyhands.protocol.codec import encode
+from manyhands.protocol.messages import Condition, Figures
 
 from ...support.observed_frames import ABOUT, MS, Frames, condition, telemetry
 from ...support.observed_session import judged
@@ -225,6 +226,12 @@ def test_as_json() -> None:
     assert said["nodes"]["d"]["figures"] == {**FIGURES, "ledger": None, **FIGURES.tables}
     assert {"between": ["d", "cx"], "health": "silent"} in said["links"]
     assert (said["notices"], said["incidents"], said["faults"]) == (["a notice"], [], [])
+
+
+def test_a_visit_is_in_the_object_and_no_sentence_below_the_table() -> None:
+    live = scene_of(encode(Condition("running", 2.5, dict.fromkeys(ABOUT.nodes, "running"), visits=("d has joined",))))
+    assert top_object(live)["visits"] == ["d has joined"]
+    assert "d has joined" not in printed(live, 200)
 
 
 def test_a_terminal_is_drawn_at_most_five_times_a_second() -> None:

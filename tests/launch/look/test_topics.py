@@ -149,7 +149,7 @@ class TestEcho:
         (line,) = echoed("supervisor/condition", telemetry("d", 10, 2), condition())
         assert line | {"states": {}} == {
             "tick": 1234, "time": 1.234, "phase": "running", "elapsed": 2.5, "states": {}, "silent": [],
-            "notices": ["a notice"], "incidents": [], "faults": [], "promises": [], "by_itself": {},
+            "notices": ["a notice"], "incidents": [], "faults": [], "promises": [], "by_itself": {}, "visits": [],
         }  # fmt: skip
         assert line["states"]["cx"] == "running"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
@@ -226,6 +227,24 @@ def test_the_clock_is_answered_from_the_welcome_to_the_report() -> None:
     c.receive("dx", REPORT, 0)
     assert c.receive("dx", Probe(9), 300) == []
     assert c.ignored == 1
+
+
+def test_a_coupling_that_runs_is_told_the_round_trip_of_its_wave_link() -> None:
+    """A guest has a hand in that figure, and may claim any; it is told its own alone."""
+    c = conductor("cx", "dx")
+    c.note_round_trip("cx", 0.04)
+    for name in GRAPH.nodes:
+        c.receive(name, hello(name), 0)
+    assert c.receive("cx", Probe(7), 100) == [Send("cx", Echo(7, 100, 100, None))]
+    for name in GRAPH.nodes:
+        c.receive(name, Ready(), 0)
+    assert c.receive("cx", Probe(8), 200) == [Send("cx", Echo(8, 200, 200, 0.04))]
+    assert c.receive("dx", Probe(8), 200) == [Send("dx", Echo(8, 200, 200, None))]
+    for R in (math.nan, -0.04, 0.0, 60.5, math.inf):
+        c.note_round_trip("cx", 0.04)
+        c.note_round_trip("cx", R)
+        (told,) = c.receive("cx", Probe(9), 300)
+        assert told == Send("cx", Echo(9, 300, 300, None))
 
 
 @pytest.mark.parametrize("ticks", [5, 0])

@@ -121,11 +121,13 @@ def whole(
     enforced: tuple[str, ...] = (),
     lateness: dict[str, Any] | None = None,
     unreported: tuple[str, ...] = (),
+    visits: tuple[str, ...] = (),
 ) -> dict[str, Any]:
     roles, withstood = dict.fromkeys((*nodes, "silent"), Role.DEVICE), incidents or Incidents()
     return run_report(
         *("example-1", "c0ffee", "simulated", 0.5, roles, nodes, refused or {}, withstood, enforced, lateness),
         unreported=unreported,
+        visits=visits,
     )
 
 
@@ -167,6 +169,13 @@ def test_incidents_are_listed_where_there_were_any() -> None:
     assert made["incidents"] == ["dx was killed by SIGKILL while running"]
     assert made["nodes"]["dx"]["incidents"] == {"restarts": 1}
     assert "incidents" not in whole({"dx": HONEST})
+
+
+def test_visits_are_no_incidents() -> None:
+    made = whole({"dx": HONEST}, visits=("dx has joined",))
+    assert made["visits"] == ["dx has joined"]
+    assert "incidents" not in made
+    assert "visits" not in whole({"dx": HONEST})
 
 
 @given(reports)

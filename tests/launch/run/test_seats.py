@@ -96,9 +96,33 @@ def test_a_user_takes_a_seat_and_leaves_it_again_and_again(site: str) -> None:
     assert s.conductor.phase is SessionPhase.RUNNING
     assert s.conductor.faults == []
     assert s.conductor.incidents.restarts == {}
-    sentences = s.conductor.incidents.sentences
+    assert s.conductor.incidents.sentences == ()
+    sentences = s.conductor.visits.sentences
     assert f"at 0.0 s: {site} has joined" in sentences
     assert f"at 0.0 s: {site} left after 50 ticks" in sentences
+    assert s.conductor.visits.total == 10 * 2 * len(SITES[site])
+
+
+def test_a_guest_that_is_lost_or_fails_is_an_incident_and_its_return_a_visit() -> None:
+    s = hosted()
+    take(s, "cx")
+    s.settle()
+    vanish(s, "cx")
+    for node in SITES["cz"]:
+        s.start(node)
+    s.settle()
+    for node in SITES["cz"]:
+        del s.processes[node]
+        s.said.append((node, Fault(f"{node}: unplugged")))
+    take(s, "cx")
+    s.settle()
+    incidents = {text.partition(": ")[2] for text in s.conductor.incidents.sentences}
+    assert incidents == {
+        *(f"{node} fell silent while running" for node in SITES["cx"]),
+        *(f"{node} failed: {node}: unplugged" for node in SITES["cz"]),
+    }
+    visits = [text.partition(": ")[2] for text in s.conductor.visits.sentences]
+    assert sorted(visits) == sorted(f"{node} has joined" for node in (*SITES["cx"], *SITES["cz"], *SITES["cx"]))
 
 
 def test_a_seat_that_nobody_has_taken_is_shown_as_free() -> None:
@@ -141,7 +165,9 @@ def test_a_guest_who_comes_before_the_session_runs_is_taken_at_its_next_hello() 
     assert taken(s) == {"cx"}
 
 
-def test_a_guest_who_does_not_engage_frees_the_seat() -> None:
+@pytest.mark.parametrize("by_user", [True, False])
+def test_a_guest_who_does_not_engage_frees_the_seat(by_user: bool) -> None:
+    """That its user ended it is no incident; that it cannot join is one."""
     s = hosted()
     take(s, "cx")
     for _ in range(8):
@@ -149,8 +175,12 @@ def test_a_guest_who_does_not_engage_frees_the_seat() -> None:
     assert s.conductor.states["cx"] is NodeState.CONNECTED
     for node in SITES["cx"]:
         del s.processes[node]
-        s.said.append((node, Fault(f"{node}: its user ended it before the first tick")))
+        s.said.append((node, Fault(f"{node}: no device", by_user)))
     s.settle()
+    told = [happened.sentences for happened in (s.conductor.visits, s.conductor.incidents)]
+    left = tuple(f"at 0.0 s: {node} left before its first tick" for node in SITES["cx"])
+    failed = tuple(f"at 0.0 s: {node} could not return: {node}: no device" for node in SITES["cx"])
+    assert told == ([left, ()] if by_user else [(), failed])
     assert s.conductor.states["cx"] is s.conductor.states["dx"] is NodeState.LOST
     take(s, "cx")
     s.settle()

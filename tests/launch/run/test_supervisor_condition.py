@@ -70,6 +70,14 @@ def test_one_frame_is_for_both(prepared: Prepared) -> None:
     )
 
 
+def test_who_came_and_went_is_said_apart(prepared: Prepared) -> None:
+    frame = condition_frame(replace(progress(), visits=("dx has joined",)))
+    assert frame is not None
+    shown = decode(frame, MAX_CONTROL_BYTES)
+    assert isinstance(shown, Condition)
+    assert (shown.visits, shown.incidents) == (("dx has joined",), ())
+
+
 def test_the_promises_go_with_it_and_a_remark_of_a_guest_holds_no_commands(prepared: Prepared) -> None:
     row = PromiseStatus("presence", "broken", ("dx",), 0.5, None, {"s": 2.0}, "dx: \x1b[31mlost")
     frame = condition_frame(replace(progress(), promises=(row,)))

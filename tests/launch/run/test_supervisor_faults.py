@@ -20,7 +20,7 @@ from manyhands.launch.plan.topology import topology
 from manyhands.launch.run.breaches import CertifiedLadder
 from manyhands.launch.run.outcome import Progress
 from manyhands.launch.run.processes import Processes
-from manyhands.launch.run.states import MOST_INCIDENTS, Incidents, NodeState, SessionPhase
+from manyhands.launch.run.states import MOST_KEPT, Incidents, NodeState, SessionPhase
 from manyhands.launch.run.supervisor import REFRESH, TELEMETRY_SILENCE, LastMessages, Listening, Supervisor
 from manyhands.launch.session import load_session
 from manyhands.nodes.rows import figures as names
@@ -382,12 +382,12 @@ def test_a_dead_node_is_named_since_its_death_in_the_sessions_time(faulty: Fault
 
 def test_incidents_are_bounded_and_what_is_left_out_is_counted() -> None:
     incidents = Incidents()
-    for number in range(MOST_INCIDENTS + 5):
+    for number in range(MOST_KEPT + 5):
         incidents.add(f"number {number}")
-    assert len(incidents.sentences) == MOST_INCIDENTS + 1
+    assert len(incidents.sentences) == MOST_KEPT + 1
     assert incidents.sentences[0] == "5 earlier incidents"
-    assert incidents.sentences[-1] == f"number {MOST_INCIDENTS + 4}"
-    assert incidents.total == MOST_INCIDENTS + 5
+    assert incidents.sentences[-1] == f"number {MOST_KEPT + 4}"
+    assert incidents.total == MOST_KEPT + 5
 
 
 def test_attention() -> None:

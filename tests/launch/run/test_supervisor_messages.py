@@ -37,6 +37,7 @@ from manyhands.protocol.limits import MAX_COUNT
 from manyhands.protocol.messages import (
     PROTOCOL_VERSION,
     Fault,
+    Fetch,
     Figures,
     Message,
     NodeHello,
@@ -187,6 +188,29 @@ def test_the_report_is_about_all_processes_of_a_node(prepared: Prepared) -> None
     assert {key: entry[key] for key in ("late", "peak_force", "clipped", "tau_breaches")} == {
         "late": 2 + 10 + 20, "peak_force": 4.0, "clipped": 7, "tau_breaches": 5,
     }  # fmt: skip
+
+
+@pytest.mark.parametrize("running", [True, False], ids=["running", "joining"])
+def test_a_successor_that_knocks_keeps_no_dead_guest_alive(
+    running: bool, prepared: Prepared, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A guest that was killed is joined again at once, under its own key: what that asks is no sign of the dead one."""
+    heard = Heard(prepared, run=True, remote=frozenset({"dx"}))
+    supervisor, clock, again = heard.supervisor, heard.supervisor._clock, hello(prepared, heard.graph, "dx")
+    if not running:
+        heard.say("dx", Report(100, Figures()))
+        heard.say("cx", Offer("dx", "ipc:///t"))
+        heard.say("dx", again)
+        assert supervisor.conductor.comes_back("dx")
+    died = clock.now()
+    for second in range(30):
+        monkeypatch.setattr(clock, "now", lambda at=second: Instant(died + from_seconds(float(at))))
+        if supervisor._silent():
+            break
+        heard.say("dx", Fetch(0))
+        heard.say("dx", replace(again, pid=2))
+    assert supervisor._silent() == ["dx"]
+    assert second == (3 if running else 23)
     heard.transport.close()
 
 

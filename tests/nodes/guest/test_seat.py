@@ -19,12 +19,19 @@ from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session.shipped import load_named
 from manyhands.nodes.guest import seat
 from manyhands.nodes.guest.invitation import Invitation
-from manyhands.nodes.guest.seat import SeatLife, answered_yes, felt, felt_now, force_sentence, is_calm, with_force
+from manyhands.nodes.guest.seat import (
+    SeatLife,
+    answered_yes,
+    felt,
+    felt_as_measured,
+    force_sentence,
+    is_calm,
+    with_force,
+)
 from manyhands.nodes.kernel.bundle import SIMULATED, CouplingBundle, DeviceBundle
 from manyhands.nodes.kernel.lifetime import Sight, Stopped
-from manyhands.nodes.wave_link.felt import stiffness_and_mass
 from manyhands.protocol.clock import Duration, Instant, from_seconds
-from manyhands.protocol.messages import Stop
+from manyhands.protocol.messages import Echo, Stop
 
 MS = 1_000_000
 
@@ -86,27 +93,15 @@ def test_what_is_foretold_is_what_the_wave_link_then_shows(link: str) -> None:
     bundle = cast(CouplingBundle, cut(prepared, RunPlan(SIMULATED, None, ""))["cx"])
     foretold = felt(bundle, trips)
     assert foretold.round_trip == pytest.approx(shown.round_trip, rel=0.1)
-    now = felt_now(bundle, foretold.network, simulation.links["cx"].user.latency)
-    assert now.round_trip == pytest.approx(shown.round_trip, rel=0.1)
-    impedance = session.impedance_of("cx")
-    assert impedance is not None
-    assert (now.stiffness, now.mass) == pytest.approx(stiffness_and_mass(impedance, now.round_trip))
 
 
-def test_what_was_foretold_is_corrected_where_it_differs() -> None:
-    burst = [Duration(1 * MS)] * 90 + [Duration(1101 * MS)] * 10
-    foretold = felt(coupling([10.0]), burst)
-    now = felt_now(coupling([10.0]), foretold.network, 0.0015)
-    assert now.round_trip == pytest.approx(0.001 + 0.003 + 0.001)
-    assert now.correction(foretold) == (
-        "waves come: if the host's end waits for late ones as long as this one, the round trip R is about 5 ms, and "
-        "not 1100 ms; then a wall feels no stiffer than about K = 4000 N/m, and free space weighs about M = 25 g more"
+def test_what_both_ends_measure_is_told_by_the_same_law() -> None:
+    assert felt_as_measured(coupling([10.0, 20.0]), 0.005) == (
+        "both ends measure a round trip R of 5 ms: a wall feels no stiffer than K = 4000 N/m, and free space weighs "
+        "M = 50 g more"
     )
-    turning = felt_now(coupling([10.0], kinds=(AxisKind.ROTATION,)), foretold.network, 0.0015)
-    assert "K = 4000 N·m/rad, and free space weighs about M = 25 g·m² more" in turning.correction(foretold)
-    assert now.differs(foretold)
-    assert not felt_now(coupling([10.0]), 0.00141, 0.0015).differs(now)
-    assert felt_now(coupling([10.0]), 0.00159, 0.0015).differs(now)
+    turning = felt_as_measured(coupling([10.0], kinds=(AxisKind.ROTATION,)), 0.005)
+    assert "K = 4000 N·m/rad, and free space weighs M = 25 g·m² more" in turning
 
 
 @pytest.fixture
@@ -116,27 +111,41 @@ def visit() -> Any:
 
 
 @pytest.mark.parametrize(
-    ("after", "latency", "holding", "told"),
-    [(2.9, 0.0015, False, False), (3.1, 0.0015, False, True), (3.1, 0.0015, True, False), (3.1, 0.0195, False, False)],
+    ("asked", "R", "holding", "told"),
+    [
+        (7.9, 0.005, False, False),  # not all has settled
+        (8.1, 0.005, False, True),
+        (8.1, 0.005, True, False),  # nothing comes, and the tool is held
+        (8.1, None, False, False),
+        (None, None, False, False),
+    ],
 )
-def test_a_guest_is_told_once_how_what_it_feels_differs(
-    after: float, latency: float, holding: bool, told: bool, visit: Any, monkeypatch: pytest.MonkeyPatch, capsys: Any
+def test_a_guest_is_told_once_what_it_feels(
+    asked: float | None,
+    R: float | None,
+    holding: bool,
+    told: bool,
+    visit: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: Any,
 ) -> None:
-    end = SimpleNamespace(face=SimpleNamespace(latency=latency, holding=holding))
-    clock, at = SimpleNamespace(now=lambda: Instant(from_seconds(at))), 0.0
+    """It has joined at 5 s; the host has told its coupling R, in answer to what that asked."""
+    end = SimpleNamespace(face=SimpleNamespace(holding=holding))
+    echo = None if asked is None else Echo(from_seconds(asked), 0, 0, R)
+    lines = [SimpleNamespace(echo=Echo(from_seconds(8.2), 0, 0)), SimpleNamespace(echo=echo)]
     monkeypatch.setattr(seat, "UserEnd", SimpleNamespace)
-    monkeypatch.setattr(seat, "RealtimeClock", lambda: clock)
+    monkeypatch.setattr(seat, "RealtimeClock", lambda: SimpleNamespace(now=lambda: Instant(from_seconds(5.0))))
     visit._distance = felt(coupling([10.0]), [Duration(1 * MS)] * 90 + [Duration(40 * MS)] * 10)
-    visit._correct(coupling([10.0]), SimpleNamespace(joins=[end]))  # before it has joined
+    visit._lines = lines
+    visit._tell(coupling([10.0]), SimpleNamespace(joins=[end]))  # before it has joined
     visit._joined(1e-3)
     assert capsys.readouterr().err == (
         "right_seat: in, at 1000 ticks a second, round trip R of about 41 ms; Ctrl-C leaves\n"
     )
-    at = after
     for _ in range(3):
-        visit._correct(coupling([10.0]), SimpleNamespace(joins=[end]))
+        visit._tell(coupling([10.0]), SimpleNamespace(joins=[end]))
     said = capsys.readouterr().err
-    assert said.count("R is about 5 ms, and not 41 ms") == told
+    assert said.count("right_seat: both ends measure a round trip R of 5 ms") == told
     assert said.count("\n") == told
 
 

@@ -322,6 +322,15 @@ class Test_a_guest_in_its_loop:
             one.sight(Instant(SECOND + tenth * SECOND // 10))
         assert line.said == [Probe(k * SECOND) for k in (1, 2, 3, 4)]
 
+    def test_it_keeps_the_latest_answer(self, line: AnsweringLine) -> None:
+        one = control(line)
+        one.sight(Instant(0))
+        assert one.echo is None
+        line.say(Echo(0, 1, 1, None), Echo(SECOND, 1, 1, 0.04))
+        one.sight(Instant(SECOND))
+        assert one.echo == Echo(SECOND, 1, 1, 0.04)
+        assert one.malformed == 0
+
 
 class Test_a_guest_that_waits_to_be_let_in:
     def test_it_shows_that_it_lives_once_it_is_welcome(self, line: AnsweringLine) -> None:

@@ -110,12 +110,14 @@ class Test_layout:
     def test_a_condition_round_trips(self) -> None:
         promises = (PromiseStatus("delay", "kept", since=0.0),
                     PromiseStatus("pace", "broken", ("ä", "b"), 0.5, 1.5, {"x": 0.25, "s": 3.0}, "slow"))  # fmt: skip
-        condition = Condition("running", 0.5, {"a": "running"}, ("a",), ("ä: so",), ("b\nc",), ("d",), promises)
+        condition = Condition("running", 0.5, {"a": "running"}, ("a",), ("ä: so",), ("b\nc",), ("d",), promises,
+                              visits=("a has joined",))  # fmt: skip
         assert decode_condition(json.loads(encode_condition(7, condition))) == (7, condition)
 
-    def test_a_condition_of_a_version_without_promises_is_read(self) -> None:
+    @pytest.mark.parametrize("key", ["promises", "by_itself", "visits"])
+    def test_a_condition_of_a_version_without_what_was_added_is_read(self, key: str) -> None:
         plain = json.loads(encode_condition(7, Condition("over", 0.5, {}, (), ("n",))))
-        del plain["promises"]
+        del plain[key]
         assert decode_condition(plain) == (7, Condition("over", 0.5, {}, (), ("n",)))
 
     def test_a_condition_in_which_only_costs_grow_is_written_once(self) -> None:
