@@ -125,7 +125,7 @@ def held_text(loop: HapticLoop, device: DeviceLevel, held: HeldTorque) -> str:
     proved = "believed" if held.linkage is None else "proved of its kinematics"
     return (
         f"{device.name}: {d:.4g} of {least:.4g} {u('N·s/m')}, up to {held.force:.4g} {u('N')} and "
-        f"{held.speed:.4g} {u('m/s')}, with κ = {held.kappa:.4g}/m {proved}"
+        f"{held.speed:.4g} {u('m/s')}, with the curvature κ = {held.kappa:.4g}/m {proved}"
     )
 
 
@@ -148,7 +148,7 @@ def print_certificate(console: Console, certificate: Certificate) -> None:
         if device.held is not None:
             table.add_row("held torques", held_text(loop, device, device.held))
     if not loop.punctual:
-        table.add_row("left of Δ_D", f"{levels.device.share:.4f}, with κ = {levels.device.kappa:.4f}")
+        table.add_row("left of Δ_D", f"{levels.device.share:.4f}, with the gain κ = {levels.device.kappa:.4f}")
     if certificate.spring_damper is not None:
         _coupling_rows(table, certificate.spring_damper, units, of_run=bool(loop.series))
     else:

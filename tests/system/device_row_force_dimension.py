@@ -76,12 +76,11 @@ FORCE_DIMENSION: Final = Row(
     opened=omega,
     free=Free(
         opened=partial(omega, orders=()),
-        options=("--dof", 3, "--force", 2, "--travel", 0.02, "--speed", 0.2),
+        options=("--dof", 3, "--force", 4, "--travel", 0.024, "--speed", 0.35),
         damping=DAMPING,
         friction=0.0,
         mass=MASS,
         step=0.0,  # none is stated, and joints' steps are none of the tip
-        stated=False,
     ),
     keys={
         "dof": 3,
