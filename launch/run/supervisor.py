@@ -639,7 +639,8 @@ class Supervisor:
                 self._session.name, conductor.certificate, period, self._session.turning
             )
         self._health.conclude()
-        promises = self._promises()
+        # of a run that failed before its first tick no promise was tried
+        promises = self._promises() if lasted or not conductor.faults else ()
         reports = {
             node: replace(report, figures=self._lives.of(node))
             for node, report in {**conductor.left, **conductor.reports}.items()

@@ -286,5 +286,5 @@ class AskedModel:
         if callable(getattr(self._model, STEP, None)):  # its arithmetic is the engine's, its numbers are the file's
             self.failure = f"the engine {self._name} {at}; its file is environment.model"
         else:
-            self.failure = f"the model {self._name} {at}; manyhands check-model {self._name} tries it by itself"
+            self.failure = f"the model {self._name} {at}; see its code"
         return None

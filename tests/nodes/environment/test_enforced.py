@@ -331,7 +331,7 @@ def test_a_model_that_fails_is_named_and_exerts_nothing(answer: Callable[[np.nda
     assert calls == [0, 1, 2, 3]  # not asked again
     assert core.failure is not None
     assert f"the model some:model failed at tick 3: found {found}" in core.failure
-    assert core.failure.endswith(" tries it by itself")
+    assert core.failure.endswith("; see its code")
 
 
 @pytest.fixture

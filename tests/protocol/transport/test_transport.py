@@ -115,7 +115,17 @@ class Interrupted(Exception):
     """What the test's signal handler raises."""
 
 
+def alarm() -> None:
+    """Ask for alarms until one is heeded: one that comes just before the wait begins does not end it."""
+    signal.setitimer(signal.ITIMER_REAL, 0.02, 0.02)
+
+
+def no_alarm() -> None:
+    signal.setitimer(signal.ITIMER_REAL, 0)
+
+
 def interrupt(_number: int, _frame: FrameType | None) -> None:
+    no_alarm()
     raise Interrupted
 
 
@@ -125,15 +135,15 @@ def test_waiting_for_ever_outlasts_an_earlier_timeout_and_a_signal(linked: tuple
     assert bound.recv(Duration(MS)) is None
     before = signal.signal(signal.SIGALRM, lambda *_: connected.send(b"in the handler"))
     try:
-        signal.setitimer(signal.ITIMER_REAL, 0.03)
+        alarm()
         assert bound.recv(None) == b"in the handler"
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
+        no_alarm()
         signal.signal(signal.SIGALRM, before)
 
 
 def wait_with_alarm(wait: Callable[[Duration | None], object], timeout: Duration | None) -> None:
-    signal.setitimer(signal.ITIMER_REAL, 0.02)
+    alarm()
     wait(timeout)
 
 
@@ -147,7 +157,7 @@ def test_a_signal_handlers_exception_gets_through(ends: "Ends", timeout: Duratio
             with pytest.raises(Interrupted):
                 wait_with_alarm(wait, timeout)
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
+        no_alarm()
         signal.signal(signal.SIGALRM, before)
 
 
