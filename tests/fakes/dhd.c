@@ -596,10 +596,10 @@ int dhdSetForce(double fx, double fy, double fz, char id) {
     return dhdSetDeltaJointTorques(t[0], t[1], t[2], id);
 }
 
-unsigned int dhdGetButtonMask(char id) {
+unsigned dhdGetButtonMask(char id) {
     device *d = enter(id);
     if (!d) return 0;
-    const unsigned int mask = d->unplugged ? 0 : d->pressed;
+    const unsigned mask = d->unplugged ? 0 : d->pressed;
     leave(0);
     return mask;
 }

@@ -49,6 +49,7 @@ int dhdDeltaJointTorquesExtrema (double, double, double, double[], double[], cha
 int dhdSetDeltaJointTorques (double, double, double, char)
 int dhdGetForce (double*, double*, double*, char)
 int dhdSetForce (double, double, double, char)
+uint dhdGetButtonMask (char)
 double dhdGetComFreq (char)
 int dhdStop (char)
 """
@@ -56,7 +57,8 @@ int dhdStop (char)
 KINDS: dict[str, Any] = {
     "void": None, "int": c_int, "bool": c_bool, "double": c_double, "const char*": c_char_p, "char": c_byte,
     "uchar": c_ubyte, "unsigned char": c_ubyte, "int*": POINTER(c_int), "int[]": POINTER(c_int),
-    "uint*": POINTER(c_uint), "unsigned*": POINTER(c_uint), "ushort*": POINTER(c_ushort),
+    "uint": c_uint, "unsigned": c_uint, "uint*": POINTER(c_uint), "unsigned*": POINTER(c_uint),
+    "ushort*": POINTER(c_ushort),
     "unsigned short*": POINTER(c_ushort), "double*": POINTER(c_double), "double[]": c_void_p, "double[][]": c_void_p,
 }  # fmt: skip
 

@@ -42,7 +42,7 @@ def test_what_is_shown_is_whole_and_the_rest_is_named(width: int, rows: list[lis
 
 def test_a_usual_session_has_its_most_important_figures_in_80_columns() -> None:
     row = ["environment", "environment", "123456", "1000", "12345", "1234", "1234", "100/100", "0", "0",
-           "-1.23e-02", "50.00", *["-1.23e-02"] * 3, "9"]  # fmt: skip
+           "-1.23e-02", "50.00", *["-1.23e-02"] * 3, "9", "2"]  # fmt: skip
     _, left_out = shown(80, [row])
     assert not {"node", "tick", "rate\n[Hz]", "late", "τ p50\n[µs]", "τ p99\n[µs]", "frozen"} & set(left_out)
     _, wide = shown(200, [row])

@@ -188,6 +188,7 @@ def test_the_report_is_about_all_processes_of_a_node(prepared: Prepared) -> None
     assert {key: entry[key] for key in ("late", "peak_force", "clipped", "tau_breaches")} == {
         "late": 2 + 10 + 20, "peak_force": 4.0, "clipped": 7, "tau_breaches": 5,
     }  # fmt: skip
+    heard.transport.close()
 
 
 @pytest.mark.parametrize("running", [True, False], ids=["running", "joining"])

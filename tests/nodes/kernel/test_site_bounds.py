@@ -70,7 +70,8 @@ def test_an_honest_faces_waves_are_never_refused(
         for face, other, gate, back in ((user, world, *gates), (world, user, *gates[::-1])):
             if rng.random() < loss or not (face is user or world.aligned):
                 continue
-            n, U, G, _ = face.message()
+            sent = face.message()
+            n, U, G = sent.n, sent.U, sent.G
             back.granted = G
             wave = gate.admitted(encode(Wave(n, U, G)))
             assert wave is not None or gate.dropped["out_of_range"] == 0
