@@ -428,6 +428,64 @@ def _require_one_number(numbers: set[int]) -> None:
         raise ValueError(f"found entries of {sorted(numbers)} axes in a device's source; expected one number of axes")
 
 
+@dataclass(frozen=True)
+class TurnedHand:
+    """The physics of a simulated device that a hand turns, the same about every axis.
+
+    Attributes:
+        inertia: of device and hand together, kg*m^2.
+        damping: of the device, N*m*s/rad.
+        torque: what the hand intends about each of the world's axes, N*m: a number, a formula in t, or {"times",
+            "values"}.
+
+    Raises:
+        ValueError: inertia or damping is not finite and positive, or there are not three torques.
+    """
+
+    inertia: float
+    damping: float
+    torque: tuple[Any, ...]
+
+    def __post_init__(self) -> None:
+        if not (0.0 < self.inertia < math.inf and 0.0 < self.damping < math.inf) or len(self.torque) != 3:
+            raise ValueError(
+                f"found an inertia of {self.inertia} kg·m², a damping of {self.damping} N·m·s/rad and "
+                f"{len(self.torque)} torques; expected positive ones, and three"
+            )
+
+
+@dataclass(frozen=True)
+class OrientationPart:
+    """What a device has of its orientation (:mod:`manyhands.nodes.device.turning`).
+
+    Attributes:
+        osp: b, what it burns at least at a turning of 1 rad/s, N*m*s/rad.
+        stiffness: k of the spring to its proxy, N*m/rad.
+        torque: its greatest torque, N*m.
+        speed: its greatest angular velocity, rad/s.
+        source: what turns it.
+
+    Raises:
+        ValueError: a number is not finite and positive.
+    """
+
+    osp: float
+    stiffness: float
+    torque: float
+    speed: float
+    source: TurnedHand
+
+    def __post_init__(self) -> None:
+        for found in (self.osp, self.stiffness, self.torque, self.speed):
+            if not 0.0 < found < math.inf:
+                raise ValueError(f"found the number {found} of an orientation; expected finite positive ones")
+
+    def power(self, period: float) -> float:
+        """The most that a hand can put in within one period of so many seconds, J."""
+        turn = self.speed * period
+        return self.torque * turn + 0.5 * self.stiffness * turn * turn
+
+
 NOTHING = LatenessAllowance(0.0)
 
 
@@ -453,12 +511,13 @@ class DeviceBundle:
         friction: the dry friction that its account counts; None where it counts none.
         scripts: when each of its buttons is held down, s, where nobody presses them: those of a simulated device and of
             a recorded motion. Empty where its driver tells.
+        orientation: what it has of its orientation; None where that is no port.
 
     Raises:
         ValueError: Delta_D is not symmetric positive definite with a row for each port, the axes of the source are not
             the ports, those of the friction neither, friction counts on displacements that are measured to no known
-            step, the rungs' delays do not grow, the time is unknown, it is wall time under the simulated clock, or the
-            held torques leave nothing of Delta_D at a rung.
+            step, the rungs' delays do not grow, the time is unknown, it is wall time under the simulated clock, the
+            held torques leave nothing of Delta_D at a rung, or it has an orientation and not three ports.
     """
 
     common: Common
@@ -472,11 +531,14 @@ class DeviceBundle:
     held: Added[HeldTorque | None] = None
     friction: Added[DryFriction | None] = None
     scripts: Added[tuple[Script, ...]] = ()
+    orientation: Added[OrientationPart | None] = None
 
     def __post_init__(self) -> None:
         m = len(self.common.ports)
         if self.scripts and len(self.scripts) != len(self.common.buttons):
             raise ValueError(f"found {len(self.scripts)} scripts of {len(self.common.buttons)} buttons; expected each")
+        if self.orientation is not None and m != 3:
+            raise ValueError(f"found an orientation beside {m} ports; expected three, which translate")
         if self.time not in TIMES or (self.time == WALL and self.common.clock == SIMULATED):
             raise ValueError(
                 f"found a device in the time {self.time!r:.40} under the {self.common.clock} clock; expected {WALL} "

@@ -139,6 +139,20 @@ def yielded(k: float, R: Quaternion, old: Quaternion, new: Quaternion) -> float:
     return energy(k, R, old) - energy(k, R, new) - change / (2.0 * k)
 
 
+def turned_by(R: Quaternion, turn: Sequence[float]) -> Quaternion:
+    """R, turned by the rotation vector ``turn`` in the world's axes, rad."""
+    x, y, z = turn
+    far = math.sqrt(x * x + y * y + z * z)
+    scale = 0.5 if far < 1e-8 else math.sin(0.5 * far) / far  # sin is its argument to the last digits
+    a, b, c, d = math.cos(0.5 * far), scale * x, scale * y, scale * z
+    w = a * R.w - b * R.x - c * R.y - d * R.z
+    x = a * R.x + b * R.w + c * R.z - d * R.y
+    y = a * R.y - b * R.z + c * R.w + d * R.x
+    z = a * R.z + b * R.y - c * R.x + d * R.w
+    norm = math.sqrt(w * w + x * x + y * y + z * z)
+    return Quaternion(w / norm, x / norm, y / norm, z / norm)
+
+
 def between(old: Quaternion, new: Quaternion, part: float) -> Quaternion:
     """The orientation a part of the way from ``old`` to ``new`` along the shortest turn; 0 is ``old``, 1 is ``new``."""
     cosine = old.w * new.w + old.x * new.x + old.y * new.y + old.z * new.z
@@ -227,6 +241,10 @@ class OrientationSpring:
         self.proxy = R
         self.deposited = max(self.deposited, self.account + self.granted)
 
+    def lose(self, R: Quaternion) -> None:
+        """Begin anew at R: the torque has ended at an unknown orientation, and what the spring had stored is lost."""
+        self.proxy = R
+
     def charge(self, most: float) -> None:
         """Count a tick that was later than the damping pays for, and may have given out ``most``, J."""
         self.owed += most
@@ -278,9 +296,7 @@ class OrientationBank:
 
     __slots__ = ("_deposited", "_first", "_granted", "_lives", "_power", "balance")
 
-    def __init__(
-        self, hands: tuple[str, ...], tank: float = 0.0, power: Mapping[str, float] | None = None
-    ) -> None:
+    def __init__(self, hands: tuple[str, ...], tank: float = 0.0, power: Mapping[str, float] | None = None) -> None:
         """Open an account for each hand.
 
         Args:
