@@ -22,7 +22,7 @@ loop.
 **Buttons** are read with the sample that is sent. Scripts hold those of a simulated device and of a recorded motion;
 any other driver tells them, if it can (``buttons()``).
 
-**Orientation.** A device that turns has the law of its orientation here (:mod:`manyhands.nodes.device.turning`): what
+**Orientation.** A device that turns in space has its law here, too (:mod:`manyhands.nodes.device.orientation`). What
 rides with the sample is :attr:`DeviceTick.rides`, and what came with the answer is handed to :meth:`DeviceTick.exert`.
 
 **Encoder steps.** What a simulated device sends is rounded to the steps of its encoder. Its row, ledger and account
@@ -39,8 +39,8 @@ from typing import Final
 from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.drivers import Driver
 from manyhands.nodes.device.interface import DeviceInterface, interface_of
+from manyhands.nodes.device.orientation import DeviceOrientation
 from manyhands.nodes.device.plugin import PluginDriver
-from manyhands.nodes.device.turning import Turning
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import WALL, DeviceBundle, SimulatedHand
 from manyhands.nodes.kernel.buttons import Buttons, scripted
@@ -82,7 +82,7 @@ class DeviceTick(ABC):
         changed: of them, those that changed with its sample.
         done: the work of motors that hold torques until the sample of the last tick, and from then until its force, J;
             NaN where it is not known. Empty for others.
-        turning: its orientation; None where that is no port.
+        orientation: its orientation, with the torque; None where that is no port.
     """
 
     interface: DeviceInterface | None = None
@@ -115,12 +115,12 @@ class DeviceTick(ABC):
         self.instants: Instants = NO_INSTANTS
         self.done: tuple[float, ...] = ()
         self._until_sampled = math.nan
-        self.turning = _turning_of(bundle)
+        self.orientation = _orientation_of(bundle)
 
     @property
     def rides(self) -> Floats:
         """What rides with the sample of the tick; nothing for a device whose orientation is no port."""
-        return [] if self.turning is None else self.turning.rides
+        return [] if self.orientation is None else self.orientation.rides
 
     def sample(self, turn: int, at: Instant, first: bool = True, recorded: Floats | None = None) -> Floats:
         """Take a sample; returns the displacement that the couplings receive, m.
@@ -135,8 +135,8 @@ class DeviceTick(ABC):
         """
         # a copy: a driver may fill the same list or array every time
         self.moved = x = list(map(float, self.driver.sample(turn, at)))
-        if self.turning is not None:
-            self.turning.sample(turn, at)
+        if self.orientation is not None:
+            self.orientation.sample(turn, at)
         if recorded is not None:
             x = recorded
         last, period, interface = self._at, self._period, self.interface
@@ -220,12 +220,12 @@ class DeviceTick(ABC):
         """
 
     def _turn(self, came: Sequence[float], at: Instant) -> None:
-        if self.turning is not None:
-            self.turning.exert(came, at, self.guard.ratio)
+        if self.orientation is not None:
+            self.orientation.exert(came, at, self.guard.ratio)
 
     def _release_turn(self, at: Instant) -> None:
-        if self.turning is not None:
-            self.turning.release(at)
+        if self.orientation is not None:
+            self.orientation.release(at)
 
     def skipped(self) -> None:
         """The session has gone on to a later tick: the answer to the motion sent last will not be known."""
@@ -248,8 +248,8 @@ class DeviceTick(ABC):
         self.core.change(*self._promises[rung])
         if self.interface is not None:
             self.interface.change(of.share, of.tau, of.period_tolerance)
-        if self.turning is not None:
-            self.turning.change(of)
+        if self.orientation is not None:
+            self.orientation.change(of)
 
 
 class OwnTimeTick(DeviceTick):
@@ -371,14 +371,14 @@ def in_steps(x: Floats, steps: Sequence[float]) -> Floats:
     return [q * math.floor(at / q + 0.5) if q > 0.0 else at for at, q in zip(x, steps, strict=True)]
 
 
-def _turning_of(bundle: DeviceBundle) -> Turning | None:
+def _orientation_of(bundle: DeviceBundle) -> DeviceOrientation | None:
     """The orientation of a device, upright; a torque is held until it is stale, and one period more."""
     if bundle.orientation is None:
         return None
     T, longest = bundle.common.period, None
     if bundle.time == WALL:
         longest = Duration((timeouts(bundle.common).stale or 0) + from_seconds(T))
-    return Turning(bundle.orientation, T, bundle.rungs[0], bundle.allowance, longest)
+    return DeviceOrientation(bundle.orientation, T, bundle.rungs[0], bundle.allowance, longest)
 
 
 def tick_of(bundle: DeviceBundle, driver: Driver) -> DeviceTick:

@@ -40,6 +40,7 @@ from manyhands.nodes.kernel.energy_budget import EnergyBudget
 from manyhands.nodes.kernel.factory import FactoryName
 from manyhands.nodes.kernel.friction_curve import FRICTION_FORM, FrictionCurve
 from manyhands.nodes.kernel.inertia import Inertia
+from manyhands.nodes.kernel.orientation import RIDER
 from manyhands.nodes.kernel.simulated_way import SimulatedWay
 from manyhands.nodes.kernel.site_bounds import SiteBounds
 from manyhands.protocol.clock import from_seconds
@@ -90,6 +91,7 @@ class Peer:
         address: the address that this node binds (tcp), host:port; empty for any port of the loopback.
         certificate: the id that the two ends of the link share; empty where it is the node's own.
         buttons: where those buttons begin among the node's own whose state the link carries, and how many they are.
+        riding: the devices of which an orientation rides with the link's signals, in order.
 
     Raises:
         ValueError: they are no buttons, or more than a signal carries.
@@ -102,11 +104,17 @@ class Peer:
     address: str = ""
     certificate: str = ""
     buttons: Added[tuple[int, int]] = (0, 0)
+    riding: Added[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
         first, count = self.buttons
         if not (first >= 0 and 0 <= count <= MAX_BUTTONS):
             raise ValueError(f"found the buttons {self.buttons}; expected the first, and 0 to {MAX_BUTTONS} of them")
+
+    @property
+    def width(self) -> int:
+        """The number of values of the link's signals: one a port, and what rides with them."""
+        return len(self.ports) + RIDER * len(self.riding)
 
 
 @dataclass(frozen=True)
@@ -136,6 +144,7 @@ class Common:
             turns at the processors.
         turning: those of its ports that turn.
         buttons: those of its devices, or of the device itself, each after its device's name.
+        riding: the devices of which an orientation passes through it, in order.
 
     Raises:
         ValueError: the first telemetry has more ticks than the others, whose number a node has room for.
@@ -160,6 +169,7 @@ class Common:
     phase: Annotated[Added[float], _TIME] = 0.0
     turning: Added[tuple[str, ...]] = ()
     buttons: Added[tuple[str, ...]] = ()
+    riding: Added[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
         if self.telemetry_first > self.telemetry_ticks:
@@ -167,6 +177,16 @@ class Common:
                 f"found {self.telemetry_first} ticks to the first telemetry; expected at most {self.telemetry_ticks}, "
                 "as to every other"
             )
+
+    @property
+    def width(self) -> int:
+        """The number of values that the node keeps of a signal: one a port, and what rides with them."""
+        return len(self.ports) + RIDER * len(self.riding)
+
+    def riders(self, riding: Sequence[str]) -> list[int]:
+        """Where among those values is what rides of these devices."""
+        own = self.riding
+        return [len(self.ports) + RIDER * own.index(device) + i for device in riding for i in range(RIDER)]
 
     @property
     def kinds(self) -> tuple[AxisKind, ...]:
@@ -456,7 +476,7 @@ class TurnedHand:
 
 @dataclass(frozen=True)
 class OrientationPart:
-    """What a device has of its orientation (:mod:`manyhands.nodes.device.turning`).
+    """What a device has of its orientation (:mod:`manyhands.nodes.device.orientation`).
 
     Attributes:
         osp: b, what it burns at least at a turning of 1 rad/s, N*m*s/rad.

@@ -27,7 +27,6 @@ from manyhands.nodes.kernel.bundle import DeviceRung, OrientationPart, TurnedHan
 from manyhands.nodes.kernel.intent import intent_from
 from manyhands.nodes.kernel.orientation import (
     FIRST_LIFE,
-    NO_RIDER,
     UPRIGHT,
     OrientationSpring,
     Quaternion,
@@ -38,6 +37,9 @@ from manyhands.nodes.kernel.orientation import (
     unit,
 )
 from manyhands.protocol.clock import Duration, Instant, from_seconds, seconds
+
+NOTHING: Final = (0.0, 0.0, 0.0, 0.0, 0.0)
+"""No proxy, and no grant."""
 
 NO_TORQUE: Final[Vector3] = (0.0, 0.0, 0.0)
 
@@ -95,14 +97,14 @@ class TurnedBody:
         self._omega = (omega[0], omega[1], omega[2])
 
 
-class Turning:
+class DeviceOrientation:
     """The orientation of one device, from its samples to its torques.
 
     Attributes:
         spring: the law, with its account.
         life: the number of this process, which is drawn where others may come before or after it.
         R: the orientation of the last sample.
-        came: what came with the last answer: a proposed proxy, a sum of grants, a life.
+        came: what came for it with the last answer: a proposed proxy and a sum of grants; zeros for nothing.
         most: the greatest torque of the last tick, N*m.
         torque: that of the last tick, N*m.
         let_go: the ticks with an answer in which it has let go.
@@ -133,7 +135,8 @@ class Turning:
         self._body = TurnedBody(part.source, T)
         self.spring = OrientationSpring(part.stiffness, part.torque)
         self.life = FIRST_LIFE
-        self.R, self.came, self.most = UPRIGHT, list(NO_RIDER), part.torque
+        self.R, self.most = UPRIGHT, part.torque
+        self.came: tuple[float, ...] = NOTHING
         self.torque = self._before = NO_TORQUE
         self._sampled: Instant | None = None
         self._acted = Instant(0)
@@ -195,14 +198,14 @@ class Turning:
             at: the instant.
             ratio: of the guard, by which the device takes hold.
         """
-        self.came = list(came)
+        self.came = tuple(came[:5]) if came[5] == self.life else NOTHING
         self.most = self._limit * ratio
         owes = self._allowance is not None and self.spring.owed > self._allowance.energy
         if self._fast or owes or not self.most > 0.0:
             self.let_go += 1
             self._hold(self._released(), at)
             return self.torque
-        self._hold(follow(self.spring, self.R, came, self.life, self.most), at)
+        self._hold(follow(self.spring, self.R, self.came, self.most), at)
         return self.torque
 
     def release(self, at: Instant) -> None:
@@ -230,17 +233,14 @@ class Turning:
             self._body.apply(u, self._sampled or Instant(0))
 
 
-def follow(spring: OrientationSpring, R: Quaternion, came: Sequence[float], life: float, most: float) -> Vector3:
+def follow(spring: OrientationSpring, R: Quaternion, came: Sequence[float], most: float) -> Vector3:
     """The torque for what came with an answer, N*m, which the audit computes again.
 
     Args:
         spring: with its account.
         R: the device's orientation.
-        came: a proposed proxy, a sum of grants, J, and the life that both are for.
-        life: the present one.
+        came: a proposed proxy and a sum of grants, J.
         most: the greatest torque, N*m.
     """
     spring.most = most
-    if came[5] != life:
-        return spring.turn(R, None)
     return spring.turn(R, unit(came[:4]), total(came[4]))

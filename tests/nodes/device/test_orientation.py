@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manyhands.design.levels.contract import DeviceShare
-from manyhands.nodes.device.turning import NO_TORQUE, TurnedBody, Turning, follow
+from manyhands.nodes.device.orientation import NO_TORQUE, DeviceOrientation, TurnedBody, follow
 from manyhands.nodes.kernel.allowance import LatenessAllowance
 from manyhands.nodes.kernel.bundle import DeviceRung, OrientationPart, TurnedHand
 from manyhands.nodes.kernel.orientation import (
@@ -61,19 +61,21 @@ class Measured(TurnedBody):
         return self.burnt - self.work
 
 
-def turning(
+def oriented(
     rng: np.random.Generator, allowance: LatenessAllowance | None = None, inertia: float = 1e-6, force: float = 0.4
-) -> tuple[Turning, Measured]:
+) -> tuple[DeviceOrientation, Measured]:
     times = (np.arange(120) * T).tolist()
     intents = tuple({"times": times, "values": (force * rng.standard_normal(120)).tolist()} for _ in range(3))
     hand = TurnedHand(inertia, B, intents)
-    found = Turning(OrientationPart(B, K, 0.8 * K, SPEED, hand), T, RUNG, allowance, Duration(6 * from_seconds(T)))
+    found = DeviceOrientation(
+        OrientationPart(B, K, 0.8 * K, SPEED, hand), T, RUNG, allowance, Duration(6 * from_seconds(T))
+    )
     body = Measured(hand)
     found._body = body
     return found, body
 
 
-def whatever(rng: np.random.Generator, of: Turning) -> list[float]:
+def whatever(rng: np.random.Generator, of: DeviceOrientation) -> list[float]:
     """What comes: proxies that would be paid for by the hand, and what is no proxy at all."""
     bad: list[Any] = [[math.nan] * 6, [*NO_RIDER], [1e200] * 6, [1.0, 0.0, 0.0, 0.0, math.inf, of.life], [-1.0] * 6]
     kind = rng.integers(0, 6)
@@ -88,7 +90,7 @@ def whatever(rng: np.random.Generator, of: Turning) -> list[float]:
 @pytest.mark.parametrize("seed", range(12))
 def test_a_hand_in_time_puts_in_its_account_at_least(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    of, body = turning(rng)
+    of, body = oriented(rng)
     s = 0
     for k in range(110):
         of.sample(k, Instant(s))
@@ -111,7 +113,7 @@ def test_a_hand_in_time_puts_in_its_account_at_least(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(12))
 def test_late_ticks_give_no_more_than_is_counted(seed: int) -> None:
     rng = np.random.default_rng(100 + seed)
-    of, body = turning(rng)
+    of, body = oriented(rng)
     s = 0
     for k in range(60):
         of.sample(k, Instant(s))
@@ -147,7 +149,7 @@ def test_a_hand_that_comes_back_within_a_late_tick_gets_what_is_counted_and_much
     far, period = 0.4, from_seconds(T)
     at = [0, 100 * period, 100 * period + from_seconds(back * T)]
     speed = far / (back * T)
-    of = Turning(
+    of = DeviceOrientation(
         OrientationPart(B, K, K, speed, TurnedHand(1.0, B, (0.0, 0.0, 0.0))), T, RUNG, None, Duration(20 * period)
     )
     of._body = body = Led(at, [0.0, far, 0.0])
@@ -163,7 +165,7 @@ def test_a_hand_that_comes_back_within_a_late_tick_gets_what_is_counted_and_much
 
 def test_beyond_what_lateness_may_put_in_it_lets_go_until_that_is_paid() -> None:
     rng = np.random.default_rng(1)
-    of, _ = turning(rng, LatenessAllowance(1e-6, 0.0))
+    of, _ = oriented(rng, LatenessAllowance(1e-6, 0.0))
     late = from_seconds(3 * T)
     proxy = [*turned_by(UPRIGHT, (0.3, 0.0, 0.0)), 1.0, of.life]
     of.sample(0, Instant(0))
@@ -183,7 +185,7 @@ def test_beyond_what_lateness_may_put_in_it_lets_go_until_that_is_paid() -> None
 
 def test_motors_that_have_let_go_by_themselves_leave_nothing_stored() -> None:
     rng = np.random.default_rng(2)
-    of, _ = turning(rng, force=0.0)
+    of, _ = oriented(rng, force=0.0)
     of.sample(0, Instant(0))
     of.exert([*turned_by(UPRIGHT, (0.3, 0.0, 0.0)), 1.0, of.life], Instant(0))
     account = of.spring.account
@@ -194,7 +196,7 @@ def test_motors_that_have_let_go_by_themselves_leave_nothing_stored() -> None:
 
 def test_a_hand_that_turns_faster_than_its_limit_is_let_go() -> None:
     part = OrientationPart(B, K, 1.0, 1.0, TurnedHand(1e-5, B, (0.5, 0.0, 0.0)))
-    of = Turning(part, T, RUNG)
+    of = DeviceOrientation(part, T, RUNG)
     for k in range(100):
         of.sample(k, Instant(0))
         of.exert([*UPRIGHT, 1.0, of.life], Instant(0))
@@ -221,17 +223,34 @@ def test_parts_of_a_period_lead_where_the_whole_does() -> None:
 
 
 def test_what_is_for_another_life_is_neither_proxy_nor_grant() -> None:
-    spring = OrientationSpring(1.0)
-    R = turned_by(UPRIGHT, (0.1, 0.0, 0.0))
-    follow(spring, R, [*R, 5.0, FIRST_LIFE + 1.0], FIRST_LIFE, 1.0)
-    assert (spring.proxy, spring.granted) == (UPRIGHT, 0.0)
-    assert follow(spring, R, [*R, 5.0, FIRST_LIFE], FIRST_LIFE, 1.0) == NO_TORQUE
-    assert spring.granted == 5.0
+    of, _ = oriented(np.random.default_rng(0))
+    there = turned_by(UPRIGHT, (0.1, 0.0, 0.0))
+    of.sample(0, Instant(0))
+    of.exert([*there, 5.0, FIRST_LIFE + 1.0], Instant(0))
+    assert (of.spring.proxy, of.spring.granted, any(of.came)) == (UPRIGHT, 0.0, False)
+    of.exert([*there, 5.0, FIRST_LIFE], Instant(0))
+    assert of.spring.proxy == pytest.approx(there)
+    assert of.spring.granted == 5.0
+
+
+def test_a_torque_follows_again_from_what_was_kept_of_the_tick_before() -> None:
+    rng = np.random.default_rng(9)
+    of, _ = oriented(rng)
+    kept = of.row()
+    for k in range(60):
+        of.sample(k, Instant(k * from_seconds(T)))
+        of.exert(whatever(rng, of), Instant(k * from_seconds(T)))
+        _, proxy, _, _, (account, deposited, granted, *_) = kept
+        spring = OrientationSpring(K, at=Quaternion(*proxy))
+        spring.account, spring.deposited, spring.granted = account, deposited, granted
+        kept = of.row()
+        assert follow(spring, Quaternion(*kept[0]), kept[3], kept[4][5]) == tuple(kept[2])
+        assert (spring.proxy, spring.account, spring.deposited, spring.granted) == (kept[1], *kept[4][:3])
 
 
 @given(st.lists(st.floats(), min_size=6, max_size=6), st.floats(0.0, 1.0))
 def test_whatever_comes_the_torque_is_finite_and_limited(came: list[float], ratio: float) -> None:
-    of = Turning(OrientationPart(B, K, 0.1, SPEED, TurnedHand(1e-5, B, (0.1, 0.0, 0.0))), T, RUNG)
+    of = DeviceOrientation(OrientationPart(B, K, 0.1, SPEED, TurnedHand(1e-5, B, (0.1, 0.0, 0.0))), T, RUNG)
     for k in range(3):
         of.sample(k, Instant(0))
         torque: Vector3 = of.exert(came, Instant(0), ratio)
