@@ -214,10 +214,16 @@ class DeviceTick(ABC):
 
     @abstractmethod
     def row(self) -> Row:
-        """x, f_v, the ledger's total; in wall time also e(k), x at the instant of the force, the instants, the work.
+        """x, f_v, the ledger's total; in wall time also e(k), x at the instant of the force, the instants, the work;
+        then R, Q, the torque, what was proposed, and the account of an orientation.
 
-        A part without numbers stands for what a device in its own time has not.
+        A part without numbers stands for what a device in its own time has not. The parts of an orientation are there
+        where it is a port.
         """
+
+    @property
+    def _row_of_orientation(self) -> Row:
+        return () if self.orientation is None else self.orientation.row()
 
     def _turn(self, came: Sequence[float], at: Instant) -> None:
         if self.orientation is not None:
@@ -288,7 +294,7 @@ class OwnTimeTick(DeviceTick):
 
     def row(self) -> Row:
         """x, f_v and the ledger's total."""
-        return self.x, self.held, (self.core.ledger.total,), (), (), (), ()
+        return self.x, self.held, (self.core.ledger.total,), (), (), (), (), *self._row_of_orientation
 
 
 class WallTimeTick(DeviceTick):
@@ -354,9 +360,12 @@ class WallTimeTick(DeviceTick):
         self.core.apply(self._asked, self.work)
 
     def row(self) -> Row:
-        """x, f_v, the ledger's total, e(k), x at the instant of the force, the instants, and the work of its motors."""
+        """x, f_v, the ledger's total, e(k), x at the instant of the force, the instants, and the work of its motors;
+        then those of its orientation.
+        """
         energy, x_a = self.wall_interface.account.energy, self._unknown if self.x_a is None else self.x_a
-        return self.x, self.held, (self.core.ledger.total,), (energy,), x_a, self.instants, self.done
+        own = self.x, self.held, (self.core.ledger.total,), (energy,), x_a, self.instants, self.done
+        return *own, *self._row_of_orientation
 
     def _count(self, work: float) -> None:
         """Count the work of the intention up to the latest sample, J."""

@@ -506,6 +506,31 @@ class OrientationPart:
         return self.torque * turn + 0.5 * self.stiffness * turn * turn
 
 
+@dataclass(frozen=True)
+class OrientedTool:
+    """A tool that a hand turns, as the environment knows it.
+
+    Attributes:
+        device: the hand's device.
+        stiffness: k of the spring between hand and avatar, N*m/rad.
+        torque: the device's greatest torque, N*m.
+        power: the most that its hand can put in within a tick, J.
+
+    Raises:
+        ValueError: a number is not finite and positive.
+    """
+
+    device: str
+    stiffness: float
+    torque: float
+    power: float
+
+    def __post_init__(self) -> None:
+        for found in (self.stiffness, self.torque, self.power):
+            if not 0.0 < found < math.inf:
+                raise ValueError(f"found the number {found} of a tool that turns; expected finite positive ones")
+
+
 NOTHING = LatenessAllowance(0.0)
 
 
@@ -754,10 +779,12 @@ class EnvironmentBundle:
         storage: P with the energy 1/2 eta^T P eta, J, that E stores in the state eta; None where it is not known.
         waves: its ends of wave links, by coupling.
         oriented: the bodies of an engine whose orientations are reported, as a unit quaternion.
+        oriented_tools: the tools that hands turn, in the order in which their orientations ride with signals.
 
     Raises:
         ValueError: there is not exactly one of E, a model and a scene, or budgets, storage or rungs do not fit. A model
             with a level needs its controller or proxies, and a scene its controller, for the certificate rests on them.
+            Or tools are turned without proxies, or are not those whose orientations ride.
     """
 
     common: Common
@@ -779,6 +806,7 @@ class EnvironmentBundle:
     waves: Mapping[str, WaveEnd] = field(default_factory=dict)
     tank: Added[float] = 0.0
     oriented: Added[tuple[str, ...]] = ()
+    oriented_tools: Added[tuple[OrientedTool, ...]] = ()
 
     @property
     def energy_at_start(self) -> float:
@@ -789,6 +817,12 @@ class EnvironmentBundle:
         kinds = sum(kind is not None for kind in (self.E, self.model, self.scene))
         if kinds != 1:
             raise ValueError(f"found {kinds} of an environment's matrices, model and scene; expected one of them")
+        turned = tuple(of.device for of in self.oriented_tools)
+        if turned != self.common.riding or (turned and self.stiffness is None):
+            raise ValueError(
+                f"found the tools of {turned} turned, and the orientations of {self.common.riding} riding; expected "
+                "the same, and proxies where there are any"
+            )
         if self.stiffness is not None and (self.model is None or self.stiffness.shape != (len(self.common.ports),) * 2):
             raise ValueError(f"found a stiffness of shape {self.stiffness.shape}; expected m x m, and a model")
         if not (0.0 <= self.tank < math.inf) or (self.tank and self.stiffness is None):

@@ -87,6 +87,8 @@ _UNIT: Final = 1e-6  # |q|^2 of an orientation on the wire is 1 within this
 _HALVINGS: Final = 24  # of a step, in search of the part that the account allows: 6e-8 of it
 _ROUNDING: Final = 1e-15  # of k, J: a step that yields less than nothing by so little is not counted as held
 
+_HAIR: Final = 1e-12  # of k, J: what is asked for beyond what is lacking, lest a rounded sum be held for nothing
+
 
 def unit(numbers: Sequence[float]) -> Quaternion | None:
     """The orientation of four numbers from elsewhere, normalised; None where they are no unit quaternion."""
@@ -96,6 +98,11 @@ def unit(numbers: Sequence[float]) -> Quaternion | None:
         return None
     norm = math.sqrt(square)
     return Quaternion(w / norm, x / norm, y / norm, z / norm)
+
+
+def is_life(number: float) -> bool:
+    """Whether a number from elsewhere is that of a life."""
+    return 1.0 <= number <= MOST_LIFE and number == math.floor(number)
 
 
 def total(number: float) -> float:
@@ -111,6 +118,11 @@ def difference(R: Quaternion, Q: Quaternion) -> Quaternion:
         -R.w * Q.y + R.y * Q.w - R.z * Q.x + R.x * Q.z,
         -R.w * Q.z + R.z * Q.w - R.x * Q.y + R.y * Q.x,
     )
+
+
+def product(P: Quaternion, Q: Quaternion) -> Quaternion:
+    """P Q, the rotation Q and then P, in the world's axes."""
+    return difference(P, Quaternion(Q.w, -Q.x, -Q.y, -Q.z))
 
 
 def torque(k: float, R: Quaternion, Q: Quaternion) -> Vector3:
@@ -235,6 +247,12 @@ class OrientationSpring:
         self.deposited = max(self.deposited, self.account + self.granted)
         return t
 
+    def lacks(self, R: Quaternion, proposed: Quaternion) -> float:
+        """What the account lacks for the whole step to ``proposed``, J; 0 where it has enough."""
+        step = 0.0 if proposed == self.proxy else yielded(self._k, R, self.proxy, proposed)
+        short = self.deposited - self.granted - self.account - step
+        return short + _HAIR * self._k if short > 0.0 else 0.0
+
     def release(self, R: Quaternion) -> None:
         """Let go: the proxy comes to the device, and the torque is 0. What the spring had stored is lost."""
         self.account += yielded(self._k, R, self.proxy, R)
@@ -333,7 +351,7 @@ class OrientationBank:
             life: of the hand's process; what is no life is not taken in.
             tick: k.
         """
-        if not (1.0 <= life <= MOST_LIFE and life == math.floor(life)):
+        if not is_life(life):
             return
         if life != self._lives[hand]:
             self._lives[hand], self._deposited[hand], self._granted[hand] = life, None, 0.0
