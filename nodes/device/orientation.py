@@ -109,6 +109,7 @@ class DeviceOrientation:
         torque: that of the last tick, N*m.
         let_go: the ticks with an answer in which it has let go.
         least: the least that its account has been, J.
+        margin: the least distance of its account from its bound, J.
     """
 
     def __init__(
@@ -142,14 +143,11 @@ class DeviceOrientation:
         self._acted = Instant(0)
         self._fast, self._held = False, False
         self.let_go = 0
-        self.least = 0.0
-        self.change(rung)
-
-    def change(self, rung: DeviceRung) -> None:
-        """Take the delays and periods of ``rung`` as those that are paid for."""
-        self._tau, self._covered = from_seconds(rung.tau), from_seconds(self._T * (1.0 + rung.period_tolerance))
-        t = rung.tau / (self._T * (1.0 + rung.period_tolerance))
-        self._epsilon = 2.0 * t / (1.0 + t) if t else 1.0
+        self.least = self.margin = 0.0
+        self._tau, self._covered = from_seconds(rung.tau), from_seconds(T * (1.0 + rung.period_tolerance))
+        t = rung.tau / (T * (1.0 + rung.period_tolerance))
+        self._epsilon = 2.0 * t / (1.0 + t)
+        self._held_for = seconds(self._covered)  # how long the torque of the tick before was held, s
 
     def sample(self, turn: int, at: Instant) -> None:
         """Take the orientation: in wall time that at ``at``, in its own time that after ``turn`` periods."""
@@ -170,9 +168,10 @@ class DeviceOrientation:
         ``far`` rad.
         """
         spring, acted = self.spring, any(self.torque) or any(self._before)
+        held = min(h, d + (self._longest or 0))
+        before, self._held_for = self._held_for, seconds(Duration(held))
         if acted and (h > self._covered or d > self._tau):
-            held = min(h, d + (self._longest or 0))
-            spring.charge(self._most_of(seconds(Duration(held)), seconds(d)))
+            spring.charge(self._most_of(before, self._held_for, seconds(d)))
             if held < h:  # the motors have let go by themselves since
                 spring.lose(self.R)
         elif not acted and spring.owed:
@@ -180,10 +179,12 @@ class DeviceOrientation:
         if spring.owed and self._allowance is not None:
             spring.pay(self._allowance.power * seconds(h))
 
-    def _most_of(self, h: float, d: float) -> float:
-        """What a tick of h s with a delay of d s may have given out, J: (4) of decision 54."""
-        e = self._epsilon
-        return 0.5 * self._k * self._speed**2 * ((1.0 + e) * h * h + (1.0 + 1.0 / e) * d * d)
+    def _most_of(self, before: float, h: float, d: float) -> float:
+        """What a tick of h s with a delay of d s, after one of ``before`` s, may give out, J: decision 54, (4)."""
+        e, late = self._epsilon, (2.0 * before + d) * d
+        if e > 0.0:
+            late = min(late, (1.0 + 1.0 / e) * d * d)
+        return 0.5 * self._k * self._speed**2 * ((1.0 + e) * h * h + late)
 
     @property
     def rides(self) -> Floats:
@@ -226,7 +227,9 @@ class DeviceOrientation:
         if not self._held:  # otherwise it has let go in this tick already
             self._held, self._before, self._acted = True, self.torque, at
         self.torque = u
-        self.least = min(self.least, self.spring.account)
+        spring = self.spring
+        self.least = min(self.least, spring.account)
+        self.margin = min(self.margin, spring.account - (spring.deposited - spring.granted))
         if self._longest is not None:
             self._body.apply(u, at)
         else:

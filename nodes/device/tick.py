@@ -254,8 +254,6 @@ class DeviceTick(ABC):
         self.core.change(*self._promises[rung])
         if self.interface is not None:
             self.interface.change(of.share, of.tau, of.period_tolerance)
-        if self.orientation is not None:
-            self.orientation.change(of)
 
 
 class OwnTimeTick(DeviceTick):

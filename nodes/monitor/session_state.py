@@ -219,6 +219,7 @@ class About:
             drivers={name: node.driver for name, node in self.nodes.items() if node.driver is not None},
             couplings=self._couplings,
             units={name: self.units_at(name) for name in self.nodes} if self.turning else {},
+            hands=self.hands,
         )
 
     def units_at(self, node: str) -> Units:
