@@ -55,16 +55,17 @@ class OrientationLevel:
         return self.needed(T, tau, period_tolerance) <= Fraction(self.osp)
 
 
-def stiffest(osp: float, T: float, tau: float, period_tolerance: float) -> float:
-    """The stiffest spring that b allows, N*m/rad, less :data:`SPARE` of it.
+def stiffest(osp: float, T: float, tau: float, period_tolerance: float, spare: float = SPARE) -> float:
+    """The stiffest spring that b allows, N*m/rad, less a part of it.
 
     Args:
         osp: b, N*m*s/rad.
         T: period, s.
         tau: the longest delay inside the tick, s.
         period_tolerance: rho; periods are at most (1 + rho) T.
+        spare: that part.
     """
-    return (1.0 - SPARE) * float(Fraction(osp) / _half(T, tau, period_tolerance))
+    return (1.0 - spare) * float(Fraction(osp) / _half(T, tau, period_tolerance))
 
 
 def require_proved(name: str, of: OrientationLevel, T: float, tau: float, period_tolerance: float) -> None:

@@ -6,10 +6,12 @@ import copy
 import hashlib
 import json
 from collections.abc import Callable
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import pytest
+from rich.console import Console
 
 import manyhands as mh
 from manyhands.design.certificate import content, load, save
@@ -17,6 +19,7 @@ from manyhands.design.errors import Infeasible
 from manyhands.design.levels.orientation import OrientationLevel, orientation_of, stiffest
 from manyhands.design.proof.finding import Finding
 from manyhands.design.proof.prove import prove
+from manyhands.launch.app.budget import budget_object, orientation_limits, print_budget, session_budget
 from manyhands.launch.plan.prepare import prepare
 from tests.support.slot import session, slot
 
@@ -103,6 +106,18 @@ def test_the_stiffest_is_proved_whatever_the_delay() -> None:
         k = stiffest(0.0013, 0.001, tau, 0.05)
         assert OrientationLevel(0.0013, k).proved(0.001, tau, 0.05)
         assert not OrientationLevel(0.0013, k / 0.98).proved(0.001, tau, 0.05)
+
+
+def test_the_budget_says_how_stiff_it_may_be() -> None:
+    found = session_budget(session(design={"coupling": "spring-damper", "tau": 0.0005}))
+    ((name, most, own),) = orientation_limits(found.loop)
+    assert (name, own) == ("pen", 0.3)
+    assert most == pytest.approx(0.8)
+    assert budget_object(found)["orientations"] == {"pen": {"limit": most, "stiffness": 0.3}}
+    assert "orientations" not in budget_object(session_budget(mh.load("example1")))
+    shown = StringIO()
+    print_budget(Console(file=shown, width=200), found)
+    assert "The orientation of pen: certified up to 0.8 N·m/rad at τ = 0.5 ms; the session has 0.3" in shown.getvalue()
 
 
 def test_a_session_with_another_orientation_has_another_certificate() -> None:
