@@ -10,8 +10,10 @@ finds. Where it is after the step is the proxy that the hand is proposed. The ha
 is assumed of the engine here. An avatar whose hand is not there feels no torque, and nothing is proposed to that hand.
 
 **What is granted.** The bank grants a hand what its account lacks for the whole step. Its account is at the hand, so a
-copy of its spring is kept here, which is the hand's own while nothing is lost. No claim rests on the copy: it decides
-alone how much of the bank's energy a hand is offered, and that is never more than the bank has.
+copy of its spring is kept here. A hand deposits at once what it does not need, so its account is always D - G: what it
+deposits corrects the copy in every tick, and only the proxy of a hand that missed an answer is guessed. No claim rests
+on the copy: it decides alone how much of the bank's energy a hand is offered, and that is never more than the bank has.
+To grant more where the proxy is not known was tried, and starves the other hands.
 """
 
 from __future__ import annotations
@@ -35,6 +37,7 @@ from manyhands.nodes.kernel.orientation import (
     total,
     unit,
 )
+from manyhands.nodes.kernel.timeouts import STALE_TICKS
 
 
 class _Tool:
@@ -45,12 +48,14 @@ class _Tool:
         self.spring = OrientationSpring(of.stiffness, of.torque)  # a copy of the hand's
         self.R: Quaternion | None = None
         self.life, self.lives = 0.0, 0
+        self.away = 0  # ticks in a row in which nothing came
         self.heard: Sequence[float] = NO_RIDER
         self.told: Sequence[float] = NO_RIDER
 
-    def begin(self, R: Quaternion) -> None:
-        """Begin anew with a hand that is back, or has a new process."""
-        self.spring = OrientationSpring(self.of.stiffness, self.of.torque, R)
+    def hear(self, deposited: float, granted: float) -> None:
+        """Take over what the hand has deposited, J, and what it was granted in its life, J: its account is D - G."""
+        copy = self.spring
+        copy.deposited, copy.granted, copy.account = deposited, granted, deposited - granted
 
 
 class OrientedTools:
@@ -82,9 +87,11 @@ class OrientedTools:
                 anew = life != self.bank.lives[tool.of.device]
                 self.bank.deposit(tool.of.device, deposited, life, tick)
                 tool.lives += anew
-                if anew or tool.R is None:
-                    tool.begin(R)
+                if anew or tool.away > STALE_TICKS:  # it has let go meanwhile
+                    tool.spring.proxy = R
+                tool.hear(deposited, self.bank.granted[tool.of.device])
             tool.R, tool.life = R, life
+            tool.away = 0 if R is not None else tool.away + 1
             tool.heard = NO_RIDER if R is None else (*numbers[:4], deposited, float(tool.lives))
             if R is not None:
                 torques[3 * i : 3 * i + 3] = [-t for t in torque(tool.of.stiffness, R, at)]

@@ -167,6 +167,46 @@ def test_whatever_an_engine_proposes_and_whoever_starts_anew_nothing_is_granted_
     assert sum(by.spring.held for by in hands) > 0
 
 
+class Swing:
+    """An engine whose first avatar yields to its hand, and whose second turns to and fro by itself."""
+
+    def __init__(self) -> None:
+        self.k = 0
+
+    def turn(self, torques: Any) -> None:
+        self.k += 1
+
+    def step(self, x: Any, f: Any) -> Any:
+        return x
+
+    def avatars(self) -> list[float]:
+        places = (0.001 * self.k, 0.2 * math.sin(0.02 * self.k))
+        return [number for x in places for number in turned_by(UPRIGHT, (x, 0.0, 0.0))]
+
+
+def test_a_hand_that_missed_answers_is_led_on_where_another_has_given_enough() -> None:
+    """Its copy is wrong for a while; held for good, it would feel a tool that is not there."""
+    rng = np.random.default_rng(3)
+    tools, asked = world(Swing(), ("a", "b"))
+    hands = [hand((0.05, 0.0, 0.0)), hand((0.0, 0.0, 0.0))]
+    behind = []
+    for k in range(1200):
+        up: list[float] = []
+        for by in hands:
+            by.sample(k, Instant(0))
+            up += by.rides if rng.random() < 0.9 else NO_RIDER
+        tools.hear(up, k)
+        assert asked.failure is None
+        down = tools.answer()
+        for i, by in enumerate(hands):
+            came = down[RIDER * i : RIDER * (i + 1)] if rng.random() < 0.9 else NO_RIDER
+            by.exert(came, Instant(0))
+            if i == 1 and any(came) and k > 300:
+                behind.append(angle(by.spring.proxy, Quaternion(*came[:4])))
+    assert tools.bank.balance >= 0.0
+    assert np.quantile(behind, 0.99) < 1e-3
+
+
 def test_nothing_is_proposed_to_a_hand_that_is_not_there_or_says_no_life() -> None:
     tools, _ = world(Liar(np.random.default_rng(0), 1))
     for riders in (NO_RIDER, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0), (2.0, 0.0, 0.0, 0.0, 0.0, 1.0), (1.0, 0, 0, 0, 0, 1.5)):
