@@ -8,6 +8,7 @@ bit.
 
 A file that says more of a device than its level is of version 6. The key ``held`` of a device says how it holds its
 force (docs/decisions/0050-held-torques.md), ``step`` has the steps of its encoder and ``friction`` its dry friction.
+``orientation`` has the damping b and the stiffness k of a tool that its hand turns (0054-orientation.md).
 ``turning`` names those of its ports that turn, whose numbers are in N·m and rad; no proof depends on it.
 Where a device has steps, ``encoder`` claims what they add to the forces, and whether the friction covers that
 (docs/decisions/0051-encoder-steps-and-friction.md). With ``speed`` the dry friction counts as damping, and the whole
@@ -48,6 +49,7 @@ from manyhands.design.files import read_regular, replacing
 from manyhands.design.levels.contract import ENERGY, ENFORCED, DeviceShare, Levels, Storage
 from manyhands.design.levels.encoder import EncoderClaim, encoder_of
 from manyhands.design.levels.held_torque import held_torque_of
+from manyhands.design.levels.orientation import orientation_of
 from manyhands.design.models.brief import brief, brief_names, brief_repr
 from manyhands.design.models.coupling import CouplingBlock, Partition, SpringDamper, realisations, spring_damper_of
 from manyhands.design.models.kind import Environment
@@ -459,7 +461,8 @@ def describe_device(device: DeviceLevel, ports: Sequence[str]) -> dict[str, Any]
         out["held"] = device.held.describe()
     turning = None if device.turning is None else [ports[p] for p in device.turning]
     stated = {"step": device.step, "friction": device.friction, "turning": turning}
-    return out | {key: list(value) for key, value in stated.items() if value is not None}
+    out |= {key: list(value) for key, value in stated.items() if value is not None}
+    return out if device.orientation is None else out | {"orientation": device.orientation.describe()}
 
 
 def device_of(name: str, data: Mapping[str, Any], index: Mapping[str, int], mechanism: bool) -> DeviceLevel:
@@ -474,7 +477,8 @@ def device_of(name: str, data: Mapping[str, Any], index: Mapping[str, int], mech
     step, friction = (tuple(map(float, data[key])) if key in data else None for key in ("step", "friction"))
     turning = tuple(index[p] for p in data["turning"]) if "turning" in data else None
     ports = tuple(index[p] for p in data["ports"])
-    return DeviceLevel(name, ports, matrix(data["osp"]), held, step, friction, turning)
+    orientation = orientation_of(data["orientation"]) if "orientation" in data else None
+    return DeviceLevel(name, ports, matrix(data["osp"]), held, step, friction, turning, orientation)
 
 
 def describe_structure(ports: Sequence[str], partition: Partition) -> dict[str, list[str]]:
@@ -727,6 +731,11 @@ def differences(certificate: Certificate, loop: HapticLoop, wanted: CouplingRequ
             ("level or order of devices", [_level(d) for d in own.devices], [_level(d) for d in loop.devices]),
             ("way in which devices hold a force", [d.held for d in own.devices], [d.held for d in loop.devices]),
             ("kind of axes, in the ports that turn", own.turning, loop.turning),
+            (
+                "orientation of a device",
+                [d.orientation for d in own.devices],
+                [d.orientation for d in loop.devices],
+            ),
             (
                 "encoder steps or friction",
                 [(d.step, d.friction) for d in own.devices],

@@ -17,6 +17,7 @@ from manyhands.design.levels.contract import NO_DELAY_GAIN
 from manyhands.design.levels.dry_friction import DryFriction
 from manyhands.design.levels.held_torque import HeldTorque
 from manyhands.design.levels.mechanism import NothingLeft, promised_level
+from manyhands.design.levels.orientation import OrientationLevel
 from manyhands.design.models.axis import Units, units_of
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import Partition, SpringDamper, loop_gain
@@ -30,8 +31,8 @@ _BELOW = 1e-12  # relative, thousands of times the rounding of an eigenvalue
 MECHANISM: Final = ("held", "step", "friction")
 """What may be stated of a device besides its level: attributes of :class:`DeviceLevel`, and keys of certificates."""
 
-STATED: Final = (*MECHANISM, "turning")
-"""Likewise, with which of its ports turn: what a certificate of version 6 may have."""
+STATED: Final = (*MECHANISM, "turning", "orientation")
+"""Likewise, with which of its ports turn, and with its orientation: what a certificate of version 6 may have."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +48,7 @@ class DeviceLevel:
         friction: what it burns at least besides its level, as a force against its velocity, by port, N; None for 0.
         turning: those of its ports that turn, as indices into the loop's ports: their units are of
             :class:`.Units`. None where none does.
+        orientation: that of a tool that its hand turns in space; None where it is no port.
 
     Raises:
         ValueError: the level is not symmetric positive definite, or a step or a friction is negative, not finite, or
@@ -60,6 +62,7 @@ class DeviceLevel:
     step: tuple[float, ...] | None = None
     friction: tuple[float, ...] | None = None
     turning: tuple[int, ...] | None = None
+    orientation: OrientationLevel | None = None
 
     __repr__ = brief_repr
 

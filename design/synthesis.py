@@ -35,6 +35,7 @@ from manyhands.design.levels.device import PIECES, device_share, gain_for_share,
 from manyhands.design.levels.encoder import EncoderClaim
 from manyhands.design.levels.environment import lack_of_passivity
 from manyhands.design.levels.floats import within_floats
+from manyhands.design.levels.orientation import require_proved
 from manyhands.design.levels.spring_damper import centred, stiffest
 from manyhands.design.models.brief import brief_repr
 from manyhands.design.models.coupling import CouplingBlock, SpringDamper, realisations
@@ -362,6 +363,7 @@ def design(loop: HapticLoop, wanted: CouplingRequest, progress: Progress | None 
     """
     with within_floats(loop.environment):
         check_environment(loop.environment, loop.turning)
+        _require_orientations(loop)
         if loop.speed is not None:
             return _below_speed(loop, wanted, progress)
         return _designed(loop, wanted, progress)
@@ -371,6 +373,17 @@ def _designed(loop: HapticLoop, wanted: CouplingRequest, progress: Progress | No
     found = _take(loop, wanted) or search(loop, wanted, progress)
     certificate = certificate_of(loop, wanted, found, progress)
     return Designed(certificate, found.history, found.watched, found.interrupted)
+
+
+def _require_orientations(loop: HapticLoop) -> None:
+    """Require of each orientation that what its device burns pays for its spring.
+
+    Raises:
+        Infeasible: it does not.
+    """
+    for device in loop.devices:
+        if device.orientation is not None:
+            require_proved(device.name, device.orientation, loop.period, loop.tau, loop.period_tolerance)
 
 
 def finds_levels(loop: HapticLoop, wanted: CouplingRequest) -> bool:
@@ -383,6 +396,7 @@ def finds_levels(loop: HapticLoop, wanted: CouplingRequest) -> bool:
     try:
         with within_floats(loop.environment):
             check_environment(loop.environment, loop.turning)
+            _require_orientations(loop)
             if loop.speed is not None:
                 _below_speed(loop, wanted, None)
                 return True

@@ -139,6 +139,12 @@ FORCE: Final = "f_v"
 TOOL_POSITION: Final = "x_e"
 MASS_POSITION: Final = "q"
 ORIENTATION: Final = "R"
+PROXY: Final = "Q"
+TORQUE: Final = "t_v"
+PROPOSED: Final = "proposed"
+ACCOUNT: Final = "account"
+HEARD: Final = "heard"
+TOLD: Final = "told"
 LEDGER: Final = "ledger"
 TAU: Final = "tau_us"
 INTERFACE: Final = "interface"
@@ -162,6 +168,20 @@ the link, and what it has heard of the other end's, J."""
 QUATERNION_NAMES: Final = ("qw", "qx", "qy", "qz")
 """The columns of the trace of orientations, for each body: real and imaginary parts of a unit quaternion."""
 
+AXIS_NAMES: Final = ("x", "y", "z")
+"""The columns of the trace of a torque: about the world's axes."""
+
+ACCOUNT_NAMES: Final = ("A", "D", "G", "owed", "late", "most")
+"""The columns of the trace of a hand's account: what its proxy's steps have yielded, deposits, grants, what late ticks
+still owe, what they may have given out in all, J; and the greatest torque of the tick, N*m."""
+
+PROPOSED_NAMES: Final = (*QUATERNION_NAMES, "G")
+"""The columns of the trace of what a hand is told: a proxy, and the sum of grants, J; zeros for nothing."""
+
+HEARD_NAMES: Final = (*QUATERNION_NAMES, "D", "life")
+"""The columns of the trace of what the world hears of a hand: its orientation, the sum of deposits, J, and which of its
+lives it is, counted from 1; zeros for nothing."""
+
 TELEMETRY: Final = "telemetry"
 """The topic of a node's figures, ten times a second, which every node has besides the topics of its role."""
 
@@ -172,7 +192,8 @@ CONDITION: Final = "condition"
 class Columns(StrEnum):
     """The columns of a trace: one for each port, each mass, or each port with a wave link; a single one; the three
     instants of a tick; the work until two of them; the three figures of a tank for each wave link; or the four parts of
-    a unit quaternion for each body.
+    a unit quaternion for each body. A device's orientation has such parts, the axes of a torque, an account and what is
+    proposed; the environment what it heard of each such hand, and told it.
     """
 
     PORTS = "ports"
@@ -183,6 +204,12 @@ class Columns(StrEnum):
     LINKED = "linked ports"
     TANKS = "tanks"
     QUATERNIONS = "quaternions"
+    QUATERNION = "quaternion"
+    AXES = "axes"
+    ACCOUNT = "account"
+    PROPOSED = "proposed"
+    HEARD = "heard"
+    TOLD = "told"
 
 
 _NO_LINKS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType({})
@@ -202,6 +229,7 @@ class Topic:
         linked: whether only the ends of wave links have it.
         torques: whether only devices have it whose motors hold torques.
         certified: whether only sessions with a certificate have it, for it is about what is promised.
+        hands: whether only hands have it whose orientation is a port, and their world.
     """
 
     name: str
@@ -213,6 +241,7 @@ class Topic:
     linked: bool = False
     torques: bool = False
     certified: bool = False
+    hands: bool = False
 
     def columns_of(
         self,
@@ -220,6 +249,7 @@ class Topic:
         masses: tuple[str, ...],
         links: Mapping[str, tuple[str, ...]] = _NO_LINKS,
         oriented: tuple[str, ...] = (),
+        hands: tuple[str, ...] = (),
     ) -> tuple[str, ...]:
         """The names of the columns.
 
@@ -228,6 +258,7 @@ class Topic:
             masses: of the environment.
             links: the ports of each wave link that ends at the node, by its coupling.
             oriented: the bodies of the environment whose orientations are reported.
+            hands: the devices whose orientation is a port.
         """
         return {
             Columns.PORTS: ports,
@@ -237,6 +268,12 @@ class Topic:
             Columns.WORKS: WORK_NAMES,
             Columns.LINKED: tuple(port for own in links.values() for port in own),
             Columns.TANKS: tuple(f"{coupling}.{figure}" for coupling in links for figure in TANK_NAMES),
+            Columns.QUATERNION: QUATERNION_NAMES,
+            Columns.AXES: AXIS_NAMES,
+            Columns.ACCOUNT: ACCOUNT_NAMES,
+            Columns.PROPOSED: PROPOSED_NAMES,
+            Columns.HEARD: tuple(f"{hand}.{part}" for hand in hands for part in HEARD_NAMES),
+            Columns.TOLD: tuple(f"{hand}.{part}" for hand in hands for part in PROPOSED_NAMES),
             Columns.QUATERNIONS: tuple(f"{body}.{part}" for body in oriented for part in QUATERNION_NAMES),
         }[self.columns]
 
@@ -255,6 +292,11 @@ TOPICS: Final[Mapping[Role, tuple[Topic, ...]]] = MappingProxyType(
             Topic("applied", APPLIED, "x(a)", "m", Columns.PORTS, wall=True),
             Topic("instants", INSTANTS, "s, a", "ns", Columns.INSTANTS, wall=True),
             Topic("work", WORK, "W", "J", Columns.WORKS, wall=True, torques=True, certified=True),
+            Topic("orientation", ORIENTATION, "R", "1", Columns.QUATERNION, hands=True),
+            Topic("proxy", PROXY, "Q", "1", Columns.QUATERNION, hands=True),
+            Topic("torque", TORQUE, "t", "N·m", Columns.AXES, hands=True),
+            Topic("proposed", PROPOSED, "Q, G", "1, J", Columns.PROPOSED, hands=True),
+            Topic("account", ACCOUNT, "A", "J, N·m", Columns.ACCOUNT, hands=True),
         ),
         Role.COUPLING: (
             Topic("tool", FREE_POSITION, "p", "m", Columns.PORTS),
@@ -268,6 +310,8 @@ TOPICS: Final[Mapping[Role, tuple[Topic, ...]]] = MappingProxyType(
             Topic("masses", MASS_POSITION, "q", "m", Columns.MASSES),
             Topic("orientations", ORIENTATION, "R", "1", Columns.QUATERNIONS),
             _LEDGER,
+            Topic("heard", HEARD, "R, D", "1, J", Columns.HEARD, hands=True),
+            Topic("told", TOLD, "Q, G", "1, J", Columns.TOLD, hands=True),
             Topic("tool", FREE_POSITION, "p", "m", Columns.LINKED, linked=True),
             Topic("reaction", FORCE, "f_v", "N", Columns.LINKED, linked=True),
             Topic("wave", WAVE, "c", "√W", Columns.LINKED, linked=True),
@@ -286,6 +330,7 @@ def topics_of(
     torques: bool = False,
     certified: bool = True,
     oriented: tuple[str, ...] = (),
+    hands: tuple[str, ...] = (),
 ) -> tuple[Topic, ...]:
     """The topics of a node of this role.
 
@@ -297,12 +342,15 @@ def topics_of(
         torques: whether its motors hold torques, or may; the topics of such devices are left out otherwise.
         certified: whether its session has a certificate, or may; what only such sessions have is left out otherwise.
         oriented: the bodies of the environment whose orientations are reported; without them their topic is left out.
+        hands: the devices whose orientation is a port: of the environment, or this device alone; without them the
+            topics of such hands are left out.
     """
     return tuple(
         topic
         for topic in TOPICS.get(role, ())
         if (masses or topic.columns is not Columns.MASSES)
         and (oriented or topic.columns is not Columns.QUATERNIONS)
+        and (hands or not topic.hands)
         and (wall or not topic.wall)
         and (linked or not topic.linked)
         and (torques or not topic.torques)
@@ -329,3 +377,16 @@ def links_at(
 def topic_name(session: str, node: str, topic: str) -> str:
     """The full name of a node's topic, ``/session/node/topic``."""
     return f"/{session}/{node}/{topic}"
+
+
+def hands_at(node: str, role: Role, hands: Collection[str]) -> tuple[str, ...]:
+    """The devices whose orientations a node has topics of: a device its own, the environment all.
+
+    Args:
+        node: its name.
+        role: its role.
+        hands: the devices whose orientation is a port, in the session's order.
+    """
+    if role is Role.ENVIRONMENT:
+        return tuple(hands)
+    return (node,) if node in hands else ()

@@ -530,7 +530,7 @@ _KEYS: tuple[str, ...] = (
     "environment",
 )
 _KEYS += (_ASKED, "coupling", "levels", "storage", "transparency", "margins", "method")
-_HELD, _STEP, _FRICTION, _TURNING = _MECHANISM = ("held", "step", "friction", "turning")
+_HELD, _STEP, _FRICTION, _TURNING, _ORIENTATION = _MECHANISM = ("held", "step", "friction", "turning", "orientation")
 _ENCODER = "encoder"
 _SPEED = "speed"
 _TOLERANCE = "period_tolerance"
@@ -550,6 +550,19 @@ class PortGroup:
 
     name: str
     ports: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class OrientationData:
+    """The orientation of a device.
+
+    Attributes:
+        osp: b, N*m*s/rad.
+        stiffness: k, N*m/rad.
+    """
+
+    osp: fmpq
+    stiffness: fmpq
 
 
 @dataclass(frozen=True)
@@ -650,6 +663,7 @@ class Claim:
         held: how each device holds its force; None for the force itself.
         step: the steps of each device's encoder by its ports, m; None where none are stated.
         friction: the least dry friction of each device by its ports, N; None where none is stated.
+        orientation: that of each device; None where it is no port.
         encoder: what is claimed about the steps; None where nothing is.
         speed: v*, m/s, below which dry friction counts as damping; None where it does not.
         blocks: name and ports of each block of V.
@@ -677,6 +691,7 @@ class Claim:
     held: tuple[HeldTorqueData | None, ...]
     step: tuple[tuple[fmpq, ...] | None, ...]
     friction: tuple[tuple[fmpq, ...] | None, ...]
+    orientation: tuple[OrientationData | None, ...]
     encoder: EncoderData | None
     speed: fmpq | None
     blocks: tuple[PortGroup, ...]
@@ -722,7 +737,7 @@ def read(data: Mapping[str, Any]) -> Claim:
     for key in (_ENCODER, _SPEED):
         if key in fields and version != WITH_MECHANISM:
             raise ProofInputError(f"{key}: expected it in version {WITH_MECHANISM} alone")
-    devices, osp, held, step, friction, turning = [], [], [], [], [], []
+    devices, osp, held, step, friction, turning, orientation = [], [], [], [], [], [], []
     for name, item in fields["devices"].entries(MAX_PORTS).items():
         device = item.fields(("ports", "osp"), _MECHANISM if version == WITH_MECHANISM else ())
         devices.append(PortGroup(name, indices(device["ports"], index)))
@@ -731,11 +746,12 @@ def read(data: Mapping[str, Any]) -> Claim:
         held.append(_held(device[_HELD], m) if _HELD in device else None)
         step.append(_of_axes(device[_STEP], m) if _STEP in device else None)
         friction.append(_of_axes(device[_FRICTION], m) if _FRICTION in device else None)
+        orientation.append(_orientation(device[_ORIENTATION], m) if _ORIENTATION in device else None)
         if _TURNING in device:  # decides the units of the other numbers, and so nothing that is proved
             turning.append(indices(device[_TURNING], index))
             if not {*turning[-1]} <= {*devices[-1].ports}:
                 raise device[_TURNING].refusal("some of the device's own ports")
-    if version == WITH_MECHANISM and not any((*held, *step, *friction, *turning)):
+    if version == WITH_MECHANISM and not any((*held, *step, *friction, *turning, *orientation)):
         raise fields["version"].refusal(f"{VERSION} to {WITH_SERIES}, for no device has any of {', '.join(_MECHANISM)}")
     blocks = tuple(
         PortGroup(name, indices(item, index)) for name, item in fields["structure"].entries(MAX_PORTS).items()
@@ -755,6 +771,7 @@ def read(data: Mapping[str, Any]) -> Claim:
         held=tuple(held),
         step=tuple(step),
         friction=tuple(friction),
+        orientation=tuple(orientation),
         encoder=_encoder(fields[_ENCODER], len(ports)) if _ENCODER in fields else None,
         speed=exact_decimal(fields[_SPEED].number()) if _SPEED in fields else None,
         blocks=blocks,
@@ -781,6 +798,13 @@ def _held(item: Item, m: int) -> HeldTorqueData:
         raise fields["linkage"].refusal(f"a linkage whose tip has the {m} axes of its device")
     stated = json.dumps([fields["kappa"].value, fields["linkage"].value]) if linkage is not None else ""
     return HeldTorqueData(kappa, force, speed, linkage, stated)
+
+
+def _orientation(item: Item, m: int) -> OrientationData:
+    if m != 3:
+        raise item.refusal("none beside another number of ports than three")
+    fields = item.fields(("osp", "stiffness"))
+    return OrientationData(*(exact_decimal(fields[key].number()) for key in ("osp", "stiffness")))
 
 
 def _of_axes(item: Item, m: int) -> tuple[fmpq, ...]:

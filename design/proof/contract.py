@@ -110,6 +110,26 @@ def held_findings(claim: Claim) -> list[Finding]:
     return found
 
 
+def orientation_findings(claim: Claim) -> list[Finding]:
+    """Of each device with an orientation: what it burns pays for its spring's torque, held from tick to tick.
+
+    This is (3) of docs/decisions/0054-orientation.md, on all of SO(3). Torques that joints hold are not covered.
+    """
+    found = []
+    half = ((1 + claim.period_tolerance) * claim.period + 3 * claim.tau) / 2
+    for device, held, own in zip(claim.devices, claim.held, claim.orientation, strict=True):
+        if own is None:
+            continue
+        spare = own.osp - own.stiffness * half
+        holds = own.osp > 0 and own.stiffness > 0 and spare >= 0
+        condition = f"the orientation of {device.name}: b > 0, k > 0, k (lambda T + 3 tau)/2 <= b"
+        found.append(Finding(condition, bool(holds), rational.rounded(spare), 0.0, "", "exactly"))
+        if held is not None:
+            condition = f"{device.name} holds the torque of its orientation itself, and not torques of joints"
+            found.append(Finding(condition, False, float("nan"), 0.0, "", "it has a linkage"))
+    return found
+
+
 def Delta_D(claim: Claim) -> Sparse:
     """The level that the design counts on, m x m, with the structure of V."""
     return exact.block_diagonal([block.ports for block in claim.blocks], claim.Delta_D)
@@ -162,7 +182,7 @@ def device_findings(claim: Claim) -> list[Finding]:
     Different periods alone do not separate the devices: without a delay, the form needs only what they dissipate
     together, at least sigma^T Delta_D sigma/lambda.
     """
-    held = [*speed_findings(claim), *held_findings(claim)]
+    held = [*speed_findings(claim), *held_findings(claim), *orientation_findings(claim)]
     if not all(finding.holds for finding in held):
         return held
     m = len(claim.ports)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from manyhands.design.budget import Felt, Stiffness, certified_limit, environment_share, felt_over, stiffest_below
+from manyhands.design.levels.orientation import stiffest
 from manyhands.design.models.axis import Units
 from manyhands.design.models.brief import brief_names, brief_repr
 from manyhands.design.models.statespace import Matrix
@@ -309,7 +310,7 @@ def print_series(console: Console, found: Sequence[SeriesStiffness], loop: Hapti
 
 def budget_object(found: DelayBudget) -> dict[str, Any]:
     """The object that ``--json`` prints; T and tau in s, stiffness in N/m, "share" null where it is infinite."""
-    loop = found.loop
+    loop, turned = found.loop, orientation_limits(found.loop)
     return {
         "session": loop.session,
         "period": loop.period,
@@ -327,6 +328,7 @@ def budget_object(found: DelayBudget) -> dict[str, Any]:
             }
             for device in found.devices
         },
+        **({"orientations": {name: {"limit": most, "stiffness": own} for name, most, own in turned}} if turned else {}),
         **({"series": [asdict(row) for row in in_series]} if (in_series := series_budget(found)) else {}),
         **({"steps": [asdict(row) for row in of_steps]} if (of_steps := step_budget(found)) else {}),
     }
@@ -488,8 +490,28 @@ def print_budget(console: Console, found: DelayBudget, own_mark: str = " (sessio
     if loop.period_tolerance:
         longest = f"{1.0 + loop.period_tolerance:g}"
         console.print(f"Periods may be up to {longest} T long, Colgate's as well as ours.", markup=False)
+    for name, most, stated in orientation_limits(loop):
+        console.print(
+            f"The orientation of {name}: certified up to {most:.4g} N·m/rad at τ = {_ms(loop.tau)} ms; the session has "
+            f"{stated:.4g} N·m/rad.",
+            markup=False,
+            soft_wrap=True,
+        )
     if of_session:
         console.print(_environment_text(found), markup=False, soft_wrap=True)
+
+
+def orientation_limits(loop: HapticLoop) -> list[tuple[str, float, float]]:
+    """By device whose orientation is a port: the stiffest spring that its osp allows, and its own, N·m/rad."""
+    return [
+        (
+            device.name,
+            stiffest(device.orientation.osp, loop.period, loop.tau, loop.period_tolerance, 0.0),
+            device.orientation.stiffness,
+        )
+        for device in loop.devices
+        if device.orientation is not None
+    ]
 
 
 def print_wave_links(console: Console, found: Sequence[WaveLinkBudget]) -> None:

@@ -20,6 +20,7 @@ from rich.table import Table
 from manyhands.design.certificate import Certificate, asked_text, load
 from manyhands.design.errors import CertificateError
 from manyhands.design.levels.held_torque import HeldTorque
+from manyhands.design.levels.orientation import OrientationLevel
 from manyhands.design.models.axis import Units
 from manyhands.design.models.brief import brief_names
 from manyhands.design.models.coupling import SpringDamper
@@ -129,6 +130,15 @@ def held_text(loop: HapticLoop, device: DeviceLevel, held: HeldTorque) -> str:
     )
 
 
+def orientation_text(loop: HapticLoop, name: str, of: OrientationLevel) -> str:
+    """What is proved of an orientation, in words."""
+    needed = float(of.needed(loop.period, loop.tau, loop.period_tolerance))
+    return (
+        f"{name}: k = {of.stiffness:.4g} N·m/rad at the hand, on all of SO(3); its torque needs {needed:.4g} of "
+        f"{of.osp:.4g} N·m·s/rad"
+    )
+
+
 def print_certificate(console: Console, certificate: Certificate) -> None:
     """Print a certificate's id, structure, coupling and margins."""
     loop, units = certificate.loop, certificate.loop.units()
@@ -147,6 +157,8 @@ def print_certificate(console: Console, certificate: Certificate) -> None:
     for device in loop.devices:
         if device.held is not None:
             table.add_row("held torques", held_text(loop, device, device.held))
+        if device.orientation is not None:
+            table.add_row("orientation", orientation_text(loop, device.name, device.orientation))
     if not loop.punctual:
         table.add_row("left of Δ_D", f"{levels.device.share:.4f}, with the gain κ = {levels.device.kappa:.4f}")
     if certificate.spring_damper is not None:

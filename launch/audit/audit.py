@@ -58,6 +58,7 @@ from manyhands.launch.audit.device import ROUNDING as FREE_ROUNDING
 from manyhands.launch.audit.environment import ROUNDING, Blocks, FollowedEnvironment, increments
 from manyhands.launch.audit.events import Course, course_of
 from manyhands.launch.audit.findings import EXACT, Check, CheckVerdict, UncheckedTicks, compare
+from manyhands.launch.audit.orientation import device_checks, world_checks
 from manyhands.launch.audit.prepared import prepared_of
 from manyhands.launch.audit.presence import Presence, fitted
 from manyhands.launch.audit.press import Press, presses
@@ -347,6 +348,8 @@ class _AuditRun:
                 courses,
             )
         out += self._environment(couplings, courses)
+        world = self._bundles[ENVIRONMENT]
+        out += world_checks(self._run, ENVIRONMENT, world) if isinstance(world, EnvironmentBundle) else []
         out += [figures_agree(self._run, name) for name in ledgers]
         out += [bounded(self._run, name) for name in ledgers if name not in devices]
         for name, device in devices.items():
@@ -358,6 +361,7 @@ class _AuditRun:
             if self._session.devices[name].word is None:  # otherwise its ledger lacks the work of a person's hand
                 out.append(bounded(self._run, name, device.allowed, promised))
             out += [*limits_kept(self._run, name, device, courses[name]), *assumed]
+            out += device_checks(self._run, name, device, courses[name])
         order = {"session": -1} | {name: i for i, name in enumerate(self._bundles)}
         return sorted(out, key=lambda check: order[check.party])
 

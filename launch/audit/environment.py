@@ -35,6 +35,7 @@ from manyhands.nodes.kernel.arithmetic import Saturation
 from manyhands.nodes.kernel.bundle import CouplingBundle, EnvironmentBundle
 from manyhands.nodes.kernel.factory import MESH
 from manyhands.nodes.rows import figures as names
+from manyhands.protocol.channels import HEARD, TOLD
 
 ROUNDING = 64.0
 """Units in the last place of the greatest product of a tick, by which another order of its sums may change it."""
@@ -190,7 +191,7 @@ class FollowedEnvironment(FollowedParty):
         return {name: numbers for name, numbers in row.items() if len(numbers)} | {names.FORCE: found}
 
 
-_ROW: Final = (names.TOOL_POSITION, names.MASS_POSITION, names.ORIENTATION, names.LEDGER)
+_ROW: Final = (names.TOOL_POSITION, names.MASS_POSITION, names.ORIENTATION, names.LEDGER, HEARD, TOLD)
 """The traces of :func:`row_of`."""
 
 

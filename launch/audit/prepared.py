@@ -90,6 +90,7 @@ def _session(path: Path, run: RecordedRun, folder: Path) -> Session:
         ("ports", {name: graph.ports[name] for name in graph.nodes}, dict(recorded.ports)),
         ("masses", session.environment.reported(session.ports), tuple(recorded.masses)),
         ("orientations", session.environment.oriented, tuple(recorded.oriented)),
+        ("devices whose orientation is a port", session.hands, tuple(recorded.hands)),
     ):
         if found != expected:
             raise RecordingError(

@@ -32,6 +32,7 @@ _OF_CHECKS: Final[Mapping[str, Promise]] = {
     "period": Promise.PERIOD,
     "account": Promise.LATENESS,
     "torques": Promise.DRIVER,
+    "turned": Promise.ORIENTATION,
     "limits": Promise.FORCE,
     "tank": Promise.LINK,
     "rules": Promise.LINK,

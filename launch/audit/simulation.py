@@ -28,11 +28,12 @@ from manyhands.launch.session.session import ENVIRONMENT
 from manyhands.nodes.coupling.port import CouplingPort
 from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.device.tick import DeviceTick, tick_of
-from manyhands.nodes.environment.core import environment_core, row_of
+from manyhands.nodes.environment.core import environment_core, respond, row_of
 from manyhands.nodes.environment.model import ModelFailure
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import SIMULATED, CouplingBundle, DeviceBundle, EnvironmentBundle
 from manyhands.nodes.kernel.buttons import Buttons
+from manyhands.nodes.kernel.orientation import NO_RIDER, RIDER
 from manyhands.nodes.kernel.passivity import Ledger
 from manyhands.nodes.kernel.simulated_way import WavesUnderWay
 from manyhands.nodes.link.join import WaveRow
@@ -208,6 +209,8 @@ class Simulation:
         index = {port: i for i, port in enumerate(prepared.session.ports)}
         self.buttons = Buttons(world.common.buttons, world.common.period)
         self.events = {name: TickEvents() for name, of in bundles.items() if of.common.buttons}
+        self._hands = world.common.riding
+        self._riding = {name: of.common.riding for name, of in bundles.items()}
         self._buttons_of = {name: of.common.buttons for name, of in bundles.items() if name != ENVIRONMENT}
         self._ports = {name: np.array([index[port] for port in of.common.ports]) for name, of in bundles.items()}
         self._bundles: dict[str, CouplingBundle] = {}
@@ -320,7 +323,7 @@ class Simulation:
             tool[ports[name]] = p
         if self.buttons.names:
             self._press(k, ways)
-        f = np.array(environment.react(tool.tolist()))
+        f, came = self._respond(k, tool, ways)
         if environment.failure is not None:
             raise ModelFailure(environment.failure)
         environment.settle()
@@ -331,10 +334,20 @@ class Simulation:
                 port.book()
             f[ports[name]] = force
         for name, device in self.devices.items():
-            f[ports[name]] = device.exert(f[ports[name]].tolist(), now)
+            f[ports[name]] = device.exert(f[ports[name]].tolist(), now, came=came.get(name, NO_RIDER))
             device.book()
             device.driver.idle(due)
         return x, f
+
+    def _respond(self, k: int, tool: Array, ways: Iterable[str]) -> tuple[Array, Mapping[str, Floats]]:
+        """The forces of the environment, N, and by device what comes with them for its orientation."""
+        there = {name for way in ways for name in self._riding[way]}
+        riders = [n for name in self._hands for n in (self.devices[name].rides if name in there else NO_RIDER)]
+        answer = respond(self.environment, tool.tolist() + riders, k)
+        m = len(tool)
+        told = (answer[at : at + RIDER] for at in range(m, len(answer), RIDER))
+        came = {name: own for name, own in zip(self._hands, told, strict=True) if name in there}
+        return np.array(answer[:m]), came
 
     def _pressed(self, name: str) -> int:
         """The buttons that are held down of the devices of a coupling, among all, or of one device."""

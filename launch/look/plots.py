@@ -51,12 +51,21 @@ from manyhands.protocol.channels import INSTANTS, INTERFACE, LEDGER, TAU, TOPICS
 from manyhands.protocol.messages import Condition, Role, presentable
 
 VELOCITY: Final = "velocity"
+ANGLE: Final = "angle"
+_DERIVED: Final[Mapping[str, str]] = MappingProxyType({VELOCITY: "sample", ANGLE: "orientation"})
+"""The quantities that are no topic, by what they are computed from."""
+
 
 _TITLES: Final[Mapping[str, str]] = MappingProxyType(
     {
         "sample": "positions of the devices",
         VELOCITY: "velocities of the devices",
         "force": "forces of the devices on the hands",
+        "orientation": "orientations of the devices, as unit quaternions",
+        "proxy": "where the world would have their tools, as unit quaternions",
+        ANGLE: "angles between the devices and their tools",
+        "torque": "torques of the devices on the hands",
+        "account": "accounts of the orientations: A below D - G, and a promise is broken",
         "tool": "free positions of the tools, of the couplings",
         "reaction": "forces of the environment on the couplings",
         "tools": "positions of the tools in the environment",
@@ -289,14 +298,16 @@ def _panels(
             nodes.setdefault(name, []).append(node)
     panels = []
     for name, title in _TITLES.items():
-        source = "sample" if name == VELOCITY else name
+        source = _DERIVED.get(name, name)
         if source not in found:
             continue
         topic = found[source][0].topic
         curves: list[Curve] = []
         units: list[str] = []
         for node, trace in zip(nodes[source], found[source], strict=True):
-            labels = (node,) if topic.trace in (LEDGER, TAU, INTERFACE) else trace.columns
+            labels = (node,) if topic.trace in (LEDGER, TAU, INTERFACE) or name == ANGLE else trace.columns
+            if topic.hands and name != ANGLE:
+                labels = tuple(f"{node}.{column}" for column in labels)
             ticks, rate = ticks_of(node), rate_of(node)
             used = {curve.label for curve in curves}
             labels = tuple(f"{node} {label}" if label in used else label for label in labels)
@@ -306,13 +317,22 @@ def _panels(
                 values = backward_difference(
                     values, period / rate, None if instants is None else _of_length(instants.values[:, :1], ticks)
                 )
+            if name == ANGLE:
+                values = _angles(values, _of_length(traces[node, "proxy"].values, ticks))
             curves += [Curve(label, column, rate) for label, column in zip(labels, values.T, strict=True)]
-            units += units_of_columns(topic, trace.columns, turning)
+            units += ["rad"] if name == ANGLE else units_of_columns(topic, trace.columns, turning)
         for unit in dict.fromkeys(units):
             own = tuple(curve for curve, its in zip(curves, units, strict=True) if its == unit)
-            axis = f"velocity [{unit}/s]" if name == VELOCITY else f"{topic.symbol} [{unit}]"
+            symbol = "θ" if name == ANGLE else topic.symbol
+            axis = f"velocity [{unit}/s]" if name == VELOCITY else f"{symbol} [{unit}]"
             panels.append(Panel(name, title, axis, own, zero=topic.trace in (LEDGER, INTERFACE)))
     return panels
+
+
+def _angles(R: Array, Q: Array) -> Array:
+    """The angle of the turn from each orientation to the other, ticks x 1, rad."""
+    found: Array = 2.0 * np.arccos(np.minimum(np.abs((R * Q).sum(axis=1, keepdims=True)), 1.0))
+    return found
 
 
 def _of_length(values: Array, ticks: int) -> Array:

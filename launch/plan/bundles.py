@@ -55,6 +55,8 @@ from manyhands.nodes.kernel.bundle import (
     EnvironmentBundle,
     Limits,
     ObserverBundle,
+    OrientationPart,
+    OrientedTool,
     Peer,
     PersonHand,
     PluginDevice,
@@ -66,7 +68,7 @@ from manyhands.nodes.kernel.bundle import (
 from manyhands.nodes.kernel.energy_budget import EnergyBudget
 from manyhands.nodes.kernel.site_bounds import SiteBounds, site_bounds
 from manyhands.nodes.wave_link.faces import wave_feedthrough
-from manyhands.protocol.channels import links_at, topics_of
+from manyhands.protocol.channels import hands_at, links_at, topics_of
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
 from manyhands.protocol.messages import Role
 from manyhands.protocol.plain import written
@@ -245,7 +247,7 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         scripts = tuple(buttons.values()) if session.devices[name].driver in SCRIPTED else ()
         bundles[name] = DeviceBundle(
             commons[name], osp, of_device, _source(session, name), limits, time, allowance, inertia, held,
-            _friction_of(prepared, name), scripts,
+            _friction_of(prepared, name), scripts, _orientation_of(prepared, name),
         )  # fmt: skip
     longest = max(map(len, rungs.values()))
     at_rungs = ([of_one[min(rung, len(of_one) - 1)].block for of_one in rungs.values()] for rung in range(longest))
@@ -284,8 +286,38 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
         waves=waves,
         tank=running.tank,
         oriented=session.environment.oriented,
+        oriented_tools=tuple(_oriented_tool(prepared, name) for name in session.hands),
     )
     return _with_part_ids(prepared, bundles)
+
+
+def _orientation_of(prepared: Prepared, name: str) -> OrientationPart | None:
+    """The orientation of a device, with the stiffness that is proved, or in an uncertified run designed."""
+    own = prepared.session.devices[name].orientation
+    if own is None:
+        return None
+    (level,) = (device.orientation for device in prepared.loop.devices if device.name == name)
+    if level is None:
+        raise AssertionError(f"the loop has the orientation of {name}")
+    return own.part(level.stiffness)
+
+
+def _oriented_tool(prepared: Prepared, name: str) -> OrientedTool:
+    """The same as the environment knows it."""
+    part = _orientation_of(prepared, name)
+    if part is None:
+        raise AssertionError(f"the orientation of {name} is a port")
+    return OrientedTool(name, part.stiffness, part.torque, part.power(prepared.session.period))
+
+
+def _riding(session: Session, node: str) -> tuple[str, ...]:
+    """The devices whose orientations pass through a node: of a coupling, those of which it has the first port."""
+    if node == ENVIRONMENT:
+        return session.hands
+    if node in session.couplings:
+        own = session.blocks_by_name[node]
+        return tuple(name for name in session.hands if session.ports_of(name)[0] in own)
+    return tuple(name for name in session.hands if name == node)
 
 
 def _with_part_ids(prepared: Prepared, bundles: Mapping[str, Bundle]) -> dict[str, Bundle]:
@@ -456,7 +488,11 @@ def _common(prepared: Prepared, run: RunPlan, name: str, links_of: Mapping[str, 
         address = run.reach.address(graph, index) if binds else ""
         carried = [button for button in own if button in buttons[other]]  # they follow each other at either end
         first = own.index(carried[0]) if carried else 0
-        peers.append(Peer(other, graph.nodes[other], link.ports, binds, address, buttons=(first, len(carried))))
+        there = _riding(prepared.session, other)
+        riding = tuple(device for device in _riding(prepared.session, name) if device in there)
+        peers.append(
+            Peer(other, graph.nodes[other], link.ports, binds, address, buttons=(first, len(carried)), riding=riding)
+        )
     period = prepared.session.period_of(name)
     every = _telemetry_ticks(period, _columns(prepared.session, graph, name, run.clock))
     return Common(
@@ -479,6 +515,7 @@ def _common(prepared: Prepared, run: RunPlan, name: str, links_of: Mapping[str, 
         phase=_phase(prepared.session, name) if run.clock == REALTIME else 0.0,
         turning=tuple(port for port in ports if port in prepared.session.turning),
         buttons=own,
+        riding=_riding(prepared.session, name),
     )
 
 
@@ -499,8 +536,9 @@ def _columns(session: Session, graph: Topology, name: str, clock: str) -> int:
     links = links_at(name, graph.nodes[name], graph.ports, session.wave_links)
     wall, torques = session.in_wall_time(name, clock), session.holds_torques(name)
     oriented = session.environment.oriented
-    topics = topics_of(graph.nodes[name], masses, wall, bool(links), torques, oriented=oriented)
-    return sum(len(topic.columns_of(ports, masses, links, oriented)) for topic in topics)
+    hands = hands_at(name, graph.nodes[name], session.hands)
+    topics = topics_of(graph.nodes[name], masses, wall, bool(links), torques, oriented=oriented, hands=hands)
+    return sum(len(topic.columns_of(ports, masses, links, oriented, hands)) for topic in topics)
 
 
 def _telemetry_ticks(period: float, columns: int) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from manyhands.design.levels.orientation import OrientationLevel
 from manyhands.design.models.axis import AxisKind
 from manyhands.design.models.coupling import Partition, SpringDamper
 from manyhands.design.models.weights import Filter, Transparency
@@ -56,7 +57,8 @@ def haptic_loop(session: Session) -> HapticLoop:
         period=session.period,
         ports=session.ports,
         devices=tuple(
-            device_level(session, name, tuple(index[p] for p in session.ports_of(name))) for name in session.devices
+            device_level(session, name, tuple(index[p] for p in session.ports_of(name)), tau)
+            for name in session.devices
         ),
         partition=Partition(
             tuple(session.couplings), tuple(tuple(index[p] for p in block) for block in session.blocks)
@@ -70,13 +72,17 @@ def haptic_loop(session: Session) -> HapticLoop:
     return loop if most is None else replace(loop, series=counted_parts(loop, most))
 
 
-def device_level(session: Session, name: str, ports: tuple[int, ...]) -> DeviceLevel:
-    """What a device promises and states of its mechanism, at these places in a loop's ports."""
+def device_level(session: Session, name: str, ports: tuple[int, ...], tau: float = 0.0) -> DeviceLevel:
+    """What a device promises and states of its mechanism, at these places in a loop's ports, up to the delay tau, s."""
     device = session.devices[name]
     step = device.step if device.step is not None and any(device.step) else None
     friction = None if device.friction is None else device.friction.least
     turning = tuple(port for port, kind in zip(ports, device.kinds, strict=True) if kind is AxisKind.ROTATION) or None
-    return DeviceLevel(name, ports, session.osp_level(name), device.held_torque, step, friction, turning)
+    orientation = None
+    if device.orientation is not None:
+        k = session.orientation_stiffness(name, tau, session.period_tolerance)
+        orientation = OrientationLevel(device.orientation.osp, k)
+    return DeviceLevel(name, ports, session.osp_level(name), device.held_torque, step, friction, turning, orientation)
 
 
 def stated_delay(session: Session) -> float:

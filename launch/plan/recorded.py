@@ -16,7 +16,7 @@ from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.recordings.run import RecordedTrace
 from manyhands.nodes.recorder.format import Recorded
 from manyhands.nodes.rows.two_port import Row
-from manyhands.protocol.channels import LEDGER, TAU, links_at, topics_of
+from manyhands.protocol.channels import LEDGER, TAU, hands_at, links_at, topics_of
 
 
 def recorded_of(prepared: Prepared, clock: str) -> Recorded:
@@ -40,6 +40,7 @@ def recorded_of(prepared: Prepared, clock: str) -> Recorded:
         scene=session.environment.geometry(session.ports),
         turning=session.turning,
         oriented=session.environment.oriented,
+        hands=session.hands,
         drawing=drawing_of(session),
     )
 
@@ -64,12 +65,13 @@ class Traces:
         self.by_node: dict[str, tuple[RecordedTrace, ...]] = {}
         for name, role in graph.nodes.items():
             links = links_at(name, role, graph.ports, plan.session.wave_links)
+            hands = hands_at(name, role, plan.session.hands)
             topics = [
                 topic
-                for topic in topics_of(role, masses, linked=bool(links), oriented=oriented)
+                for topic in topics_of(role, masses, linked=bool(links), oriented=oriented, hands=hands)
                 if topic.trace != TAU and (topic.trace != LEDGER or name in ledgers)
             ]
-            columns = [topic.columns_of(graph.ports[name], masses, links, oriented) for topic in topics]
+            columns = [topic.columns_of(graph.ports[name], masses, links, oriented, hands) for topic in topics]
             self.by_node[name] = tuple(
                 RecordedTrace(topic, own, np.full((ticks, len(own)), np.nan))
                 for topic, own in zip(topics, columns, strict=True)

@@ -117,6 +117,7 @@ def describe(
         scene=session.environment.geometry(session.ports),
         turning=session.turning,
         oriented=session.environment.oriented,
+        hands=session.hands,
     )
 
 

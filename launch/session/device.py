@@ -94,11 +94,18 @@ from manyhands.launch.session.limits import (
     MIN_POSITIVE,
     MOST_BUTTONS,
     MOST_SPANS,
-    PROBE_COUNT,
-    PROBE_SECONDS,
 )
 from manyhands.launch.session.matrices import Entry, Rational
-from manyhands.launch.session.motion import MOTION_FORM, Motion, TraceData, motion_of, read_trace, trace_from_numbers
+from manyhands.launch.session.motion import (
+    MOTION_FORM,
+    Motion,
+    TraceData,
+    motion_of,
+    read_trace,
+    require_formula,
+    trace_from_numbers,
+)
+from manyhands.launch.session.orientation import Orientation
 from manyhands.launch.session.rate import rate_motion
 from manyhands.nodes.device.motion_sources import MOTION_SOURCES
 from manyhands.nodes.kernel.bundle import WALL, RateMotion
@@ -106,7 +113,6 @@ from manyhands.nodes.kernel.buttons import Script
 from manyhands.nodes.kernel.driver_statement import DeviceTiming, DriverWord
 from manyhands.nodes.kernel.factory import DRIVERS
 from manyhands.nodes.kernel.inertia import Inertia
-from manyhands.nodes.kernel.intent import ALLOWED, Formula, FormulaError
 from manyhands.nodes.kernel.words import counted
 from manyhands.protocol.limits import MAX_BY_ITSELF, MAX_SENTENCE
 
@@ -194,7 +200,7 @@ def _intent(what: Quantity, value: object, folder: Path) -> float | str | TraceD
         case TraceData():
             return value
         case str():
-            _probe(value)
+            require_formula(value)
             return value
         case Mapping() if set(value) == {"trace"}:
             return read_trace(value["trace"], folder)
@@ -207,19 +213,6 @@ def _intent(what: Quantity, value: object, folder: Path) -> float | str | TraceD
             raise refuse(show(value), f"{what.what}: a number in {what.unit}, a formula in t, or a trace")
         case _:
             return what(value)
-
-
-@functools.lru_cache(maxsize=256)  # many hands have the same intention
-def _probe(text: str) -> None:
-    """Refuse a formula that is not allowed, or that fails at a time within the first PROBE_SECONDS."""
-    try:
-        formula = Formula(text)
-        for k in range(PROBE_COUNT + 1):
-            formula(PROBE_SECONDS * k / PROBE_COUNT)
-    except FormulaError as error:
-        if error.position is None:
-            raise refuse(f"{error.problem} in the formula {show(text)}", "a finite value at every time") from None
-        raise refuse(f"{error.problem} at position {error.position} in the formula {show(text)}", ALLOWED) from None
 
 
 _HAND_MASS: Final = PerAxis(HAND_MASS)
@@ -270,6 +263,9 @@ class Hand(OnAxes):
             raise refuse(f"an {finding.reason}", _PASSIVE)
         return operator
 
+
+ORIENTED_DOF: Final = 3
+"""The axes of a device whose orientation is a port: where its tool is in space."""
 
 _TORQUE: Final = "torque"
 _ROUNDING: Final = 1e-12  # rounding error of the eigenvalues of a difference, relative to the largest entry
@@ -614,6 +610,9 @@ class Device(SessionModel):
         default=None,
         description="names of its buttons; {NAME: [[from, until]]}, in s, presses those of a simulated one",
     )
+    orientation: Orientation | None = Field(
+        default=None, description="with driver: simulated and three axes that translate, its orientation as a port"
+    )
     hand: Hand | None = defaulted(None, "the simulated hand that holds it")
 
     @property
@@ -782,6 +781,7 @@ class Device(SessionModel):
         if self.kinematics is not None:
             yield from self._linkage_problems(self.kinematics)
         yield from self._friction_problems(here)
+        yield from self._orientation_problems(here)
         if self.driver == "browser" and self.buttons is not None:
             yield Problem(("buttons",), f"buttons {here}", "no buttons: a page presses none yet")
         if self.driver not in SCRIPTED and any((self.buttons or {}).values()):
@@ -822,6 +822,22 @@ class Device(SessionModel):
                 unit = self.units("N/m")
                 expected = f"a stiffness in {unit} greater than 0: it ties the device to the goal, a pointer's for one"
                 yield Problem(("hand", "stiffness"), f"0 {here}", expected)
+
+    def _orientation_problems(self, here: str) -> Iterator[Problem]:
+        """A problem for each reason why the orientation can be no port."""
+        if self.orientation is None:
+            return
+        at = ("orientation",)
+        if self.driver != _SIMULATED:
+            yield Problem(at, f"an orientation {here}", "driver: simulated: no other driver turns in space yet")
+        if self.dof != ORIENTED_DOF or self.turning("d"):
+            found = f"an orientation beside {counted(self.dof, 'axis', 'axes')}" + (
+                " that turn" * bool(self.turning("d"))
+            )
+            yield Problem(at, found, f"{ORIENTED_DOF} axes that translate")
+        if self.held == _TORQUE:
+            expected = "held: force: what torques of joints give out beside an orientation is proved nowhere yet"
+            yield Problem(at, "an orientation with held: torque", expected)
 
     def _friction_problems(self, here: str) -> Iterator[Problem]:
         """A problem for each key of the friction that says what is burned where nothing burns it so."""

@@ -56,7 +56,7 @@ from manyhands.launch.session.fields import (
 )
 from manyhands.launch.session.foreign import PARAMETERS, Factory
 from manyhands.launch.session.forms import either, list_of, where, without
-from manyhands.launch.session.kind import ENFORCE_MEANING, Enforce, EnvironmentKind
+from manyhands.launch.session.kind import ENFORCE_MEANING, NO_HANDS, Enforce, EnvironmentKind
 from manyhands.launch.session.limits import (
     MAX_BODIES,
     MAX_DELAY,
@@ -142,8 +142,10 @@ class ModelEnvironment(EnvironmentKind):
         return ProxyEnvironment(ports, level, K, self.content(ports), self.tank)
 
     @abstractmethod
-    def code(self, ports: tuple[str, ...], turning: Collection[str] = ()) -> tuple[str, dict[str, Any]]:
-        """The factory that makes the model or the engine, and its parameters, where these ports turn."""
+    def code(
+        self, ports: tuple[str, ...], turning: Collection[str] = (), hands: Mapping[str, float] = NO_HANDS
+    ) -> tuple[str, dict[str, Any]]:
+        """The factory that makes the model or the engine, and its parameters; arguments as of the kind's."""
 
     def content(self, ports: tuple[str, ...]) -> str | None:
         """SHA-256 of its data; None for a user's own code."""
@@ -173,7 +175,9 @@ class PythonEnvironment(ModelEnvironment):
             raise refuse("neither level nor stiffness", expected)
         return self
 
-    def code(self, ports: tuple[str, ...], turning: Collection[str] = ()) -> tuple[str, dict[str, Any]]:
+    def code(
+        self, ports: tuple[str, ...], turning: Collection[str] = (), hands: Mapping[str, float] = NO_HANDS
+    ) -> tuple[str, dict[str, Any]]:
         """The model's factory and the session's parameters."""
         return self.model, self.parameters
 
@@ -218,6 +222,13 @@ def _bodies(value: object) -> tuple[str, ...]:
     return _joints(value) if value else ()
 
 
+def _avatars(value: object) -> dict[str, str]:
+    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+        raise refuse(show(value), "a mapping from devices to names in the model")
+    return {key: _joints(name)[0] for key, name in value.items()}
+
+
+_AVATARS: Final = {"type": "object", "additionalProperties": {"type": "string"}}
 _MODEL_NAME: Final = re.compile(r"[\w.-]{1,100}")
 _NAMES: Final = either({"type": "string"}, list_of({"type": "string"}, MAX_DOF))
 
@@ -247,6 +258,10 @@ class EngineEnvironment(ModelEnvironment):
         default=(),
         description="those of the bodies whose orientations are reported, too, so that they are seen to turn",
     )
+    avatars: Annotated[dict[str, str], Described(_avatars, _AVATARS)] = Field(
+        default={},
+        description="by device whose orientation is a port, what turns its tool in the model; for mujoco a ball joint",
+    )
     assets: Annotated[dict[str, str], Completed(model_assets, ASSETS)] = Field(
         default={}, description="the files that the model names, by their names in the session file's folder"
     )
@@ -269,7 +284,9 @@ class EngineEnvironment(ModelEnvironment):
         if missing:
             yield Problem(("tools",), f"no name for {listed(missing)}", "one for each axis of every device")
 
-    def code(self, ports: tuple[str, ...], turning: Collection[str] = ()) -> tuple[str, dict[str, Any]]:
+    def code(
+        self, ports: tuple[str, ...], turning: Collection[str] = (), hands: Mapping[str, float] = NO_HANDS
+    ) -> tuple[str, dict[str, Any]]:
         """The engine's factory, with the model's text, the names of the ports in it, the bodies and the stiffness."""
         by_port = {
             port: name
@@ -285,7 +302,16 @@ class EngineEnvironment(ModelEnvironment):
             "bodies": [*self.bodies],
             "orientations": [*self.orientations],
             "stiffness": K.tolist(),
+            **(self._turned_by(hands) if hands else {}),
         }
+
+    def _turned_by(self, hands: Mapping[str, float]) -> dict[str, Any]:
+        return {"avatars": [self.avatars[hand] for hand in hands], "avatar_stiffness": [*hands.values()]}
+
+    @property
+    def turned(self) -> tuple[str, ...]:
+        """Those that have an avatar."""
+        return tuple(self.avatars)
 
     @property
     def tried_first(self) -> bool:
@@ -336,7 +362,9 @@ class MeshEnvironment(ModelEnvironment):
                     ("tools", name), f"a tool that begins {-1e3 * gap:.3g} mm inside the mesh", "a place outside"
                 )
 
-    def code(self, ports: tuple[str, ...], turning: Collection[str] = ()) -> tuple[str, dict[str, Any]]:
+    def code(
+        self, ports: tuple[str, ...], turning: Collection[str] = (), hands: Mapping[str, float] = NO_HANDS
+    ) -> tuple[str, dict[str, Any]]:
         """The proxies of this package, with grid, friction and tools."""
         tools = [
             {

@@ -6,7 +6,8 @@ asked; a kind states only where its own differ. A kind is one line in the table 
 """
 
 from abc import abstractmethod
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeAlias
 
 from manyhands.design.models.kind import Environment
@@ -18,6 +19,9 @@ Enforce: TypeAlias = Flag
 """Whether a passivity controller keeps the environment's level at run time."""
 
 ENFORCE_MEANING: Final = "whether a passivity controller keeps its level at run time"
+
+NO_HANDS: Final[Mapping[str, float]] = MappingProxyType({})
+"""No device whose orientation is a port."""
 
 
 class EnvironmentKind(SessionModel):
@@ -73,9 +77,22 @@ class EnvironmentKind(SessionModel):
         """The buttons that it uses: where it names each, its device and its name."""
         return iter(())
 
-    def code(self, ports: tuple[str, ...], turning: Collection[str] = ()) -> tuple[str, dict[str, Any]] | None:
-        """The factory of the model that is asked, and its parameters, where these ports turn; None where none is."""
+    def code(
+        self, ports: tuple[str, ...], turning: Collection[str] = (), hands: Mapping[str, float] = NO_HANDS
+    ) -> tuple[str, dict[str, Any]] | None:
+        """The factory of the model that is asked, and its parameters, where these ports turn; None where none is.
+
+        Args:
+            ports: of the session, in order.
+            turning: those that turn.
+            hands: by device whose orientation is a port, the greatest k of its spring, N·m/rad.
+        """
         return None
+
+    @property
+    def turned(self) -> tuple[str, ...]:
+        """The devices whose tools it can turn in space."""
+        return ()
 
     @property
     def tried_first(self) -> bool:

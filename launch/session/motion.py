@@ -10,6 +10,7 @@ opens no file that the session's author named, and a session that a run keeps ne
 """
 
 import csv
+import functools
 import io
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -26,8 +27,16 @@ from manyhands.launch.recordings.arrays import read_arrays
 from manyhands.launch.session.errors import listed, one_of, show
 from manyhands.launch.session.fields import PortLimits, Problem, Quantity, SessionModel, problems_of, refusal, refuse
 from manyhands.launch.session.forms import JsonSchema, either, list_of, mapping_of
-from manyhands.launch.session.limits import MAX_DOF, MAX_MOTION_NUMBERS, MAX_TRACE_BYTES, MAX_TRACE_LINE, MAX_TRACE_ROWS
-from manyhands.nodes.kernel.intent import IntentError, SampledSignal
+from manyhands.launch.session.limits import (
+    MAX_DOF,
+    MAX_MOTION_NUMBERS,
+    MAX_TRACE_BYTES,
+    MAX_TRACE_LINE,
+    MAX_TRACE_ROWS,
+    PROBE_COUNT,
+    PROBE_SECONDS,
+)
+from manyhands.nodes.kernel.intent import ALLOWED, Formula, FormulaError, IntentError, SampledSignal
 
 _ROW: Final = "rows of two numbers, 't,value', with t in s increasing from 0"
 
@@ -424,3 +433,16 @@ def _table(path: Path) -> Table:
 def motion_of(value: object, dof: int, context: Mapping[str, Any] | None) -> Motion | None:
     """As :func:`motion`, for a value that may be absent; ``context`` is pydantic's, with the file's ``folder``."""
     return None if value is None else motion(value, dof, (context or {}).get("folder", Path()))
+
+
+@functools.lru_cache(maxsize=256)  # many hands have the same intention
+def require_formula(text: str) -> None:
+    """Refuse a formula that is not allowed, or that fails at a time within the first PROBE_SECONDS."""
+    try:
+        formula = Formula(text)
+        for k in range(PROBE_COUNT + 1):
+            formula(PROBE_SECONDS * k / PROBE_COUNT)
+    except FormulaError as error:
+        if error.position is None:
+            raise refuse(f"{error.problem} in the formula {show(text)}", "a finite value at every time") from None
+        raise refuse(f"{error.problem} at position {error.position} in the formula {show(text)}", ALLOWED) from None

@@ -28,6 +28,7 @@ from typing import Annotated, Any, Final, Literal, Self, TypeAlias
 import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field, PlainSerializer, ValidationError, model_validator
 
+from manyhands.design.levels.orientation import stiffest
 from manyhands.design.models.axis import AxisKind, Units, kinds_of, units_of
 from manyhands.design.models.brief import brief_names
 from manyhands.design.models.contacts import GROUND
@@ -387,6 +388,7 @@ class Session(SessionModel):
         problems += islice(motion_problems(motions, self.period), MAX_PROBLEMS)
         if not problems:
             problems += islice(self._button_problems(), MAX_PROBLEMS)
+            problems += islice(self._orientation_problems(), MAX_PROBLEMS)
         if not problems and self.colocated:
             problems += islice(self._colocation_problems(), MAX_PROBLEMS)
         if not problems:
@@ -437,6 +439,52 @@ class Session(SessionModel):
             **dict.fromkeys(self.couplings, Role.COUPLING),
             ENVIRONMENT: Role.ENVIRONMENT,
         }
+
+    @cached_property
+    def hands(self) -> tuple[str, ...]:
+        """The devices whose orientation is a port, in the session's order."""
+        return tuple(name for name, device in self.devices.items() if device.orientation is not None)
+
+    @property
+    def stiffest_orientations(self) -> dict[str, float]:
+        """By device whose orientation is a port, the greatest k that its spring can have, N·m/rad."""
+        return {name: self.orientation_stiffness(name, 0.0, 0.0) for name in self.hands}
+
+    def orientation_stiffness(self, name: str, tau: float, period_tolerance: float) -> float:
+        """K of the spring at the orientation of a device, N·m/rad: as stated, or the stiffest that is proved.
+
+        Args:
+            name: of the device.
+            tau: the longest delay that is certified, s.
+            period_tolerance: rho; periods are at most (1 + rho) T.
+        """
+        own = self.devices[name].orientation
+        if own is None:
+            raise AssertionError(f"the orientation of {name} is no port")
+        return own.stiffness or stiffest(own.osp, self.period, tau, period_tolerance)
+
+    def _orientation_problems(self) -> Iterator[Problem]:
+        """A problem for each orientation that nothing turns, and for what it does not go with."""
+        turned = self.environment.turned
+        for name in turned:
+            if name not in self.hands:
+                expected = f"a device with an orientation: {listed(self.hands) or 'here none'}"
+                yield Problem(("environment", "avatars", name), show(name), expected)
+        for name in self.hands:
+            at = ("devices", name, "orientation")
+            if self.environment.type != "engine":
+                expected = "an engine with an avatar for its tool: no other world turns tools in space yet"
+                yield Problem(at, f"an orientation in an environment of the type {self.environment.type}", expected)
+            elif name not in turned:
+                yield Problem(
+                    at, f"an orientation, and no avatar for {name}", f"environment.avatars: {{{name}: JOINT}}"
+                )
+            if self.wave_links:
+                expected = "no wave link: no certificate of parts has an orientation yet"
+                yield Problem(at, f"an orientation with the wave link of {next(iter(self.wave_links))!r}", expected)
+        if self.hands and self.design.ladder:
+            expected = "no ladder: the spring of an orientation has no softer rung yet"
+            yield Problem(("design", "ladder"), f"delays with the orientation of {self.hands[0]!r}", expected)
 
     def _colocation_problems(self) -> Iterator[Problem]:
         """A problem for each coupling of several devices: it receives the motion of all, so no device may run it."""
@@ -555,7 +603,7 @@ class Session(SessionModel):
             for name, device in self.devices.items()
             if device.factory is not None
         }
-        if (code := self.environment.code(self.ports, self.turning_ports)) is not None:
+        if (code := self.environment.code(self.ports, self.turning_ports, self.stiffest_orientations)) is not None:
             found["environment.model"] = FactoryName(*code, self.folder)
         return found
 

@@ -40,14 +40,16 @@ class Block:
         self.jumps = self.ticks = 0
         self._stamp, self._pressed, self.sent = 0, 0, -1
         self._life: Life | None = None  # until the loop begins
-        self._f: Floats = [0.0] * len(self._common.ports)  # the environment's force, filled in place
+        self._ports = len(self._common.ports)
+        self._f: Floats = [0.0] * self._common.width  # the environment's force and what rides with it, filled in place
+        self._rides: Floats = []  # what rides with the devices' last samples
         self._rows = RowBuffer(Role.COUPLING, self._common.telemetry_first, self._common.telemetry_ticks)
         self._events = TickEvents()
 
     @property
     def applied(self) -> Floats:
-        """The force of the latest tick, within the limits of its devices, N."""
-        return self.port.f
+        """The force of the latest tick, within the limits of its devices, N, and what rides with it."""
+        return self.port.f + self._f[self._ports :] if self._common.riding else self.port.f
 
     def begin(self, life: Life) -> None:
         """Begin the loop; ``life`` fails when the environment floods the link."""
@@ -55,6 +57,8 @@ class Block:
 
     def send(self, x: Floats, tick: int, stamp: int, pressed: int = 0) -> None:
         """Send the environment p(k), m, for the devices' x(k), m.
+
+        Orientations that ride with x pass through as they are, here and on the way back.
 
         Args:
             x: those of all devices.
@@ -64,11 +68,14 @@ class Block:
         """
         self.sent, self._pressed = tick, pressed
         self._stamp = stamp  # the age of the force is counted from the sample
-        self.environment.send(Tool, tick, stamp, self.port.up(x), pressed)
+        if self._common.riding:
+            x, self._rides = x[: self._ports], x[self._ports :]
+        self.port.up(x)
+        self.environment.send(Tool, tick, stamp, self._signal, pressed)
 
     def send_again(self, tick: int) -> None:
         """Send the last p once more: the signal or its answer may have been lost, or the session has gone on."""
-        self.environment.send(Tool, tick, self._stamp, self.port.p, self._pressed)
+        self.environment.send(Tool, tick, self._stamp, self._signal, self._pressed)
 
     def hear(self, tick: int, timeout: Duration) -> Received:
         """Listen for f_v(k), at most ``timeout``.
@@ -81,16 +88,24 @@ class Block:
         environment = self.environment
         received = environment.hear(self._f, tick, timeout, self)
         if received is Received.SIGNAL:
-            self.port.down(self._f)
+            self.port.down(self._force)
         elif received is Received.DECLINED:
             environment.take_other(self._f, "future_tick")
-            self.port.down(self._f)
+            self.port.down(self._force)
             self.jumps += 1
         elif received is Received.RECONNECTED:
             self._next_rung = 0  # an environment that greets the block has put D_V of rung 0 into its loop
             if self.sent == tick:
                 self.send_again(tick)
         return received
+
+    @property
+    def _signal(self) -> Floats:
+        return self.port.p + self._rides if self._rides else self.port.p
+
+    @property
+    def _force(self) -> Floats:
+        return self._f[: self._ports] if self._common.riding else self._f
 
     def climb(self, tick: int) -> int | None:
         """Change to the rung that the environment has just chosen, at rest; returns it, or None without a change."""

@@ -52,7 +52,7 @@ class CouplingNode:
         self._within: Within | None = None  # the join from a node whose loop runs this one's ticks
         self._life: Life | None = None  # until the loop begins
         self._resumes = False  # whether the session ran before this process, whose first tick may be behind or ahead
-        self._nothing: Floats = [0.0] * len(bundle.common.ports)  # takes the values of links that only shake hands
+        self._nothing: Floats = [0.0] * bundle.common.width  # takes the values of links that only shake hands
 
     @property
     def by_itself(self) -> tuple[str, ...]:
@@ -75,7 +75,8 @@ class CouplingNode:
     def as_peer(self) -> Peer:
         """This node, as a device in the same process is joined to it."""
         common = self._common
-        return Peer(common.name, Role.COUPLING, common.ports, binds=False, buttons=(0, len(common.buttons)))
+        buttons = (0, len(common.buttons))
+        return Peer(common.name, Role.COUPLING, common.ports, binds=False, buttons=buttons, riding=common.riding)
 
     def join_from(self, own: OwnEnd) -> Within:
         """Join this node to a device in the same process, whose loop runs the block's ticks from then on.
@@ -113,7 +114,7 @@ class CouplingNode:
             self._run(block, start, life, control)
 
     def _run(self, block: Block, start: Start, life: Life, control: ControlLine) -> None:
-        devices, x = self._devices, [0.0] * len(self._common.ports)
+        devices, x = self._devices, [0.0] * self._common.width
         clock, turn, give_way = self._clock, self._timeouts.turn, way_giver()
         tick = start.tick
         while not life.stopping and (start.ticks == 0 or tick < start.ticks):

@@ -30,7 +30,8 @@ class Within(Join):
     def __init__(self, own: OwnEnd, peer: Peer, block: Block) -> None:
         """Join the device whose end is ``own`` to the ``block`` of ``peer``, at those of its ports that it couples."""
         where = positions(own.common.ports, peer.ports)
-        super().__init__(hello_to(own.common, peer, None), peer, None, where, own.clock)
+        riders = own.common.riders(peer.riding)
+        super().__init__(hello_to(own.common, peer, None), peer, None, where, own.clock, riders)
         self._block = block
         self.control: ControlLine | None = None
 

@@ -170,6 +170,11 @@ class Guard:
         """Whether s > 0: the device exerts a force."""
         return self._ratio > 0.0
 
+    @property
+    def ratio(self) -> float:
+        """s(k), 0 ... 1."""
+        return self._ratio
+
     def leave(self) -> None:
         """From now on s falls to 0 by the ramp, and stays there."""
         self.leaving = True

@@ -19,6 +19,7 @@ driver. A device beyond its limits of displacement or speed lets go. It takes ho
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Mapping, Sequence
 
 from manyhands.nodes.device.drivers import Driver
@@ -30,6 +31,7 @@ from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import SIMULATED, DeviceBundle
 from manyhands.nodes.kernel.lifetime import Life
 from manyhands.nodes.kernel.log import LogEvent
+from manyhands.nodes.kernel.orientation import MOST_LIFE, NO_RIDER
 from manyhands.nodes.kernel.realtime import way_giver
 from manyhands.nodes.kernel.timeouts import LISTEN_TICKS, timeouts
 from manyhands.nodes.link.join import Inner, Join, OwnEnd, Received, await_all
@@ -74,6 +76,8 @@ class DeviceNode:
         common = bundle.common
         self._common, self._rungs = common, bundle.rungs
         self.device = tick_of(bundle, driver)
+        if self.device.orientation is not None:
+            self.device.orientation.life = float(1 + secrets.randbelow(MOST_LIFE))
         self._realtime: Clock = clock or RealtimeClock()
         self._inside = inside
         self._timeouts = timeouts(common)
@@ -127,7 +131,8 @@ class DeviceNode:
         account, joins = self._account, self.joins
         self._life, give_way = life, way_giver()
         epoch = self._epoch = account.epoch = Instant(start.epoch) if clock is self._realtime else Instant(0)
-        f = self._zero.copy()
+        f, ports = [0.0] * self._common.width, len(self._common.ports)
+        turns_in_space = device.orientation is not None
         tick, turns, slot, turn = start.tick, 0, 0, self._timeouts.turn
         sent_tick = -1  # the tick of the last sample
         repeats = Repeats(period, clock.now())
@@ -153,6 +158,8 @@ class DeviceNode:
             let_go = guard.let_go
             first = sent_tick != tick
             x = device.sample(turns, Instant(sampled - epoch), first)
+            if turns_in_space:
+                x = x + device.rides
             if first:
                 sent_tick = tick
                 repeats.begin(sampled)
@@ -189,7 +196,8 @@ class DeviceNode:
             if answered > tick:
                 self._jump(control)
                 tick = answered
-            device.exert(f.copy(), Instant(received - epoch))  # f is written again in the next tick
+            came = f[ports:] if turns_in_space else NO_RIDER
+            device.exert(f[:ports], Instant(received - epoch), came=came)  # f is written again in the next tick
             applied = received if in_wall_time else clock.now()  # in wall time the instant that the driver was given
             give_way()
             device.book()

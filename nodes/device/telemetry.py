@@ -296,7 +296,21 @@ class DeviceTelemetry:
             **names.ledger_figures(core.ledger),
             **self._speed_figures(),
             **self._interface_figures(),
+            **self._orientation_figures(),
             **({names.BUTTON_PRESSES: float(self._presses)} if self._common.buttons else {}),
+        }
+
+    def _orientation_figures(self) -> dict[str, float]:
+        """How the account of its orientation stands, where that is a port."""
+        own = self._device.orientation
+        if own is None:
+            return {}
+        return {
+            names.ORIENTATION_LEAST: own.least,
+            names.ORIENTATION_MARGIN: own.margin,
+            names.ORIENTATION_HELD: float(own.spring.held),
+            names.ORIENTATION_LET_GO: float(own.let_go),
+            names.ORIENTATION_LATE: own.spring.late,
         }
 
     def _speed_figures(self) -> dict[str, float]:

@@ -22,6 +22,9 @@ loop.
 **Buttons** are read with the sample that is sent. Scripts hold those of a simulated device and of a recorded motion;
 any other driver tells them, if it can (``buttons()``).
 
+**Orientation.** A device that turns in space has its law here, too (:mod:`manyhands.nodes.device.orientation`). What
+rides with the sample is :attr:`DeviceTick.rides`, and what came with the answer is handed to :meth:`DeviceTick.exert`.
+
 **Encoder steps.** What a simulated device sends is rounded to the steps of its encoder. Its row, ledger and account
 have its true displacement, which no real device knows. So they count the energy that the steps put into the loop.
 """
@@ -36,13 +39,16 @@ from typing import Final
 from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.drivers import Driver
 from manyhands.nodes.device.interface import DeviceInterface, interface_of
+from manyhands.nodes.device.orientation import DeviceOrientation
 from manyhands.nodes.device.plugin import PluginDriver
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import WALL, DeviceBundle, SimulatedHand
 from manyhands.nodes.kernel.buttons import Buttons, scripted
+from manyhands.nodes.kernel.orientation import NO_RIDER
 from manyhands.nodes.kernel.passivity import Ledger
+from manyhands.nodes.kernel.timeouts import timeouts
 from manyhands.nodes.rows.two_port import Row
-from manyhands.protocol.clock import Instant, from_seconds
+from manyhands.protocol.clock import Duration, Instant, from_seconds
 
 Instants = tuple[Instant, Instant, Instant]
 """The instants of a tick in wall time, since tick 0's: x was sampled, f was applied, and the force before had ended."""
@@ -76,6 +82,7 @@ class DeviceTick(ABC):
         changed: of them, those that changed with its sample.
         done: the work of motors that hold torques until the sample of the last tick, and from then until its force, J;
             NaN where it is not known. Empty for others.
+        orientation: its orientation, with the torque; None where that is no port.
     """
 
     interface: DeviceInterface | None = None
@@ -108,6 +115,12 @@ class DeviceTick(ABC):
         self.instants: Instants = NO_INSTANTS
         self.done: tuple[float, ...] = ()
         self._until_sampled = math.nan
+        self.orientation = _orientation_of(bundle)
+
+    @property
+    def rides(self) -> Floats:
+        """What rides with the sample of the tick; nothing for a device whose orientation is no port."""
+        return [] if self.orientation is None else self.orientation.rides
 
     def sample(self, turn: int, at: Instant, first: bool = True, recorded: Floats | None = None) -> Floats:
         """Take a sample; returns the displacement that the couplings receive, m.
@@ -122,6 +135,8 @@ class DeviceTick(ABC):
         """
         # a copy: a driver may fill the same list or array every time
         self.moved = x = list(map(float, self.driver.sample(turn, at)))
+        if self.orientation is not None:
+            self.orientation.sample(turn, at)
         if recorded is not None:
             x = recorded
         last, period, interface = self._at, self._period, self.interface
@@ -184,11 +199,13 @@ class DeviceTick(ABC):
         """End a period at ``at`` in which no force came: exert none, and count the intention's work."""
 
     @abstractmethod
-    def exert(self, asked: Floats, at: Instant, recorded: Floats | None = None) -> Floats:
+    def exert(
+        self, asked: Floats, at: Instant, recorded: Floats | None = None, came: Sequence[float] = NO_RIDER
+    ) -> Floats:
         """Take the couplings' answer, N, and exert what limits and account allow of it from ``at`` on; returns that.
 
         Where the force was ``recorded``, N, that is exerted, and the other is returned. All lists are kept until the
-        next call.
+        next call. What ``came`` with the answer is for the orientation.
         """
 
     @abstractmethod
@@ -197,10 +214,24 @@ class DeviceTick(ABC):
 
     @abstractmethod
     def row(self) -> Row:
-        """x, f_v, the ledger's total; in wall time also e(k), x at the instant of the force, the instants, the work.
+        """x, f_v, the ledger's total; in wall time also e(k), x at the instant of the force, the instants, the work;
+        then R, Q, the torque, what was proposed, and the account of an orientation.
 
-        A part without numbers stands for what a device in its own time has not.
+        A part without numbers stands for what a device in its own time has not. The parts of an orientation are there
+        where it is a port.
         """
+
+    @property
+    def _row_of_orientation(self) -> Row:
+        return () if self.orientation is None else self.orientation.row()
+
+    def _turn(self, came: Sequence[float], at: Instant) -> None:
+        if self.orientation is not None:
+            self.orientation.exert(came, at, self.guard.ratio)
+
+    def _release_turn(self, at: Instant) -> None:
+        if self.orientation is not None:
+            self.orientation.release(at)
 
     def skipped(self) -> None:
         """The session has gone on to a later tick: the answer to the motion sent last will not be known."""
@@ -231,18 +262,23 @@ class OwnTimeTick(DeviceTick):
     def release(self, at: Instant) -> None:
         """Exert no force."""
         self.driver.release(at)
+        self._release_turn(at)
 
     def free(self, at: Instant) -> None:
         """Count a period with zero force."""
         self.driver.release(at)
+        self._release_turn(at)
         self.held = self._zero
         self.book()
 
-    def exert(self, asked: Floats, at: Instant, recorded: Floats | None = None) -> Floats:
+    def exert(
+        self, asked: Floats, at: Instant, recorded: Floats | None = None, came: Sequence[float] = NO_RIDER
+    ) -> Floats:
         """Exert what the limits allow, or the recorded force."""
         held = self.guard.clip(asked)
         self.held = exerted = held if recorded is None else recorded
         self.driver.apply(exerted, at)
+        self._turn(came, at)
         return held
 
     def book(self) -> None:
@@ -256,7 +292,7 @@ class OwnTimeTick(DeviceTick):
 
     def row(self) -> Row:
         """x, f_v and the ledger's total."""
-        return self.x, self.held, (self.core.ledger.total,), (), (), (), ()
+        return self.x, self.held, (self.core.ledger.total,), (), (), (), (), *self._row_of_orientation
 
 
 class WallTimeTick(DeviceTick):
@@ -281,22 +317,27 @@ class WallTimeTick(DeviceTick):
     def release(self, at: Instant) -> None:
         """Exert no force from ``at`` on."""
         self.driver.release(at)
+        self._release_turn(at)
         self.wall_interface.released(at)
 
     def free(self, at: Instant) -> None:
         """Count the intention's work; the couplings were given nothing in this period."""
         self.driver.release(at)
+        self._release_turn(at)
         if self._exerted is not None:
             self._exerted(self._zero)
         self._count(self.driver.intended_work())
 
-    def exert(self, asked: Floats, at: Instant, recorded: Floats | None = None) -> Floats:
+    def exert(
+        self, asked: Floats, at: Instant, recorded: Floats | None = None, came: Sequence[float] = NO_RIDER
+    ) -> Floats:
         """Exert what limits and account allow, or the recorded force."""
         held, until = self.wall_interface.force(asked, self.guard.clip(asked), at)
         if self.guard.leaving:
             self.wall_interface.given.leaves()
         self.held = exerted = held if recorded is None else recorded
         self._moved = self.driver.apply(exerted, at, until)
+        self._turn(came, at)
         self._asked, self._applied, self._until = asked, at, until
         return held
 
@@ -317,9 +358,12 @@ class WallTimeTick(DeviceTick):
         self.core.apply(self._asked, self.work)
 
     def row(self) -> Row:
-        """x, f_v, the ledger's total, e(k), x at the instant of the force, the instants, and the work of its motors."""
+        """x, f_v, the ledger's total, e(k), x at the instant of the force, the instants, and the work of its motors;
+        then those of its orientation.
+        """
         energy, x_a = self.wall_interface.account.energy, self._unknown if self.x_a is None else self.x_a
-        return self.x, self.held, (self.core.ledger.total,), (energy,), x_a, self.instants, self.done
+        own = self.x, self.held, (self.core.ledger.total,), (energy,), x_a, self.instants, self.done
+        return *own, *self._row_of_orientation
 
     def _count(self, work: float) -> None:
         """Count the work of the intention up to the latest sample, J."""
@@ -332,6 +376,16 @@ class WallTimeTick(DeviceTick):
 def in_steps(x: Floats, steps: Sequence[float]) -> Floats:
     """The displacement x as an encoder gives it, m: to the nearest multiple of its step on each axis that has one."""
     return [q * math.floor(at / q + 0.5) if q > 0.0 else at for at, q in zip(x, steps, strict=True)]
+
+
+def _orientation_of(bundle: DeviceBundle) -> DeviceOrientation | None:
+    """The orientation of a device, upright; a torque is held until it is stale, and one period more."""
+    if bundle.orientation is None:
+        return None
+    T, longest = bundle.common.period, None
+    if bundle.time == WALL:
+        longest = Duration((timeouts(bundle.common).stale or 0) + from_seconds(T))
+    return DeviceOrientation(bundle.orientation, T, bundle.rungs[0], bundle.allowance, longest)
 
 
 def tick_of(bundle: DeviceBundle, driver: Driver) -> DeviceTick:

@@ -54,7 +54,8 @@ from manyhands.nodes.environment.clutch import (
 )
 from manyhands.nodes.environment.energy import BOUND_TICKS, Energy
 from manyhands.nodes.environment.enforced import BlackBox, EnforcedCore, ForceLaw, LinearLaw
-from manyhands.nodes.environment.model import PROXY, REACT, AskedModel, make_model
+from manyhands.nodes.environment.model import PROXY, REACT, AskedModel, EnvironmentModel, make_model
+from manyhands.nodes.environment.oriented_tools import OrientedTools
 from manyhands.nodes.environment.proxy import ProxyLaw
 from manyhands.nodes.environment.scene import SceneLaw
 from manyhands.nodes.kernel.arithmetic import FEW, Floats, LinearMap, Rows, dot, linear_map, minus, solve
@@ -77,6 +78,7 @@ class EnvironmentCore:
         held: always empty, for matrices have no proxies.
         figures: always empty, for nothing else is counted.
         chatter: always None, for matrices are solved within the tick.
+        oriented: always None, for nothing is turned in space.
         ledger: its energy ledger; None when the session is not certified.
         energy: the energy that each coupling puts into the others, and their budgets.
         clutches: the clutches of the blocks.
@@ -88,6 +90,7 @@ class EnvironmentCore:
     held: Sequence[int] = ()
     figures: Mapping[str, float] = MappingProxyType({})
     chatter: Chatter | None = None
+    oriented: OrientedTools | None = None
 
     def __init__(
         self,
@@ -369,10 +372,26 @@ Core: TypeAlias = EnvironmentCore | EnforcedCore
 """A core of the environment, with or without a controller."""
 
 
+def respond(core: Core, signals: Floats, tick: int) -> Floats:
+    """The forces f_c(k) for the couplings, N, and what rides with them, from p(k), m, and what rides with that.
+
+    Where no orientation rides, this is :meth:`EnvironmentCore.react`.
+    """
+    oriented = core.oriented
+    if oriented is None:
+        return core.react(signals)
+    m = len(signals) - oriented.width
+    oriented.hear(signals[m:], tick)
+    return core.react(signals[:m]) + oriented.answer()
+
+
 def row_of(core: Core) -> Row:
-    """Tools, masses, orientations and the ledger's total of the tick that was settled last; wave links' rows follow."""
-    ledger = core.ledger
-    return core.tools, core.masses, core.orientations, [] if ledger is None else [ledger.total]
+    """Tools, masses, orientations and the ledger's total of the tick that was settled last, and of the tools that hands
+    turn what was heard and told; the rows of wave links follow.
+    """
+    ledger, oriented = core.ledger, core.oriented
+    turned: Row = ([], []) if oriented is None else (oriented.heard, oriented.told)
+    return core.tools, core.masses, core.orientations, [] if ledger is None else [ledger.total], *turned
 
 
 def environment_core(bundle: EnvironmentBundle, D_V: Vector, blocks: Blocks | None = None) -> Core:
@@ -389,6 +408,7 @@ def environment_core(bundle: EnvironmentBundle, D_V: Vector, blocks: Blocks | No
     """
     common, E = bundle.common, bundle.E
     law: ForceLaw
+    turned: OrientedTools | None = None
     if bundle.model is not None:
         K = bundle.stiffness
         model = make_model(bundle.model, common.ports, common.period, REACT if K is None else PROXY)
@@ -404,6 +424,9 @@ def environment_core(bundle: EnvironmentBundle, D_V: Vector, blocks: Blocks | No
             parties = ports_of_blocks(blocks, len(common.ports))
             bodies, oriented = len(bundle.masses) // 3, len(bundle.oriented)
             law = ProxyLaw(asked, K, bundle.Phi_E, common.period, parties, bodies, bundle.tank, oriented)
+        if bundle.oriented_tools:
+            _require(model, bundle)
+            turned = OrientedTools(bundle.oriented_tools, asked)
     elif bundle.scene is not None:
         law = SceneLaw(bundle.scene, common.period, common.buttons)
     elif E is None:
@@ -430,4 +453,14 @@ def environment_core(bundle: EnvironmentBundle, D_V: Vector, blocks: Blocks | No
         blocks,
         budgets=bundle.budgets,
         stored=bundle.energy_at_start,
+        oriented=turned,
     )
+
+
+def _require(model: EnvironmentModel, bundle: EnvironmentBundle) -> None:
+    """Require an engine whose avatars can be turned."""
+    if bundle.model is not None and not all(callable(getattr(model, name, None)) for name in ("turn", "avatars")):
+        raise FactoryError(
+            f"environment.tools: found {', '.join(of.device for of in bundle.oriented_tools)} turned with "
+            f"{bundle.model.factory}, which has no turn(torques) and avatars(); expected an engine that has them"
+        )

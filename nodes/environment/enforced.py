@@ -41,6 +41,7 @@ from manyhands.nodes.environment.clutch import (
 )
 from manyhands.nodes.environment.energy import Energy
 from manyhands.nodes.environment.model import AskedModel
+from manyhands.nodes.environment.oriented_tools import OrientedTools
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.energy_budget import EnergyBudget
 from manyhands.nodes.kernel.passivity import Ledger, PassivityController
@@ -196,6 +197,7 @@ class EnforcedCore:
         energy: the energy that each coupling puts into the others, and their budgets.
         clutches: the clutches of the blocks.
         chatter: how often the forces f_c that the couplings receive reversed.
+        oriented: the tools that hands turn; None without any.
         ill_posed: ticks in which the loop had no unique solution: always 0, by construction or by the certificate.
     """
 
@@ -210,6 +212,7 @@ class EnforcedCore:
         ramp: int = RAMP,
         budgets: Sequence[EnergyBudget] | None = None,
         stored: float = 0.0,
+        oriented: OrientedTools | None = None,
     ) -> None:
         """Start at rest, all tools at 0, all blocks coupled.
 
@@ -223,6 +226,7 @@ class EnforcedCore:
             ramp: ticks from frozen to coupled.
             budgets: the energy that each coupling may put into the others; None for no bound.
             stored: the energy that the law stores at the start, with which its ledger begins, J.
+            oriented: the tools that hands turn.
 
         Raises:
             ValueError: there is no level to enforce; or D_V joins ports of two blocks; or its symmetric part is not
@@ -232,6 +236,7 @@ class EnforcedCore:
         if enforce and Phi_E is None:
             raise ValueError("found no level to enforce; expected the environment's Phi_E")
         self._law, self._Phi, self._T = law, Phi_E, T
+        self.oriented = oriented
         self._D_V = np.array(D_V, dtype=np.float64)
         parts = ports_of_blocks(blocks, m)
         require_within(self._D_V, parts)

@@ -539,7 +539,7 @@ class Members:
         member.due, member.silent = through + 1, 0
         if not self._answer:
             self._answer = [0.0] * len(self._p)
-        join.put(self._answer, self.core.holding_force(member.index, join.share(self._p)))
+        join.put_ports(self._answer, self.core.holding_force(member.index, join.share_of_ports(self._p)))
         join.send(Reaction, through, join.stamp, self._answer)
         return False
 

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from manyhands.design.models.axis import units_by_port, units_of
 from manyhands.nodes.kernel.factory import FactoryError, FactoryName, in_one_line, made_by
+from manyhands.nodes.kernel.orientation import UPRIGHT, Quaternion, unit
 
 Vector = NDArray[np.float64]
 
@@ -79,6 +80,11 @@ class Engine(Protocol):
     Where the session lists ``orientations``, bodies that are seen to turn, the parameters have these names under that
     key, and the engine has ``orientations()``: for each of them the unit quaternion of its orientation, its real part
     and then its imaginary parts, after :meth:`step`.
+
+    Where hands turn tools, the parameters have ``avatars``, a name in the model for each such tool, and
+    ``avatar_stiffness``, k of its spring, N*m/rad. The engine then has ``turn(torques)``, which is called before each
+    step with the torque on each avatar over that step, N*m, three numbers in the world's axes. It also has
+    ``avatars()``: for each avatar the unit quaternion by which it is turned from where it began.
     """
 
     def step(self, x: Vector, f: Vector) -> Any:
@@ -257,6 +263,35 @@ class AskedModel:
             f"1; expected {4 * bodies} numbers, a unit quaternion for each body"
         )
         return upright
+
+    def turn(self, torques: Vector) -> None:
+        """Turn an engine's avatars by these torques over its next step, N*m, three numbers in the world's axes each."""
+        model: Any = self._model
+        if self.failure is not None:
+            return
+        try:
+            model.turn(torques)
+        except (Exception, SystemExit) as error:  # noqa: BLE001 -- foreign code, as above
+            self.failure = f"the engine {self._name} failed: found {in_one_line(error)}; expected avatars that turn"
+
+    def avatars(self, tools: int) -> list[Quaternion]:
+        """The orientation of each avatar from where it began; upright where the engine has failed or gives others."""
+        model: Any = self._model
+        if self.failure is None:
+            try:
+                numbers = [float(number) for number in model.avatars()]
+                found = [unit(numbers[at : at + 4]) for at in range(0, len(numbers), 4)]
+            except (Exception, SystemExit) as error:  # noqa: BLE001 -- foreign code, as above
+                self.failure = f"the engine {self._name} failed: found {in_one_line(error)}; expected orientations"
+            else:
+                turned = [one for one in found if one is not None]
+                if len(turned) == len(found) == tools:
+                    return turned
+                self.failure = (
+                    f"the engine {self._name} failed: found {numbers!r:.80}; expected a unit quaternion for each of "
+                    f"{tools} avatars"
+                )
+        return [UPRIGHT] * tools
 
     def _answer(
         self, ask: Callable[[Vector, int], Any], x: Vector, k: int, kind: tuple[str, str, float]

@@ -1,5 +1,5 @@
 """MuJoCo as an engine: a model in MuJoCo's XML, in which each axis of a tool is a joint of an avatar: a slide joint
-where the axis translates, a hinge joint where it turns.
+where the axis translates, a hinge joint where it turns. A tool that a hand turns in space has a ball joint besides.
 
 The springs of the session stand between tools and avatars (:mod:`manyhands.nodes.environment.proxy`): they pull a tool
 towards its avatar, and the avatar is pushed with the opposite force. So an avatar is a free body with a mass of its
@@ -28,6 +28,7 @@ from manyhands.nodes.environment.mujoco_compiler import compiled
 from manyhands.nodes.environment.mujoco_drawing import drawing_of
 from manyhands.nodes.environment.mujoco_library import import_mujoco
 from manyhands.nodes.kernel.factory import FactoryError
+from manyhands.nodes.kernel.orientation import Quaternion, difference, product
 
 Vector = NDArray[np.float64]
 
@@ -50,7 +51,8 @@ class MujocoEngine:
             period: T, s; MuJoCo takes whole steps of at most the model's own timestep in it.
             parameters: ``model``, the XML; ``tools``, the joint of each port; ``bodies``, the names of the bodies whose
                 positions are reported; ``stiffness``, the largest K at each port, N/m or N·m/rad. By default there are
-                none of the others: ``turning``, the ports that turn; ``orientations``, those of the bodies whose
+                none of the others: ``avatars``, the ball joint of each tool that a hand turns; ``avatar_stiffness``, k
+                of its spring, N·m/rad; ``turning``, the ports that turn; ``orientations``, those of the bodies whose
                 orientations are reported, too; ``assets``, the files that the model names, by name, in base64.
 
         Raises:
@@ -87,6 +89,11 @@ class MujocoEngine:
         mujoco.mj_forward(model, self._data)
         self._start = self._data.qpos[self._places].copy()
         self._require_inertias(parameters["tools"], kinds, parameters["stiffness"], period)
+        self._avatars = [self._id("JOINT", name) for name in parameters.get("avatars", ())]
+        for joint, k in zip(self._avatars, parameters.get("avatar_stiffness", ()), strict=True):
+            self._require_avatar(joint, k, period)
+        self._avatar_bodies = [int(model.jnt_bodyid[joint]) for joint in self._avatars]
+        self._upright = [Quaternion(*self._data.xquat[body].tolist()) for body in self._avatar_bodies]
 
     def _id(self, kind: str, name: str) -> int:
         found: int = self._mujoco.mj_name2id(self._model, getattr(self._mujoco.mjtObj, f"mjOBJ_{kind}"), name)
@@ -126,6 +133,47 @@ class MujocoEngine:
                     f"found an avatar of {inertia:.3g} {kg} at the joint {name!r}; expected at least {least:.3g} {kg} "
                     f"for a stiffness of {K:g} {units('N/m')}"
                 )
+
+    def _require_avatar(self, joint: int, k: float, period: float) -> None:
+        """Require a ball joint that nothing turns but itself, and an avatar that is heavy enough for its spring."""
+        model, types = self._model, self._mujoco.mjtJoint
+        name = self._mujoco.mj_id2name(model, self._mujoco.mjtObj.mjOBJ_JOINT, joint)
+        if model.jnt_type[joint] != types.mjJNT_BALL:
+            raise FactoryError(f"found a joint {name!r} of another type for an orientation; expected a ball joint")
+        own = body = int(model.jnt_bodyid[joint])
+        while body:
+            first, number = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+            others = [at for at in range(first, first + number) if at != joint]
+            if any(model.jnt_type[at] != types.mjJNT_SLIDE or (body == own and at > joint) for at in others):
+                raise FactoryError(
+                    f"found a joint beside or above the ball joint {name!r} that is no slide joint before it; expected "
+                    "slide joints alone, so that nothing else turns the avatar"
+                )
+            body = int(model.body_parentid[body])
+        first = int(model.jnt_dofadr[joint])
+        units, inverse = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+        units[range(3), range(first, first + 3)] = 1.0
+        self._mujoco.mj_solveM(model, self._data, inverse, units)
+        inertia = 1.0 / float(np.linalg.eigvalsh(inverse[:, first : first + 3])[-1])
+        least = LIGHTEST * k * period**2
+        if not inertia >= least:
+            raise FactoryError(
+                f"found an avatar of {inertia:.3g} kg·m² about its lightest axis at the ball joint {name!r}; expected "
+                f"at least {least:.3g} kg·m² for a stiffness of {k:g} N·m/rad"
+            )
+
+    def turn(self, torques: Vector) -> None:
+        """Turn the avatars by these torques over the next step, N·m, three numbers in the world's axes for each."""
+        self._data.xfrc_applied[self._avatar_bodies, 3:] = np.reshape(torques, (-1, 3))
+
+    def avatars(self) -> list[float]:
+        """For each avatar the unit quaternion by which it is turned from where it began, in the world's axes."""
+        found: list[float] = []
+        for joint, start in zip(self._avatars, self._upright, strict=True):
+            at = int(self._model.jnt_qposadr[joint])
+            own = Quaternion(*self._data.qpos[at : at + 4].tolist())
+            found += difference(product(start, own), start)
+        return found
 
     def step(self, x: Vector, f: Vector) -> Vector:
         """The avatars' positions after one period, m or rad, from where each began; pushed by -f, N or N·m."""

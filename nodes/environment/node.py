@@ -28,7 +28,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from manyhands.nodes.environment.chatter import contact_tables
-from manyhands.nodes.environment.core import Core, environment_core, row_of
+from manyhands.nodes.environment.core import Core, environment_core, respond, row_of
 from manyhands.nodes.environment.deadline import Deadline, Step
 from manyhands.nodes.environment.energy import energy_tables
 from manyhands.nodes.environment.late_arrivals import AT_ONCE, CROSSING, LateArrivals, allowance
@@ -193,7 +193,8 @@ class EnvironmentNode:
         self._clocked = False  # whether no tick waits for anybody, so that the clock alone paces them
         self._later: TelemetryLater | None = None  # there alone
         self._pace = Pace(Instant(0), self._period, Instant(0))
-        self._p: Floats = [0.0] * len(bundle.common.ports)
+        self._p: Floats = [0.0] * bundle.common.width
+        self._nothing_rides = [0.0] * (bundle.common.width - len(bundle.common.ports))
         self._buttons = Buttons(bundle.common.buttons, bundle.common.period)
         self._passed: tuple[Member, ...] = ()  # the member that did not come at its turn in this tick
         # without a covered delay no certificate can be lost by a longer allowance, so the period serves
@@ -303,7 +304,9 @@ class EnvironmentNode:
                 for button, held_down in buttons.changes(changed):
                     members.events.press(tick, button, held_down)
                 core.press(buttons.state)
-            f = core.react(p)
+            f = respond(core, p, tick)
+            if self._nothing_rides:  # what rode with a signal is of its own tick alone
+                p[-len(self._nothing_rides) :] = self._nothing_rides
             if core.failure is not None:
                 life.fail(f"{self._common.name}: {core.failure}")
             members.shift()

@@ -40,6 +40,7 @@ from manyhands.nodes.kernel.energy_budget import EnergyBudget
 from manyhands.nodes.kernel.factory import FactoryName
 from manyhands.nodes.kernel.friction_curve import FRICTION_FORM, FrictionCurve
 from manyhands.nodes.kernel.inertia import Inertia
+from manyhands.nodes.kernel.orientation import RIDER
 from manyhands.nodes.kernel.simulated_way import SimulatedWay
 from manyhands.nodes.kernel.site_bounds import SiteBounds
 from manyhands.protocol.clock import from_seconds
@@ -90,6 +91,7 @@ class Peer:
         address: the address that this node binds (tcp), host:port; empty for any port of the loopback.
         certificate: the id that the two ends of the link share; empty where it is the node's own.
         buttons: where those buttons begin among the node's own whose state the link carries, and how many they are.
+        riding: the devices of which an orientation rides with the link's signals, in order.
 
     Raises:
         ValueError: they are no buttons, or more than a signal carries.
@@ -102,11 +104,17 @@ class Peer:
     address: str = ""
     certificate: str = ""
     buttons: Added[tuple[int, int]] = (0, 0)
+    riding: Added[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
         first, count = self.buttons
         if not (first >= 0 and 0 <= count <= MAX_BUTTONS):
             raise ValueError(f"found the buttons {self.buttons}; expected the first, and 0 to {MAX_BUTTONS} of them")
+
+    @property
+    def width(self) -> int:
+        """The number of values of the link's signals: one a port, and what rides with them."""
+        return len(self.ports) + RIDER * len(self.riding)
 
 
 @dataclass(frozen=True)
@@ -136,6 +144,7 @@ class Common:
             turns at the processors.
         turning: those of its ports that turn.
         buttons: those of its devices, or of the device itself, each after its device's name.
+        riding: the devices of which an orientation passes through it, in order.
 
     Raises:
         ValueError: the first telemetry has more ticks than the others, whose number a node has room for.
@@ -160,6 +169,7 @@ class Common:
     phase: Annotated[Added[float], _TIME] = 0.0
     turning: Added[tuple[str, ...]] = ()
     buttons: Added[tuple[str, ...]] = ()
+    riding: Added[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
         if self.telemetry_first > self.telemetry_ticks:
@@ -167,6 +177,16 @@ class Common:
                 f"found {self.telemetry_first} ticks to the first telemetry; expected at most {self.telemetry_ticks}, "
                 "as to every other"
             )
+
+    @property
+    def width(self) -> int:
+        """The number of values that the node keeps of a signal: one a port, and what rides with them."""
+        return len(self.ports) + RIDER * len(self.riding)
+
+    def riders(self, riding: Sequence[str]) -> list[int]:
+        """Where among those values is what rides of these devices."""
+        own = self.riding
+        return [len(self.ports) + RIDER * own.index(device) + i for device in riding for i in range(RIDER)]
 
     @property
     def kinds(self) -> tuple[AxisKind, ...]:
@@ -428,6 +448,89 @@ def _require_one_number(numbers: set[int]) -> None:
         raise ValueError(f"found entries of {sorted(numbers)} axes in a device's source; expected one number of axes")
 
 
+@dataclass(frozen=True)
+class TurnedHand:
+    """The physics of a simulated device that a hand turns, the same about every axis.
+
+    Attributes:
+        inertia: of device and hand together, kg*m^2.
+        damping: of the device, N*m*s/rad.
+        torque: what the hand intends about each of the world's axes, N*m: a number, a formula in t, or {"times",
+            "values"}.
+
+    Raises:
+        ValueError: inertia or damping is not finite and positive, or there are not three torques.
+    """
+
+    inertia: float
+    damping: float
+    torque: tuple[Any, ...]
+
+    def __post_init__(self) -> None:
+        if not (0.0 < self.inertia < math.inf and 0.0 < self.damping < math.inf) or len(self.torque) != 3:
+            raise ValueError(
+                f"found an inertia of {self.inertia} kg·m², a damping of {self.damping} N·m·s/rad and "
+                f"{len(self.torque)} torques; expected positive ones, and three"
+            )
+
+
+@dataclass(frozen=True)
+class OrientationPart:
+    """What a device has of its orientation (:mod:`manyhands.nodes.device.orientation`).
+
+    Attributes:
+        osp: b, what it burns at least at a turning of 1 rad/s, N*m*s/rad.
+        stiffness: k of the spring to its proxy, N*m/rad.
+        torque: its greatest torque, N*m.
+        speed: its greatest angular velocity, rad/s.
+        source: what turns it.
+
+    Raises:
+        ValueError: a number is not finite and positive.
+    """
+
+    osp: float
+    stiffness: float
+    torque: float
+    speed: float
+    source: TurnedHand
+
+    def __post_init__(self) -> None:
+        for found in (self.osp, self.stiffness, self.torque, self.speed):
+            if not 0.0 < found < math.inf:
+                raise ValueError(f"found the number {found} of an orientation; expected finite positive ones")
+
+    def power(self, period: float) -> float:
+        """The most that a hand can put in within one period of so many seconds, J."""
+        turn = self.speed * period
+        return self.torque * turn + 0.5 * self.stiffness * turn * turn
+
+
+@dataclass(frozen=True)
+class OrientedTool:
+    """A tool that a hand turns, as the environment knows it.
+
+    Attributes:
+        device: the hand's device.
+        stiffness: k of the spring between hand and avatar, N*m/rad.
+        torque: the device's greatest torque, N*m.
+        power: the most that its hand can put in within a tick, J.
+
+    Raises:
+        ValueError: a number is not finite and positive.
+    """
+
+    device: str
+    stiffness: float
+    torque: float
+    power: float
+
+    def __post_init__(self) -> None:
+        for found in (self.stiffness, self.torque, self.power):
+            if not 0.0 < found < math.inf:
+                raise ValueError(f"found the number {found} of a tool that turns; expected finite positive ones")
+
+
 NOTHING = LatenessAllowance(0.0)
 
 
@@ -453,12 +556,13 @@ class DeviceBundle:
         friction: the dry friction that its account counts; None where it counts none.
         scripts: when each of its buttons is held down, s, where nobody presses them: those of a simulated device and of
             a recorded motion. Empty where its driver tells.
+        orientation: what it has of its orientation; None where that is no port.
 
     Raises:
         ValueError: Delta_D is not symmetric positive definite with a row for each port, the axes of the source are not
             the ports, those of the friction neither, friction counts on displacements that are measured to no known
-            step, the rungs' delays do not grow, the time is unknown, it is wall time under the simulated clock, or the
-            held torques leave nothing of Delta_D at a rung.
+            step, the rungs' delays do not grow, the time is unknown, it is wall time under the simulated clock, the
+            held torques leave nothing of Delta_D at a rung, or it has an orientation and not three ports.
     """
 
     common: Common
@@ -472,11 +576,14 @@ class DeviceBundle:
     held: Added[HeldTorque | None] = None
     friction: Added[DryFriction | None] = None
     scripts: Added[tuple[Script, ...]] = ()
+    orientation: Added[OrientationPart | None] = None
 
     def __post_init__(self) -> None:
         m = len(self.common.ports)
         if self.scripts and len(self.scripts) != len(self.common.buttons):
             raise ValueError(f"found {len(self.scripts)} scripts of {len(self.common.buttons)} buttons; expected each")
+        if self.orientation is not None and m != 3:
+            raise ValueError(f"found an orientation beside {m} ports; expected three, which translate")
         if self.time not in TIMES or (self.time == WALL and self.common.clock == SIMULATED):
             raise ValueError(
                 f"found a device in the time {self.time!r:.40} under the {self.common.clock} clock; expected {WALL} "
@@ -672,10 +779,12 @@ class EnvironmentBundle:
         storage: P with the energy 1/2 eta^T P eta, J, that E stores in the state eta; None where it is not known.
         waves: its ends of wave links, by coupling.
         oriented: the bodies of an engine whose orientations are reported, as a unit quaternion.
+        oriented_tools: the tools that hands turn, in the order in which their orientations ride with signals.
 
     Raises:
         ValueError: there is not exactly one of E, a model and a scene, or budgets, storage or rungs do not fit. A model
             with a level needs its controller or proxies, and a scene its controller, for the certificate rests on them.
+            Or tools are turned without proxies, or are not those whose orientations ride.
     """
 
     common: Common
@@ -697,6 +806,7 @@ class EnvironmentBundle:
     waves: Mapping[str, WaveEnd] = field(default_factory=dict)
     tank: Added[float] = 0.0
     oriented: Added[tuple[str, ...]] = ()
+    oriented_tools: Added[tuple[OrientedTool, ...]] = ()
 
     @property
     def energy_at_start(self) -> float:
@@ -707,6 +817,12 @@ class EnvironmentBundle:
         kinds = sum(kind is not None for kind in (self.E, self.model, self.scene))
         if kinds != 1:
             raise ValueError(f"found {kinds} of an environment's matrices, model and scene; expected one of them")
+        turned = tuple(of.device for of in self.oriented_tools)
+        if turned != self.common.riding or (turned and self.stiffness is None):
+            raise ValueError(
+                f"found the tools of {turned} turned, and the orientations of {self.common.riding} riding; expected "
+                "the same, and proxies where there are any"
+            )
         if self.stiffness is not None and (self.model is None or self.stiffness.shape != (len(self.common.ports),) * 2):
             raise ValueError(f"found a stiffness of shape {self.stiffness.shape}; expected m x m, and a model")
         if not (0.0 <= self.tank < math.inf) or (self.tank and self.stiffness is None):

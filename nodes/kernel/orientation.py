@@ -26,12 +26,24 @@ nothing is assumed of the world, of the proxies, or of how late they come: a pro
 *deposited*: the hand binds itself to keep the account above it from then on. The world *grants* no more than was
 deposited, and so no more than all hands together have given. Deposits and grants are sums that never fall, so that a
 message that is lost or late costs time alone.
+
+**Lives.** A hand whose process starts anew has an empty account, and so has a world that does. Each process of a hand
+is a *life* with a number of its own. The bank counts the deposits of a life from the first sum that it hears, and its
+grants from 0. It says with each sum of grants for which life it is, and a hand takes in no other. So nothing is
+credited or spent twice, whoever starts anew.
+
+**Lateness.** A tick that is later than (*) covers may give out energy. What it may give is *owed*, and the spring lets
+go while more is owed than lateness may put in.
+
+**On the wire** a hand says its orientation, the sum of its deposits and its life, and the world answers with a proxy, a
+sum of grants and that life: :data:`RIDER` numbers each way. What comes is taken by :func:`unit` and :func:`total`
+alone, to which any numbers may be given.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
 Vector3 = tuple[float, float, float]
@@ -58,8 +70,44 @@ class Quaternion(NamedTuple):
 UPRIGHT: Final = Quaternion()
 """No rotation: where every proxy and every device begins."""
 
+RIDER: Final = 6
+"""The numbers that ride with a signal for each hand that turns: four of an orientation, a sum in J, and a life."""
+
+NO_RIDER: Final = (0.0,) * RIDER
+"""What says nothing: no orientation, or no proxy."""
+
+FIRST_LIFE: Final = 1.0
+"""The life of a hand whose process has no other one before or after it, as in a simulation."""
+
+MOST_LIFE: Final = 2**53
+"""Lives are whole numbers from 1 to this one, which doubles have exactly."""
+
+_UNIT: Final = 1e-6  # |q|^2 of an orientation on the wire is 1 within this
+
 _HALVINGS: Final = 24  # of a step, in search of the part that the account allows: 6e-8 of it
 _ROUNDING: Final = 1e-15  # of k, J: a step that yields less than nothing by so little is not counted as held
+
+_HAIR: Final = 1e-12  # of k, J: what is asked for beyond what is lacking, lest a rounded sum be held for nothing
+
+
+def unit(numbers: Sequence[float]) -> Quaternion | None:
+    """The orientation of four numbers from elsewhere, normalised; None where they are no unit quaternion."""
+    w, x, y, z = numbers
+    square = w * w + x * x + y * y + z * z
+    if not abs(square - 1.0) <= _UNIT:  # so for NaN
+        return None
+    norm = math.sqrt(square)
+    return Quaternion(w / norm, x / norm, y / norm, z / norm)
+
+
+def is_life(number: float) -> bool:
+    """Whether a number from elsewhere is that of a life."""
+    return 1.0 <= number <= MOST_LIFE and number == math.floor(number)
+
+
+def total(number: float) -> float:
+    """The sum of deposits or grants that a number from elsewhere states, J; 0 where it is none."""
+    return number if 0.0 <= number < math.inf else 0.0
 
 
 def difference(R: Quaternion, Q: Quaternion) -> Quaternion:
@@ -70,6 +118,11 @@ def difference(R: Quaternion, Q: Quaternion) -> Quaternion:
         -R.w * Q.y + R.y * Q.w - R.z * Q.x + R.x * Q.z,
         -R.w * Q.z + R.z * Q.w - R.x * Q.y + R.y * Q.x,
     )
+
+
+def product(P: Quaternion, Q: Quaternion) -> Quaternion:
+    """P Q, the rotation Q and then P, in the world's axes."""
+    return difference(P, Quaternion(Q.w, -Q.x, -Q.y, -Q.z))
 
 
 def torque(k: float, R: Quaternion, Q: Quaternion) -> Vector3:
@@ -98,6 +151,20 @@ def yielded(k: float, R: Quaternion, old: Quaternion, new: Quaternion) -> float:
     return energy(k, R, old) - energy(k, R, new) - change / (2.0 * k)
 
 
+def turned_by(R: Quaternion, turn: Sequence[float]) -> Quaternion:
+    """R, turned by the rotation vector ``turn`` in the world's axes, rad."""
+    x, y, z = turn
+    far = math.sqrt(x * x + y * y + z * z)
+    scale = 0.5 if far < 1e-8 else math.sin(0.5 * far) / far  # sin is its argument to the last digits
+    a, b, c, d = math.cos(0.5 * far), scale * x, scale * y, scale * z
+    w = a * R.w - b * R.x - c * R.y - d * R.z
+    x = a * R.x + b * R.w + c * R.z - d * R.y
+    y = a * R.y - b * R.z + c * R.w + d * R.x
+    z = a * R.z + b * R.y - c * R.x + d * R.w
+    norm = math.sqrt(w * w + x * x + y * y + z * z)
+    return Quaternion(w / norm, x / norm, y / norm, z / norm)
+
+
 def between(old: Quaternion, new: Quaternion, part: float) -> Quaternion:
     """The orientation a part of the way from ``old`` to ``new`` along the shortest turn; 0 is ``old``, 1 is ``new``."""
     cosine = old.w * new.w + old.x * new.x + old.y * new.y + old.z * new.z
@@ -120,7 +187,10 @@ class OrientationSpring:
         account: the sum of what the proxy's steps yielded, J.
         deposited: what of it was given to the bank, J; never falls.
         granted: what the bank has given, J; never falls.
+        owed: what late ticks may have given out and nothing has paid for yet, J.
+        late: what late ticks may have given out in all, J; never falls.
         held: ticks in which less than the proposed step was taken.
+        most: the greatest torque, N*m; beyond it the proxy follows the device. It may change from tick to tick.
 
     Example:
         A wrist is turned about x by 0.1 rad, and the world holds its tool upright:
@@ -133,7 +203,7 @@ class OrientationSpring:
         -0.0799 N*m
     """
 
-    __slots__ = ("_k", "_most", "account", "deposited", "granted", "held", "proxy")
+    __slots__ = ("_k", "account", "deposited", "granted", "held", "late", "most", "owed", "proxy")
 
     def __init__(self, stiffness: float, most: float = math.inf, at: Quaternion = UPRIGHT) -> None:
         """Begin at rest, with the proxy at the device.
@@ -150,9 +220,9 @@ class OrientationSpring:
             raise ValueError(f"stiffness: found {stiffness!r} N*m/rad; expected a finite positive number")
         if not most > 0.0:
             raise ValueError(f"torque: found {most!r} N*m; expected a positive number")
-        self._k, self._most = stiffness, most
+        self._k, self.most = stiffness, most
         self.proxy = at
-        self.account = self.deposited = self.granted = 0.0
+        self.account = self.deposited = self.granted = self.owed = self.late = 0.0
         self.held = 0
 
     def turn(self, R: Quaternion, proposed: Quaternion | None, granted: float = 0.0) -> Vector3:
@@ -172,16 +242,35 @@ class OrientationSpring:
                 proposed, step = self._part_of(R, proposed, floor)
             self.proxy, self.account = proposed, self.account + step
         t = torque(self._k, R, self.proxy)
-        if t[0] * t[0] + t[1] * t[1] + t[2] * t[2] > self._most * self._most or angle(R, self.proxy) > math.pi / 2:
+        if t[0] * t[0] + t[1] * t[1] + t[2] * t[2] > self.most * self.most or angle(R, self.proxy) > math.pi / 2:
             t = self._follow(R)
         self.deposited = max(self.deposited, self.account + self.granted)
         return t
+
+    def lacks(self, R: Quaternion, proposed: Quaternion) -> float:
+        """What the account lacks for the whole step to ``proposed``, J; 0 where it has enough."""
+        step = 0.0 if proposed == self.proxy else yielded(self._k, R, self.proxy, proposed)
+        short = self.deposited - self.granted - self.account - step
+        return short + _HAIR * self._k if short > 0.0 else 0.0
 
     def release(self, R: Quaternion) -> None:
         """Let go: the proxy comes to the device, and the torque is 0. What the spring had stored is lost."""
         self.account += yielded(self._k, R, self.proxy, R)
         self.proxy = R
         self.deposited = max(self.deposited, self.account + self.granted)
+
+    def lose(self, R: Quaternion) -> None:
+        """Begin anew at R: the torque has ended at an unknown orientation, and what the spring had stored is lost."""
+        self.proxy = R
+
+    def charge(self, most: float) -> None:
+        """Count a tick that was later than the damping pays for, and may have given out ``most``, J."""
+        self.owed += most
+        self.late += most
+
+    def pay(self, energy: float) -> None:
+        """Take ``energy`` off what is owed, J: it is forgiven, or was burnt while no torque acted."""
+        self.owed = max(0.0, self.owed - energy)
 
     def _part_of(self, R: Quaternion, proposed: Quaternion, floor: float) -> tuple[Quaternion, float]:
         """The proxy a part of the step further, and what that yields; the part is found by halving."""
@@ -200,7 +289,7 @@ class OrientationSpring:
     def _follow(self, R: Quaternion) -> Vector3:
         """Take the proxy towards the device until the torque is at most the greatest one; that yields 0 or more."""
         far = angle(R, self.proxy)
-        near = math.asin(min(self._most / self._k, 1.0))
+        near = math.asin(min(self.most / self._k, 1.0))
         # a hair less than the limit, for the turn is rounded
         there = between(self.proxy, R, 1.0 - min(near / far, 1.0) * (1.0 - 1e-12))
         self.account += yielded(self._k, R, self.proxy, there)
@@ -217,34 +306,64 @@ class OrientationBank:
     Example:
         >>> import manyhands as mh
         >>> bank = mh.OrientationBank(("left", "right"))
+        >>> bank.deposit("left", 0.0)
         >>> bank.deposit("left", 0.002)
         >>> bank.grant("right", 0.005)
         0.002
     """
 
-    __slots__ = ("_deposited", "_granted", "balance")
+    __slots__ = ("_deposited", "_first", "_granted", "_lives", "_power", "balance")
 
-    def __init__(self, hands: tuple[str, ...], tank: float = 0.0) -> None:
+    def __init__(self, hands: tuple[str, ...], tank: float = 0.0, power: Mapping[str, float] | None = None) -> None:
         """Open an account for each hand.
 
         Args:
             hands: their names.
             tank: what the world may give beyond what it was given, J; at least 0.
+            power: by hand, what it can put in during a tick at most, J; None for no bound.
         """
-        self._deposited = dict.fromkeys(hands, 0.0)
+        self._deposited: dict[str, float | None] = dict.fromkeys(hands)
         self._granted = dict.fromkeys(hands, 0.0)
+        self._lives = dict.fromkeys(hands, 0.0)
+        self._first = dict.fromkeys(hands, (0.0, 0))  # the first sum of a life, and its tick
+        self._power = dict.fromkeys(hands, math.inf) if power is None else dict(power)
         self.balance = tank
 
     @property
     def granted(self) -> Mapping[str, float]:
-        """By hand, what it was granted so far, J."""
+        """By hand, what it was granted so far in its life, J."""
         return self._granted
 
-    def deposit(self, hand: str, total: float) -> None:
-        """Take in what a hand says that it has deposited so far, J; what is less than before came late."""
-        more = total - self._deposited[hand]
+    @property
+    def lives(self) -> Mapping[str, float]:
+        """By hand, the life that it was heard of last; 0 for none."""
+        return self._lives
+
+    def deposit(self, hand: str, total: float, life: float = FIRST_LIFE, tick: int = 0) -> None:
+        """Take in what a hand says that it has deposited so far, J; what is less than before came late.
+
+        The first sum of a life counts as spent already, for the bank itself may have started anew. No hand has
+        deposited more than it can have put in since then, and what it was granted.
+
+        Args:
+            hand: its name.
+            total: the sum, J, at least 0.
+            life: of the hand's process; what is no life is not taken in.
+            tick: k.
+        """
+        if not is_life(life):
+            return
+        if life != self._lives[hand]:
+            self._lives[hand], self._deposited[hand], self._granted[hand] = life, None, 0.0
+        before = self._deposited[hand]
+        if before is None:
+            self._deposited[hand], self._first[hand] = total, (total, tick)
+            return
+        first, since = self._first[hand]
+        possible = first + max(1, tick - since) * self._power[hand] + self._granted[hand]
+        more = min(total, possible) - before
         if more > 0.0:
-            self._deposited[hand] = total
+            self._deposited[hand] = before + more
             self.balance += more
 
     def grant(self, hand: str, asked: float) -> float:

@@ -85,7 +85,8 @@ class Join(ABC):
         own: the hello that this end sends.
         peer: the peer at the other end.
         link: the connection; None while the peer is lost, and within a process.
-        indices: where the join's ports are among the node's own; a slice where they follow each other.
+        indices: where the join's ports are among the node's own; a slice where they follow each other. The node's
+            values may hold more than its ports': what rides with a signal (:mod:`manyhands.nodes.kernel.orientation`).
         handshake: the unfinished handshake with a peer that comes back; None otherwise.
         hello: the hello of the peer's latest handshake; None before the first.
         new: whether the peer came back and no signal of it has been admitted since: it may be at another tick.
@@ -96,15 +97,24 @@ class Join(ABC):
         waited_for: whether a tick waits for the peer's signal; otherwise this end answers whenever it is asked.
     """
 
-    def __init__(self, own: LinkHello, peer: Peer, link: Link | None, indices: slice | Indices, clock: Clock) -> None:
+    def __init__(
+        self,
+        own: LinkHello,
+        peer: Peer,
+        link: Link | None,
+        indices: slice | Indices,
+        clock: Clock,
+        riders: Sequence[int] = (),
+    ) -> None:
         """Join the node to a peer.
 
         Args:
             own: the hello that this end sends.
             peer: the peer at the other end.
             link: the connection; None for a peer that is absent, or in the same process.
-            indices: where the peer's values belong among the node's own.
+            indices: where the values of the peer's ports belong among the node's own.
             clock: a realtime clock, which measures the waits and the time between the signals.
+            riders: where what rides with the peer's signals belongs among the node's values.
         """
         self.own, self.peer, self.link, self.indices = own, peer, link, indices
         self.handshake: LinkHandshake | None = None
@@ -113,10 +123,12 @@ class Join(ABC):
         self.tick, self.other_tick, self.other_zero, self.other_frame = -1, 0, False, b""
         self.waited_for = True
         self._clock = clock
-        self._part = indices if isinstance(indices, slice) else None
+        places = _with_riders(indices, riders)
+        self._part = places if isinstance(places, slice) else None
+        self._at = () if isinstance(places, slice) else tuple(places.tolist())
+        self._nothing_rides = [0.0] * len(riders)
         self._first_button, buttons = peer.buttons
         self._buttons = (1 << buttons) - 1
-        self._at = () if isinstance(indices, slice) else tuple(indices.tolist())
 
     @property
     def reachable(self) -> bool:
@@ -169,6 +181,15 @@ class Join(ABC):
     def share(self, values: Floats) -> Floats:
         """This link's part of the node's ``values``."""
         return [values[at] for at in self._at] if self._part is None else values[self._part]
+
+    def share_of_ports(self, values: Floats) -> Floats:
+        """The same without what rides with a signal."""
+        share = self.share(values)
+        return share[: len(share) - len(self._nothing_rides)] if self._nothing_rides else share
+
+    def put_ports(self, values: Floats, share: Floats) -> None:
+        """Put numbers of this link's ports alone into the node's ``values``: nothing rides with them."""
+        self.put(values, share + self._nothing_rides)
 
     def put(self, values: Floats, share: Sequence[float]) -> None:
         """Put this link's ``share`` into the node's ``values``."""
@@ -396,7 +417,17 @@ def join_of(joins: Sequence[Join], peer: str) -> Join | None:
 
 def positions(own: tuple[str, ...], carried: tuple[str, ...]) -> slice | Indices:
     """Where the ``carried`` ports are among ``own``: a slice where they follow each other, for it costs a tick less."""
-    at = [own.index(port) for port in carried]
+    return _places([own.index(port) for port in carried])
+
+
+def _with_riders(indices: slice | Indices, riders: Sequence[int]) -> slice | Indices:
+    if not riders:
+        return indices
+    ports = range(indices.start, indices.stop) if isinstance(indices, slice) else indices.tolist()
+    return _places([*ports, *riders])
+
+
+def _places(at: list[int]) -> slice | Indices:
     if at == list(range(at[0], at[0] + len(at))):
         return slice(at[0], at[0] + len(at))
     return np.array(at)

@@ -56,6 +56,7 @@ class PeerLink(Join):
         indices: slice | Indices,
         clock: Clock,
         bounds: Bounds | None = None,
+        riders: Sequence[int] = (),
     ) -> None:
         """Join the node to a peer.
 
@@ -64,11 +65,12 @@ class PeerLink(Join):
             peer: the peer at the other end.
             link: the connection; None for a peer that is absent.
             admits: the type of the peer's signals.
-            indices: where the peer's values belong among the node's own.
+            indices: where the values of the peer's ports belong among the node's own.
             clock: a realtime clock, which measures the waits and the time between the signals.
             bounds: the bounds of the peer's values; None for no bounds.
+            riders: where what rides with the peer's signals belongs among the node's values.
         """
-        super().__init__(own, peer, link, indices, clock)
+        super().__init__(own, peer, link, indices, clock, riders)
         self._admits, self._bounds = admits, bounds
         self.gate = self._new_gate()
         self._writer: SignalWriter | None = None  # made with the first signal sent, whose kind is known only then
@@ -107,7 +109,7 @@ class PeerLink(Join):
             return False
         writer = self._writer
         if writer is None or writer.kind is not kind:
-            writer = self._writer = SignalWriter(kind, len(self.peer.ports))
+            writer = self._writer = SignalWriter(kind, self.peer.width)
         part = self._part
         share = self.share(values) if part is None else values[part]
         self._last = frame = writer.frame(tick, stamp, share, pressed >> self._first_button & self._buttons)
@@ -123,7 +125,7 @@ class PeerLink(Join):
         """Send the peer a zero force of ``tick``: that tick is over, and the peer goes on with the next one."""
         link = self._open
         if link is not None and tick >= 0:
-            link.send(encode(kind(tick, 0, np.zeros(len(self.peer.ports)))))
+            link.send(encode(kind(tick, 0, np.zeros(self.peer.width))))
 
     def notify(self, message: Rung | Absent) -> None:
         """Send a message that is no signal."""
@@ -229,7 +231,7 @@ class PeerLink(Join):
         return None
 
     def _new_gate(self) -> Gate:
-        return Gate(self._admits, len(self.peer.ports), self._bounds, self._clock, self.peer.buttons[1])
+        return Gate(self._admits, self.peer.width, self._bounds, self._clock, self.peer.buttons[1])
 
     def _begin_life(self) -> None:
         """Begin anew with a peer that has shaken hands."""
@@ -266,13 +268,16 @@ class Frames(JoinKind):
         own, common = self.own, self.own.common
         where, bounds = positions(common.ports, peer.ports), own.bounds.get(peer.name)
         hello = hello_to(common, peer, own.feedthrough)
-        return PeerLink(hello, peer, link, SIGNALS[peer.role, common.role], where, own.clock, bounds)
+        riders = common.riders(peer.riding)
+        return PeerLink(hello, peer, link, SIGNALS[peer.role, common.role], where, own.clock, bounds, riders)
 
 
 def bounds_by_peer(
     common: Common, role: Role, magnitude: Sequence[float | None], step: Sequence[float | None]
 ) -> dict[str, Bounds]:
     """The bounds of the signals of every peer of ``role``, by the peer's name.
+
+    What rides with a signal need only be finite here: whoever uses it judges it, and the motion beside it stays good.
 
     Under the simulated clock a tick counts as one period, whatever the stamps say and however long it takes.
 
@@ -290,8 +295,8 @@ def bounds_by_peer(
     by_port = {port: (of(m), of(s)) for port, m, s in zip(common.ports, magnitude, step, strict=True)}
     return {
         peer.name: Bounds(
-            tuple(by_port[p][0] for p in peer.ports),
-            tuple(by_port[p][1] for p in peer.ports),
+            tuple(by_port[p][0] for p in peer.ports) + (math.inf,) * (peer.width - len(peer.ports)),
+            tuple(by_port[p][1] for p in peer.ports) + (math.inf,) * (peer.width - len(peer.ports)),
             period,
         )
         for peer in common.peers

@@ -99,6 +99,10 @@ PROMISES: Final[Mapping[Promise, PromiseText]] = MappingProxyType({
         "its device measures, acts and exerts as its driver states", True,
         "The driver is wrong, and not its user: do not use it before manyhands check-driver finds nothing.",
     ),
+    Promise.ORIENTATION: PromiseText(
+        "the account of its orientation never falls below what it may: it gives off no energy by turning", True,
+        "It broke its promise: let go of it, and check its osp and its limits (devices: orientation).",
+    ),
     Promise.DELAY: PromiseText("each force acts at most tau after its sample, and before the next one", True, _FASTER),
     Promise.PERIOD: PromiseText("samples are no further apart than the certificate covers", True, _FASTER),
     Promise.LATENESS: PromiseText(

@@ -83,6 +83,7 @@ class Terms:
         drivers: the devices that drivers of other packages move, with what rests on their word.
         couplings: of each device.
         units: of each node's ports; those that are left out translate.
+        hands: the devices whose orientation is a port.
     """
 
     period: float
@@ -99,6 +100,7 @@ class Terms:
     drivers: Mapping[str, DriverWord] = field(default_factory=dict)
     couplings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     units: Mapping[str, Units] = field(default_factory=dict)
+    hands: tuple[str, ...] = ()
 
     @property
     def promises(self) -> Iterator[Promise]:
@@ -107,6 +109,7 @@ class Terms:
         made = {
             Promise.PASSIVITY: self.certified,
             Promise.DRIVER: bool(self.drivers),
+            Promise.ORIENTATION: self.certified and bool(self.hands),
             Promise.DELAY: late,
             Promise.PERIOD: late,
             Promise.LATENESS: late and bool(self.wall),
@@ -380,6 +383,16 @@ class HealthModel:
             return
         yield PromiseStatus(promise.value, PromiseState.UNJUDGED.value, (device,), 0.0, None, cost, remark)
 
+    def _judge_orientation(self, node: str, at: float, margin: float) -> None:
+        """Judge the account of an orientation by its least distance from its bound, J."""
+        if not math.isfinite(margin):
+            self._senseless(Promise.ORIENTATION, node, at, "the account of its orientation")
+        elif margin < -LEDGER_ROUNDING:
+            entry = self._entries.get((Promise.ORIENTATION, node))
+            entry = entry or self._begin(Promise.ORIENTATION, node, PromiseState.BROKEN, at)
+            entry.cost[node, "J"] = max(entry.cost.get((node, "J"), 0.0), -margin)
+            entry.remark = f"{node}: the account of its orientation fell {entry.price('J'):.3g} J below its bound"
+
     def _row(self, promise: Promise, party: str, entry: _Entry, remark: str) -> PromiseStatus:
         quiet = not entry.lasts and self.now - entry.last > HOLD
         cost = {unit: entry.price(unit) for unit in dict.fromkeys(unit for _, unit in entry.cost)}
@@ -509,6 +522,8 @@ class HealthModel:
             entry = entry or self._begin(Promise.PASSIVITY, node, PromiseState.BROKEN, at)
             entry.cost[node, "J"] = max(entry.cost.get((node, "J"), 0.0), -margin)
             entry.remark = f"{node}: its ledger fell {entry.price('J'):.3g} J below its bound"
+        if Promise.ORIENTATION in self._made:
+            self._judge_orientation(node, at, figures.get(names.ORIENTATION_MARGIN, 0.0))
         least = figures.get(names.INTERFACE_LEAST, 0.0)
         if not math.isfinite(least) and Promise.LATENESS in self._made:
             self._senseless(Promise.LATENESS, node, at, "its interface account")

@@ -37,7 +37,7 @@ from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.own_ticks import session_tick
 from manyhands.nodes.rows.promises import Promise
 from manyhands.nodes.wave_link.felt import FeltLink, felt_link
-from manyhands.protocol.channels import Topic, links_at, topics_of
+from manyhands.protocol.channels import Topic, hands_at, links_at, topics_of
 from manyhands.protocol.clock import Instant, from_seconds
 from manyhands.protocol.codec import Received, decode
 from manyhands.protocol.limits import MAX_CONTROL_BYTES
@@ -172,6 +172,7 @@ class About:
         drawing: what the world of a physics engine looks like; None for other worlds, and where no engine says it.
         turning: the ports and bodies that turn, whose traces are in rad and N·m.
         oriented: the bodies whose orientations the environment reports.
+        hands: the devices whose orientation is a port.
     """
 
     session: str
@@ -197,6 +198,7 @@ class About:
     drawing: Added[WorldDrawing | None] = None
     turning: Added[tuple[str, ...]] = ()
     oriented: Added[tuple[str, ...]] = ()
+    hands: Added[tuple[str, ...]] = ()
 
     @property
     def terms(self) -> Terms:
@@ -217,6 +219,7 @@ class About:
             drivers={name: node.driver for name, node in self.nodes.items() if node.driver is not None},
             couplings=self._couplings,
             units={name: self.units_at(name) for name in self.nodes} if self.turning else {},
+            hands=self.hands,
         )
 
     def units_at(self, node: str) -> Units:
@@ -255,8 +258,9 @@ class About:
         known, masses = self.nodes[node], tuple(self.masses)
         links = links_at(node, known.role, {name: one.ports for name, one in self.nodes.items()}, self.linked)
         certified = self.certificate is not None
-        topics = topics_of(known.role, masses, known.wall, bool(links), known.torques, certified, self.oriented)
-        return {topic: topic.columns_of(known.ports, masses, links, self.oriented) for topic in topics}
+        hands = hands_at(node, known.role, self.hands)
+        topics = topics_of(known.role, masses, known.wall, bool(links), known.torques, certified, self.oriented, hands)
+        return {topic: topic.columns_of(known.ports, masses, links, self.oriented, hands) for topic in topics}
 
     def as_plain(self) -> dict[str, Any]:
         """As a JSON object."""

@@ -26,7 +26,7 @@ from manyhands.nodes.recorder.scene_messages import SCENE_SCHEMAS, SceneMessages
 from manyhands.nodes.rows.figures import FIGURES as DECLARED
 from manyhands.nodes.rows.figures import WAVE_HOLDING
 from manyhands.nodes.rows.units import unit_of_all
-from manyhands.protocol.channels import CONDITION, TELEMETRY, Columns, Topic, links_at, topic_name, topics_of
+from manyhands.protocol.channels import CONDITION, TELEMETRY, Columns, Topic, hands_at, links_at, topic_name, topics_of
 from manyhands.protocol.messages import Condition, Figures, PromiseStatus, Role
 from manyhands.protocol.plain import Added, read, written
 
@@ -226,7 +226,7 @@ class ChannelAbout:
 _KEYS: Final[Mapping[str, str]] = {"version": "manyhands", "linked": "wave_links"}
 """The keys of a recording's metadata that are not named as the fields of :class:`Recorded`."""
 
-_MAY_BE_EMPTY: Final = ("periods", "linked", "scene", "turning", "oriented", "drawing")
+_MAY_BE_EMPTY: Final = ("periods", "linked", "scene", "turning", "oriented", "drawing", "hands")
 """The fields of which metadata have nothing where they are empty."""
 
 
@@ -249,6 +249,7 @@ class Recorded:
         turning: the ports and masses that turn, whose columns are in rad and N·m.
         oriented: the bodies whose orientations the environment reports.
         drawing: what the world of an engine looks like; None for other worlds, and where no engine says it.
+        hands: the devices whose orientation is a port, in the session's order.
     """
 
     session: str
@@ -265,6 +266,7 @@ class Recorded:
     turning: Added[tuple[str, ...]] = ()
     oriented: Added[tuple[str, ...]] = ()
     drawing: Added[WorldDrawing | None] = None
+    hands: Added[tuple[str, ...]] = ()
 
     @property
     def devices(self) -> dict[str, tuple[str, ...]]:
@@ -277,11 +279,13 @@ class Recorded:
         wall = self.clock == REALTIME
         if role is None:
             return ()
-        return topics_of(role, self.masses, wall, bool(self.links_of(node)), wall, oriented=self.oriented)
+        links, hands = bool(self.links_of(node)), hands_at(node, role, self.hands)
+        return topics_of(role, self.masses, wall, links, wall, oriented=self.oriented, hands=hands)
 
     def columns(self, node: str, topic: Topic) -> tuple[str, ...]:
         """Names of the columns of a node's topic."""
-        return topic.columns_of(self.ports[node], self.masses, self.links_of(node), self.oriented)
+        hands = hands_at(node, self.roles[node], self.hands)
+        return topic.columns_of(self.ports[node], self.masses, self.links_of(node), self.oriented, hands)
 
     def channel(self, node: str, topic: Topic | str) -> ChannelAbout:
         """A node's channel, the same in a recording and on a live connection.
@@ -371,6 +375,7 @@ class Recorded:
             *chain.from_iterable(out.ports.values()),
             *out.turning,
             *out.oriented,
+            *out.hands,
             *own,
         ):
             if not _NAME.fullmatch(name):
@@ -403,4 +408,5 @@ def recorded_of(about: About) -> Recorded:
         turning=about.turning,
         oriented=about.oriented,
         drawing=about.drawing,
+        hands=about.hands,
     )

@@ -290,6 +290,21 @@ INTERFACE_MARGIN: str = _figure(Figure(
 _figure(Figure(
     INTERFACE, Unit.JOULES, "the account of what lateness puts in", report=_at("interface", "final", needed=True),
     columns=(Column("account [J]", ".2e", 7),)))
+ORIENTATION_LEAST: str = _figure(Figure(
+    "orientation_min", Unit.JOULES, "the least of the account of a device's orientation",
+    report=_at("orientation", "min", needed=True), lives=_LEAST))
+ORIENTATION_MARGIN: str = _figure(Figure(
+    "orientation_margin", Unit.JOULES, "the least distance of that account from its bound D - G",
+    report=_at("orientation", "margin", needed=True), lives=_LEAST))
+ORIENTATION_HELD: str = _figure(Figure(
+    "orientation_held", Unit.TICKS, "in which less than the proposed turn of a proxy was taken",
+    report=_at("orientation", "held_ticks", needed=True)))
+ORIENTATION_LET_GO: str = _figure(Figure(
+    "orientation_let_go", Unit.TICKS, "with an answer in which an orientation exerted no torque",
+    report=_at("orientation", "let_go_ticks", needed=True)))
+ORIENTATION_LATE: str = _figure(Figure(
+    "orientation_late", Unit.JOULES, "that late ticks of an orientation may have given out at most",
+    report=_at("orientation", "late", needed=True), lives=_SUM))
 INTERFACE_TICKS: str = _figure(Figure(
     "interface_ticks", Unit.TICKS, "in which a device's interface changed a motion or a force",
     report=_at("interface", "changed_ticks", needed=True)))

@@ -12,6 +12,7 @@ class Promise(StrEnum):
     RECORD = "record"
     PASSIVITY = "passivity"
     DRIVER = "driver's word"
+    ORIENTATION = "orientation account"
     DELAY = "delay"
     PERIOD = "period"
     LATENESS = "lateness energy"

@@ -26,8 +26,8 @@ from manyhands.protocol.messages import Role
 
 Row: TypeAlias = tuple[Sequence[float], ...]
 """A party's numbers of a tick: a part for each topic of its role (:data:`manyhands.protocol.channels.TOPICS`), in the
-table's order; a part without numbers where it has none of the topic. A device's delay is measured by its loop alone,
-and is in no row of a party."""
+table's order; a part without numbers where it has none of the topic, and no part where it has none of the last topics.
+A device's delay is measured by its loop alone, and is in no row of a party."""
 
 
 class TwoPort(Protocol):
@@ -91,5 +91,5 @@ class RowBuffer:
         rows = np.frombuffer(self._values).reshape(self.filled, -1)
         self.filled, self._wanted, self._values = 0, self._every, array("d")
         ends = list(accumulate(self._widths))
-        found = zip(self._traces, self._widths, ends, strict=True)
+        found = zip(self._traces, self._widths, ends, strict=False)  # a row may end before the topics do
         return {name: rows[:, end - width : end] for name, width, end in found if width}

@@ -156,7 +156,7 @@ BROKEN: Final = {
     "too-deep": Broken(2, "", "nesting deeper than 32", "flatter",
         whole=f"session: broken\nperiod: {'[' * 100 + ']' * 100}\n"),
     # keys
-    "unknown-key": Broken(4, "devices.dx.mas", "unknown key 'mas'", "mass and 6 more (did you mean 'mass'?)",
+    "unknown-key": Broken(4, "devices.dx.mas", "unknown key 'mas'", "mass and 7 more (did you mean 'mass'?)",
         "  dx: {dof: 1, osp: 1.37, driver: simulated, mas: 0.2}"),
     "unknown-top-key": Broken(2, "perod", "unknown key 'perod'", "did you mean 'period'?", "perod: 0.001"),
     "missing-key": Broken(4, "devices.dx", "no key 'mass'", "the least moving mass in kg",

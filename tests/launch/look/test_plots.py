@@ -14,6 +14,7 @@ from matplotlib.axes import Axes
 from typer.testing import CliRunner
 
 from manyhands.launch.app.cli import app
+from manyhands.launch.audit.simulation import simulate
 from manyhands.launch.files import TargetError
 from manyhands.launch.look import figures
 from manyhands.launch.look.figures import require_picture, save
@@ -32,6 +33,7 @@ from manyhands.launch.look.plots import (
     picture_of_run,
     plain,
 )
+from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.recordings.curves import COLUMNS, Curve, Panel, alone, backward_difference, band, gaps, thinned
 from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.recordings.run import RecordedRun, RecordedTrace
@@ -41,6 +43,7 @@ from manyhands.nodes.recorder.format import CERTIFICATE_FILE, Recorded
 from manyhands.protocol.channels import TOPICS, links_at, topics_of
 from manyhands.protocol.codec import encode
 from manyhands.protocol.messages import Condition, Figures, Observation, Role
+from tests.support.slot import session
 
 PERIOD = 1e-3
 Array = np.ndarray
@@ -160,6 +163,10 @@ class TestThinning:
         np.testing.assert_allclose(of["u0"], expected)
 
 
+FOR_THE_AUDIT = {"instants", "applied", "work", "proposed", "heard", "told"}
+OF_HANDS = ("orientation", "proxy", "angle", "torque", "account")
+
+
 class TestPictures:
     def test_what_is_shown_where_nothing_is_asked_for(self) -> None:
         certificate = json.dumps({"tau": 0.00031}).encode()
@@ -225,15 +232,31 @@ class TestPictures:
 
     def test_every_topic_of_the_table_can_be_asked_for(self) -> None:
         names = {topic.name for topics in TOPICS.values() for topic in topics}
-        assert {*QUANTITIES} == names - {"instants", "applied", "work"} | {"velocity"}  # these are for the audit
-        picture = picture_of_run(of_users(1, 50, wall=True, linked=True, oriented=("hub",)), [*reversed(QUANTITIES)])
-        assert [panel.name for panel in picture.panels] == [name for name in QUANTITIES if name != "tau"]
+        assert {*QUANTITIES} == names - FOR_THE_AUDIT | {"velocity", "angle"}
+        picture = picture_of_run(
+            of_users(1, 50, wall=True, linked=True, oriented=("hub",)),
+            [name for name in reversed(QUANTITIES) if name not in OF_HANDS],
+        )
+        assert [panel.name for panel in picture.panels] == [
+            name for name in QUANTITIES if name != "tau" and name not in OF_HANDS
+        ]
         assert picture.delays is not None
         labels = {panel.name: [curve.label for curve in panel.curves] for panel in picture.panels}
         assert labels["masses"] == ["hub"]
         assert labels["orientations"] == ["hub.qw", "hub.qx", "hub.qy", "hub.qz"]
         assert labels["tool"] == ["u0", "environment u0"]
         assert labels["tank"] == ["c-u0.L", "c-u0.G", "c-u0.H", *(f"environment c-u0.{figure}" for figure in "LGH")]
+
+    def test_an_orientation_is_drawn_with_the_angle_to_its_tool(self) -> None:
+        pytest.importorskip("mujoco")
+        run = simulate(prepare(session(), None), 300)
+        panels = {panel.name: panel for panel in picture_of_run(run, OF_HANDS).panels}
+        assert [*panels] == [*OF_HANDS]
+        assert [curve.label for curve in panels["torque"].curves] == ["pen.x", "pen.y", "pen.z"]
+        (angle,) = panels["angle"].curves
+        assert angle.label == "pen"
+        torque = np.linalg.norm([curve.values for curve in panels["torque"].curves], axis=0)
+        assert 0.3 * np.sin(angle.values) == pytest.approx(torque, abs=1e-7)  # of the arc cosine
 
     @pytest.mark.parametrize(
         ("wanted", "words"),

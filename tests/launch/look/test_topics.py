@@ -19,7 +19,7 @@ from manyhands.launch.session.shipped import load_named
 from manyhands.nodes.monitor.session_state import LiveSession
 from manyhands.nodes.recorder.core import RecorderCore
 from manyhands.nodes.recorder.format import Recorded
-from manyhands.protocol.channels import ORIENTATION, TOPICS
+from manyhands.protocol.channels import TOPICS, Columns
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Condition, Figures, Observation, Role
 
@@ -36,7 +36,7 @@ class TestNames:
             f"{name}/{topic.name}"
             for name, node in ABOUT.nodes.items()
             for topic in TOPICS[node.role]
-            if not (topic.linked or topic.torques or topic.trace == ORIENTATION)  # no body of this world turns
+            if not (topic.linked or topic.torques or topic.hands or topic.columns is Columns.QUATERNIONS)
         ]
         expected += [f"{name}/telemetry" for name in ABOUT.nodes]
         assert sorted(named_topics(ABOUT)) == sorted([*expected, "supervisor/condition"])

@@ -38,6 +38,7 @@ from manyhands.launch.session import (
 from manyhands.launch.session.fields import OnAxes, SessionModel, keys_of
 from manyhands.launch.session.friction import Friction
 from manyhands.launch.session.kind import EnvironmentKind
+from manyhands.launch.session.orientation import Orientation, OrientationLimits
 from manyhands.launch.session.scene import (
     SceneBody,
     SceneContact,
@@ -64,6 +65,7 @@ MODELS: dict[str, tuple[type[SessionModel], ...]] = {
     "Trace": (Motion,),
     "Limits": (PortLimits,),
     "Friction": (Friction,),
+    "Orientation": (Orientation, OrientationLimits),
     "Hand": (Hand, Rational, TraceData),
     "Coupling": (CouplingBlock,),
     "Wave link": (WaveLink,),
@@ -136,6 +138,9 @@ OVERRIDES = {
     "Trace": "devices.dx={{dof: 1, osp: 1.37, driver: trace, {key}: {value}}}",
     "Limits": "devices.dx.{key}={value}",
     "Friction": "devices.dx.{key}={value}",
+    "Orientation": "devices.dx={{dof: 3, osp: 1.37, driver: simulated, mass: 0.2, buttons: [grip], {key}: {value}}}\n"
+    "environment={{type: engine, engine: mujoco, model: <mujoco/>, stiffness: 500, tools: {{dx: [x, y, z]}}, "
+    "avatars: {{dx: turn}}}}",
     "Hand": "devices.dx.hand.{key}={value}",
     "Coupling": "couplings.{key}={value}",
     "Wave link": "couplings.cx.wave_link={{{key}: {value}}}",
@@ -180,7 +185,7 @@ def base(folder: Path) -> Path:
 def test_every_example_may_stand_in_a_session(section: str, text: str, tmp_path: Path) -> None:
     key, _, value = text.removeprefix("{").partition(": ")
     value = value.removesuffix("}") if text.startswith("{") else value
-    load_session(base(tmp_path), [OVERRIDES[section].format(key=key, value=value)])
+    load_session(base(tmp_path), OVERRIDES[section].format(key=key, value=value).split("\n"))
 
 
 def test_the_hand_at_a_browser_is_the_one_in_force() -> None:

@@ -17,6 +17,7 @@ from manyhands.design.levels.device import device_share
 from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.telemetry import DeviceTelemetry
 from manyhands.nodes.kernel.bundle import Common, DeviceRung, Limits
+from manyhands.nodes.kernel.buttons import Buttons
 from manyhands.nodes.rows.two_port import Row
 from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Figures, Role
@@ -31,6 +32,7 @@ COMMON = Common(
     telemetry_first=ROWS,
 )  # fmt: skip
 CORE = DeviceCore(np.eye(1), np.zeros((1, 1)), 0.001)
+NO_BUTTONS = Buttons((), 0.001)
 GUARD = Guard(Limits((10.0,), (1.0,), (1.0,)), 0.001, ("dx",))
 
 
@@ -45,7 +47,10 @@ class TelemetryDevice:
     def __init__(self, line: Any) -> None:
         self.x = np.zeros(1)
         driver = SimpleNamespace(figures=Figures)
-        device = SimpleNamespace(core=CORE, guard=GUARD, interface=None, driver=driver, row=self.row, below=None)
+        device = SimpleNamespace(
+            core=CORE, guard=GUARD, interface=None, driver=driver, row=self.row, below=None, buttons=NO_BUTTONS,
+            orientation=None,
+        )  # fmt: skip
         self.account, self.line, self.at = DeviceTelemetry(COMMON, rung(TAU), device), line, 0  # type: ignore[arg-type]
 
     def row(self) -> Row:

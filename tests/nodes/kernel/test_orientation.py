@@ -18,6 +18,8 @@ from manyhands.nodes.kernel.orientation import (
     between,
     energy,
     torque,
+    total,
+    unit,
     yielded,
 )
 
@@ -170,6 +172,7 @@ def test_what_one_hand_gives_the_other_may_have_whatever_is_lost() -> None:
 
 def test_a_deposit_or_a_grant_that_comes_late_changes_nothing() -> None:
     bank = OrientationBank(("a", "b"), tank=1.0)
+    bank.deposit("a", 0.0)
     bank.deposit("a", 2.0)
     bank.deposit("a", 1.5)
     assert bank.balance == 3.0
@@ -190,6 +193,70 @@ def test_letting_go_costs_nothing() -> None:
     spring.release(R)
     assert spring.turn(R, None) == (0.0, 0.0, 0.0)
     assert spring.account >= 0.0
+
+
+def test_a_process_that_starts_anew_neither_brings_nor_takes_what_was_spent() -> None:
+    bank = OrientationBank(("a", "b"), tank=1.0)
+    bank.deposit("a", 3.0, life=7.0)  # the bank itself may be the new one
+    assert bank.balance == 1.0
+    bank.deposit("a", 3.5, life=7.0)
+    assert bank.grant("a", 1.5) == 1.5
+    bank.deposit("a", 0.2, life=8.0)
+    assert (bank.balance, bank.granted["a"], bank.lives["a"]) == (0.0, 0.0, 8.0)
+    bank.deposit("a", 0.5, life=8.0)
+    assert bank.balance == pytest.approx(0.3)
+    for no_life in (0.0, 0.5, -1.0, 2.0**60, math.inf, math.nan):
+        bank.deposit("a", 9.0, life=no_life)
+    assert bank.balance == pytest.approx(0.3)
+
+
+def test_no_hand_deposits_more_than_it_can_have_put_in() -> None:
+    bank = OrientationBank(("a",), power={"a": 0.25})
+    bank.deposit("a", 0.0, tick=10)
+    bank.deposit("a", 1e300, tick=12)
+    assert bank.balance == 0.5
+    bank.grant("a", 0.5)
+    bank.deposit("a", 1e300, tick=12)
+    assert bank.balance == 0.5  # what it was granted it may have given back
+    bank.deposit("a", 1e300, tick=13)
+    assert bank.balance == 0.75
+
+
+def test_what_is_owed_is_paid_or_forgiven() -> None:
+    spring = OrientationSpring(1.0)
+    spring.charge(0.3)
+    spring.pay(0.1)
+    assert spring.owed == pytest.approx(0.2)
+    spring.pay(1.0)
+    assert (spring.owed, spring.late, spring.account) == (0.0, 0.3, 0.0)
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        (0.0, 0.0, 0.0, 0.0),
+        (1.0 + 1e-5, 0.0, 0.0, 0.0),
+        (math.nan, 0.0, 0.0, 1.0),
+        (math.inf, 0.0, 0.0, 0.0),
+        (1e200, 1e200, -1e200, 0.0),
+    ],
+)
+def test_numbers_that_are_no_orientation_are_none(numbers: tuple[float, ...]) -> None:
+    assert unit(numbers) is None
+
+
+@given(st.lists(st.floats(), min_size=4, max_size=4), st.floats())
+def test_whatever_comes_is_an_orientation_of_length_1_or_none_and_a_sum_is_one(
+    numbers: list[float], number: float
+) -> None:
+    found = unit(numbers)
+    assert found is None or math.isclose(math.hypot(*found), 1.0, rel_tol=1e-15)
+    assert 0.0 <= total(number) < math.inf
+
+
+def test_an_orientation_that_was_rounded_is_normalised() -> None:
+    found = unit((1.0 + 1e-7, 0.0, 0.0, 0.0))
+    assert found == UPRIGHT
 
 
 @pytest.mark.parametrize(

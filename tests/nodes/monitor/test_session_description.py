@@ -82,6 +82,9 @@ def without(key: str) -> str:
     return json.dumps(plain)
 
 
+LATER = ("force", "drawing", "turning", "oriented", "hands")
+"""What descriptions have had later than others."""
+
 DAMAGED = {
     "a seat of no node": changed(seats={"cy": "dx"}),
     "a seat without a device": changed(seats={"cx": "dy"}),
@@ -93,7 +96,7 @@ DAMAGED = {
     "deep": "[" * 100_000,
     "another version's": json.dumps({"session": "s"}),
     "more than there is": changed(more=1),
-    **{f"no {key}": without(key) for key in WHOLE.as_plain() if key not in ("force", "drawing", "turning", "oriented")},
+    **{f"no {key}": without(key) for key in WHOLE.as_plain() if key not in LATER},
     "forces in words": changed(force={"dx": "strong"}),
     "a role that there is not": changed(nodes={"dx": {"role": "king", "ports": [], "process": None}}),
     "ports that are no list": changed(nodes={"dx": {"role": "device", "ports": "dx", "process": None}}, links=[]),

@@ -13,7 +13,7 @@ from manyhands.protocol.messages import Role
 
 @given(
     role=st.sampled_from([Role.DEVICE, Role.COUPLING, Role.ENVIRONMENT]),
-    widths=st.lists(st.integers(0, 3), min_size=8, max_size=8).filter(lambda widths: any(widths[:5])),
+    widths=st.lists(st.integers(0, 3), min_size=13, max_size=13).filter(lambda widths: any(widths[:5])),
     ticks=st.integers(1, 5),
 )
 def test_rows_come_back_by_topic_and_once(role: Role, widths: list[int], ticks: int) -> None:

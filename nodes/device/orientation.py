@@ -1,0 +1,249 @@
+"""A device's orientation in its tick: the law of :mod:`manyhands.nodes.kernel.orientation`, from a hand to its torque.
+
+In each tick the device says its orientation R(k), and what it has deposited. With the tick's answer comes a proxy that
+the world proposes, or none. The torque follows here, in the device's own process, and goes to the motors with the
+force. Nothing is assumed of what comes: what is no orientation is none, and the proxy rests.
+
+The device *lets go*, by a proxy that follows it without a torque,
+
+- in a period in which no answer came;
+- while its guard lets go of the force (:mod:`manyhands.nodes.device.core`), by whose ramp the greatest torque rises;
+- in a tick to which it has turned faster than its limit;
+- while late ticks may have given out more than the session allows to lateness.
+
+A :class:`TurnedBody` is a simulated device in a hand, the same about every axis, whose turn over a piece of time with a
+constant torque is exact up to the order of small turns.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+from manyhands.nodes.kernel.allowance import LatenessAllowance
+from manyhands.nodes.kernel.arithmetic import Floats
+from manyhands.nodes.kernel.bundle import DeviceRung, OrientationPart, TurnedHand
+from manyhands.nodes.kernel.intent import intent_from
+from manyhands.nodes.kernel.orientation import (
+    FIRST_LIFE,
+    UPRIGHT,
+    OrientationSpring,
+    Quaternion,
+    Vector3,
+    angle,
+    total,
+    turned_by,
+    unit,
+)
+from manyhands.protocol.clock import Duration, Instant, from_seconds, seconds
+
+NOTHING: Final = (0.0, 0.0, 0.0, 0.0, 0.0)
+"""No proxy, and no grant."""
+
+NO_TORQUE: Final[Vector3] = (0.0, 0.0, 0.0)
+
+LONGEST_GAP: Final = from_seconds(10.0)
+"""The longest time between two calls in which a simulated body moves, ns; then it stands still."""
+
+_HAIR: Final = 1.0 + 1e-9  # of a speed, which is a quotient of rounded numbers
+
+
+class TurnedBody:
+    """A simulated device that a hand turns: J domega/dt + b omega = torque, R(0) upright and at rest.
+
+    Attributes:
+        R: its orientation at the instant of the last call.
+    """
+
+    def __init__(self, of: TurnedHand, T: float) -> None:
+        """Begin at the instant 0; the hand's torque is constant over each period T, s."""
+        self._rate, self._damping = of.damping / of.inertia, of.damping
+        self._intents = tuple(intent_from(data) for data in of.torque)
+        self._period = from_seconds(T)
+        self._at, self._begun = Instant(0), -1
+        self._hand = self._u = self._omega = NO_TORQUE
+        self.R = UPRIGHT
+
+    def to(self, at: Instant) -> Quaternion:
+        """Move on to the instant ``at``, and return the orientation then; an earlier one is the present."""
+        left = at - self._at
+        if left > LONGEST_GAP:
+            self._at, self._omega, left = Instant(at - LONGEST_GAP), NO_TORQUE, LONGEST_GAP
+        while left > 0:
+            number, into = divmod(self._at, self._period)
+            if number != self._begun:
+                t = seconds(Duration(number * self._period))
+                x, y, z = self._intents
+                self._begun, self._hand = number, (x(t), y(t), z(t))
+            part = min(left, self._period - into)
+            self._move(seconds(Duration(part)))
+            self._at, left = Instant(self._at + part), left - part
+        return self.R
+
+    def apply(self, u: Vector3, at: Instant) -> None:
+        """Hold the torque u, N*m, from the instant ``at`` on."""
+        self.to(at)
+        self._u = u
+
+    def _move(self, dt: float) -> None:
+        decay = -math.expm1(-self._rate * dt)  # 1 - exp
+        turn, omega = [], []
+        for own, held, before in zip(self._hand, self._u, self._omega, strict=True):
+            end = (own + held) / self._damping
+            turn.append(end * dt + (before - end) * decay / self._rate)
+            omega.append(before + (end - before) * decay)
+        self.R = turned_by(self.R, turn)
+        self._omega = (omega[0], omega[1], omega[2])
+
+
+class DeviceOrientation:
+    """The orientation of one device, from its samples to its torques.
+
+    Attributes:
+        spring: the law, with its account.
+        life: the number of this process, which is drawn where others may come before or after it.
+        R: the orientation of the last sample.
+        came: what came for it with the last answer: a proposed proxy and a sum of grants; zeros for nothing.
+        most: the greatest torque of the last tick, N*m.
+        torque: that of the last tick, N*m.
+        let_go: the ticks with an answer in which it has let go.
+        least: the least that its account has been, J.
+        margin: the least distance of its account from its bound, J.
+    """
+
+    def __init__(
+        self,
+        part: OrientationPart,
+        T: float,
+        rung: DeviceRung,
+        allowance: LatenessAllowance | None = None,
+        longest: Duration | None = None,
+    ) -> None:
+        """Begin upright, at rest, with the proxy at the device.
+
+        Args:
+            part: what the device has of its orientation.
+            T: period, s.
+            rung: whose delays and periods its damping pays for.
+            allowance: what lateness may put in; None for anything, which is counted alone.
+            longest: of a device in wall time, how long its motors hold a torque, ns; None for one in its own time,
+                where nothing is late.
+        """
+        self._T, self._period, self._longest = T, from_seconds(T), longest
+        self._b, self._k, self._limit, self._speed = part.osp, part.stiffness, part.torque, part.speed
+        self._allowance = allowance
+        self._body = TurnedBody(part.source, T)
+        self.spring = OrientationSpring(part.stiffness, part.torque)
+        self.life = FIRST_LIFE
+        self.R, self.most = UPRIGHT, part.torque
+        self.came: tuple[float, ...] = NOTHING
+        self.torque = self._before = NO_TORQUE
+        self._sampled: Instant | None = None
+        self._acted = Instant(0)
+        self._fast, self._held = False, False
+        self.let_go = 0
+        self.least = self.margin = 0.0
+        self._tau, self._covered = from_seconds(rung.tau), from_seconds(T * (1.0 + rung.period_tolerance))
+        t = rung.tau / (T * (1.0 + rung.period_tolerance))
+        self._epsilon = 2.0 * t / (1.0 + t)
+        self._held_for = seconds(self._covered)  # how long the torque of the tick before was held, s
+
+    def sample(self, turn: int, at: Instant) -> None:
+        """Take the orientation: in wall time that at ``at``, in its own time that after ``turn`` periods."""
+        wall = self._longest is not None
+        before, since = self.R, self._sampled
+        now = at if wall else Instant(turn * self._period)
+        self.R, self._sampled = self._body.to(now), now
+        self._fast, self._held = False, False
+        if since is None or now <= since:
+            return
+        far, h = angle(before, self.R), now - since
+        self._fast = far > self._speed * seconds(Duration(h)) * _HAIR
+        if wall:
+            self._judge(far, Duration(h), Duration(max(0, self._acted - since)))
+
+    def _judge(self, far: float, h: Duration, d: Duration) -> None:
+        """Count the tick that has ended, of ``h`` ns, in which the torque changed after ``d`` ns, over a turn of
+        ``far`` rad.
+        """
+        spring, acted = self.spring, any(self.torque) or any(self._before)
+        held = min(h, d + (self._longest or 0))
+        before, self._held_for = self._held_for, seconds(Duration(held))
+        if acted and (h > self._covered or d > self._tau):
+            spring.charge(self._most_of(before, self._held_for, seconds(d)))
+            if held < h:  # the motors have let go by themselves since
+                spring.lose(self.R)
+        elif not acted and spring.owed:
+            spring.pay(self._b * far * far / seconds(h))
+        if spring.owed and self._allowance is not None:
+            spring.pay(self._allowance.power * seconds(h))
+
+    def _most_of(self, before: float, h: float, d: float) -> float:
+        """What a tick of h s with a delay of d s, after one of ``before`` s, may give out, J: decision 54, (4)."""
+        e, late = self._epsilon, (2.0 * before + d) * d
+        if e > 0.0:
+            late = min(late, (1.0 + 1.0 / e) * d * d)
+        return 0.5 * self._k * self._speed**2 * ((1.0 + e) * h * h + late)
+
+    @property
+    def rides(self) -> Floats:
+        """What rides with the sample: the orientation, the deposits and the life."""
+        return [*self.R, self.spring.deposited, self.life]
+
+    def exert(self, came: Sequence[float], at: Instant, ratio: float = 1.0) -> Vector3:
+        """Take what came with the tick's answer, and exert the torque that follows from ``at`` on; returns it, N*m.
+
+        Args:
+            came: :data:`manyhands.nodes.kernel.orientation.RIDER` numbers.
+            at: the instant.
+            ratio: of the guard, by which the device takes hold.
+        """
+        self.came = tuple(came[:5]) if came[5] == self.life else NOTHING
+        self.most = self._limit * ratio
+        owes = self._allowance is not None and self.spring.owed > self._allowance.energy
+        if self._fast or owes or not self.most > 0.0:
+            self.let_go += 1
+            self._hold(self._released(), at)
+            return self.torque
+        self._hold(follow(self.spring, self.R, self.came, self.most), at)
+        return self.torque
+
+    def release(self, at: Instant) -> None:
+        """Exert no torque from ``at`` on."""
+        self._hold(self._released(), at)
+
+    def row(self) -> tuple[Sequence[float], ...]:
+        """R, Q, the torque, what came, and the account with all that it is made of: a part for each topic."""
+        s = self.spring
+        account = (s.account, s.deposited, s.granted, s.owed, s.late, self.most)
+        return self.R, s.proxy, self.torque, self.came, account
+
+    def _released(self) -> Vector3:
+        self.spring.release(self.R)
+        return NO_TORQUE
+
+    def _hold(self, u: Vector3, at: Instant) -> None:
+        if not self._held:  # otherwise it has let go in this tick already
+            self._held, self._before, self._acted = True, self.torque, at
+        self.torque = u
+        spring = self.spring
+        self.least = min(self.least, spring.account)
+        self.margin = min(self.margin, spring.account - (spring.deposited - spring.granted))
+        if self._longest is not None:
+            self._body.apply(u, at)
+        else:
+            self._body.apply(u, self._sampled or Instant(0))
+
+
+def follow(spring: OrientationSpring, R: Quaternion, came: Sequence[float], most: float) -> Vector3:
+    """The torque for what came with an answer, N*m, which the audit computes again.
+
+    Args:
+        spring: with its account.
+        R: the device's orientation.
+        came: a proposed proxy and a sum of grants, J.
+        most: the greatest torque, N*m.
+    """
+    spring.most = most
+    return spring.turn(R, unit(came[:4]), total(came[4]))

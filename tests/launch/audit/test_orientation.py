@@ -1,0 +1,110 @@
+"""An orientation in a recording: an audit computes torques, accounts and grants again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from manyhands.launch.audit.events import Course, Happening
+from manyhands.launch.audit.findings import CheckVerdict
+from manyhands.launch.audit.orientation import BOUND, NAME, device_checks, world_checks
+from manyhands.launch.audit.simulation import Silence, simulate
+from manyhands.launch.plan.bundles import RunPlan, cut
+from manyhands.launch.plan.prepare import Prepared, prepare
+from manyhands.launch.recordings.run import RecordedRun
+from manyhands.nodes.kernel.bundle import DeviceBundle, EnvironmentBundle
+from tests.support.slot import session
+
+pytest.importorskip("mujoco")
+TICKS = 450
+DEVICE = ("x", "f_v", "R", "Q", "t_v", "proposed", "account")
+WORLD = ("x_e", "q", "R", "heard", "told")
+
+
+@pytest.fixture(scope="module")
+def prepared() -> Prepared:
+    return prepare(session(), None)
+
+
+@pytest.fixture(scope="module")
+def run(prepared: Prepared) -> RecordedRun:
+    return simulate(prepared, TICKS)
+
+
+def values(run: RecordedRun, node: str, trace: str) -> np.ndarray:
+    (found,) = (one.values for (of, _), one in run.traces.items() if of == node and one.topic.trace == trace)
+    return np.array(found)
+
+
+def test_the_slot_holds_its_hand_about_one_axis_and_lets_it_turn_about_another(run: RecordedRun) -> None:
+    R, torque = values(run, "pen", "R"), values(run, "pen", "t_v")
+    assert abs(torque[:, 2]).max() == pytest.approx(0.03, rel=0.2)
+    assert abs(R[:, 1]).max() > 3.0 * abs(R[:, 3]).max()
+    account = values(run, "pen", "account")
+    assert (account[:, 0] >= account[:, 1] - account[:, 2] - 1e-15).all()
+    assert account[-1, 1] > 0.0  # the hand has given energy, and the bank was asked for it
+    assert account[-1, 2] > 0.0
+
+
+def checks(prepared: Prepared, run: RecordedRun) -> dict[tuple[str, str], CheckVerdict]:
+    bundles = cut(prepared, RunPlan("simulated", None, ""))
+    device, world = bundles["pen"], bundles["environment"]
+    assert isinstance(device, DeviceBundle)
+    assert isinstance(world, EnvironmentBundle)
+    course = Course({0: Happening(began=True)}, {}, run.ticks)
+    found = [*device_checks(run, "pen", device, course), *world_checks(run, "environment", world)]
+    return {(check.name, check.party): check.verdict for check in found}
+
+
+def test_all_of_it_follows(prepared: Prepared, run: RecordedRun) -> None:
+    assert set(checks(prepared, run).values()) == {CheckVerdict.HOLDS}
+    assert set(checks(prepared, run)) == {
+        (NAME, "pen"),
+        (BOUND, "pen"),
+        ("agreement", "pen"),
+        (BOUND, "environment"),
+    }
+
+
+@pytest.mark.parametrize(
+    ("node", "trace", "column", "by", "broken"),
+    [
+        ("pen", "t_v", 2, 1e-12, {(NAME, "pen")}),
+        ("pen", "Q", 1, 1e-12, {(NAME, "pen")}),
+        ("pen", "account", 0, 1e-9, {(NAME, "pen")}),
+        ("pen", "account", 0, -1e-3, {(NAME, "pen"), (BOUND, "pen")}),
+        ("pen", "proposed", 1, 1e-5, {(NAME, "pen"), ("agreement", "pen")}),
+        ("environment", "told", 4, 1.0, {("agreement", "pen"), (BOUND, "environment")}),
+        ("environment", "told", 0, 1e-9, {("agreement", "pen")}),
+    ],
+)
+def test_a_number_that_was_changed_is_found(
+    prepared: Prepared, node: str, trace: str, column: int, by: float, broken: set[tuple[str, str]]
+) -> None:
+    run = simulate(prepared, 300)
+    for (of, _), one in run.traces.items():
+        if of == node and one.topic.trace == trace:
+            one.values[200, column] += by
+    found = checks(prepared, run)
+    assert {about for about, verdict in found.items() if verdict is CheckVerdict.BROKEN} == broken
+
+
+def test_a_hand_whose_coupling_is_silent_is_free_meanwhile(prepared: Prepared) -> None:
+    run = simulate(prepared, TICKS, [Silence("c", 100, 300)])
+    proposed, heard = values(run, "pen", "proposed"), values(run, "environment", "heard")
+    assert not proposed[100:300].any()
+    assert not heard[100:300].any()
+    assert proposed[301:, :4].any(axis=1).all()
+    Q = values(run, "pen", "Q")
+    account = values(run, "pen", "account")
+    assert (account[:, 0] >= account[:, 1] - account[:, 2] - 1e-15).all()
+    assert Q.shape == (TICKS, 4)
+
+
+def test_a_recording_says_whose_orientation_is_a_port(run: RecordedRun) -> None:
+    assert run.recorded.hands == ("pen",)
+    assert {topic.trace for topic in run.recorded.topics("pen") if topic.hands} == {
+        "R", "Q", "t_v", "proposed", "account"
+    }  # fmt: skip
+    assert {topic.trace for topic in run.recorded.topics("environment") if topic.hands} == {"heard", "told"}
+    assert not any(topic.hands for topic in run.recorded.topics("c"))

@@ -1,0 +1,80 @@
+"""The keys of an orientation: what a session may state, and what it is told where it may not."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from manyhands.launch.session import Session, SessionError
+from manyhands.launch.session.session import ENVIRONMENT
+from tests.support.slot import ORIENTATION, slot
+
+
+def test_it_is_read_and_written_again() -> None:
+    session = Session.from_dict(slot())
+    assert session.hands == ("pen",)
+    own = session.devices["pen"].orientation
+    assert own is not None
+    assert own.torque == ("0.004*sin(2*pi*t)", 0.0, "0.03*sin(2*pi*2*t)")
+    part = own.part(0.3)
+    assert (part.source.damping, part.source.inertia) == (0.001, 2e-5)
+    assert Session.from_dict(session.to_dict()) == session
+    assert Session.from_dict(session.as_plain()) == session
+
+
+def test_without_a_stiffness_it_is_the_stiffest_that_is_proved() -> None:
+    data = slot()
+    del data["devices"]["pen"]["orientation"]["stiffness"]
+    session = Session.from_dict(data)
+    for tau, rho in ((0.0, 0.0), (0.0005, 0.2)):
+        k = session.orientation_stiffness("pen", tau, rho)
+        assert k * ((1 + rho) * 0.001 + 3 * tau) / 2 == pytest.approx(0.99 * 0.001)
+    assert session.stiffest_orientations["pen"] == session.orientation_stiffness("pen", 0.0, 0.0)
+
+
+def _with(**keys: Any) -> dict[str, Any]:
+    data = slot()
+    data["devices"]["pen"] |= keys
+    return data
+
+
+def _environment(**keys: Any) -> dict[str, Any]:
+    data = slot()
+    data[ENVIRONMENT] |= keys
+    return data
+
+
+LINKS = [{"between": [f"pen.{i}", "ground"], "stiffness": 100} for i in range(3)]
+
+REFUSED = {
+    "two axes": (_with(dof=2, hand={}), "3 axes that translate"),
+    "a driver": (_with(driver="a.b:c", mass=None, hand=None), "no other driver turns in space yet"),
+    "torques of joints": (_with(held="torque", linkage={"kappa": 10.0}), "is proved nowhere yet"),
+    "axes that turn": (_with(axes={"x": "translation", "y": "translation", "w": "rotation"}), "axes that translate"),
+    "no avatar": (_environment(avatars={}), "environment.avatars: {pen: JOINT}"),
+    "an avatar of nobody": (_environment(avatars={"pen": "turn", "pin": "turn"}), "a device with an orientation: pen"),
+    "another world": (
+        slot(environment={"type": "network", "links": LINKS}),
+        "an engine with an avatar for its tool",
+    ),
+    "a ladder": (slot(design={"coupling": "spring-damper", "tau": 1e-4, "ladder": [2e-4]}), "no softer rung yet"),
+    "a wave link": (slot(couplings={"c": {"devices": ["pen"], "wave_link": {"b": 1.0}}}), "no wave link"),
+    "no inertia": (slot({"inertia": 0.0}), "an inertia in kg·m² greater than 0"),
+    "an osp without a number": (slot({"osp": math.nan}), "a level in N·m·s/rad"),
+    "too little damping": (slot({"damping": 1e-4}), "at least the osp, 0.001 N·m·s/rad"),
+    "two torques": (slot({"torque": [0, 0]}), "three torques in N·m"),
+    "a torque of words": (slot({"torque": ["import os", 0, 0]}), "a formula"),
+    "a torque that ends": (slot({"torque": ["1/(t-1)", 0, 0]}), "a finite value at every time"),
+    "no limits": ({**slot(), "devices": {"pen": {**slot()["devices"]["pen"], "orientation": {
+        key: value for key, value in ORIENTATION.items() if key != "limits"}}}}, "limits"),
+    "an unknown key": (slot({"stifness": 1.0}), "stiffness"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("data", "expected"), REFUSED.values(), ids=REFUSED)
+def test_what_cannot_be_is_refused_in_one_sentence(data: dict[str, Any], expected: str) -> None:
+    with pytest.raises(SessionError) as refused:
+        Session.from_dict(data)
+    assert expected in str(refused.value)

@@ -1,0 +1,59 @@
+"""A device whose orientation is a port, in processes: they have the simulation's numbers, and may start anew."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from manyhands.launch.audit.simulation import simulate
+from manyhands.launch.plan.prepare import prepare
+from manyhands.launch.recordings.run import RecordedRun
+from tests.support.slot import session
+
+from ..support.threaded_session import ThreadedSession
+
+pytest.importorskip("mujoco")
+TICKS = 450
+DEVICE = ("x", "f_v", "R", "Q", "t_v", "proposed", "account")
+WORLD = ("x_e", "q", "R", "heard", "told")
+
+
+@pytest.fixture(scope="module")
+def run() -> RecordedRun:
+    return simulate(prepare(session(), None), TICKS)
+
+
+def values(run: RecordedRun, node: str, trace: str) -> np.ndarray:
+    (found,) = (one.values for (of, _), one in run.traces.items() if of == node and one.topic.trace == trace)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("colocate", [False, True])
+def test_processes_have_the_numbers_of_the_simulation(
+    run: RecordedRun, new_life: Callable[[], Any], colocate: bool
+) -> None:
+    with ThreadedSession(prepare(session(colocate=colocate), None), new_life, ticks=TICKS) as stage:
+        reports = stage.reports()
+    for node, traces in (("pen", DEVICE), ("environment", WORLD)):
+        for trace in traces:
+            np.testing.assert_array_equal(stage.lines[node].trace(trace), values(run, node, trace), trace)
+    assert reports["pen"].figures["orientation_margin"] >= -1e-15
+    assert reports["pen"].figures["orientation_late"] == 0.0
+
+
+def test_a_device_that_comes_back_has_an_account_of_its_own(new_life: Callable[[], Any]) -> None:
+    with ThreadedSession(prepare(session(), None), new_life, ticks=600) as stage:
+        tick = stage.reach("environment", 200)
+        stage.lose("pen")
+        stage.bring_back("pen", tick)
+        stage.reports("environment")
+        heard = stage.lines["environment"].trace("heard")
+        told = stage.lines["environment"].trace("told")
+    assert set(heard[:, 5]) == {1.0, 2.0}
+    first = int(np.flatnonzero(heard[:, 5] == 2.0)[0])
+    assert heard[first - 1, 4] > 0.0  # the hand before had deposited
+    assert heard[first, 4] == 0.0
+    assert told[first - 1, 4] + told[-1, 4] <= heard[first - 1, 4] + heard[-1, 4] + 1e-15  # of both lives together

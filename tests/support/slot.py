@@ -1,0 +1,66 @@
+"""A session in which a hand turns a stick in a slot: freely about the stick's own axis, and not about z."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from manyhands.launch.session import Session
+
+MODEL = """<mujoco>
+  <option timestep="0.0005" integrator="implicitfast" gravity="0 0 0"/>
+  <worldbody>
+    <geom type="box" pos="0 0.0075 0" size="0.1 0.002 0.05"/>
+    <geom type="box" pos="0 -0.0075 0" size="0.1 0.002 0.05"/>
+    <body name="stick">
+      <joint name="x" type="slide" axis="1 0 0" damping="0.5"/>
+      <joint name="y" type="slide" axis="0 1 0" damping="0.5"/>
+      <joint name="z" type="slide" axis="0 0 1" damping="0.5"/>
+      <joint name="turn" type="ball" damping="0.0005"/>
+      <geom type="capsule" fromto="-0.03 0 0 0.03 0 0" size="0.005" mass="0.2"/>
+    </body>
+  </worldbody>
+</mujoco>"""
+
+ORIENTATION: dict[str, Any] = {
+    "osp": 0.001,
+    "stiffness": 0.3,
+    "limits": {"torque": 0.2, "speed": 30},
+    "inertia": 2e-5,
+    "torque": ["0.004*sin(2*pi*t)", 0, "0.03*sin(2*pi*2*t)"],
+}
+
+
+def slot(orientation: dict[str, Any] | None = None, **changes: Any) -> dict[str, Any]:
+    """The session as plain data, with these keys of its device's orientation, and others of its own."""
+    pen = {
+        "dof": 3,
+        "osp": 1.37,
+        "driver": "simulated",
+        "mass": 0.2,
+        "hand": {"stiffness": 100, "damping": 2, "motion": ["0.02*sin(2*pi*2*t)", 0, 0]},
+        "orientation": {**ORIENTATION, **(orientation or {})},
+    }
+    environment = {
+        "type": "engine",
+        "engine": "mujoco",
+        "stiffness": 500,
+        "tools": {"pen": ["x", "y", "z"]},
+        "avatars": {"pen": "turn"},
+        "bodies": ["stick"],
+        "orientations": ["stick"],
+        "model": MODEL,
+    }
+    return {
+        "session": "slot",
+        "period": 0.001,
+        "devices": {"pen": pen},
+        "couplings": {"c": {"devices": ["pen"]}},
+        "environment": environment,
+        "design": {"coupling": "spring-damper"},
+        **changes,
+    }
+
+
+def session(**changes: Any) -> Session:
+    """The session, with these keys of its own."""
+    return Session.from_dict(slot(**changes))
