@@ -126,7 +126,7 @@ def held_text(loop: HapticLoop, device: DeviceLevel, held: HeldTorque) -> str:
     proved = "believed" if held.linkage is None else "proved of its kinematics"
     return (
         f"{device.name}: {d:.4g} of {least:.4g} {u('N·s/m')}, up to {held.force:.4g} {u('N')} and "
-        f"{held.speed:.4g} {u('m/s')}, with the curvature κ = {held.kappa:.4g}/m {proved}"
+        f"{held.speed:.4g} {u('m/s')}, curvature {held.kappa:.4g}/m {proved}"
     )
 
 

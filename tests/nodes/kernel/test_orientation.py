@@ -145,10 +145,10 @@ def test_what_one_hand_gives_the_other_may_have_whatever_is_lost() -> None:
     for _ in range(60):
         motions = violent(rng, 2, 40, 0)
         springs, bank = [OrientationSpring(1.0) for _ in range(2)], OrientationBank(("a", "b"))
-        exerted = np.empty((2, 40, 3))
+        exerted, samples = np.empty((2, 40, 3)), motions.samples
         grants, seen = [0.0, 0.0], [UPRIGHT, UPRIGHT]
         for k in range(40):
-            here = [_q(motions.samples[i, k]) for i in range(2)]
+            here = [_q(samples[i, k]) for i in range(2)]
             for i, name in enumerate(("a", "b")):
                 if rng.random() < 0.8:
                     seen[i] = here[i]
