@@ -213,7 +213,11 @@ def verdict(report: Mapping[str, Any]) -> tuple[str, bool]:
     nodes, lateness = report["nodes"], report.get("lateness")
     tank = 0.0 if lateness is None else lateness["tank"]
     broken = [name for name, node in nodes.items() if not _kept(node)]
-    moving = [name for name, n in nodes.items() if "peak_speed" in n and n["final_speed"] >= SETTLED * n["peak_speed"]]
+    moving = [
+        name
+        for name, n in nodes.items()
+        if "peak_speed" in n and n.get("final_speed", 0.0) >= SETTLED * n["peak_speed"]
+    ]
     promises = f"promises broken by {', '.join(broken)}" if broken else f"all {len(nodes)} promises were kept"
     rest = f"not every device came to rest ({', '.join(moving)})" if moving else "every device came to rest"
     parts = [f"{promises}, and {rest}"]

@@ -233,7 +233,9 @@ def print_report(console: Console, report: Mapping[str, Any], faults: Sequence[s
     title = f"{report['session']}: {report['duration']:g} s, {report['clock']} clock"
     rows = []
     for name, node in report["nodes"].items():
-        speeds = f"{node['peak_speed']:.3g} → {node['final_speed']:.1e}" if "peak_speed" in node else ""
+        speeds = f"{node['peak_speed']:.3g}" if "peak_speed" in node else ""
+        if "final_speed" in node:  # a process that has sent no report has none
+            speeds += f" → {node['final_speed']:.1e}"
         ledger = f"{node['ledger']['min']:.1e}" if "ledger" in node else ""
         percentiles = ["/".join(f"{v:.0f}" for v in node.get(q, {}).values()) for q in ("tau_us", "period_us")]
         late = str(node.get("late", ""))

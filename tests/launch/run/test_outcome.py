@@ -292,6 +292,15 @@ def test_a_node_without_a_report_has_a_row_and_nothing_is_claimed_of_it() -> Non
     assert "no account fell below 0 of those reported, and no figures came from silent, bound -5 mJ" in shown.getvalue()
 
 
+def test_a_node_whose_last_process_sent_no_report_has_a_row() -> None:
+    """Its greatest speed is known by its telemetry, and that of its last rows is not."""
+    figures = Figures({names.PEAK_SPEED: 0.25})
+    made = whole({"dx": HONEST}) | {"nodes": {"dx": node_entry(Role.DEVICE, Report(100, figures))}}
+    shown = StringIO()
+    print_report(Console(file=shown, width=200), made)
+    assert re.search(r"dx .* 0\.25 ", shown.getvalue())
+
+
 def test_a_study_can_ask_whose_wall_is_gone() -> None:
     def now(*rows: PromiseStatus) -> tuple[str, ...]:
         return Progress(SessionPhase.RUNNING, {}, {}, {}, 1.0, (), {}, promises=rows).without_force
