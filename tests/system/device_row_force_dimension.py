@@ -81,6 +81,7 @@ FORCE_DIMENSION: Final = Row(
         friction=0.0,
         mass=MASS,
         step=0.0,  # none is stated, and joints' steps are none of the tip
+        stated=False,
     ),
     keys={
         "dof": 3,
