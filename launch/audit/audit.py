@@ -86,7 +86,7 @@ from manyhands.launch.recordings.run import (
     changed_after,
     first_sign,
     grown_in,
-    presses_in,
+    pressed_in,
     rows_of,
     there,
 )
@@ -518,7 +518,7 @@ class _AuditRun:
         )
         sign = first_sign(run, ENVIRONMENT)
         tools, ports = rows_of(run, ENVIRONMENT, names.TOOL_POSITION), bundle.common.ports
-        buttons = presses_in(run.figures.get(ENVIRONMENT, ()))
+        buttons = pressed_in(run.figures.get(ENVIRONMENT, ()), bundle.common.buttons)
         again = self._again(FollowedEnvironment(bundle, blocks, tools, sign, buttons), Course({}, {}, len(tools)))
         follows = [one for one in ENVIRONMENT_FOLLOWS if one.field != names.MASS_POSITION or bundle.masses]
         out = self._compared(ENVIRONMENT, again, follows, recorded={names.FORCE: blocks.f}, masses=bundle.masses)

@@ -129,7 +129,7 @@ class FollowedEnvironment(FollowedParty):
         blocks: Blocks,
         tools: Array,
         sign: tuple[int, str],
-        presses: Mapping[int, Sequence[tuple[str, bool]]] = MappingProxyType({}),
+        pressed: Mapping[int, int] = MappingProxyType({}),
     ) -> None:
         """Take what was recorded.
 
@@ -138,10 +138,9 @@ class FollowedEnvironment(FollowedParty):
             blocks: the couplings' recorded signals.
             tools: recorded x_e, ticks x m, m; used from ``sign`` on, to see whether a clutch has moved.
             sign: the first tick at which a clutch may have moved, and why.
-            presses: by tick, the buttons that are held down from then on, or not any more, as the environment recorded.
+            pressed: by tick, the buttons that are held down from then on, as the environment recorded.
         """
-        self._presses, self._pressed = presses, 0
-        self._bits = {button: 1 << i for i, button in enumerate(bundle.common.buttons)}
+        self._pressed = pressed
         self._bundle, self._blocks, self._tools, self._sign = bundle, blocks, tools, sign
         self.ticks, m = blocks.p.shape
         self.rows = range(self.ticks)
@@ -159,7 +158,6 @@ class FollowedEnvironment(FollowedParty):
 
     def begin(self, joins: bool) -> None:
         """The environment begins at rest, and knows of no button."""
-        self._pressed = 0
         if self.rows:
             self._core = environment_core(self._bundle, self._blocks.D_V, tuple(self._blocks.ports.values()))
 
@@ -174,11 +172,8 @@ class FollowedEnvironment(FollowedParty):
             if held[k]:
                 answered.update(zip(ports, core.holding_force(block, blocks.p[k, ports].tolist()), strict=True))
                 core.clutches.hold(block)
-        if k in self._presses:
-            for button, down in self._presses[k]:
-                bit = self._bits.get(button, 0)  # a recording may be altered
-                self._pressed = self._pressed | bit if down else self._pressed & ~bit
-            core.press(self._pressed)
+        if k in self._pressed:
+            core.press(self._pressed[k])
         f = core.react(self._p[k].tolist())
         core.settle()
         for port, force in answered.items():

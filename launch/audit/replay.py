@@ -25,7 +25,7 @@ from manyhands.launch.audit.simulation import Simulation
 from manyhands.launch.plan.prepare import Prepared
 from manyhands.launch.plan.recorded import Traces
 from manyhands.launch.recordings.recording import RecordingError
-from manyhands.launch.recordings.run import RecordedRun, RecordedTrace, presses_in, rows_of
+from manyhands.launch.recordings.run import RecordedRun, RecordedTrace, pressed_in, rows_of
 from manyhands.launch.session import PERSONS, Session
 from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.environment.model import ModelFailure
@@ -78,7 +78,7 @@ class GivenMotion:
             x: ticks x axes, m.
             applied: likewise; NaN in ticks in which it is not known. None for ``x``.
             work: of motors that hold torques, until the sample and from then until the force, ticks x 2, J.
-            pressed: by tick in which that changes, the buttons that are held down from then on.
+            pressed: by tick, the buttons that are held down from then on.
         """
         self._presses, self._pressed = pressed, 0
         self._work, self._called = work, 0
@@ -237,7 +237,10 @@ def replay(prepared: Prepared, run: RecordedRun, progress: Callable[[int], None]
     """
     given = given_devices(prepared.session, run.recorded.clock)
     drivers = {
-        name: GivenMotion(rows_of(run, name, DISPLACEMENT), pressed=_pressed(prepared.session, run, name))
+        name: GivenMotion(
+            rows_of(run, name, DISPLACEMENT),
+            pressed=pressed_in(run.figures.get(name, ()), prepared.session.buttons_at[name]),
+        )
         for name in given
     }
     ticks = min([run.ticks, *(driver.ticks for driver in drivers.values())])
@@ -249,18 +252,6 @@ def replay(prepared: Prepared, run: RecordedRun, progress: Callable[[int], None]
     except ModelFailure as error:
         ended = str(error)
     return _compared(run, ticks, traces, given, ended)
-
-
-def _pressed(session: Session, run: RecordedRun, name: str) -> dict[int, int]:
-    """By tick in which that changes, the buttons of a device that are held down from then on."""
-    bits = {button: 1 << i for i, button in enumerate(session.buttons_at[name])}
-    found, state = dict[int, int](), 0
-    for tick, changes in sorted(presses_in(run.figures.get(name, ())).items()):
-        for button, down in changes:
-            bit = bits.get(button, 0)
-            state = state | bit if down else state & ~bit
-        found[tick] = state
-    return found
 
 
 def _compared(run: RecordedRun, ticks: int, traces: Traces, given: Sequence[str], ended: str) -> Replayed:

@@ -312,13 +312,22 @@ def grown_in(figures: FiguresByTick, name: str, ticks: int) -> NDArray[np.bool_]
     return out
 
 
-def presses_in(figures: FiguresByTick) -> dict[int, list[tuple[str, bool]]]:
-    """By tick, the buttons that are held down from then on, or not any more, by the events of a node."""
-    found: dict[int, list[tuple[str, bool]]] = {}
-    for _, values in figures:
-        for event in events_in(values):
-            if event.kind is Kind.PRESSED:
-                found.setdefault(event.tick, []).append((event.peer, bool(event.value)))
+def pressed_in(figures: FiguresByTick, buttons: Sequence[str]) -> dict[int, int]:
+    """By tick, the buttons that are held down from then on, by the events of a node; a new process begins with none.
+
+    Args:
+        figures: of the node.
+        buttons: their names, in the order of their bits; others, as in a recording that was altered, are left out.
+    """
+    bits = {button: 1 << i for i, button in enumerate(buttons)}
+    events = [event for _, values in figures for event in events_in(values)]
+    found, state = dict[int, int](), 0
+    for event in sorted(events, key=lambda event: (event.tick, event.kind is not Kind.BEGAN)):
+        if event.kind is Kind.BEGAN:
+            found[event.tick] = state = 0
+        elif event.kind is Kind.PRESSED:
+            bit = bits.get(event.peer, 0)
+            found[event.tick] = state = state | bit if event.value else state & ~bit
     return found
 
 

@@ -115,7 +115,7 @@ from manyhands.nodes.kernel.allowance import LatenessAllowance
 from manyhands.nodes.kernel.arithmetic import Floats, dot, linear_map, minus
 from manyhands.nodes.kernel.bundle import DeviceBundle
 from manyhands.nodes.kernel.inertia import Inertia
-from manyhands.nodes.kernel.timeouts import HELD_TICKS, timeouts
+from manyhands.nodes.kernel.timeouts import longest_hold
 from manyhands.protocol.clock import Duration, Instant, from_seconds
 
 Matrix = NDArray[np.float64]
@@ -839,7 +839,6 @@ class DeviceInterface:
 def interface_of(bundle: DeviceBundle) -> DeviceInterface:
     """The interface of a device in wall time, at rest; a force is held until it is stale, and one period more."""
     rung, T = bundle.rungs[0], bundle.common.period
-    longest = Duration((HELD_TICKS if timeouts(bundle.common).stale else 1) * from_seconds(T))
     return DeviceInterface(
         bundle.osp,
         rung.share,
@@ -847,7 +846,7 @@ def interface_of(bundle: DeviceBundle) -> DeviceInterface:
         rung.period_tolerance,
         T,
         bundle.limits.speed,
-        longest,
+        longest_hold(bundle.common),
         bundle.allowance,
         from_seconds(bundle.timing.latency),
         bundle.inertia,

@@ -30,6 +30,7 @@ from typing import Final
 from manyhands.nodes.device.specification import AxisMap, DeviceSpecification, other_kinds, promises_too_much
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import SIMULATED, WALL, DeviceBundle, PluginDevice
+from manyhands.nodes.kernel.buttons import picked
 from manyhands.nodes.kernel.driver_statement import DeviceTiming
 from manyhands.nodes.kernel.factory import FactoryError, FactoryName, in_one_line, made_by
 from manyhands.nodes.kernel.lifetime import Stopped
@@ -371,7 +372,7 @@ class PluginDriver:
             raise self._raised("buttons", error, "an integer") from error
         if not isinstance(state, Integral) or state < 0:
             raise self._unusable("buttons", state, "an integer of at least 0, with a bit for each button")
-        return sum((int(state) >> of_driver & 1) << i for i, of_driver in enumerate(self._buttons))
+        return picked(int(state), self._buttons)
 
     def idle(self, due: Instant) -> None:
         """Let the driver do what it has put off."""

@@ -22,6 +22,7 @@ from typing import Protocol
 
 from manyhands.nodes.device.pointer import Follower
 from manyhands.nodes.kernel.arithmetic import Floats
+from manyhands.nodes.kernel.buttons import picked
 from manyhands.nodes.rows import figures as names
 from manyhands.protocol.messages import Figures
 
@@ -111,8 +112,7 @@ class RateGoal:
 
     def buttons(self) -> int:
         """Which of the session's buttons are held down, bit by bit; none of a device that has gone."""
-        state = 0 if self._lost else self._source.buttons
-        return sum((state >> number & 1) << i for i, number in enumerate(self._buttons))
+        return 0 if self._lost else picked(self._source.buttons, self._buttons)
 
     def begin(self, position: Floats) -> Floats:
         """The goal begins where the device is, or at the nearest point of the reach."""

@@ -46,9 +46,9 @@ from manyhands.nodes.kernel.bundle import WALL, DeviceBundle, SimulatedHand
 from manyhands.nodes.kernel.buttons import Buttons, scripted
 from manyhands.nodes.kernel.orientation import NO_RIDER
 from manyhands.nodes.kernel.passivity import Ledger
-from manyhands.nodes.kernel.timeouts import timeouts
+from manyhands.nodes.kernel.timeouts import longest_hold
 from manyhands.nodes.rows.two_port import Row
-from manyhands.protocol.clock import Duration, Instant, from_seconds
+from manyhands.protocol.clock import Instant, from_seconds
 
 Instants = tuple[Instant, Instant, Instant]
 """The instants of a tick in wall time, since tick 0's: x was sampled, f was applied, and the force before had ended."""
@@ -382,10 +382,8 @@ def _orientation_of(bundle: DeviceBundle) -> DeviceOrientation | None:
     """The orientation of a device, upright; a torque is held until it is stale, and one period more."""
     if bundle.orientation is None:
         return None
-    T, longest = bundle.common.period, None
-    if bundle.time == WALL:
-        longest = Duration((timeouts(bundle.common).stale or 0) + from_seconds(T))
-    return DeviceOrientation(bundle.orientation, T, bundle.rungs[0], bundle.allowance, longest)
+    longest = longest_hold(bundle.common) if bundle.time == WALL else None
+    return DeviceOrientation(bundle.orientation, bundle.common.period, bundle.rungs[0], bundle.allowance, longest)
 
 
 def tick_of(bundle: DeviceBundle, driver: Driver) -> DeviceTick:

@@ -38,9 +38,6 @@ MOST_FORCE = 1e9
 MOST_POSITION = 1e3
 """The greatest coordinate of a proxy, m, from where the tools begin. Beyond it a position is a mistake."""
 
-UNIT_TO: Final = 1e-6
-"""By how much the length of a unit quaternion may differ from 1."""
-
 PROXY = "proxy"
 STEP = "step"
 REACT = "react"
@@ -246,23 +243,7 @@ class AskedModel:
     def orientations(self, bodies: int) -> list[float]:
         """A unit quaternion of each body whose orientation is reported; upright where it has failed or gives others."""
         model: Any = self._model
-        upright = [1.0, 0.0, 0.0, 0.0] * bodies
-        if self.failure is not None:
-            return upright
-        try:
-            found = np.array(model.orientations(), dtype=np.float64)
-        except (Exception, SystemExit) as error:  # noqa: BLE001 -- foreign code, as above
-            self.failure = f"the engine {self._name} failed: found {in_one_line(error)}; expected orientations"
-            return upright
-        if found.shape == (4 * bodies,):
-            lengths = np.linalg.norm(found.reshape(bodies, 4), axis=1)
-            if np.all(np.abs(lengths - 1.0) <= UNIT_TO):  # which no NaN is
-                return [*map(float, found)]
-        self.failure = (
-            f"the engine {self._name} failed: found orientations of the shape {found.shape}, or of a length other than "
-            f"1; expected {4 * bodies} numbers, a unit quaternion for each body"
-        )
-        return upright
+        return [part for turn in self._quaternions(lambda: model.orientations(), bodies, "bodies") for part in turn]
 
     def turn(self, torques: Vector) -> None:
         """Turn an engine's avatars by these torques over its next step, N*m, three numbers in the world's axes each."""
@@ -277,21 +258,25 @@ class AskedModel:
     def avatars(self, tools: int) -> list[Quaternion]:
         """The orientation of each avatar from where it began; upright where the engine has failed or gives others."""
         model: Any = self._model
+        return self._quaternions(lambda: model.avatars(), tools, "avatars")
+
+    def _quaternions(self, ask: Callable[[], Any], number: int, whose: str) -> list[Quaternion]:
+        """So many orientations as the engine gives them, normalised; upright once it has failed, or fails with them."""
         if self.failure is None:
             try:
-                numbers = [float(number) for number in model.avatars()]
+                numbers = [float(part) for part in ask()]
                 found = [unit(numbers[at : at + 4]) for at in range(0, len(numbers), 4)]
             except (Exception, SystemExit) as error:  # noqa: BLE001 -- foreign code, as above
                 self.failure = f"the engine {self._name} failed: found {in_one_line(error)}; expected orientations"
             else:
                 turned = [one for one in found if one is not None]
-                if len(turned) == len(found) == tools:
+                if len(turned) == len(found) == number:
                     return turned
                 self.failure = (
                     f"the engine {self._name} failed: found {numbers!r:.80}; expected a unit quaternion for each of "
-                    f"{tools} avatars"
+                    f"{number} {whose}"
                 )
-        return [UPRIGHT] * tools
+        return [UPRIGHT] * number
 
     def _answer(
         self, ask: Callable[[Vector, int], Any], x: Vector, k: int, kind: tuple[str, str, float]

@@ -59,6 +59,11 @@ class Buttons:
                 yield name, bool(self.state >> i & 1)
 
 
+def picked(state: int, numbers: Sequence[int]) -> int:
+    """The state of some buttons among others: bit i is the bit ``numbers[i]`` of ``state``."""
+    return sum((state >> number & 1) << i for i, number in enumerate(numbers))
+
+
 def scripted(scripts: Sequence[Script], t: float) -> int:
     """The buttons that their scripts hold down at the time t, s."""
     state = 0

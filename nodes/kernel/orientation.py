@@ -96,8 +96,7 @@ def unit(numbers: Sequence[float]) -> Quaternion | None:
     square = w * w + x * x + y * y + z * z
     if not abs(square - 1.0) <= _UNIT:  # so for NaN
         return None
-    norm = math.sqrt(square)
-    return Quaternion(w / norm, x / norm, y / norm, z / norm)
+    return _normalised(numbers)
 
 
 def is_life(number: float) -> bool:
@@ -156,13 +155,12 @@ def turned_by(R: Quaternion, turn: Sequence[float]) -> Quaternion:
     x, y, z = turn
     far = math.sqrt(x * x + y * y + z * z)
     scale = 0.5 if far < 1e-8 else math.sin(0.5 * far) / far  # sin is its argument to the last digits
-    a, b, c, d = math.cos(0.5 * far), scale * x, scale * y, scale * z
-    w = a * R.w - b * R.x - c * R.y - d * R.z
-    x = a * R.x + b * R.w + c * R.z - d * R.y
-    y = a * R.y - b * R.z + c * R.w + d * R.x
-    z = a * R.z + b * R.y - c * R.x + d * R.w
-    norm = math.sqrt(w * w + x * x + y * y + z * z)
-    return Quaternion(w / norm, x / norm, y / norm, z / norm)
+    return _normalised(product(Quaternion(math.cos(0.5 * far), scale * x, scale * y, scale * z), R))
+
+
+def _normalised(numbers: Sequence[float]) -> Quaternion:
+    norm = math.sqrt(math.fsum(number * number for number in numbers))
+    return Quaternion(*(number / norm for number in numbers))
 
 
 def between(old: Quaternion, new: Quaternion, part: float) -> Quaternion:
@@ -174,9 +172,7 @@ def between(old: Quaternion, new: Quaternion, part: float) -> Quaternion:
         a, b = 1.0 - part, part * sign
     else:
         a, b = math.sin((1.0 - part) * half) / math.sin(half), sign * math.sin(part * half) / math.sin(half)
-    numbers = [a * p + b * q for p, q in zip(old, new, strict=True)]
-    norm = math.sqrt(math.fsum(number * number for number in numbers))
-    return Quaternion(*(number / norm for number in numbers))
+    return _normalised([a * p + b * q for p, q in zip(old, new, strict=True)])
 
 
 class OrientationSpring:

@@ -75,3 +75,8 @@ def timeouts(common: Common) -> Timeouts:
     hold, patience = Duration(HOLD_TICKS * period), Duration(PATIENCE_TICKS * period)
     stale, turn = Duration(STALE_TICKS * period), Duration(2 * period)
     return Timeouts(hold, stale, hold, min(LOOK, hold), min(LOOK, turn), patience)
+
+
+def longest_hold(common: Common) -> Duration:
+    """How long a device in wall time holds a force or a torque at most, from its sample on: :data:`HELD_TICKS`."""
+    return Duration((HELD_TICKS if timeouts(common).stale else 1) * from_seconds(common.period))

@@ -112,7 +112,7 @@ class PeerLink(Join):
             writer = self._writer = SignalWriter(kind, self.peer.width)
         part = self._part
         share = self.share(values) if part is None else values[part]
-        self._last = frame = writer.frame(tick, stamp, share, pressed >> self._first_button & self._buttons)
+        self._last = frame = writer.frame(tick, stamp, share, self.share_of_buttons(pressed))
         return link.send(frame)
 
     def send_again(self) -> None:

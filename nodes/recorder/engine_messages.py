@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from manyhands.design.models.contacts import Point, coordinates
 from manyhands.nodes.environment.drawing import Frame, Shape, Turn, WorldDrawing
+from manyhands.nodes.kernel.orientation import Quaternion, difference, product
 from manyhands.nodes.recorder.scene_messages import (
     BODY_COLOUR,
     OBSTACLE_COLOUR,
@@ -38,22 +39,11 @@ _THICKNESS: Final = 0.001  # half of that of a drawn plane, m
 Vector = NDArray[np.float64]
 
 
-def product(p: Sequence[float], q: Sequence[float]) -> Turn:
-    """The rotation by ``q``, and then by ``p``."""
-    (a, b, c, d), (w, x, y, z) = p, q
-    return (
-        a * w - b * x - c * y - d * z,
-        a * x + b * w + c * z - d * y,
-        a * y - b * z + c * w + d * x,
-        a * z + b * y - c * x + d * w,
-    )
-
-
-def turned(turn: Sequence[float], point: Sequence[float]) -> Point:
+def turned(turn: Turn, point: Sequence[float]) -> Point:
     """A point, turned about the origin."""
-    w, x, y, z = turn
-    _, *found = product(product(turn, (0.0, *point)), (w, -x, -y, -z))
-    return found[0], found[1], found[2]
+    R = Quaternion(*turn)
+    _, x, y, z = difference(product(R, Quaternion(0.0, *point)), R)
+    return x, y, z
 
 
 def pose_of(frame: Frame, values: Sequence[float]) -> Pose:
@@ -64,9 +54,9 @@ def pose_of(frame: Frame, values: Sequence[float]) -> Pose:
             at = _plus(at, [value * part for part in direction])
             continue
         half = 0.5 * value
-        spin = (math.cos(half), *(math.sin(half) * part for part in direction))
+        spin = Quaternion(math.cos(half), *(math.sin(half) * part for part in direction))
         at = _plus(about, turned(spin, [a - b for a, b in zip(at, about, strict=True)]))
-        turn = product(spin, turn)
+        turn = product(spin, Quaternion(*turn))
     return at, turn
 
 

@@ -11,24 +11,17 @@ import pytest
 from manyhands.launch.audit.simulation import simulate
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.recordings.run import RecordedRun
-from tests.support.slot import session
+from tests.support.slot import DEVICE, WORLD, session, values
 
 from ..support.threaded_session import ThreadedSession
 
 pytest.importorskip("mujoco")
 TICKS = 450
-DEVICE = ("x", "f_v", "R", "Q", "t_v", "proposed", "account")
-WORLD = ("x_e", "q", "R", "heard", "told")
 
 
 @pytest.fixture(scope="module")
 def run() -> RecordedRun:
     return simulate(prepare(session(), None), TICKS)
-
-
-def values(run: RecordedRun, node: str, trace: str) -> np.ndarray:
-    (found,) = (one.values for (of, _), one in run.traces.items() if of == node and one.topic.trace == trace)
-    return np.array(found)
 
 
 @pytest.mark.parametrize("colocate", [False, True])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from typing import Any
 
-from manyhands.launch.recordings.run import FiguresByTick, presses_in
+from manyhands.launch.recordings.run import FiguresByTick
 from manyhands.nodes.rows.tick_events import Kind, events_in
 
 
@@ -63,8 +63,12 @@ def held_down(figures: FiguresByTick, ticks: int) -> dict[str, list[range]]:
     """By button, the ticks in which it was held down, by the events of a node; a new process begins with none."""
     found: dict[str, list[range]] = {}
     since: dict[str, int] = {}
-    begun = {event.tick for _, values in figures for event in events_in(values) if event.kind is Kind.BEGAN}
-    presses = presses_in(figures)
+    begun, presses = set[int](), dict[int, list[tuple[str, bool]]]()
+    for event in (event for _, values in figures for event in events_in(values)):
+        if event.kind is Kind.BEGAN:
+            begun.add(event.tick)
+        elif event.kind is Kind.PRESSED:
+            presses.setdefault(event.tick, []).append((event.peer, bool(event.value)))
     for tick in sorted(presses.keys() | begun):
         released = [*since] if tick in begun else []
         for button, down in presses.get(tick, ()):

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
+from manyhands.launch.recordings.run import RecordedRun
 from manyhands.launch.session import Session
+
+DEVICE = ("x", "f_v", "R", "Q", "t_v", "proposed", "account")
+WORLD = ("x_e", "q", "R", "heard", "told")
+"""The traces of its device and its world."""
 
 MODEL = """<mujoco>
   <option timestep="0.0005" integrator="implicitfast" gravity="0 0 0"/>
@@ -64,3 +71,9 @@ def slot(orientation: dict[str, Any] | None = None, **changes: Any) -> dict[str,
 def session(**changes: Any) -> Session:
     """The session, with these keys of its own."""
     return Session.from_dict(slot(**changes))
+
+
+def values(run: RecordedRun, node: str, trace: str) -> np.ndarray:
+    """A trace of a node."""
+    (found,) = (one.values for (of, _), one in run.traces.items() if of == node and one.topic.trace == trace)
+    return np.array(found)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from manyhands.launch.audit.events import Course, Happening
@@ -13,12 +12,10 @@ from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.recordings.run import RecordedRun
 from manyhands.nodes.kernel.bundle import DeviceBundle, EnvironmentBundle
-from tests.support.slot import session
+from tests.support.slot import session, values
 
 pytest.importorskip("mujoco")
 TICKS = 450
-DEVICE = ("x", "f_v", "R", "Q", "t_v", "proposed", "account")
-WORLD = ("x_e", "q", "R", "heard", "told")
 
 
 @pytest.fixture(scope="module")
@@ -29,11 +26,6 @@ def prepared() -> Prepared:
 @pytest.fixture(scope="module")
 def run(prepared: Prepared) -> RecordedRun:
     return simulate(prepared, TICKS)
-
-
-def values(run: RecordedRun, node: str, trace: str) -> np.ndarray:
-    (found,) = (one.values for (of, _), one in run.traces.items() if of == node and one.topic.trace == trace)
-    return np.array(found)
 
 
 def test_the_slot_holds_its_hand_about_one_axis_and_lets_it_turn_about_another(run: RecordedRun) -> None:
