@@ -75,7 +75,7 @@ def require_proved(name: str, of: OrientationLevel, T: float, tau: float, period
         Infeasible: it does not.
     """
     if not of.proved(T, tau, period_tolerance):
-        most = float(Fraction(of.osp) / _half(T, tau, period_tolerance))
+        most = stiffest(of.osp, T, tau, period_tolerance, 0.0)
         raise Infeasible(
             f"the orientation of {name}: found a stiffness of {of.stiffness:g} N·m/rad; expected at most {most:.4g} "
             f"N·m/rad, which an osp of {of.osp:g} N·m·s/rad allows at delays of {1e3 * tau:g} ms; state less, or no "
