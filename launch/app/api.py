@@ -344,7 +344,7 @@ def run(
 
 
 def read(path: str | Path) -> RecordedRun | Recording:
-    """Read a recording: everything of an ``.mcap`` file, or x and f_v of an ``.npz`` or ``.csv`` file.
+    """Read a recording: everything of an ``.mcap`` file, or x and f_v of a table: ``.npz``, ``.csv`` or ``.parquet``.
 
     Both results have ``session``, ``period``, ``ports``, ``time``, ``x``, ``f_v``, ``velocity``, ``columns()``,
     ``to_pandas()`` and ``save()``.
@@ -358,13 +358,13 @@ def read(path: str | Path) -> RecordedRun | Recording:
         >>> mh.read("run.npz")
         Recording(example-1: 100 ticks of 0.001 s, ports dx, dy, dz)
     """
-    from manyhands.launch.recordings.formats import READ_SUFFIXES, STREAMED
+    from manyhands.launch.recordings.formats import RUN_SUFFIXES, STREAMED
     from manyhands.launch.recordings.recording import require_format
     from manyhands.launch.recordings.run import read_run
     from manyhands.launch.recordings.tables import read_saved
 
     file = Path(path)
-    require_format(file, READ_SUFFIXES)
+    require_format(file, RUN_SUFFIXES)
     return read_run(file) if file.suffix == STREAMED else read_saved(file)
 
 

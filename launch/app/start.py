@@ -34,7 +34,7 @@ from manyhands.launch.plan.prepare import Prepared, must_measure, prepare, prepa
 from manyhands.launch.plan.reach import IPC, Reach, ReachError, reach
 from manyhands.launch.plan.seats import KEYS, invitations, keep_certificates, require_folder, seat_nodes
 from manyhands.launch.plan.sites import with_kept_delay
-from manyhands.launch.plan.topology import require_runnable
+from manyhands.launch.plan.topology import Topology, require_runnable
 from manyhands.launch.run.options import Hosting, StartOptions
 from manyhands.launch.run.outcome import Outcome
 from manyhands.launch.run.supervised import claimed_files
@@ -300,6 +300,18 @@ def announce(
             say(console, f"{name} is awaited; on its machine: {by_hand(name, f'tcp://{ways.listen}')}")
 
 
+def _why_not_free(host: str, port: int, kind: socket.SocketKind) -> str | None:
+    """Why a port cannot be bound; None where it can."""
+    with socket.socket(type=kind) as probe:
+        if kind is socket.SOCK_STREAM:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as ZeroMQ: those of a run before are free
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            return str(error.strerror)
+    return None
+
+
 def _require_free(host: str, first: int, last: int) -> None:
     """Refuse to invite anybody to ports that another program has.
 
@@ -307,15 +319,22 @@ def _require_free(host: str, first: int, last: int) -> None:
         ReachError: one of them cannot be bound.
     """
     for port in range(first, last + 1) if first else ():
-        with socket.socket() as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as ZeroMQ: those of a run before are free
-            try:
-                probe.bind((host, port))
-            except OSError as error:
-                raise ReachError(
-                    f"--listen: found {host}:{port}, which cannot be bound ({error.strerror}); expected an address of "
-                    f"this machine whose ports {first} to {last} are free"
-                ) from error
+        if (why := _why_not_free(host, port, socket.SOCK_STREAM)) is not None:
+            raise ReachError(
+                f"--listen: found {host}:{port}, which cannot be bound ({why}); expected an address of "
+                f"this machine whose ports {first} to {last} are free"
+            )
+
+
+def _say_without_datagrams(ways: Reach, session: Session, graph: Topology, console: Console) -> None:
+    """Say so where the waves of guests cannot have the UDP port that they would take."""
+    port = ways.datagram_port(graph, session.wave_links)
+    if port and (why := _why_not_free(ways.listen.host, port, socket.SOCK_DGRAM)) is not None:
+        say(
+            console,
+            f"! the UDP port {port} cannot be bound ({why}): the waves of guests go by TCP, where a lost packet delays "
+            "all that follow; free it, or take another port (--listen), and start again",
+        )
 
 
 def _invite(prepared: Prepared, form: SettledForm, hosting: Hosting, console: Console) -> None:
@@ -335,6 +354,7 @@ def _invite(prepared: Prepared, form: SettledForm, hosting: Hosting, console: Co
         else:
             say(console, f"waiting for {seat}: send {path} over a secure channel; there: manyhands join {path.name}")
     say(console, f"listening at {ways.listen}; guests need its ports {first} to {last}, of TCP and of UDP")
+    _say_without_datagrams(ways, form.session, graph, console)
     if form.stale:
         say(console, f"{hosting.folder / KEYS}: holds keys that the session no longer has: {', '.join(form.stale)}")
 

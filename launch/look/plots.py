@@ -38,7 +38,7 @@ from manyhands.launch.recordings.curves import (
     gaps,
     thinned,
 )
-from manyhands.launch.recordings.formats import READ_SUFFIXES, STREAMED
+from manyhands.launch.recordings.formats import RUN_SUFFIXES, STREAMED
 from manyhands.launch.recordings.recording import Recording, RecordingError, require_format
 from manyhands.launch.recordings.run import RecordedRun, RecordedTrace, read_run
 from manyhands.launch.recordings.tables import read_saved
@@ -552,7 +552,7 @@ def draw(
     """Draw the recording in ``file`` into ``target``.
 
     Args:
-        file: .mcap, .npz or .csv.
+        file: of a recording, of one of :data:`.RUN_SUFFIXES`.
         target: .png, .svg or .pdf.
         console: for progress.
         quantities: what to show; None for :data:`SHOWN`.
@@ -563,7 +563,7 @@ def draw(
         RecordingError: the file is no recording, or holds nothing of what was asked for.
         TargetError: the picture cannot be written there.
     """
-    require_format(file, READ_SUFFIXES)
+    require_format(file, RUN_SUFFIXES)
     require_picture(target)
     with progress_bar(console, f"reading {file.name}") as tell:
         picture = between(_picture(file, quantities, tell), start, end)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Final
@@ -94,6 +94,20 @@ class Reach:
         if connector in self.remote:
             return self._at(1 + index, self.listen.host)
         return "" if self.remote else self._at(1 + index, LOOPBACK)
+
+    def datagram_port(self, graph: Topology, linked: Collection[str]) -> int:
+        """The UDP port of the world's end of all wave links: the TCP port of the first of them to another machine.
+
+        Args:
+            graph: the session's processes and links.
+            linked: the couplings that have a wave link.
+
+        Returns:
+            0 where no wave goes to another machine, or where the ports are chosen when they are bound.
+        """
+        to = (i for i, link in enumerate(graph.links) if link.connector in self.remote.intersection(linked))
+        first = next(to, None)
+        return self.listen.port + 1 + first if self.listen.port and first is not None else 0
 
     def hub_address(self) -> str:
         """The address at which the supervisor's hub is bound; empty for ipc."""

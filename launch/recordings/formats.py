@@ -21,6 +21,13 @@ from manyhands.extras import require
 Columns: TypeAlias = Mapping[str, NDArray[Any]]
 Progress: TypeAlias = Callable[[float], None]
 
+TICK: Final = "tick"
+TIME: Final = "time_s"
+"""The first two columns of a table."""
+
+ABOUT: Final = "manyhands"
+"""What the keys of a Parquet file's own words begin with, before a dot."""
+
 _ROWS = 2048  # rows that are converted to text at a time
 
 
@@ -74,7 +81,7 @@ def _parquet(file: BinaryIO, table: TableOfRun, progress: Progress) -> None:
     from pyarrow import parquet
 
     arrow = pa.table({name: pa.array(np.ascontiguousarray(values)) for name, values in table.columns.items()})
-    about = {f"manyhands.{key}": text for key, text in table.about.items()}
+    about = {f"{ABOUT}.{key}": text for key, text in table.about.items()}
     parquet.write_table(arrow.replace_schema_metadata(about), file)
     progress(1.0)
 
@@ -91,10 +98,7 @@ SUFFIXES: Final = tuple(f".{name}" for name in TABLES)
 
 STREAMED: Final = ".mcap"
 RUN_SUFFIXES: Final = (*SUFFIXES, STREAMED)
-"""What a session of processes writes."""
-
-READ_SUFFIXES: Final = (".csv", ".npz", STREAMED)
-"""What is read again here."""
+"""What a session of processes writes, and what is read again here."""
 
 EXTRAS: Final[Mapping[str, str]] = {STREAMED: "record", ".parquet": "parquet"}
 """The extra that a format needs, by suffix."""

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from manyhands.design.files import replacing
 from manyhands.design.models.brief import brief_names, brief_repr
 from manyhands.launch.recordings.curves import backward_difference
-from manyhands.launch.recordings.formats import TABLES, Progress, TableOfRun
+from manyhands.launch.recordings.formats import TABLES, TICK, TIME, Progress, TableOfRun
 from manyhands.launch.recordings.reading import MOST_MISSING, cut_at, read_topics, require_beginning, span_of
 from manyhands.launch.recordings.recording import Array, RecordingError, data_frame, require_suffix
 from manyhands.nodes.kernel.bundle import REALTIME
@@ -383,9 +383,6 @@ def first_sign(run: RecordedRun, environment: str) -> tuple[int, str]:
 
 Traces = Mapping[tuple[str, str], RecordedTrace]
 
-TICK: Final = "tick"
-TIME: Final = "time_s"
-
 
 def chosen(run: RecordedRun, patterns: Sequence[str]) -> dict[tuple[str, str], RecordedTrace]:
     """The traces that the patterns name; all without patterns.
@@ -486,6 +483,8 @@ def _table(run: RecordedRun, traces: Traces) -> TableOfRun:
     recorded, columns = run.recorded, table_columns(run, traces)
     ports = [port for own in recorded.devices.values() for port in own]
     arrays: dict[str, Any] = {**about(recorded), "period": recorded.period, "ports": np.array(ports)}
+    if turning := [port for port in ports if port in recorded.turning]:
+        arrays["turning"] = np.array(turning)
     for name in (DISPLACEMENT, FORCE):  # under the names of a simulation's file, so that one reader suits both
         every = [
             _at_session_ticks(run, node, trace)

@@ -71,6 +71,7 @@ READERS: dict[str, tuple[str, Callable[[Path], Any], type[Exception]]] = {
     "integrity": ("r.mcap", findings, RecordingError),
     "npz": ("r.npz", read_saved, RecordingError),
     "csv": ("r.csv", read_saved, RecordingError),
+    "parquet": ("r.parquet", read_saved, RecordingError),
     "token": ("token", read_token, ViewError),
 }
 

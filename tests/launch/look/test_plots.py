@@ -35,6 +35,7 @@ from manyhands.launch.look.plots import (
 )
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.recordings.curves import COLUMNS, Curve, Panel, alone, backward_difference, band, gaps, thinned
+from manyhands.launch.recordings.formats import SUFFIXES
 from manyhands.launch.recordings.recording import Recording
 from manyhands.launch.recordings.run import RecordedRun, RecordedTrace
 from manyhands.launch.run.states import MOST_KEPT, Happenings, Incidents
@@ -478,7 +479,7 @@ class TestCommand:
         assert "energy ledgers" not in text
         assert {path.name for path in tmp_path.iterdir()} == {"run.mcap", "run.png", "run.svg"}
 
-    @pytest.mark.parametrize("suffix", [".npz", ".csv"])
+    @pytest.mark.parametrize("suffix", SUFFIXES)
     def test_what_simulate_keeps(self, suffix: str, tmp_path: Path) -> None:
         x = np.cumsum(np.random.default_rng(0).normal(size=(300, 2)), axis=0)
         x[40:50, 1] = np.nan
@@ -507,6 +508,7 @@ class TestCommand:
             (["bad.mcap"], "expected an .mcap recording"),
             (["bad.npz"], "found no recording"),
             (["bad.csv"], "found no recording"),
+            (["bad.parquet"], "found no recording"),
             (["run.txt"], "found the suffix '.txt'"),
         ],
     )
@@ -515,7 +517,7 @@ class TestCommand:
     ) -> None:
         monkeypatch.chdir(tmp_path)
         recorded_file(tmp_path / "run.mcap", 50)
-        for name in ("bad.mcap", "bad.npz", "bad.csv"):
+        for name in ("bad.mcap", "bad.npz", "bad.csv", "bad.parquet"):
             (tmp_path / name).write_bytes(b"tick,time_s,x[a]_m,f_v[a]_N\n0,0.0,1.0\n")
         before = {*tmp_path.iterdir()}
         code, said, told = self.call(*arguments)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import csv
+import re
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
+import pyarrow
 import pytest
 from pyarrow import parquet
 
 from manyhands.launch.files import TargetError
+from manyhands.launch.recordings.formats import SUFFIXES
 from manyhands.launch.recordings.recording import Collector, Recording, RecordingError, require_suffix
 from manyhands.launch.recordings.tables import read_saved
 
@@ -47,6 +50,60 @@ def test_parquet_keeps_every_digit_and_names_the_session(tmp_path: Path) -> None
     np.testing.assert_array_equal(np.column_stack([table[name] for name in ("x[a]_m", "x[b.x]_m")]), X)
     told = {b"manyhands.session": b"s", b"manyhands.certificate": b"id", b"manyhands.period": b"0.001"}
     assert table.schema.metadata == told
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_what_is_saved_is_read_again(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"s{suffix}"
+    saved = Recording("s", "" if suffix == ".csv" else "id", 0.001, ("a", "b.x"), X, -X, turning=("b.x",))
+    saved.save(path)
+    read = read_saved(path)
+    for name in ("session", "certificate", "ports", "turning"):
+        assert getattr(read, name) == getattr(saved, name)
+    assert abs(read.period - 0.001) < 1e-18  # .csv shows it by the last time alone, which is rounded once
+    np.testing.assert_array_equal(read.x, X)
+    np.testing.assert_array_equal(read.f_v, -X)
+
+
+HEAD = "tick,time_s,x[a]_m,f_v[a]_N"
+
+
+@pytest.mark.parametrize(
+    ("head", "found"),
+    [
+        ("time_s,tick,x[a]_m,f_v[a]_N", "the heading"),
+        ("tick,time_s,dx.ledger[E]_J,c.tool[a]_m", "x of the ports '' and f_v of ''"),
+        ("tick,time_s,dx.sample[a]_m,dx.force[b]_N", "x of the ports 'a' and f_v of 'b'"),
+        (f"{HEAD},dx.sample[a]_m", "two columns of the port 'a', the second 'dx.sample[a]_m'"),
+        ("tick,time_s,x[a]_rad,f_v[a]_N", "f_v of the port 'a' in N, where N·m is right"),
+        ("tick,time_s,x[a]_N,f_v[a]_N", "x of the port 'a' in N, where m is right"),
+    ],
+)
+def test_a_table_that_is_no_recording_is_refused_with_what_was_found(head: str, found: str, tmp_path: Path) -> None:
+    row = [str(0)] * len(head.split(","))
+    (tmp_path / "t.csv").write_text("\n".join([head, ",".join(row), ",".join(["1", "0.001", *row[2:]])]) + "\n")
+    columns = {name: np.zeros(2) for name in head.split(",")}
+    parquet.write_table(pyarrow.table(columns), tmp_path / "t.parquet")
+    for suffix in ("csv", "parquet"):
+        with pytest.raises(RecordingError, match=re.escape(f"t.{suffix}: found no recording: {found}")):
+            read_saved(tmp_path / f"t.{suffix}")
+
+
+def test_a_damaged_parquet_file_is_refused_and_one_that_says_nothing_of_itself_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "t.parquet"
+    columns = {"tick": np.arange(3), "time_s": np.arange(3) * 0.002, "x[a]_m": X[:, 0], "f_v[a]_N": X[:, 1]}
+    parquet.write_table(pyarrow.table(columns), path)
+    read = read_saved(path)
+    assert (read.session, read.certificate, read.period) == ("t", "", 0.002)
+    content = path.read_bytes()
+    for bad in (content[:-9], content[: len(content) // 2] + b"PAR1", b"PAR1"):
+        path.write_bytes(bad)
+        with pytest.raises(RecordingError, match="found no recording: which is damaged"):
+            read_saved(path)
+    texts = pyarrow.table({**columns, "x[a]_m": ["one", "two", "three"]})
+    parquet.write_table(texts, path)
+    with pytest.raises(RecordingError, match="found no recording"):
+        read_saved(path)
 
 
 def test_velocity_is_the_backward_difference_from_rest() -> None:

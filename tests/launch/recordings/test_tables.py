@@ -17,6 +17,7 @@ from manyhands.launch.app.cli import app
 from manyhands.launch.recordings.formats import TABLES
 from manyhands.launch.recordings.recording import RecordingError
 from manyhands.launch.recordings.run import RecordedRun, chosen, column_names, export, read_run
+from manyhands.launch.recordings.tables import read_saved
 from manyhands.nodes.recorder.core import RecorderCore
 
 from ...support.small_recordings import RECORDED, STARTED, cut_recording, observation
@@ -78,6 +79,11 @@ def test_every_number_comes_back_as_it_was(to: str, file: Path, tmp_path: Path) 
     assert np.isnan(expected["dx.sample[x]_m"]).tolist() == [not (k < 5 or 10 <= k < 15) for k in range(20)]
     assert found["tick"].tolist() == list(range(20))
     assert found["time_s"].tobytes() == run.time.tobytes()
+    read = read_saved(tmp_path / f"out.{to}")
+    np.testing.assert_array_equal(read.x, run.x)
+    np.testing.assert_array_equal(read.f_v, run.f_v)
+    assert (read.ports, read.turning) == (run.ports, ())
+    assert abs(read.period - run.period) < 1e-15 * run.period
     for name, values in expected.items():
         assert np.array_equal(found[name], values, equal_nan=True), name
     assert parts[-1] == 1.0

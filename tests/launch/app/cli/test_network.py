@@ -8,6 +8,7 @@ import socket
 import stat
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -265,6 +266,20 @@ def test_nobody_is_invited_to_a_port_that_is_taken(tmp_path: Path) -> None:
     assert f"--listen: found {taken}, which cannot be bound (Address already in use)" in done.stderr
     assert "waiting for" not in done.stderr
     assert not list((tmp_path / "ball").glob("*.invitation"))
+
+
+@pytest.mark.parametrize("free", [True, False])
+def test_a_taken_port_of_datagrams_is_told_with_what_it_costs(free: bool, tmp_path: Path) -> None:
+    with socket.socket(type=socket.SOCK_DGRAM) as other:
+        for port in range(28111, 28911, 4):  # one whose TCP ports nobody has
+            with suppress(OSError):
+                other.bind(("127.0.0.1", port + 1 + 2 * free))
+                break
+        hosted = ("host", "ball", "--listen", f"127.0.0.1:{port}", "-o", tmp_path / "ball", "--duration", "0.1")
+        done = manyhands_command(*hosted, "--set", "design.tau=0.0005")
+    said = f"! the UDP port {port + 1} cannot be bound (Address already in use): the waves of guests go by TCP"
+    assert "waiting for left_seat" in done.stderr
+    assert (said in done.stderr) is not free, done.stderr
 
 
 @pytest.mark.parametrize("content", [None, "", "{}", "manyhands://192.0.2.7:7400/ball/right_seat/right"])
