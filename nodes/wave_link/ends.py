@@ -46,6 +46,7 @@ from manyhands.protocol.codec import LAYOUTS, WAVE_ID, WaveWriter, decode, encod
 from manyhands.protocol.gate import MOST_DELAY, WaveBounds, WaveGate
 from manyhands.protocol.limits import MAX_CONTROL_BYTES, MAX_STRAY_FRAMES
 from manyhands.protocol.messages import PathKey, SignalMessage, Values, Wave
+from manyhands.protocol.path import PathState
 from manyhands.protocol.transport import Link, TransportError
 from manyhands.protocol.transport.datagrams import DatagramPath, DatagramSocket
 from manyhands.protocol.transport.zeromq import LOOPBACK, Arrivals
@@ -137,6 +138,11 @@ class _End(Join):
         """The number of frames that were no waves of this link."""
         dropped = self._gate.dropped
         return sum(dropped.values()) - dropped["old_tick"]
+
+    @property
+    def without_datagrams(self) -> bool:
+        """Whether the waves, which may go by datagram, now go by ZeroMQ, for datagrams do not come through."""
+        return self._by_datagram and (self._path is None or self._path.state is not PathState.UP)
 
     def resume(self) -> None:
         """Begin with an empty tank: this process takes the place of one that was lost, and so is its energy."""

@@ -343,6 +343,7 @@ def test_a_guest_is_told_the_round_trip_that_the_host_sees(tmp_path: Path) -> No
         top = json.loads(subprocess.run(look, check=True, capture_output=True, cwd=home).stdout)["wave_links"]
         assert right.end(signal.SIGINT) == 130
         assert host.end(signal.SIGINT) == 130
+    assert not any("no datagram comes through" in line for line in right.lines)
     R, K, M = (float(figure) for figure in re.findall(r"(?:R of|K =|M =) ([\d.]+)", told))
     assert R > 40.0, "it is no shorter than the network's"
     figures = read_run(home / "run.mcap").figures

@@ -111,13 +111,14 @@ def visit() -> Any:
 
 
 @pytest.mark.parametrize(
-    ("asked", "R", "holding", "told"),
+    ("asked", "R", "holding", "told", "tcp"),
     [
-        (7.9, 0.005, False, False),  # not all has settled
-        (8.1, 0.005, False, True),
-        (8.1, 0.005, True, False),  # nothing comes, and the tool is held
-        (8.1, None, False, False),
-        (None, None, False, False),
+        (7.9, 0.005, False, False, False),  # not all has settled
+        (8.1, 0.005, False, True, False),
+        (8.1, 0.005, False, True, True),
+        (8.1, 0.005, True, False, True),  # nothing comes, and the tool is held
+        (8.1, None, False, False, False),
+        (None, None, False, False, False),
     ],
 )
 def test_a_guest_is_told_once_what_it_feels(
@@ -125,12 +126,13 @@ def test_a_guest_is_told_once_what_it_feels(
     R: float | None,
     holding: bool,
     told: bool,
+    tcp: bool,
     visit: Any,
     monkeypatch: pytest.MonkeyPatch,
     capsys: Any,
 ) -> None:
     """It has joined at 5 s; the host has told its coupling R, in answer to what that asked."""
-    end = SimpleNamespace(face=SimpleNamespace(holding=holding))
+    end = SimpleNamespace(face=SimpleNamespace(holding=holding), without_datagrams=tcp)
     echo = None if asked is None else Echo(from_seconds(asked), 0, 0, R)
     lines = [SimpleNamespace(echo=Echo(from_seconds(8.2), 0, 0)), SimpleNamespace(echo=echo)]
     monkeypatch.setattr(seat, "UserEnd", SimpleNamespace)
@@ -146,7 +148,8 @@ def test_a_guest_is_told_once_what_it_feels(
         visit._tell(coupling([10.0]), SimpleNamespace(joins=[end]))
     said = capsys.readouterr().err
     assert said.count("right_seat: both ends measure a round trip R of 5 ms") == told
-    assert said.count("\n") == told
+    assert said.count("right_seat: no datagram comes through, so the waves go by TCP") == (told and tcp)
+    assert said.count("\n") == told + (told and tcp)
 
 
 @pytest.mark.parametrize(
