@@ -277,6 +277,8 @@ _BY_LATENESS: Final = (Promise.DELAY, Promise.PERIOD, Promise.LATENESS)
 def last_line(report: Mapping[str, Any], faults: Sequence[str] = ()) -> str:
     """How a run went, in one line: what made it fail, or what was worst; who was late, and what force that has cost.
 
+    A force that was taken away is what a user has felt, so where no promise was broken it comes first.
+
     Args:
         report: the whole report of a run.
         faults: what made the run fail.
@@ -289,11 +291,12 @@ def last_line(report: Mapping[str, Any], faults: Sequence[str] = ()) -> str:
     text, late = verdict(rows), _late(report["nodes"])
     enforced = any(row.promise in _BY_LATENESS and row.state == PromiseState.ENFORCED for row in rows)
     absent = any(row.promise == Promise.PRESENCE and row.state != PromiseState.KEPT for row in rows)
-    lost = (_taken_away(report["nodes"], absent), _lagged(report)) if enforced else ()
-    parts = [part for part in (late, *lost) if part]
-    if not parts:
+    lost, free = _lost(report, absent) if enforced else ([], "")
+    if lost and not any(row.state == PromiseState.BROKEN for row in rows):
+        return "; ".join(part for part in (*lost, text, late, free) if part)
+    said = "; ".join(part for part in (late, *lost, free) if part)
+    if not said:
         return text
-    said = "; ".join(parts)
     return f"{text} {said[0].upper()}{said[1:]}." if text.endswith(".") else f"{text}; {said}"
 
 
@@ -306,21 +309,24 @@ def _late(nodes: Mapping[str, Mapping[str, Any]]) -> str:
     return f"late: {words}{more}" if often else ""
 
 
-def _taken_away(nodes: Mapping[str, Mapping[str, Any]], absent: bool) -> str:
-    """For how much of the time lateness has taken force from a hand, of the hand that lacked it for longest.
+def _lost(report: Mapping[str, Any], absent: bool) -> tuple[list[str], str]:
+    """What lateness has taken from hands, and the sentence for a run in which it has taken no force.
 
-    Where somebody was ``absent``, the time of that is not in it.
+    The first names the hand that lacked force for longest, without the time in which somebody was ``absent``.
     """
-    beside = "besides absences, " if absent else ""
+    nodes, lagged = report["nodes"], _lagged(report)
+    beside, behind = "besides absences, " if absent else "", [lagged] if lagged else []
     given = {name: node["given"] for name, node in nodes.items() if node.get("given", {}).get("seconds")}
     if not given:
-        return ""
+        return behind, ""
     lacked = {name: (one["away"] + one["held_back"]) / one["seconds"] for name, one in given.items()}
     most = max(lacked, key=lacked.__getitem__)
     if not lacked[most]:
-        return f"{beside}no force was taken away"
+        changed = sum(node.get("interface", {}).get("changed_ticks", 0) for node in nodes.values())
+        moved = f", and the motion of {counted(changed, 'tick')} was changed" if changed else ""
+        return behind, f"{beside}no force was taken away{moved}"
     share = math.ceil(1000.0 * min(1.0, lacked[most]) - 1e-9) / 10.0  # up: what was lacking is never called nothing
-    return f"{beside}force was taken away for {share:.3g} % of the time ({most})"
+    return [f"{beside}force was taken away for {share:.3g} % of the time ({most})", *behind], ""
 
 
 BEHIND_WORTH_SAYING: Final = 1e-3

@@ -496,8 +496,8 @@ class _Visit:
         _say(f"{self._invitation.seat}: {felt_as_measured(coupling, R)}")
         if end.without_datagrams:
             _say(
-                f"{self._invitation.seat}: no datagram comes through, so the waves go by TCP, where a lost packet delays "
-                "all that follow; the host's ports have to be open to UDP, too"
+                f"{self._invitation.seat}: no datagram comes through, so the waves go by TCP, where a lost packet "
+                "delays all that follow; the host's ports have to be open to UDP, too"
             )
 
 
