@@ -304,7 +304,7 @@ class Wave:
     Attributes:
         tick: n, the sender's tick count, at least 0; it rises from each wave of a life to the next.
         sums: U = Σ T a, the sum of the outgoing wave a over the sender's ticks of T seconds; one entry for each port of
-            the link, √(J·s), finite.
+            the link, √(J·s), finite; then what rides with the tick's motion or force, as in a :class:`Sample`.
         shipped: G, the energy shipped so far, J, finite; it never falls within a life.
         buttons: from a coupling, those of its devices in tick n, as in a :class:`Tool`.
     """

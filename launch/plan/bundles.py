@@ -296,7 +296,9 @@ def _orientation_of(prepared: Prepared, name: str) -> OrientationPart | None:
     own = prepared.session.devices[name].orientation
     if own is None:
         return None
-    (level,) = (device.orientation for device in prepared.loop.devices if device.name == name)
+    part = prepared.certificate_of(name)
+    loop = prepared.loop if part is None else part.loop
+    (level,) = (device.orientation for device in loop.devices if device.name == name)
     if level is None:
         raise AssertionError(f"the loop has the orientation of {name}")
     return own.part(level.stiffness)
@@ -307,7 +309,9 @@ def _oriented_tool(prepared: Prepared, name: str) -> OrientedTool:
     part = _orientation_of(prepared, name)
     if part is None:
         raise AssertionError(f"the orientation of {name} is a port")
-    return OrientedTool(name, part.stiffness, part.torque, part.power(prepared.session.period))
+    session = prepared.session
+    own, T = session.period_of(name), session.period
+    return OrientedTool(name, part.stiffness, part.torque, part.power(own) * T / own)
 
 
 def _riding(session: Session, node: str) -> tuple[str, ...]:
@@ -354,7 +358,7 @@ def part_id(certificate: str, bundles: Sequence[Bundle]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True, allow_nan=False).encode()).hexdigest()
 
 
-_OF_A_PART = ("session", "name", "role", "period", "clock", "ports", "rate", "buttons")
+_OF_A_PART = ("session", "name", "role", "period", "clock", "ports", "rate", "buttons", "riding")
 
 
 def _site_bounds(session: Session, tools: PortBounds, feedthrough: Mapping[str, Matrix]) -> dict[str, SiteBounds]:

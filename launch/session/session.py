@@ -461,7 +461,7 @@ class Session(SessionModel):
         own = self.devices[name].orientation
         if own is None:
             raise AssertionError(f"the orientation of {name} is no port")
-        return own.stiffness or stiffest(own.osp, self.period, tau, period_tolerance)
+        return own.stiffness or stiffest(own.osp, self.period_of(name), tau, period_tolerance)
 
     def _orientation_problems(self) -> Iterator[Problem]:
         """A problem for each orientation that nothing turns, and for what it does not go with."""
@@ -479,9 +479,6 @@ class Session(SessionModel):
                 yield Problem(
                     at, f"an orientation, and no avatar for {name}", f"environment.avatars: {{{name}: JOINT}}"
                 )
-            if self.wave_links:
-                expected = "no wave link: no certificate of parts has an orientation yet"
-                yield Problem(at, f"an orientation with the wave link of {next(iter(self.wave_links))!r}", expected)
         if self.hands and self.design.ladder:
             expected = "no ladder: the spring of an orientation has no softer rung yet"
             yield Problem(("design", "ladder"), f"delays with the orientation of {self.hands[0]!r}", expected)

@@ -10,8 +10,7 @@ import pytest
 
 from manyhands.launch.audit.simulation import simulate
 from manyhands.launch.plan.prepare import prepare
-from manyhands.launch.recordings.run import RecordedRun
-from tests.support.slot import DEVICE, WORLD, session, values
+from tests.support.slot import DEVICE, WORLD, session, slot_by, values
 
 from ..support.threaded_session import ThreadedSession
 
@@ -19,17 +18,20 @@ pytest.importorskip("mujoco")
 TICKS = 450
 
 
-@pytest.fixture(scope="module")
-def run() -> RecordedRun:
-    return simulate(prepare(session(), None), TICKS)
+FAR: dict[str, Any] = {"b": 20, "network": {"delay": 0.02, "jitter": 0.004, "loss": 0.02}}
 
 
 @pytest.mark.parametrize("colocate", [False, True])
+@pytest.mark.parametrize("link", [None, {"b": 20}, FAR, {"b": 20, "interval": 0.003}])
 def test_processes_have_the_numbers_of_the_simulation(
-    run: RecordedRun, new_life: Callable[[], Any], colocate: bool
+    new_life: Callable[[], Any], colocate: bool, link: dict[str, Any] | None
 ) -> None:
-    with ThreadedSession(prepare(session(colocate=colocate), None), new_life, ticks=TICKS) as stage:
+    """Over a wave link as well, where what rides comes with the waves."""
+    prepared = prepare(slot_by(link, colocate=colocate))
+    run = simulate(prepared, TICKS)
+    with ThreadedSession(prepared, new_life, ticks=TICKS) as stage:
         reports = stage.reports()
+    assert np.abs(values(run, "pen", "t_v")).max() > 1e-3  # what was proposed has come, and turns the hand
     for node, traces in (("pen", DEVICE), ("environment", WORLD)):
         for trace in traces:
             np.testing.assert_array_equal(stage.lines[node].trace(trace), values(run, node, trace), trace)

@@ -73,6 +73,12 @@ def session(**changes: Any) -> Session:
     return Session.from_dict(slot(**changes))
 
 
+def slot_by(link: dict[str, Any] | None, **changes: Any) -> Session:
+    """The session with this wave link at its coupling, and other keys of its own."""
+    own = {} if link is None else {"wave_link": link}
+    return session(couplings={"c": {"devices": ["pen"], **own}}, **changes)
+
+
 def values(run: RecordedRun, node: str, trace: str) -> np.ndarray:
     """A trace of a node."""
     (found,) = (one.values for (of, _), one in run.traces.items() if of == node and one.topic.trace == trace)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from manyhands.launch.recordings.run import RecordedRun, read_run, rows_of
 from manyhands.launch.run.recorder import RecorderProcess
 from manyhands.launch.run.supervisor import Supervisor
 from manyhands.protocol.channels import ACCOUNT, ORIENTATION, PROXY, TORQUE
-from tests.support.slot import session
+from tests.support.slot import slot_by
 
 pytest.importorskip("mujoco")
 ABOUT = {(NAME, "pen"), (BOUND, "pen"), (BOUND, "environment")}
@@ -30,11 +31,19 @@ def recorded(prepared: Prepared, clock: str, ticks: int, path: Path) -> Recorded
     return read_run(path)
 
 
-def test_processes_simulation_replay_and_audit_agree_to_the_last_bit(tmp_path: Path) -> None:
-    path, prepared = tmp_path / "run.mcap", prepare(session())
+FAR: dict[str, Any] = {"b": 20, "network": {"delay": 0.02, "jitter": 0.004, "loss": 0.02}}
+
+
+@pytest.mark.parametrize("link", [None, FAR, {"b": 20, "period": 0.0005}])
+def test_processes_simulation_replay_and_audit_agree_to_the_last_bit(
+    link: dict[str, Any] | None, tmp_path: Path
+) -> None:
+    path, prepared = tmp_path / "run.mcap", prepare(slot_by(link))
     run = recorded(prepared, "simulated", 730, path)
-    again = replay(prepared, run)
-    assert (again.identical, again.ticks, again.missing, again.deviations) == (True, 730, {}, ())
+    assert np.nanmax(np.abs(rows_of(run, "pen", TORQUE))) > 1e-3
+    if link is None or "period" not in link:  # a replay is one process, which has one period
+        again = replay(prepared, run)
+        assert (again.identical, again.ticks, again.missing, again.deviations) == (True, 730, {}, ())
     done = audit(path, run, lambda text: None, lambda tick: None)
     assert done.holds
     assert {(check.name, check.party) for check in done.checks if check.verdict is CheckVerdict.HOLDS} >= ABOUT
@@ -42,9 +51,10 @@ def test_processes_simulation_replay_and_audit_agree_to_the_last_bit(tmp_path: P
 
 
 @pytest.mark.alone
-def test_in_real_time_its_account_is_kept_however_late_it_is(tmp_path: Path) -> None:
+@pytest.mark.parametrize("link", [None, {"b": 20}])
+def test_in_real_time_its_account_is_kept_however_late_it_is(link: dict[str, Any] | None, tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    prepared = prepare(session(design={"coupling": "spring-damper", "tau": 0.001}))
+    prepared = prepare(slot_by(link, design={"coupling": "spring-damper", "tau": 0.001}))
     run = recorded(prepared, "realtime", 2000, path)
     done = audit(path, run, lambda text: None, lambda tick: None)
     assert done.verdict is not AuditVerdict.BROKEN

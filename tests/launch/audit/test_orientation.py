@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from manyhands.launch.audit.events import Course, Happening
@@ -12,7 +13,7 @@ from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.recordings.run import RecordedRun
 from manyhands.nodes.kernel.bundle import DeviceBundle, EnvironmentBundle
-from tests.support.slot import session, values
+from tests.support.slot import session, slot_by, values
 
 pytest.importorskip("mujoco")
 TICKS = 450
@@ -79,6 +80,34 @@ def test_a_number_that_was_changed_is_found(
             one.values[200, column] += by
     found = checks(prepared, run)
     assert {about for about, verdict in found.items() if verdict is CheckVerdict.BROKEN} == broken
+
+
+FAR = {"b": 20, "network": {"delay": 0.02, "jitter": 0.004, "loss": 0.02}}
+
+
+@pytest.mark.parametrize(
+    ("node", "trace", "column", "by", "verdict"),
+    [
+        ("pen", "proposed", 1, 0.0, CheckVerdict.HOLDS),
+        ("pen", "proposed", 1, 1e-5, CheckVerdict.BROKEN),
+        ("environment", "told", 0, 1e-9, CheckVerdict.BROKEN),
+        ("environment", "told", 0, np.nan, CheckVerdict.HOLDS),  # who knows what it told in that tick?
+    ],
+)
+def test_what_comes_over_a_wave_link_was_told_in_some_tick(
+    node: str, trace: str, column: int, by: float, verdict: CheckVerdict
+) -> None:
+    prepared = prepare(slot_by(FAR), None)
+    run = simulate(prepared, 300)
+    came, told = (values(run, of, which) for of, which in (("pen", "proposed"), ("environment", "told")))
+    (tick,) = np.flatnonzero((told == came[200]).all(axis=1)).tolist()
+    assert tick <= 180  # it was under way for so long
+    at = {"pen": [200], "environment": [tick]}[node]
+    for (of, _), one in run.traces.items():
+        if of == node and one.topic.trace == trace:
+            one.values[at, column] += by
+    assert checks(prepared, run)["agreement", "pen"] is verdict
+    assert checks(prepared, run)[NAME, "pen"] is (CheckVerdict.BROKEN if node == "pen" and by else CheckVerdict.HOLDS)
 
 
 def test_a_hand_whose_coupling_is_silent_is_free_meanwhile(prepared: Prepared) -> None:

@@ -60,7 +60,6 @@ REFUSED = {
         "an engine with an avatar for its tool",
     ),
     "a ladder": (slot(design={"coupling": "spring-damper", "tau": 1e-4, "ladder": [2e-4]}), "no softer rung yet"),
-    "a wave link": (slot(couplings={"c": {"devices": ["pen"], "wave_link": {"b": 1.0}}}), "no wave link"),
     "no inertia": (slot({"inertia": 0.0}), "an inertia in kg·m² greater than 0"),
     "an osp without a number": (slot({"osp": math.nan}), "a level in N·m·s/rad"),
     "too little damping": (slot({"damping": 1e-4}), "at least the osp, 0.001 N·m·s/rad"),
