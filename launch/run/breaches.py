@@ -670,9 +670,7 @@ class UserIncidents:
         self._awaiting: dict[str, tuple[int, int]] = {}
         self._of_itself: dict[str, str] = {}  # devices that nobody can have moved so, and why
         self._speeds: dict[str, float] = {}  # of devices that let go, the greatest of about then, m/s
-        self._later: dict[
-            str, tuple[str, int]
-        ] = {}  # that devices let go, not said yet; its tick
+        self._later: dict[str, tuple[str, int]] = {}  # that devices let go, not said yet; its tick
         self._next: dict[str, float] = {}  # the first tick of a party's next sentence
 
     def forget(self, node: str) -> None:
