@@ -6,6 +6,9 @@ torque of a tick, its proxy and its account follow from that row and the one bef
 device then, without a torque. After periods without a row the state is not known, and the tick is not checked.
 
 What a world granted never exceeds what it had heard of deposits, which is computed again from the rows of both.
+
+A hand whose orientation is *sensed* has a row of that alone: no torque acts on it, and it has no account. So its audit
+checks that each row is a rotation, and that the world heard of no deposit and told it of no grant.
 """
 
 from __future__ import annotations
@@ -20,8 +23,9 @@ from manyhands.launch.audit.findings import Check, compare, gaps_of, within
 from manyhands.launch.audit.recompute import Array
 from manyhands.launch.recordings.run import RecordedRun, rows_of, there
 from manyhands.nodes.device.orientation import NO_TORQUE, follow
-from manyhands.nodes.kernel.bundle import DeviceBundle, EnvironmentBundle
-from manyhands.nodes.kernel.orientation import UPRIGHT, OrientationBank, OrientationSpring, Quaternion
+from manyhands.nodes.environment.oriented_tools import bank_of
+from manyhands.nodes.kernel.bundle import DeviceBundle, EnvironmentBundle, SensedPart
+from manyhands.nodes.kernel.orientation import UPRIGHT, OrientationSpring, Quaternion
 from manyhands.nodes.rows import figures as names
 from manyhands.protocol.channels import (
     ACCOUNT,
@@ -43,6 +47,7 @@ ROUNDING: Final = 1e-12
 """Of what was deposited and granted, by which an account may be below its bound."""
 
 _SUMS: Final = "rounding of the sums"
+_UNIT: Final = "rounding of a unit quaternion"
 _FOLLOWS: Final = ("A", "D", "G")
 _FREE: Final = "it ran free, or another process had begun, and its orientation meanwhile has no row"
 
@@ -51,6 +56,8 @@ def device_checks(run: RecordedRun, name: str, bundle: DeviceBundle, course: Cou
     """The checks of a device's orientation; none where that is no port."""
     if bundle.orientation is None:
         return []
+    if isinstance(bundle.orientation, SensedPart):
+        return [_rotations(run, name)]
     R, Q, u = (rows_of(run, name, trace) for trace in (names.ORIENTATION, PROXY, TORQUE))
     came, account = rows_of(run, name, PROPOSED), rows_of(run, name, ACCOUNT)
     again = np.full((len(R), len(AXIS_NAMES) + len(QUATERNION_NAMES) + len(_FOLLOWS)), np.nan)
@@ -80,6 +87,16 @@ def device_checks(run: RecordedRun, name: str, bundle: DeviceBundle, course: Cou
             BOUND, name, held, ("A",), account[:, :1], least, too_low, tolerance=size, source=_SUMS, remark=remark
         ),
     ]  # fmt: skip
+
+
+def _rotations(run: RecordedRun, name: str) -> Check:
+    """Whether each orientation of a sensed hand is one."""
+    R = rows_of(run, name, names.ORIENTATION)
+    square = np.sum(R * R, axis=1, keepdims=True)
+    wrong = there(R)[:, None] & ~(np.abs(square - 1.0) <= ROUNDING)
+    what = "its orientation is sensed: each is a rotation, and no torque acts"
+    one = np.ones_like(square)
+    return within(NAME, name, what, ("|R|²",), square, one, wrong, tolerance=ROUNDING, source=_UNIT)
 
 
 def _followed(k: float, before: Array, R: Array, came: Array, account: Array, recorded: Array) -> Sequence[float]:
@@ -113,12 +130,20 @@ def world_checks(run: RecordedRun, name: str, bundle: EnvironmentBundle) -> list
     out = []
     for i, tool in enumerate(bundle.oriented_tools):
         own = told[:, len(PROPOSED_NAMES) * i : len(PROPOSED_NAMES) * (i + 1)]
+        if tool.sensed:
+            stated = np.column_stack([heard[:, len(HEARD_NAMES) * i + 4], own[:, -1]])
+            what = f"{tool.device} is sensed and has no account: it deposited nothing, and was granted nothing"
+            none = np.where(np.isfinite(stated), 0.0, np.nan)
+            out.append(compare("agreement", tool.device, what, ("D", "G"), stated, none))
+            continue
         came = rows_of(run, tool.device, PROPOSED)
         nothing = ~np.any(came != 0.0, axis=1)
         what = f"what was proposed to {tool.device} is what came there, or nothing came"
         expected = np.where(nothing[:, None], came, own)
         out.append(compare("agreement", tool.device, what, PROPOSED_NAMES, came, expected, owed=there(own)))
     balance = _balance(bundle, heard, told)
+    if all(tool.sensed for tool in bundle.oriented_tools):
+        return out
     what = "it granted no more than hands had deposited"
     size = ROUNDING * (1.0 + float(np.nanmax(np.abs(heard[:, 4 :: len(HEARD_NAMES)]), initial=0.0)))
     short = balance < -size
@@ -129,15 +154,15 @@ def world_checks(run: RecordedRun, name: str, bundle: EnvironmentBundle) -> list
 
 def _balance(bundle: EnvironmentBundle, heard: Array, told: Array) -> Array:
     """What may be granted still after each tick, J, by the bank's own arithmetic; below 0 where more was granted."""
-    hands = tuple(tool.device for tool in bundle.oriented_tools)
-    bank = OrientationBank(hands, power={tool.device: tool.power for tool in bundle.oriented_tools})
+    hands = {tool.device: i for i, tool in enumerate(bundle.oriented_tools) if not tool.sensed}
+    bank = bank_of(bundle.oriented_tools)
     out, width = np.full((len(heard), 1), np.nan), len(HEARD_NAMES)
     for k in np.flatnonzero(there(heard) & there(told)).tolist():
-        for i, hand in enumerate(hands):
+        for hand, i in hands.items():
             deposited, life = heard[k, width * i + 4 : width * (i + 1)].tolist()
             bank.deposit(hand, deposited, life, k)
         short = 0.0
-        for i, hand in enumerate(hands):
+        for hand, i in hands.items():
             total = float(told[k, len(PROPOSED_NAMES) * (i + 1) - 1])
             short += max(0.0, total - bank.grant(hand, total - bank.granted[hand]))
         out[k] = -short if short else bank.balance

@@ -61,6 +61,7 @@ from manyhands.nodes.kernel.bundle import (
     PersonHand,
     PluginDevice,
     RecordedMotion,
+    SensedPart,
     SimulatedHand,
     Source,
     WaveEnd,
@@ -291,7 +292,7 @@ def cut(prepared: Prepared, run: RunPlan) -> dict[str, Bundle]:
     return _with_part_ids(prepared, bundles)
 
 
-def _orientation_of(prepared: Prepared, name: str) -> OrientationPart | None:
+def _orientation_of(prepared: Prepared, name: str) -> OrientationPart | SensedPart | None:
     """The orientation of a device, with the stiffness that is proved, or in an uncertified run designed."""
     own = prepared.session.devices[name].orientation
     if own is None:
@@ -307,6 +308,8 @@ def _oriented_tool(prepared: Prepared, name: str) -> OrientedTool:
     part = _orientation_of(prepared, name)
     if part is None:
         raise AssertionError(f"the orientation of {name} is a port")
+    if isinstance(part, SensedPart):
+        return OrientedTool(name, part.stiffness, None, None)
     return OrientedTool(name, part.stiffness, part.torque, part.power(prepared.session.period))
 
 
@@ -537,7 +540,10 @@ def _columns(session: Session, graph: Topology, name: str, clock: str) -> int:
     wall, torques = session.in_wall_time(name, clock), session.holds_torques(name)
     oriented = session.environment.oriented
     hands = hands_at(name, graph.nodes[name], session.hands)
-    topics = topics_of(graph.nodes[name], masses, wall, bool(links), torques, oriented=oriented, hands=hands)
+    sensed = session.sensed_hands
+    topics = topics_of(
+        graph.nodes[name], masses, wall, bool(links), torques, oriented=oriented, hands=hands, sensed=sensed
+    )
     return sum(len(topic.columns_of(ports, masses, links, oriented, hands)) for topic in topics)
 
 

@@ -11,6 +11,9 @@ The device *lets go*, by a proxy that follows it without a torque,
 - in a tick to which it has turned faster than its limit;
 - while late ticks may have given out more than the session allows to lateness.
 
+A device that only senses its orientation (:class:`SensedOrientation`) says it in the same way. It takes in nothing, for
+it has no torque and no account.
+
 A :class:`TurnedBody` is a simulated device in a hand, the same about every axis, whose turn over a piece of time with a
 constant torque is exact up to the order of small turns.
 """
@@ -19,11 +22,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, Protocol
 
 from manyhands.nodes.kernel.allowance import LatenessAllowance
 from manyhands.nodes.kernel.arithmetic import Floats
-from manyhands.nodes.kernel.bundle import DeviceRung, OrientationPart, TurnedHand
+from manyhands.nodes.kernel.bundle import DeviceRung, OrientationPart, SensedPart, TurnedHand
 from manyhands.nodes.kernel.intent import intent_from
 from manyhands.nodes.kernel.orientation import (
     FIRST_LIFE,
@@ -95,6 +98,80 @@ class TurnedBody:
             omega.append(before + (end - before) * decay)
         self.R = turned_by(self.R, turn)
         self._omega = (omega[0], omega[1], omega[2])
+
+
+class Oriented(Protocol):
+    """The orientation of one device, as its tick calls it.
+
+    Attributes:
+        life: the number of this process, which is drawn where others may come before or after it.
+        R: the orientation of the last sample.
+    """
+
+    life: float
+    R: Quaternion
+
+    def sample(self, turn: int, at: Instant) -> None:
+        """Take the orientation: in wall time that at ``at``, in its own time that after ``turn`` periods."""
+        ...
+
+    @property
+    def rides(self) -> Floats:
+        """What rides with the sample: the orientation, the deposits and the life."""
+        ...
+
+    def exert(self, came: Sequence[float], at: Instant, ratio: float = 1.0) -> Vector3:
+        """Take what came with the tick's answer, and exert the torque that follows from ``at`` on; returns it, N*m."""
+        ...
+
+    def release(self, at: Instant) -> None:
+        """Exert no torque from ``at`` on."""
+        ...
+
+    def row(self) -> tuple[Sequence[float], ...]:
+        """A part for each topic of the orientation."""
+        ...
+
+
+class SensedOrientation:
+    """The orientation of a device that only senses it: no torque acts on its hand, whatever comes.
+
+    Attributes:
+        life: the number of this process.
+        R: the orientation of the last sample.
+    """
+
+    def __init__(self, part: SensedPart, T: float, wall: bool = False) -> None:
+        """Begin upright, at rest.
+
+        Args:
+            part: what the device has of its orientation.
+            T: period, s.
+            wall: whether it turns in wall time.
+        """
+        self._period, self._wall = from_seconds(T), wall
+        self._body = TurnedBody(part.source, T)
+        self.life, self.R = FIRST_LIFE, UPRIGHT
+
+    def sample(self, turn: int, at: Instant) -> None:
+        """Take the orientation, as of :class:`Oriented`."""
+        self.R = self._body.to(at if self._wall else Instant(turn * self._period))
+
+    @property
+    def rides(self) -> Floats:
+        """What rides with the sample: the orientation, and the life. It has deposited nothing."""
+        return [*self.R, 0.0, self.life]
+
+    def exert(self, came: Sequence[float], at: Instant, ratio: float = 1.0) -> Vector3:
+        """Exert no torque."""
+        return NO_TORQUE
+
+    def release(self, at: Instant) -> None:
+        """Do nothing: no torque acts."""
+
+    def row(self) -> tuple[Sequence[float], ...]:
+        """R alone."""
+        return (self.R,)
 
 
 class DeviceOrientation:

@@ -8,11 +8,14 @@ from manyhands.launch.audit.events import Course, Happening
 from manyhands.launch.audit.findings import CheckVerdict
 from manyhands.launch.audit.orientation import BOUND, NAME, device_checks, world_checks
 from manyhands.launch.audit.simulation import Silence, simulate
+from manyhands.launch.look.plots import NotDrawable, picture_of_run
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.recordings.run import RecordedRun
+from manyhands.launch.session import Session
 from manyhands.nodes.kernel.bundle import DeviceBundle, EnvironmentBundle
-from tests.support.slot import session, values
+from manyhands.nodes.recorder.format import Recorded
+from tests.support.slot import sensed, session, values
 
 pytest.importorskip("mujoco")
 TICKS = 450
@@ -91,6 +94,50 @@ def test_a_hand_whose_coupling_is_silent_is_free_meanwhile(prepared: Prepared) -
     account = values(run, "pen", "account")
     assert (account[:, 0] >= account[:, 1] - account[:, 2] - 1e-15).all()
     assert Q.shape == (TICKS, 4)
+
+
+@pytest.fixture(scope="module")
+def with_a_grip() -> Prepared:
+    return prepare(Session.from_dict(sensed()), None)
+
+
+def test_of_a_hand_that_feels_nothing_there_is_its_orientation_alone(with_a_grip: Prepared) -> None:
+    run = simulate(with_a_grip, 200)
+    assert (run.recorded.hands, run.recorded.sensed) == (("pen",), ("pen",))
+    assert [topic.trace for topic in run.recorded.topics("pen") if topic.hands] == ["R"]
+    assert {topic.trace for topic in run.recorded.topics("environment") if topic.hands} == {"heard", "told"}
+    found = checks(with_a_grip, run)
+    assert found == {(NAME, "pen"): CheckVerdict.HOLDS, ("agreement", "pen"): CheckVerdict.HOLDS}
+    assert Recorded.from_metadata(run.recorded.as_metadata()) == run.recorded
+    assert picture_of_run(run, ["orientation"]).panels
+    with pytest.raises(NotDrawable):
+        picture_of_run(run, ["angle"])
+
+
+def test_torques_of_joints_and_a_ladder_change_nothing_of_it(with_a_grip: Prepared) -> None:
+    data = sensed(design={"coupling": "spring-damper", "tau": 1e-4, "ladder": [2e-4]})
+    data["devices"]["pen"] |= {"held": "torque", "linkage": {"kappa": 0.01}}
+    run = simulate(prepare(Session.from_dict(data), None), 100)
+    assert (values(run, "pen", "R") == values(simulate(with_a_grip, 100), "pen", "R")).all()
+
+
+@pytest.mark.parametrize(
+    ("node", "trace", "column", "by", "broken"),
+    [
+        ("pen", "R", 0, 1e-6, (NAME, "pen")),
+        ("environment", "heard", 4, 1e-9, ("agreement", "pen")),
+        ("environment", "told", 4, 1e-9, ("agreement", "pen")),
+    ],
+)
+def test_a_hand_that_feels_nothing_and_has_an_account_is_found(
+    with_a_grip: Prepared, node: str, trace: str, column: int, by: float, broken: tuple[str, str]
+) -> None:
+    run = simulate(with_a_grip, 50)
+    for (of, _), one in run.traces.items():
+        if of == node and one.topic.trace == trace:
+            one.values[20, column] += by
+    found = checks(with_a_grip, run)
+    assert {about for about, verdict in found.items() if verdict is CheckVerdict.BROKEN} == {broken}
 
 
 def test_a_recording_says_whose_orientation_is_a_port(run: RecordedRun) -> None:
