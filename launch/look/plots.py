@@ -305,6 +305,8 @@ def _panels(
         curves: list[Curve] = []
         units: list[str] = []
         for node, trace in zip(nodes[source], found[source], strict=True):
+            if name == ANGLE and (node, "proxy") not in traces:
+                continue  # sensed alone: no spring pulls at the hand
             labels = (node,) if topic.trace in (LEDGER, TAU, INTERFACE) or name == ANGLE else trace.columns
             if topic.hands and name != ANGLE:
                 labels = tuple(f"{node}.{column}" for column in labels)

@@ -835,7 +835,7 @@ class Device(SessionModel):
                 " that turn" * bool(self.turning("d"))
             )
             yield Problem(at, found, f"{ORIENTED_DOF} axes that translate")
-        if self.held == _TORQUE:
+        if self.held == _TORQUE and not self.orientation.sensed:
             expected = "held: force: what torques of joints give out beside an orientation is proved nowhere yet"
             yield Problem(at, "an orientation with held: torque", expected)
 

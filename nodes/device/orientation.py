@@ -9,7 +9,12 @@ The device *lets go*, by a proxy that follows it without a torque,
 - in a period in which no answer came;
 - while its guard lets go of the force (:mod:`manyhands.nodes.device.core`), by whose ramp the greatest torque rises;
 - in a tick to which it has turned faster than its limit;
+- for two ticks when it changes its rung, and with it the stiffness: the greatest torque falls by a ramp before, and
+  rises by one after;
 - while late ticks may have given out more than the session allows to lateness.
+
+A device that only senses its orientation (:class:`SensedOrientation`) says it in the same way. It takes in nothing, for
+it has no torque and no account.
 
 A :class:`TurnedBody` is a simulated device in a hand, the same about every axis, whose turn over a piece of time with a
 constant torque is exact up to the order of small turns.
@@ -19,11 +24,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, Protocol
 
 from manyhands.nodes.kernel.allowance import LatenessAllowance
 from manyhands.nodes.kernel.arithmetic import Floats
-from manyhands.nodes.kernel.bundle import DeviceRung, OrientationPart, TurnedHand
+from manyhands.nodes.kernel.bundle import DeviceRung, OrientationPart, SensedPart, TurnedHand
 from manyhands.nodes.kernel.intent import intent_from
 from manyhands.nodes.kernel.orientation import (
     FIRST_LIFE,
@@ -36,6 +41,7 @@ from manyhands.nodes.kernel.orientation import (
     turned_by,
     unit,
 )
+from manyhands.nodes.kernel.timeouts import RAMP
 from manyhands.protocol.clock import Duration, Instant, from_seconds, seconds
 
 NOTHING: Final = (0.0, 0.0, 0.0, 0.0, 0.0)
@@ -97,6 +103,87 @@ class TurnedBody:
         self._omega = (omega[0], omega[1], omega[2])
 
 
+class Oriented(Protocol):
+    """The orientation of one device, as its tick calls it.
+
+    Attributes:
+        life: the number of this process, which is drawn where others may come before or after it.
+        R: the orientation of the last sample.
+    """
+
+    life: float
+    R: Quaternion
+
+    def sample(self, turn: int, at: Instant) -> None:
+        """Take the orientation: in wall time that at ``at``, in its own time that after ``turn`` periods."""
+        ...
+
+    @property
+    def rides(self) -> Floats:
+        """What rides with the sample: the orientation, the deposits and the life."""
+        ...
+
+    def exert(self, came: Sequence[float], at: Instant, ratio: float = 1.0) -> Vector3:
+        """Take what came with the tick's answer, and exert the torque that follows from ``at`` on; returns it, N*m."""
+        ...
+
+    def release(self, at: Instant) -> None:
+        """Exert no torque from ``at`` on."""
+        ...
+
+    def change(self, rung: DeviceRung) -> None:
+        """Change the rung, as soon as no torque acts."""
+        ...
+
+    def row(self) -> tuple[Sequence[float], ...]:
+        """A part for each topic of the orientation."""
+        ...
+
+
+class SensedOrientation:
+    """The orientation of a device that only senses it: no torque acts on its hand, whatever comes.
+
+    Attributes:
+        life: the number of this process.
+        R: the orientation of the last sample.
+    """
+
+    def __init__(self, part: SensedPart, T: float, wall: bool = False) -> None:
+        """Begin upright, at rest.
+
+        Args:
+            part: what the device has of its orientation.
+            T: period, s.
+            wall: whether it turns in wall time.
+        """
+        self._period, self._wall = from_seconds(T), wall
+        self._body = TurnedBody(part.source, T)
+        self.life, self.R = FIRST_LIFE, UPRIGHT
+
+    def sample(self, turn: int, at: Instant) -> None:
+        """Take the orientation, as of :class:`Oriented`."""
+        self.R = self._body.to(at if self._wall else Instant(turn * self._period))
+
+    @property
+    def rides(self) -> Floats:
+        """What rides with the sample: the orientation, and the life. It has deposited nothing."""
+        return [*self.R, 0.0, self.life]
+
+    def exert(self, came: Sequence[float], at: Instant, ratio: float = 1.0) -> Vector3:
+        """Exert no torque."""
+        return NO_TORQUE
+
+    def release(self, at: Instant) -> None:
+        """Do nothing: no torque acts."""
+
+    def change(self, rung: DeviceRung) -> None:
+        """Do nothing: no torque acts at any rung."""
+
+    def row(self) -> tuple[Sequence[float], ...]:
+        """R alone."""
+        return (self.R,)
+
+
 class DeviceOrientation:
     """The orientation of one device, from its samples to its torques.
 
@@ -131,10 +218,13 @@ class DeviceOrientation:
                 where nothing is late.
         """
         self._T, self._period, self._longest = T, from_seconds(T), longest
-        self._b, self._k, self._limit, self._speed = part.osp, part.stiffness, part.torque, part.speed
+        self._b, self._limit, self._speed = part.osp, part.torque, part.speed
+        self._fade = RAMP  # how many parts of the greatest torque it takes
+        self._next: DeviceRung | None = None  # the rung that it changes to
+        self._k = part.stiffness
         self._allowance = allowance
         self._body = TurnedBody(part.source, T)
-        self.spring = OrientationSpring(part.stiffness, part.torque)
+        self.spring = OrientationSpring(part.stiffness if rung.turning is None else rung.turning, part.torque)
         self.life = FIRST_LIFE
         self.R, self.most = UPRIGHT, part.torque
         self.came: tuple[float, ...] = NOTHING
@@ -144,10 +234,21 @@ class DeviceOrientation:
         self._fast, self._held = False, False
         self.let_go = 0
         self.least = self.margin = 0.0
-        self._tau, self._covered = from_seconds(rung.tau), from_seconds(T * (1.0 + rung.period_tolerance))
-        t = rung.tau / (T * (1.0 + rung.period_tolerance))
-        self._epsilon = 2.0 * t / (1.0 + t)
+        self._take(rung)
         self._held_for = seconds(self._covered)  # how long the torque of the tick before was held, s
+
+    def _take(self, rung: DeviceRung) -> None:
+        """Take the stiffness of a rung, and what its damping pays for."""
+        self._k = self._k if rung.turning is None else rung.turning
+        T = self._T * (1.0 + rung.period_tolerance)
+        self._tau: Duration = from_seconds(rung.tau)
+        self._covered: Duration = from_seconds(T)
+        t = rung.tau / T
+        self._epsilon = 2.0 * t / (1.0 + t)
+
+    def change(self, rung: DeviceRung) -> None:
+        """Change the rung, once the greatest torque has come to 0 by the ramp."""
+        self._next = rung
 
     def sample(self, turn: int, at: Instant) -> None:
         """Take the orientation: in wall time that at ``at``, in its own time that after ``turn`` periods."""
@@ -200,11 +301,17 @@ class DeviceOrientation:
             ratio: of the guard, by which the device takes hold.
         """
         self.came = tuple(came[:5]) if came[5] == self.life else NOTHING
-        self.most = self._limit * ratio
+        self._fade = max(0, self._fade - 1) if self._next is not None else min(RAMP, self._fade + 1)
+        self.most = self._limit * ratio * (self._fade / RAMP)
         owes = self._allowance is not None and self.spring.owed > self._allowance.energy
         if self._fast or owes or not self.most > 0.0:
             self.let_go += 1
             self._hold(self._released(), at)
+            # the tick before is judged by the rung in which its torque acted, so there must have been none
+            if self._next is not None and not self.most > 0.0 and not any(self._before):
+                self._take(self._next)
+                self.spring.change(self._k, self.R)
+                self._next = None
             return self.torque
         self._hold(follow(self.spring, self.R, self.came, self.most), at)
         return self.torque

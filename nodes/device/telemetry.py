@@ -28,6 +28,7 @@ from enum import StrEnum
 import numpy as np
 
 from manyhands.nodes.device.given import ForceGiven, Loss
+from manyhands.nodes.device.orientation import DeviceOrientation
 from manyhands.nodes.device.tick import DeviceTick
 from manyhands.nodes.kernel.bundle import REALTIME, Common, DeviceRung
 from manyhands.nodes.kernel.driver_statement import NO_DELAY, DeviceTiming
@@ -301,9 +302,9 @@ class DeviceTelemetry:
         }
 
     def _orientation_figures(self) -> dict[str, float]:
-        """How the account of its orientation stands, where that is a port."""
+        """How the account of its orientation stands, where it has one."""
         own = self._device.orientation
-        if own is None:
+        if not isinstance(own, DeviceOrientation):
             return {}
         return {
             names.ORIENTATION_LEAST: own.least,

@@ -24,6 +24,7 @@ any other driver tells them, if it can (``buttons()``).
 
 **Orientation.** A device that turns in space has its law here, too (:mod:`manyhands.nodes.device.orientation`). What
 rides with the sample is :attr:`DeviceTick.rides`, and what came with the answer is handed to :meth:`DeviceTick.exert`.
+One whose orientation is sensed alone has no torque, and nothing that came concerns it.
 
 **Encoder steps.** What a simulated device sends is rounded to the steps of its encoder. Its row, ledger and account
 have its true displacement, which no real device knows. So they count the energy that the steps put into the loop.
@@ -39,10 +40,10 @@ from typing import Final
 from manyhands.nodes.device.core import DeviceCore, Guard
 from manyhands.nodes.device.drivers import Driver
 from manyhands.nodes.device.interface import DeviceInterface, interface_of
-from manyhands.nodes.device.orientation import DeviceOrientation
+from manyhands.nodes.device.orientation import DeviceOrientation, Oriented, SensedOrientation
 from manyhands.nodes.device.plugin import PluginDriver
 from manyhands.nodes.kernel.arithmetic import Floats
-from manyhands.nodes.kernel.bundle import WALL, DeviceBundle, SimulatedHand
+from manyhands.nodes.kernel.bundle import WALL, DeviceBundle, SensedPart, SimulatedHand
 from manyhands.nodes.kernel.buttons import Buttons, scripted
 from manyhands.nodes.kernel.orientation import NO_RIDER
 from manyhands.nodes.kernel.passivity import Ledger
@@ -82,7 +83,7 @@ class DeviceTick(ABC):
         changed: of them, those that changed with its sample.
         done: the work of motors that hold torques until the sample of the last tick, and from then until its force, J;
             NaN where it is not known. Empty for others.
-        orientation: its orientation, with the torque; None where that is no port.
+        orientation: its orientation, with the torque if it has one; None where that is no port.
     """
 
     interface: DeviceInterface | None = None
@@ -215,7 +216,7 @@ class DeviceTick(ABC):
     @abstractmethod
     def row(self) -> Row:
         """x, f_v, the ledger's total; in wall time also e(k), x at the instant of the force, the instants, the work;
-        then R, Q, the torque, what was proposed, and the account of an orientation.
+        then R, Q, the torque, what was proposed, and the account of an orientation; R alone of one that is sensed.
 
         A part without numbers stands for what a device in its own time has not. The parts of an orientation are there
         where it is a port.
@@ -254,6 +255,8 @@ class DeviceTick(ABC):
         self.core.change(*self._promises[rung])
         if self.interface is not None:
             self.interface.change(of.share, of.tau, of.period_tolerance)
+        if self.orientation is not None:
+            self.orientation.change(self._rungs[rung])
 
 
 class OwnTimeTick(DeviceTick):
@@ -378,10 +381,12 @@ def in_steps(x: Floats, steps: Sequence[float]) -> Floats:
     return [q * math.floor(at / q + 0.5) if q > 0.0 else at for at, q in zip(x, steps, strict=True)]
 
 
-def _orientation_of(bundle: DeviceBundle) -> DeviceOrientation | None:
+def _orientation_of(bundle: DeviceBundle) -> Oriented | None:
     """The orientation of a device, upright; a torque is held until it is stale, and one period more."""
     if bundle.orientation is None:
         return None
+    if isinstance(bundle.orientation, SensedPart):
+        return SensedOrientation(bundle.orientation, bundle.common.period, bundle.time == WALL)
     longest = longest_hold(bundle.common) if bundle.time == WALL else None
     return DeviceOrientation(bundle.orientation, bundle.common.period, bundle.rungs[0], bundle.allowance, longest)
 

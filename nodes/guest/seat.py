@@ -41,6 +41,7 @@ from manyhands.nodes.kernel.bundle import (
     Common,
     CouplingBundle,
     DeviceBundle,
+    OrientationPart,
     WaveEnd,
     elsewhere,
     foreign_code,
@@ -155,7 +156,7 @@ SMOOTH: Final = 4.0
 
 
 def turning_sentence(device: DeviceBundle, network: float) -> str | None:
-    """What turning a tool so far away feels like; None for a device whose orientation is no port.
+    """What turning a tool so far away feels like; None for a device whose hand feels no torque.
 
     The proxy that comes back is that of a hand R before. So in free space the spring drags like a damper k R, and
     beyond :data:`SMOOTH` it buzzes. R is that of the network alone: a proxy waits for no play-out.
@@ -165,7 +166,7 @@ def turning_sentence(device: DeviceBundle, network: float) -> str | None:
         network: the shortest time that a frame took to the session and back, s.
     """
     own = device.orientation
-    if own is None:
+    if not isinstance(own, OrientationPart):  # no port, or no torque
         return None
     drag, R = own.stiffness * network, _ms(network)
     buzzes = f", and buzzes: {SMOOTH * own.osp / network:.3g} N·m/rad would not" if drag > SMOOTH * own.osp else ""

@@ -255,6 +255,11 @@ class OrientationSpring:
         self.proxy = R
         self.deposited = max(self.deposited, self.account + self.granted)
 
+    def change(self, stiffness: float, R: Quaternion) -> None:
+        """Take another stiffness, N*m/rad, at rest: the proxy comes to the device first, so that nothing is stored."""
+        self.release(R)
+        self._k = stiffness
+
     def lose(self, R: Quaternion) -> None:
         """Begin anew at R: the torque has ended at an unknown orientation, and what the spring had stored is lost."""
         self.proxy = R

@@ -173,6 +173,7 @@ class About:
         turning: the ports and bodies that turn, whose traces are in rad and N·m.
         oriented: the bodies whose orientations the environment reports.
         hands: the devices whose orientation is a port.
+        sensed: those of them that only sense it, and feel no torque.
     """
 
     session: str
@@ -199,6 +200,7 @@ class About:
     turning: Added[tuple[str, ...]] = ()
     oriented: Added[tuple[str, ...]] = ()
     hands: Added[tuple[str, ...]] = ()
+    sensed: Added[tuple[str, ...]] = ()
 
     @property
     def terms(self) -> Terms:
@@ -219,7 +221,7 @@ class About:
             drivers={name: node.driver for name, node in self.nodes.items() if node.driver is not None},
             couplings=self._couplings,
             units={name: self.units_at(name) for name in self.nodes} if self.turning else {},
-            hands=self.hands,
+            turned=tuple(hand for hand in self.hands if hand not in self.sensed),
         )
 
     def units_at(self, node: str) -> Units:
@@ -259,7 +261,9 @@ class About:
         links = links_at(node, known.role, {name: one.ports for name, one in self.nodes.items()}, self.linked)
         certified = self.certificate is not None
         hands = hands_at(node, known.role, self.hands)
-        topics = topics_of(known.role, masses, known.wall, bool(links), known.torques, certified, self.oriented, hands)
+        topics = topics_of(
+            known.role, masses, known.wall, bool(links), known.torques, certified, self.oriented, hands, self.sensed
+        )
         return {topic: topic.columns_of(known.ports, masses, links, self.oriented, hands) for topic in topics}
 
     def as_plain(self) -> dict[str, Any]:

@@ -226,7 +226,7 @@ class ChannelAbout:
 _KEYS: Final[Mapping[str, str]] = {"version": "manyhands", "linked": "wave_links"}
 """The keys of a recording's metadata that are not named as the fields of :class:`Recorded`."""
 
-_MAY_BE_EMPTY: Final = ("periods", "linked", "scene", "turning", "oriented", "drawing", "hands")
+_MAY_BE_EMPTY: Final = ("periods", "linked", "scene", "turning", "oriented", "drawing", "hands", "sensed")
 """The fields of which metadata have nothing where they are empty."""
 
 
@@ -250,6 +250,7 @@ class Recorded:
         oriented: the bodies whose orientations the environment reports.
         drawing: what the world of an engine looks like; None for other worlds, and where no engine says it.
         hands: the devices whose orientation is a port, in the session's order.
+        sensed: those of them that only sense it, and feel no torque.
     """
 
     session: str
@@ -267,6 +268,7 @@ class Recorded:
     oriented: Added[tuple[str, ...]] = ()
     drawing: Added[WorldDrawing | None] = None
     hands: Added[tuple[str, ...]] = ()
+    sensed: Added[tuple[str, ...]] = ()
 
     @property
     def devices(self) -> dict[str, tuple[str, ...]]:
@@ -280,7 +282,8 @@ class Recorded:
         if role is None:
             return ()
         links, hands = bool(self.links_of(node)), hands_at(node, role, self.hands)
-        return topics_of(role, self.masses, wall, links, wall, oriented=self.oriented, hands=hands)
+        own = self.masses, wall, links, wall
+        return topics_of(role, *own, oriented=self.oriented, hands=hands, sensed=self.sensed)
 
     def columns(self, node: str, topic: Topic) -> tuple[str, ...]:
         """Names of the columns of a node's topic."""
@@ -376,6 +379,7 @@ class Recorded:
             *out.turning,
             *out.oriented,
             *out.hands,
+            *out.sensed,
             *own,
         ):
             if not _NAME.fullmatch(name):
@@ -409,4 +413,5 @@ def recorded_of(about: About) -> Recorded:
         oriented=about.oriented,
         drawing=about.drawing,
         hands=about.hands,
+        sensed=about.sensed,
     )

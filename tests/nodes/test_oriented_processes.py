@@ -10,7 +10,8 @@ import pytest
 
 from manyhands.launch.audit.simulation import simulate
 from manyhands.launch.plan.prepare import prepare
-from tests.support.slot import DEVICE, WORLD, session, slot_by, values
+from manyhands.launch.session import Session
+from tests.support.slot import DEVICE, WORLD, sensed, session, slot_by, values
 
 from ..support.threaded_session import ThreadedSession
 
@@ -37,6 +38,17 @@ def test_processes_have_the_numbers_of_the_simulation(
             np.testing.assert_array_equal(stage.lines[node].trace(trace), values(run, node, trace), trace)
     assert reports["pen"].figures["orientation_margin"] >= -1e-15
     assert reports["pen"].figures["orientation_late"] == 0.0
+
+
+def test_a_hand_that_feels_nothing_has_the_numbers_of_the_simulation(new_life: Callable[[], Any]) -> None:
+    prepared = prepare(Session.from_dict(sensed()), None)
+    alone = simulate(prepared, TICKS)
+    with ThreadedSession(prepared, new_life, ticks=TICKS) as stage:
+        reports = stage.reports()
+    for node, traces in (("pen", ("x", "f_v", "R")), ("environment", WORLD)):
+        for trace in traces:
+            np.testing.assert_array_equal(stage.lines[node].trace(trace), values(alone, node, trace), trace)
+    assert not any(figure.startswith("orientation") for figure in reports["pen"].figures)
 
 
 def test_a_device_that_comes_back_has_an_account_of_its_own(new_life: Callable[[], Any]) -> None:

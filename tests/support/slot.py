@@ -36,6 +36,15 @@ ORIENTATION: dict[str, Any] = {
     "torque": ["0.004*sin(2*pi*t)", 0, "0.03*sin(2*pi*2*t)"],
 }
 
+SENSED: dict[str, Any] = {
+    "sensed": True,
+    "stiffness": 0.3,
+    "inertia": 2e-5,
+    "damping": 0.001,
+    "torque": ORIENTATION["torque"],
+}
+"""The orientation of a grip without motors."""
+
 
 def slot(orientation: dict[str, Any] | None = None, **changes: Any) -> dict[str, Any]:
     """The session as plain data, with these keys of its device's orientation, and others of its own."""
@@ -66,6 +75,13 @@ def slot(orientation: dict[str, Any] | None = None, **changes: Any) -> dict[str,
         "design": {"coupling": "spring-damper"},
         **changes,
     }
+
+
+def sensed(**changes: Any) -> dict[str, Any]:
+    """The same with a stick that is held by a grip without motors, and that the slot cannot hold."""
+    data = slot(**changes)
+    data["devices"]["pen"]["orientation"] = {**SENSED}
+    return data
 
 
 def session(**changes: Any) -> Session:

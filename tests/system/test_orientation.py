@@ -17,8 +17,9 @@ from manyhands.launch.plan.reach import reach
 from manyhands.launch.recordings.run import RecordedRun, read_run, rows_of
 from manyhands.launch.run.recorder import RecorderProcess
 from manyhands.launch.run.supervisor import Supervisor
+from manyhands.launch.session import Session
 from manyhands.protocol.channels import ACCOUNT, ORIENTATION, PROXY, TORQUE
-from tests.support.slot import slot_by
+from tests.support.slot import sensed, slot_by
 
 pytest.importorskip("mujoco")
 ABOUT = {(NAME, "pen"), (BOUND, "pen"), (BOUND, "environment")}
@@ -48,6 +49,18 @@ def test_processes_simulation_replay_and_audit_agree_to_the_last_bit(
     assert done.holds
     assert {(check.name, check.party) for check in done.checks if check.verdict is CheckVerdict.HOLDS} >= ABOUT
     assert {row.promise: row.state for row in done.promises}["orientation account"] == "kept"
+
+
+def test_a_hand_that_feels_nothing_makes_no_promise_and_its_run_is_computed_again(tmp_path: Path) -> None:
+    path, prepared = tmp_path / "run.mcap", prepare(Session.from_dict(sensed()))
+    run = recorded(prepared, "simulated", 230, path)
+    again = replay(prepared, run)
+    assert (again.identical, again.ticks, again.missing, again.deviations) == (True, 230, {}, ())
+    done = audit(path, run, lambda text: None, lambda tick: None)
+    assert done.holds
+    about = {(check.name, check.party) for check in done.checks if check.verdict is CheckVerdict.HOLDS}
+    assert about >= {(NAME, "pen"), ("agreement", "pen")}
+    assert "orientation account" not in {row.promise for row in done.promises}
 
 
 @pytest.mark.alone

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from manyhands.launch.audit.events import Course, Happening
 from manyhands.launch.audit.findings import CheckVerdict
 from manyhands.launch.audit.orientation import BOUND, NAME, device_checks, world_checks
-from manyhands.launch.audit.simulation import Silence, simulate
+from manyhands.launch.audit.simulation import Silence, Simulation, simulate
+from manyhands.launch.look.plots import NotDrawable, picture_of_run
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.recordings.run import RecordedRun
+from manyhands.launch.session import Session
 from manyhands.nodes.kernel.bundle import DeviceBundle, EnvironmentBundle
-from tests.support.slot import session, slot_by, values
+from manyhands.nodes.kernel.timeouts import RAMP
+from manyhands.nodes.recorder.format import Recorded
+from tests.support.slot import sensed, session, slot, slot_by, values
 
 pytest.importorskip("mujoco")
 TICKS = 450
@@ -110,6 +116,56 @@ def test_what_comes_over_a_wave_link_was_told_in_some_tick(
     assert checks(prepared, run)[NAME, "pen"] is (CheckVerdict.BROKEN if node == "pen" and by else CheckVerdict.HOLDS)
 
 
+SOFTENED = 150
+"""The tick in which the device is told of another rung."""
+
+
+@pytest.fixture(scope="module")
+def on_the_ladder() -> Prepared:
+    own = {"osp": 0.0005, "damping": 0.001}
+    return prepare(Session.from_dict(slot(own, design={"coupling": "spring-damper", "tau": 0.0, "ladder": [0.001]})))
+
+
+def softened(prepared: Prepared, monkeypatch: pytest.MonkeyPatch) -> RecordedRun:
+    """A run in which the device alone changes to the next rung; nothing here asks its coupling or the world."""
+    tick = Simulation._tick
+
+    def changing(self: Simulation, k: int, *rest: Any) -> Any:
+        if k == SOFTENED:
+            self.devices["pen"].change(1)
+        return tick(self, k, *rest)
+
+    monkeypatch.setattr(Simulation, "_tick", changing)
+    return simulate(prepared, TICKS)
+
+
+def test_a_softer_rung_has_a_softer_spring(on_the_ladder: Prepared) -> None:
+    assert on_the_ladder.ladder is not None
+    levels = [rung.loop.devices[0].orientation for rung in on_the_ladder.ladder.rungs]
+    assert [level.stiffness for level in levels if level is not None] == [0.3, pytest.approx(0.99 * 0.25, rel=1e-12)]
+    pen = cut(on_the_ladder, RunPlan("simulated", None, ""))["pen"]
+    assert isinstance(pen, DeviceBundle)
+    assert [rung.turning for rung in pen.rungs] == [level.stiffness for level in levels if level is not None]
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_the_stiffness_of_each_tick_is_known(
+    told: bool, on_the_ladder: Prepared, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = softened(on_the_ladder, monkeypatch)
+    torque = values(run, "pen", "t_v")
+    (rests,) = np.nonzero(~torque[SOFTENED:].any(axis=1))
+    assert rests.tolist() == [RAMP - 1, RAMP]  # for two ticks, at the end of a ramp
+    assert np.abs(torque[SOFTENED + RAMP + 1 :]).max() > 1e-3
+    bundle = cut(on_the_ladder, RunPlan("simulated", None, ""))["pen"]
+    assert isinstance(bundle, DeviceBundle)
+    course = Course({0: Happening(began=True)}, {SOFTENED: 1} if told else {}, run.ticks)
+    follows, _ = device_checks(run, "pen", bundle, course)
+    assert follows.verdict is (CheckVerdict.HOLDS if told else CheckVerdict.BROKEN)
+    if follows.first is not None:
+        assert follows.first.tick > SOFTENED + RAMP
+
+
 def test_a_hand_whose_coupling_is_silent_is_free_meanwhile(prepared: Prepared) -> None:
     run = simulate(prepared, TICKS, [Silence("c", 100, 300)])
     proposed, heard = values(run, "pen", "proposed"), values(run, "environment", "heard")
@@ -120,6 +176,50 @@ def test_a_hand_whose_coupling_is_silent_is_free_meanwhile(prepared: Prepared) -
     account = values(run, "pen", "account")
     assert (account[:, 0] >= account[:, 1] - account[:, 2] - 1e-15).all()
     assert Q.shape == (TICKS, 4)
+
+
+@pytest.fixture(scope="module")
+def with_a_grip() -> Prepared:
+    return prepare(Session.from_dict(sensed()), None)
+
+
+def test_of_a_hand_that_feels_nothing_there_is_its_orientation_alone(with_a_grip: Prepared) -> None:
+    run = simulate(with_a_grip, 200)
+    assert (run.recorded.hands, run.recorded.sensed) == (("pen",), ("pen",))
+    assert [topic.trace for topic in run.recorded.topics("pen") if topic.hands] == ["R"]
+    assert {topic.trace for topic in run.recorded.topics("environment") if topic.hands} == {"heard", "told"}
+    found = checks(with_a_grip, run)
+    assert found == {(NAME, "pen"): CheckVerdict.HOLDS, ("agreement", "pen"): CheckVerdict.HOLDS}
+    assert Recorded.from_metadata(run.recorded.as_metadata()) == run.recorded
+    assert picture_of_run(run, ["orientation"]).panels
+    with pytest.raises(NotDrawable):
+        picture_of_run(run, ["angle"])
+
+
+def test_torques_of_joints_and_a_ladder_change_nothing_of_it(with_a_grip: Prepared) -> None:
+    data = sensed(design={"coupling": "spring-damper", "tau": 1e-4, "ladder": [2e-4]})
+    data["devices"]["pen"] |= {"held": "torque", "linkage": {"kappa": 0.01}}
+    run = simulate(prepare(Session.from_dict(data), None), 100)
+    assert (values(run, "pen", "R") == values(simulate(with_a_grip, 100), "pen", "R")).all()
+
+
+@pytest.mark.parametrize(
+    ("node", "trace", "column", "by", "broken"),
+    [
+        ("pen", "R", 0, 1e-6, (NAME, "pen")),
+        ("environment", "heard", 4, 1e-9, ("agreement", "pen")),
+        ("environment", "told", 4, 1e-9, ("agreement", "pen")),
+    ],
+)
+def test_a_hand_that_feels_nothing_and_has_an_account_is_found(
+    with_a_grip: Prepared, node: str, trace: str, column: int, by: float, broken: tuple[str, str]
+) -> None:
+    run = simulate(with_a_grip, 50)
+    for (of, _), one in run.traces.items():
+        if of == node and one.topic.trace == trace:
+            one.values[20, column] += by
+    found = checks(with_a_grip, run)
+    assert {about for about, verdict in found.items() if verdict is CheckVerdict.BROKEN} == {broken}
 
 
 def test_a_recording_says_whose_orientation_is_a_port(run: RecordedRun) -> None:
