@@ -74,7 +74,8 @@ class OrientationSpecification:
         torque: the greatest torque about any axis, N*m, which the hardware can hold; None where no motor turns it, and
             its orientation is sensed alone.
         holds: in whose axes its motors hold the torque between two calls, one of :data:`HOLDS`. A session can use a
-            torque that is held in the world's axes alone, for nothing is proved of the others.
+            torque that is held in the world's axes alone, for nothing is proved of the others. So a driver of such
+            motors may state no torque, and exert none.
 
     Raises:
         ValueError: a number is not finite and positive, or ``holds`` is none of them.
@@ -109,15 +110,16 @@ class OrientationSpecification:
         """
         if torque is None or speed is None:
             return
-        if self.torque is None:
-            yield "orientation: found a torque; expected sensed: true, for no motor turns its device"
-            return
         if self.holds != WORLD:
             held = "in the tool's axes" if self.holds == "tool" else "as torques of joints"
             yield (
                 f"orientation: found a torque; expected sensed: true, for its motors hold it {held}, of which nothing "
                 "is proved"
             )
+        if self.torque is None:
+            if self.holds == WORLD:
+                yield "orientation: found a torque; expected sensed: true, for no motor turns its device"
+            return
         for what, found, most, unit in (("torque", torque, self.torque, "N·m"), ("speed", speed, self.speed, "rad/s")):
             if found > most * (1.0 + ROUNDING):
                 yield f"orientation.limits.{what}: found {found:g} {unit}; expected at most {most:g} {unit}"
