@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +20,7 @@ from manyhands.launch.run.recorder import RecorderProcess
 from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import Session
 from manyhands.protocol.channels import ACCOUNT, ORIENTATION, PROXY, TORQUE
-from tests.support.slot import sensed, session, told
+from tests.support.slot import sensed, session, slot, told
 
 pytest.importorskip("mujoco")
 ABOUT = {(NAME, "pen"), (BOUND, "pen"), (BOUND, "environment")}
@@ -78,9 +80,13 @@ def test_one_that_a_driver_of_another_package_tells_is_replayed_and_audited_with
 
 
 @pytest.mark.alone
-def test_in_real_time_its_account_is_kept_however_late_it_is(tmp_path: Path) -> None:
+@pytest.mark.parametrize("of", [slot, told])
+def test_in_real_time_its_account_is_kept_however_late_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, of: Callable[[], dict[str, Any]]
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))  # where the driver is found
     path = tmp_path / "run.mcap"
-    prepared = prepare(session(design={"coupling": "spring-damper", "tau": 0.001}))
+    prepared = prepare(Session.from_dict({**of(), "design": {"coupling": "spring-damper", "tau": 0.001}}))
     run = recorded(prepared, "realtime", 2000, path)
     done = audit(path, run, lambda text: None, lambda tick: None)
     assert done.verdict is not AuditVerdict.BROKEN
