@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from manyhands.launch.audit.events import Course, Happening
 from manyhands.launch.audit.findings import Check, compare, gaps_of, within
@@ -24,14 +25,22 @@ from manyhands.launch.audit.recompute import Array
 from manyhands.launch.recordings.run import RecordedRun, rows_of, there
 from manyhands.nodes.device.orientation import NO_TORQUE, follow
 from manyhands.nodes.environment.oriented_tools import bank_of
-from manyhands.nodes.kernel.bundle import DeviceBundle, DeviceRung, EnvironmentBundle, OrientationPart, SensedPart
-from manyhands.nodes.kernel.orientation import UPRIGHT, OrientationSpring, Quaternion
+from manyhands.nodes.kernel.bundle import (
+    WALL,
+    DeviceBundle,
+    DeviceRung,
+    EnvironmentBundle,
+    OrientationPart,
+    SensedPart,
+)
+from manyhands.nodes.kernel.orientation import OrientationSpring, Quaternion
 from manyhands.nodes.rows import figures as names
 from manyhands.protocol.channels import (
     ACCOUNT,
     AXIS_NAMES,
     HEARD,
     HEARD_NAMES,
+    INSTANTS,
     PROPOSED,
     PROPOSED_NAMES,
     PROXY,
@@ -39,6 +48,7 @@ from manyhands.protocol.channels import (
     TOLD,
     TORQUE,
 )
+from manyhands.protocol.clock import from_seconds
 
 NAME: Final = "orientation"
 BOUND: Final = "turned"
@@ -63,12 +73,13 @@ def device_checks(run: RecordedRun, name: str, bundle: DeviceBundle, course: Cou
     again = np.full((len(R), len(AXIS_NAMES) + len(QUATERNION_NAMES) + len(_FOLLOWS)), np.nan)
     recorded = np.hstack([u, Q, account[:, : len(_FOLLOWS)]])
     known: Array | None = None
+    ended = _ended(run, name, bundle)
     skipped = np.zeros(len(R), dtype=np.bool_)
     spring = _Stiffness(bundle.orientation, bundle.rungs)
     for k in np.flatnonzero(there(R) & there(account)).tolist():
         happened = course.before.get(k, _NOTHING)
         if happened.began:
-            known = np.array([*UPRIGHT, 0.0, 0.0, 0.0, 0.0, 0.0])
+            known = np.array([*R[k], 0.0, 0.0, 0.0, 0.0, 0.0])  # its proxy begins where it is
             spring.begin()
         if happened.rung is not None:
             spring.change(happened.rung)
@@ -78,7 +89,8 @@ def device_checks(run: RecordedRun, name: str, bundle: DeviceBundle, course: Cou
             skipped[k] = True
             spring.doubt()
         else:
-            tried = [_followed(one, known, R[k], came[k], account[k], recorded[k]) for one in spring.possible]
+            lost = bool(account[k, 4] > known[8] or ended[k])
+            tried = [_followed(one, known, R[k], came[k], account[k], recorded[k], lost) for one in spring.possible]
             again[k] = next((one for one in tried if tuple(one) == tuple(recorded[k].tolist())), tried[0])
             spring.rest(account[k, 5] == 0.0, not u[k].any())
         known = np.array([*Q[k], *account[k, :5]])
@@ -141,12 +153,23 @@ def _rotations(run: RecordedRun, name: str) -> Check:
     return within(NAME, name, what, ("|R|²",), square, one, wrong, tolerance=ROUNDING, source=_UNIT)
 
 
-def _followed(k: float, before: Array, R: Array, came: Array, account: Array, recorded: Array) -> Sequence[float]:
+def _ended(run: RecordedRun, name: str, bundle: DeviceBundle) -> NDArray[np.bool_]:
+    """In which ticks the torque before may have ended by itself before the tick's sample."""
+    if bundle.time != WALL:
+        return np.zeros(run.ticks, dtype=np.bool_)
+    timing, instants = bundle.timing, rows_of(run, name, INSTANTS)
+    at_most = from_seconds(timing.latency) - from_seconds(timing.actuation_delay) - from_seconds(timing.jitter)
+    found: NDArray[np.bool_] = instants[:, 2] + at_most < instants[:, 0]
+    return found
+
+
+def _followed(
+    k: float, before: Array, R: Array, came: Array, account: Array, recorded: Array, may_be_lost: bool
+) -> Sequence[float]:
     """Torque, proxy and account of a tick: by the law, or as the device lets go."""
-    late = bool(account[4] > before[8])
     tried: list[Sequence[float]] = []
-    # motors that had let go by themselves in a late tick leave nothing stored
-    for lost in (False, True) if late else (False,):
+    # motors that had let go by themselves leave nothing stored
+    for lost in (False, True) if may_be_lost else (False,):
         for lets_go in (False, True):
             spring = OrientationSpring(k, at=Quaternion(*(R if lost else before[:4]).tolist()))
             spring.account, spring.deposited, spring.granted = before[4:7].tolist()

@@ -110,7 +110,7 @@ from manyhands.launch.session.rate import rate_motion
 from manyhands.nodes.device.motion_sources import MOTION_SOURCES
 from manyhands.nodes.kernel.bundle import WALL, RateMotion
 from manyhands.nodes.kernel.buttons import Script
-from manyhands.nodes.kernel.driver_statement import DeviceTiming, DriverWord
+from manyhands.nodes.kernel.driver_statement import FELT, SENSED, DeviceTiming, DriverWord
 from manyhands.nodes.kernel.factory import DRIVERS
 from manyhands.nodes.kernel.inertia import Inertia
 from manyhands.nodes.kernel.words import counted
@@ -611,7 +611,9 @@ class Device(SessionModel):
         description="names of its buttons; {NAME: [[from, until]]}, in s, presses those of a simulated one",
     )
     orientation: Orientation | None = Field(
-        default=None, description="with driver: simulated and three axes that translate, its orientation as a port"
+        default=None,
+        description="with driver: simulated or one of another package, and three axes that translate, its orientation "
+        "as a port",
     )
     hand: Hand | None = defaulted(None, "the simulated hand that holds it")
 
@@ -689,7 +691,7 @@ class Device(SessionModel):
         timing, least = self.timing, None if self.friction is None else self.friction.least
         return DriverWord(
             self.factory, timing.sample_age, timing.actuation_delay, self.step, least, self.holds_torques,
-            self.by_itself or (),
+            self.by_itself or (), "" if self.orientation is None else SENSED if self.orientation.sensed else FELT,
         )  # fmt: skip
 
     @property
@@ -828,8 +830,12 @@ class Device(SessionModel):
         if self.orientation is None:
             return
         at = ("orientation",)
-        if self.driver != _SIMULATED:
-            yield Problem(at, f"an orientation {here}", "driver: simulated: no other driver turns in space yet")
+        if self.driver != _SIMULATED and self.factory is None:
+            expected = "driver: simulated, or a driver of another package: nothing else turns in space"
+            yield Problem(at, f"an orientation {here}", expected)
+        else:
+            for problem in self.orientation.problems_with(self.driver == _SIMULATED, here):
+                yield problem._replace(at=(*at, *problem.at))
         if self.dof != ORIENTED_DOF or self.turning("d"):
             found = f"an orientation beside {counted(self.dof, 'axis', 'axes')}" + (
                 " that turn" * bool(self.turning("d"))

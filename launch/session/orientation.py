@@ -22,7 +22,6 @@ from manyhands.launch.session.fields import (
     Problem,
     Quantity,
     SessionModel,
-    defaulted,
     refusal,
     refuse,
 )
@@ -56,17 +55,19 @@ def _torque(value: object) -> float | str:
     return value
 
 
+def _plain(torque: tuple[float | str, ...] | None) -> list[float | str] | None:
+    return None if torque is None else list(torque)
+
+
 _TORQUES_FORM: Final = list_of(either(_NUMBER.json_schema, {"type": "string"}), 3, 3)
 
 
 _OF_A_TORQUE: Final = ("osp", "limits")
 """The keys that only an orientation with a torque has, and needs."""
 
-_OF_A_SENSED: Final = {
-    "stiffness": "k in N·m/rad of the spring by which the tool's avatar follows the hand",
-    "damping": "that of the simulated device in N·m·s/rad",
-}
-"""The keys that a sensed orientation has to state, with what they are."""
+_STIFFNESS: Final = "stiffness, k in N·m/rad of the spring by which the tool's avatar follows the hand"
+_OF_A_SIMULATION: Final = ("inertia", "damping", "torque")
+"""The keys that only the orientation of a simulated device has."""
 
 
 class OrientationLimits(SessionModel):
@@ -99,15 +100,18 @@ class Orientation(SessionModel):
     limits: OrientationLimits | None = Field(
         default=None, description="the torque and the speed that it never goes beyond"
     )
-    inertia: Annotated[float, _positive("an inertia", "kg·m²")] = Field(
-        description="of the simulated device and its hand, the same about every axis, in kg·m²"
+    inertia: Annotated[float | None, _positive("an inertia", "kg·m²")] = Field(
+        default=None, description="of the simulated device and its hand, the same about every axis, in kg·m²"
     )
     damping: Annotated[float | None, _positive("a damping", "N·m·s/rad")] = Field(
         default=None, description="of the simulated device, in N·m·s/rad; osp unless given"
     )
-    torque: Annotated[tuple[float | str, ...], Described(_torques, _TORQUES_FORM), PlainSerializer(list)] = defaulted(
-        (0.0, 0.0, 0.0),
-        "what its simulated hand intends about the world's x, y and z, in N·m: numbers or formulas",
+    torque: Annotated[tuple[float | str, ...] | None, Described(_torques, _TORQUES_FORM), PlainSerializer(_plain)] = (
+        Field(
+            default=None,
+            description="what its simulated hand intends about the world's x, y and z, in N·m: numbers or formulas; "
+            "0 unless given",
+        )
     )
 
     @model_validator(mode="after")
@@ -124,19 +128,27 @@ class Orientation(SessionModel):
                 yield Problem((key,), f"{key} with sensed: true", f"no {key}: no motor turns a sensed device")
             if not self.sensed and getattr(self, key) is None:
                 yield Problem((), f"no key '{key}'", f"{key}, {fields[key].description}; or sensed: true")
-        for key in _OF_A_SENSED:
-            if self.sensed and getattr(self, key) is None:
-                yield Problem((), f"no key '{key}' with sensed: true", f"{key}, {_OF_A_SENSED[key]}")
+        if self.sensed and self.stiffness is None:
+            yield Problem((), "no key 'stiffness' with sensed: true", _STIFFNESS)
         if self.damping is not None and self.osp is not None and self.damping < self.osp:
             expected = f"at least the osp, {self.osp:g} N·m·s/rad, which it is said to burn"
             yield Problem(("damping",), f"{self.damping:g} N·m·s/rad", expected)
 
+    def problems_with(self, simulated: bool, here: str) -> Iterator[Problem]:
+        """A problem for each key that the device's driver needs and lacks, or does not use; ``here`` names it."""
+        needed = ("inertia", "damping") if self.sensed else ("inertia",)
+        for key in needed if simulated else ():
+            if getattr(self, key) is None:
+                yield Problem((), f"no key '{key}' {here}", f"{key}, {type(self).model_fields[key].description}")
+        for key in () if simulated else _OF_A_SIMULATION:
+            if getattr(self, key) is not None:
+                yield Problem((key,), f"{key} {here}", f"no {key}: the driver's device and its user have their own")
+
     def part(self, stiffness: float) -> OrientationPart | SensedPart:
         """What the device's process is given, with the spring's k, N*m/rad."""
-        damping = self.damping or self.osp
-        if damping is None:
-            raise AssertionError("a sensed orientation states its damping")
-        hand = TurnedHand(self.inertia, damping, self.torque)
+        damping, hand = self.damping or self.osp, None
+        if self.inertia is not None and damping is not None:  # of a simulated device
+            hand = TurnedHand(self.inertia, damping, self.torque or (0.0, 0.0, 0.0))
         if self.osp is None or self.limits is None:
             return SensedPart(stiffness, hand)
         return OrientationPart(self.osp, stiffness, self.limits.torque, self.limits.speed, hand)

@@ -13,6 +13,11 @@ The device *lets go*, by a proxy that follows it without a torque,
   rises by one after;
 - while late ticks may have given out more than the session allows to lateness.
 
+**A driver of another package** tells the orientation (:class:`DriverBody`), and is given the torque with the force, by
+the device's tick. Its samples are old and its torques act late by what the session states of it. So that much is added
+to each delay, and the jitter of its samples to each period. A torque ends with its force. Where it has ended before the
+next sample the spring begins anew there: what it had stored is lost.
+
 A device that only senses its orientation (:class:`SensedOrientation`) says it in the same way. It takes in nothing, for
 it has no torque and no account.
 
@@ -28,7 +33,8 @@ from typing import Final, Protocol
 
 from manyhands.nodes.kernel.allowance import LatenessAllowance
 from manyhands.nodes.kernel.arithmetic import Floats
-from manyhands.nodes.kernel.bundle import DeviceRung, OrientationPart, SensedPart, TurnedHand
+from manyhands.nodes.kernel.bundle import DeviceRung, OrientationPart, TurnedHand
+from manyhands.nodes.kernel.driver_statement import NO_DELAY, DeviceTiming
 from manyhands.nodes.kernel.intent import intent_from
 from manyhands.nodes.kernel.orientation import (
     FIRST_LIFE,
@@ -53,6 +59,41 @@ LONGEST_GAP: Final = from_seconds(10.0)
 """The longest time between two calls in which a simulated body moves, ns; then it stands still."""
 
 _HAIR: Final = 1.0 + 1e-9  # of a speed, which is a quotient of rounded numbers
+
+
+class Body(Protocol):
+    """What a hand turns."""
+
+    def to(self, at: Instant) -> Quaternion:
+        """Move on to the instant ``at``, and return the orientation then; an earlier one is the present."""
+        ...
+
+    def apply(self, u: Vector3, at: Instant) -> None:
+        """Hold the torque u, N*m, from the instant ``at`` on."""
+        ...
+
+
+class Telling(Protocol):
+    """A driver that tells how its device is turned."""
+
+    def orientation(self) -> Quaternion:
+        """How the device was turned at its last sample, in the session's axes."""
+        ...
+
+
+class DriverBody:
+    """A :class:`Body` that a driver of another package moves; its tick hands it torques and forces together."""
+
+    def __init__(self, driver: Telling) -> None:
+        """Ask ``driver`` at each sample, after it has told the displacement."""
+        self._driver = driver
+
+    def to(self, at: Instant) -> Quaternion:
+        """The orientation of the driver's last sample."""
+        return self._driver.orientation()
+
+    def apply(self, u: Vector3, at: Instant) -> None:
+        """Nothing more is to be done."""
 
 
 class TurnedBody:
@@ -109,10 +150,12 @@ class Oriented(Protocol):
     Attributes:
         life: the number of this process, which is drawn where others may come before or after it.
         R: the orientation of the last sample.
+        torque: that of the last tick, N*m.
     """
 
     life: float
     R: Quaternion
+    torque: Vector3
 
     def sample(self, turn: int, at: Instant) -> None:
         """Take the orientation: in wall time that at ``at``, in its own time that after ``turn`` periods."""
@@ -123,7 +166,7 @@ class Oriented(Protocol):
         """What rides with the sample: the orientation, the deposits and the life."""
         ...
 
-    def exert(self, came: Sequence[float], at: Instant, ratio: float = 1.0) -> Vector3:
+    def exert(self, came: Sequence[float], at: Instant, ratio: float = 1.0, until: Instant | None = None) -> Vector3:
         """Take what came with the tick's answer, and exert the torque that follows from ``at`` on; returns it, N*m."""
         ...
 
@@ -133,6 +176,10 @@ class Oriented(Protocol):
 
     def change(self, rung: DeviceRung) -> None:
         """Change the rung, as soon as no torque acts."""
+        ...
+
+    def shorten(self, until: Instant) -> None:
+        """The motors let go of the torque by themselves at ``until`` already."""
         ...
 
     def row(self) -> tuple[Sequence[float], ...]:
@@ -146,19 +193,20 @@ class SensedOrientation:
     Attributes:
         life: the number of this process.
         R: the orientation of the last sample.
+        torque: none.
     """
 
-    def __init__(self, part: SensedPart, T: float, wall: bool = False) -> None:
-        """Begin upright, at rest.
+    def __init__(self, body: Body, T: float, wall: bool = False) -> None:
+        """Begin upright.
 
         Args:
-            part: what the device has of its orientation.
+            body: what its hand turns.
             T: period, s.
             wall: whether it turns in wall time.
         """
         self._period, self._wall = from_seconds(T), wall
-        self._body = TurnedBody(part.source, T)
-        self.life, self.R = FIRST_LIFE, UPRIGHT
+        self._body = body
+        self.life, self.R, self.torque = FIRST_LIFE, UPRIGHT, NO_TORQUE
 
     def sample(self, turn: int, at: Instant) -> None:
         """Take the orientation, as of :class:`Oriented`."""
@@ -169,7 +217,7 @@ class SensedOrientation:
         """What rides with the sample: the orientation, and the life. It has deposited nothing."""
         return [*self.R, 0.0, self.life]
 
-    def exert(self, came: Sequence[float], at: Instant, ratio: float = 1.0) -> Vector3:
+    def exert(self, came: Sequence[float], at: Instant, ratio: float = 1.0, until: Instant | None = None) -> Vector3:
         """Exert no torque."""
         return NO_TORQUE
 
@@ -178,6 +226,9 @@ class SensedOrientation:
 
     def change(self, rung: DeviceRung) -> None:
         """Do nothing: no torque acts at any rung."""
+
+    def shorten(self, until: Instant) -> None:
+        """Do nothing, likewise."""
 
     def row(self) -> tuple[Sequence[float], ...]:
         """R alone."""
@@ -206,8 +257,10 @@ class DeviceOrientation:
         rung: DeviceRung,
         allowance: LatenessAllowance | None = None,
         longest: Duration | None = None,
+        body: Body | None = None,
+        timing: DeviceTiming = NO_DELAY,
     ) -> None:
-        """Begin upright, at rest, with the proxy at the device.
+        """Begin at rest, with the proxy at the device.
 
         Args:
             part: what the device has of its orientation.
@@ -216,14 +269,27 @@ class DeviceOrientation:
             allowance: what lateness may put in; None for anything, which is counted alone.
             longest: of a device in wall time, how long its motors hold a torque, ns; None for one in its own time,
                 where nothing is late.
+            body: what its hand turns; the simulated one of its part unless given.
+            timing: how late the device measures and acts, beside the loop.
+
+        Raises:
+            ValueError: neither a body nor a simulated one is there.
         """
+        if body is None:
+            if part.source is None:
+                raise ValueError("found an orientation without a body; expected the driver's, or a simulated one")
+            body = TurnedBody(part.source, T)
+        self._body = body
         self._T, self._period, self._longest = T, from_seconds(T), longest
         self._b, self._limit, self._speed = part.osp, part.torque, part.speed
         self._fade = RAMP  # how many parts of the greatest torque it takes
         self._next: DeviceRung | None = None  # the rung that it changes to
         self._k = part.stiffness
         self._allowance = allowance
-        self._body = TurnedBody(part.source, T)
+        self._latency, self._jitter = from_seconds(timing.latency), from_seconds(timing.jitter)
+        self._slack = Duration(self._jitter + from_seconds(timing.actuation_delay))  # how well ends are known
+        self._until: Instant | None = None
+        self._ends = Instant(0)  # when the torque ends by itself
         self.spring = OrientationSpring(part.stiffness if rung.turning is None else rung.turning, part.torque)
         self.life = FIRST_LIFE
         self.R, self.most = UPRIGHT, part.torque
@@ -257,26 +323,33 @@ class DeviceOrientation:
         now = at if wall else Instant(turn * self._period)
         self.R, self._sampled = self._body.to(now), now
         self._fast, self._held = False, False
+        if since is None:
+            self.spring.proxy = self.R  # from rest, without a torque
         if since is None or now <= since:
             return
         far, h = angle(before, self.R), now - since
-        self._fast = far > self._speed * seconds(Duration(h)) * _HAIR
+        self._fast = far > self._speed * seconds(Duration(h + self._jitter)) * _HAIR
         if wall:
-            self._judge(far, Duration(h), Duration(max(0, self._acted - since)))
+            acted, ended = max(since, self._acted), max(since, self._ends)
+            self._judge(
+                far, Duration(h), Duration(acted - since + self._latency), Duration(ended - since + self._latency)
+            )
 
-    def _judge(self, far: float, h: Duration, d: Duration) -> None:
-        """Count the tick that has ended, of ``h`` ns, in which the torque changed after ``d`` ns, over a turn of
-        ``far`` rad.
+    def _judge(self, far: float, h: Duration, d: Duration, ended: Duration) -> None:
+        """Count the tick that has ended, of ``h`` ns, over a turn of ``far`` rad.
+
+        Its torque changed after ``d`` ns and ends by itself after ``ended`` ns, both in the device's own time.
         """
-        spring, acted = self.spring, any(self.torque) or any(self._before)
-        held = min(h, d + (self._longest or 0))
-        before, self._held_for = self._held_for, seconds(Duration(held))
-        if acted and (h > self._covered or d > self._tau):
+        spring, acted, longest = self.spring, any(self.torque) or any(self._before), h + self._jitter
+        before, self._held_for = self._held_for, seconds(Duration(min(longest, ended)))
+        if acted and (longest > self._covered or d > self._tau or d > h):
             spring.charge(self._most_of(before, self._held_for, seconds(d)))
-            if held < h:  # the motors have let go by themselves since
-                spring.lose(self.R)
         elif not acted and spring.owed:
-            spring.pay(self._b * far * far / seconds(h))
+            spring.pay(self._b * far * far / seconds(Duration(longest)))
+        if acted and ended < h + self._slack:  # the motors have let go by themselves since
+            if ended >= h:  # or do so just now
+                spring.charge(self._limit * self._speed * seconds(self._slack))
+            spring.lose(self.R)
         if spring.owed and self._allowance is not None:
             spring.pay(self._allowance.power * seconds(h))
 
@@ -292,14 +365,16 @@ class DeviceOrientation:
         """What rides with the sample: the orientation, the deposits and the life."""
         return [*self.R, self.spring.deposited, self.life]
 
-    def exert(self, came: Sequence[float], at: Instant, ratio: float = 1.0) -> Vector3:
+    def exert(self, came: Sequence[float], at: Instant, ratio: float = 1.0, until: Instant | None = None) -> Vector3:
         """Take what came with the tick's answer, and exert the torque that follows from ``at`` on; returns it, N*m.
 
         Args:
             came: :data:`manyhands.nodes.kernel.orientation.RIDER` numbers.
             at: the instant.
             ratio: of the guard, by which the device takes hold.
+            until: when the motors let go by themselves; None for the longest that they hold a torque.
         """
+        self._until = until
         self.came = tuple(came[:5]) if came[5] == self.life else NOTHING
         self._fade = max(0, self._fade - 1) if self._next is not None else min(RAMP, self._fade + 1)
         self.most = self._limit * ratio * (self._fade / RAMP)
@@ -318,7 +393,12 @@ class DeviceOrientation:
 
     def release(self, at: Instant) -> None:
         """Exert no torque from ``at`` on."""
+        self._until = None
         self._hold(self._released(), at)
+
+    def shorten(self, until: Instant) -> None:
+        """The motors let go of the torque by themselves at ``until`` already."""
+        self._ends = min(self._ends, until)
 
     def row(self) -> tuple[Sequence[float], ...]:
         """R, Q, the torque, what came, and the account with all that it is made of: a part for each topic."""
@@ -333,6 +413,7 @@ class DeviceOrientation:
     def _hold(self, u: Vector3, at: Instant) -> None:
         if not self._held:  # otherwise it has let go in this tick already
             self._held, self._before, self._acted = True, self.torque, at
+        self._ends = Instant(at + (self._longest or 0)) if self._until is None else self._until
         self.torque = u
         spring = self.spring
         self.least = min(self.least, spring.account)

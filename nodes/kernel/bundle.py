@@ -487,7 +487,7 @@ class OrientationPart:
         stiffness: k of the spring to its proxy, N*m/rad.
         torque: its greatest torque, N*m.
         speed: its greatest angular velocity, rad/s.
-        source: what turns it.
+        source: what turns it; None where the driver of another package tells the orientation.
 
     Raises:
         ValueError: a number is not finite and positive.
@@ -497,7 +497,7 @@ class OrientationPart:
     stiffness: float
     torque: float
     speed: float
-    source: TurnedHand
+    source: TurnedHand | None
 
     def __post_init__(self) -> None:
         for found in (self.osp, self.stiffness, self.torque, self.speed):
@@ -516,14 +516,14 @@ class SensedPart:
 
     Attributes:
         stiffness: k of the spring by which the tool's avatar follows it, N*m/rad.
-        source: what turns it.
+        source: what turns it; None where the driver of another package tells the orientation.
 
     Raises:
         ValueError: the stiffness is not finite and positive.
     """
 
     stiffness: float
-    source: TurnedHand
+    source: TurnedHand | None
 
     def __post_init__(self) -> None:
         if not 0.0 < self.stiffness < math.inf:
@@ -597,7 +597,8 @@ class DeviceBundle:
         ValueError: Delta_D is not symmetric positive definite with a row for each port, the axes of the source are not
             the ports, those of the friction neither, friction counts on displacements that are measured to no known
             step, the rungs' delays do not grow, the time is unknown, it is wall time under the simulated clock, the
-            held torques leave nothing of Delta_D at a rung, or it has an orientation and not three ports.
+            held torques leave nothing of Delta_D at a rung, or it has an orientation and not three ports, or one that
+            nothing turns.
     """
 
     common: Common
@@ -619,6 +620,10 @@ class DeviceBundle:
             raise ValueError(f"found {len(self.scripts)} scripts of {len(self.common.buttons)} buttons; expected each")
         if self.orientation is not None and m != 3:
             raise ValueError(f"found an orientation beside {m} ports; expected three, which translate")
+        if self.orientation is not None and (self.orientation.source is None) != isinstance(self.source, PluginDevice):
+            raise ValueError(
+                "found an orientation that nothing turns, or two; expected the driver's, or a simulated one"
+            )
         if self.time not in TIMES or (self.time == WALL and self.common.clock == SIMULATED):
             raise ValueError(
                 f"found a device in the time {self.time!r:.40} under the {self.common.clock} clock; expected {WALL} "

@@ -96,7 +96,7 @@ def unit(numbers: Sequence[float]) -> Quaternion | None:
     square = w * w + x * x + y * y + z * z
     if not abs(square - 1.0) <= _UNIT:  # so for NaN
         return None
-    return _normalised(numbers)
+    return normalised(numbers)
 
 
 def is_life(number: float) -> bool:
@@ -155,10 +155,11 @@ def turned_by(R: Quaternion, turn: Sequence[float]) -> Quaternion:
     x, y, z = turn
     far = math.sqrt(x * x + y * y + z * z)
     scale = 0.5 if far < 1e-8 else math.sin(0.5 * far) / far  # sin is its argument to the last digits
-    return _normalised(product(Quaternion(math.cos(0.5 * far), scale * x, scale * y, scale * z), R))
+    return normalised(product(Quaternion(math.cos(0.5 * far), scale * x, scale * y, scale * z), R))
 
 
-def _normalised(numbers: Sequence[float]) -> Quaternion:
+def normalised(numbers: Sequence[float]) -> Quaternion:
+    """The unit quaternion in the direction of four numbers that are not all 0."""
     norm = math.sqrt(math.fsum(number * number for number in numbers))
     return Quaternion(*(number / norm for number in numbers))
 
@@ -172,7 +173,7 @@ def between(old: Quaternion, new: Quaternion, part: float) -> Quaternion:
         a, b = 1.0 - part, part * sign
     else:
         a, b = math.sin((1.0 - part) * half) / math.sin(half), sign * math.sin(part * half) / math.sin(half)
-    return _normalised([a * p + b * q for p, q in zip(old, new, strict=True)])
+    return normalised([a * p + b * q for p, q in zip(old, new, strict=True)])
 
 
 class OrientationSpring:

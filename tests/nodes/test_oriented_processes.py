@@ -11,7 +11,9 @@ import pytest
 from manyhands.launch.audit.simulation import simulate
 from manyhands.launch.plan.prepare import prepare
 from manyhands.launch.session import Session
-from tests.support.slot import DEVICE, WORLD, sensed, session, slot_by, values
+from manyhands.nodes.device.plugin import DriverFailure
+from tests.support.slot import DEVICE, WORLD, sensed, session, slot_by, told, values
+from tests.support.turning_drivers import Pen
 
 from ..support.threaded_session import ThreadedSession
 
@@ -49,6 +51,32 @@ def test_a_hand_that_feels_nothing_has_the_numbers_of_the_simulation(new_life: C
         for trace in traces:
             np.testing.assert_array_equal(stage.lines[node].trace(trace), values(alone, node, trace), trace)
     assert not any(figure.startswith("orientation") for figure in reports["pen"].figures)
+
+
+@pytest.mark.parametrize("sense", [False, True])
+def test_a_driver_of_another_package_has_the_numbers_of_the_simulation(
+    new_life: Callable[[], Any], sense: bool
+) -> None:
+    prepared = prepare(Session.from_dict(told({"sensed": True, "stiffness": 0.3} if sense else None)), None)
+    alone = simulate(prepared, TICKS)
+    with ThreadedSession(prepared, new_life, ticks=TICKS) as stage:
+        stage.reports()
+    for node, traces in (("pen", ("x", "f_v", "R") if sense else DEVICE), ("environment", WORLD)):
+        for trace in traces:
+            np.testing.assert_array_equal(stage.lines[node].trace(trace), values(alone, node, trace), trace)
+
+
+@pytest.mark.parametrize("kind", ["NotANumber", "Torn", "WrenchTorn"])
+def test_a_driver_that_fails_ends_its_node_by_name_and_lets_go(new_life: Callable[[], Any], kind: str) -> None:
+    prepared = prepare(Session.from_dict(told(driver=f"tests.support.turning_drivers:{kind}")), None)
+    Pen.let_go.clear()
+    named = f"the driver tests.support.turning_drivers:{kind} failed in (orientation|apply_wrench)"
+    with (
+        pytest.raises(DriverFailure, match=named),
+        ThreadedSession(prepared, new_life, ticks=20) as stage,
+    ):
+        stage.reports()
+    assert Pen.let_go == [kind]
 
 
 def test_a_device_that_comes_back_has_an_account_of_its_own(new_life: Callable[[], Any]) -> None:

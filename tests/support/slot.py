@@ -84,6 +84,26 @@ def sensed(**changes: Any) -> dict[str, Any]:
     return data
 
 
+PEN = "tests.support.turning_drivers:Pen"
+"""A driver of another package, a counterpart that turns in space."""
+
+
+def told(orientation: dict[str, Any] | None = None, driver: str = PEN, **parameters: Any) -> dict[str, Any]:
+    """The same with a stick of which a driver tells the orientation, which feels a torque unless it is said to."""
+    data = slot()
+    felt = {"osp": 0.001, "stiffness": 0.3, "limits": {"torque": 0.2, "speed": 30}}
+    data["devices"]["pen"] = {
+        "dof": 3,
+        "osp": 1.37,
+        "driver": driver,
+        "parameters": {"push": 0.5, "wrist": 0.004, **parameters},
+        "limits": {"force": 8, "displacement": 0.2, "speed": 2},
+        "mass": 0.2,
+        "orientation": felt if orientation is None else orientation,
+    }
+    return data
+
+
 def session(**changes: Any) -> Session:
     """The session, with these keys of its own."""
     return Session.from_dict(slot(**changes))

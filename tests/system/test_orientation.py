@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from manyhands.launch.run.recorder import RecorderProcess
 from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import Session
 from manyhands.protocol.channels import ACCOUNT, ORIENTATION, PROXY, TORQUE
-from tests.support.slot import sensed, slot_by
+from tests.support.slot import sensed, slot, slot_by, told
 
 pytest.importorskip("mujoco")
 ABOUT = {(NAME, "pen"), (BOUND, "pen"), (BOUND, "environment")}
@@ -63,11 +64,41 @@ def test_a_hand_that_feels_nothing_makes_no_promise_and_its_run_is_computed_agai
     assert "orientation account" not in {row.promise for row in done.promises}
 
 
+@pytest.mark.parametrize("sense", [False, True])
+def test_one_that_a_driver_of_another_package_tells_is_replayed_and_audited_without_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sense: bool
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))  # where the driver is found
+    path, own = tmp_path / "run.mcap", {"sensed": True, "stiffness": 0.3} if sense else None
+    prepared = prepare(Session.from_dict(told(own)))
+    run = recorded(prepared, "simulated", 330, path)
+    assert np.ptp(rows_of(run, "pen", ORIENTATION), axis=0).max() > 0.01
+    again = replay(prepared, run)
+    assert (again.identical, again.ticks, again.missing, again.deviations) == (True, 330, {}, ())
+    assert again.given == ("pen",)
+    done = audit(path, run, lambda text: None, lambda tick: None)
+    assert done.holds
+    held = {(check.name, check.party) for check in done.checks if check.verdict is CheckVerdict.HOLDS}
+    assert held >= ({(NAME, "pen"), ("agreement", "pen")} if sense else ABOUT)
+    (word,) = (row for row in done.promises if row.promise == "driver's word")
+    assert "its orientation" in word.remark
+    assert ("its damping in turning" in word.remark) != sense
+    run.traces["pen", "orientation"].values[100, 1] += 1e-6
+    assert not audit(path, run, lambda text: None, lambda tick: None).holds
+
+
+LINKED = {"c": {"devices": ["pen"], "wave_link": {"b": 20}}}
+FELT: tuple[Callable[[], dict[str, Any]], ...] = (slot, told, lambda: slot(couplings=LINKED))
+
+
 @pytest.mark.alone
-@pytest.mark.parametrize("link", [None, {"b": 20}])
-def test_in_real_time_its_account_is_kept_however_late_it_is(link: dict[str, Any] | None, tmp_path: Path) -> None:
+@pytest.mark.parametrize("of", FELT)
+def test_in_real_time_its_account_is_kept_however_late_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, of: Callable[[], dict[str, Any]]
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))  # where the driver is found
     path = tmp_path / "run.mcap"
-    prepared = prepare(slot_by(link, design={"coupling": "spring-damper", "tau": 0.001}))
+    prepared = prepare(Session.from_dict({**of(), "design": {"coupling": "spring-damper", "tau": 0.001}}))
     run = recorded(prepared, "realtime", 2000, path)
     done = audit(path, run, lambda text: None, lambda tick: None)
     assert done.verdict is not AuditVerdict.BROKEN

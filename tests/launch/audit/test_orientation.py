@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -14,12 +15,19 @@ from manyhands.launch.audit.simulation import Silence, Simulation, simulate
 from manyhands.launch.look.plots import NotDrawable, picture_of_run
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared, prepare
-from manyhands.launch.recordings.run import RecordedRun
+from manyhands.launch.recordings.run import RecordedRun, RecordedTrace
 from manyhands.launch.session import Session
-from manyhands.nodes.kernel.bundle import DeviceBundle, EnvironmentBundle
+from manyhands.nodes.device.drivers import driver_of
+from manyhands.nodes.device.orientation import DeviceOrientation
+from manyhands.nodes.device.tick import tick_of
+from manyhands.nodes.kernel.bundle import REALTIME, DeviceBundle, EnvironmentBundle
+from manyhands.nodes.kernel.orientation import turned_by
 from manyhands.nodes.kernel.timeouts import RAMP
 from manyhands.nodes.recorder.format import Recorded
-from tests.support.slot import sensed, session, slot, slot_by, values
+from manyhands.protocol.channels import ACCOUNT, INSTANTS, ORIENTATION, PROPOSED, PROXY, TOPICS, TORQUE
+from manyhands.protocol.clock import Instant
+from manyhands.protocol.messages import Role
+from tests.support.slot import sensed, session, slot, slot_by, told, values
 
 pytest.importorskip("mujoco")
 TICKS = 450
@@ -229,3 +237,48 @@ def test_a_recording_says_whose_orientation_is_a_port(run: RecordedRun) -> None:
     }  # fmt: skip
     assert {topic.trace for topic in run.recorded.topics("environment") if topic.hands} == {"heard", "told"}
     assert not any(topic.hands for topic in run.recorded.topics("c"))
+
+
+@pytest.mark.parametrize("cut_short", [False, True])
+def test_a_torque_that_ended_before_the_next_sample_leaves_nothing_stored_there_either(
+    cut_short: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In wall time, in ticks that are not late: their account has ended the force, and the instants tell when."""
+    prepared = prepare(Session.from_dict(told()), None)
+    bundle = cut(prepared, RunPlan(REALTIME, None, ""))["pen"]
+    assert isinstance(bundle, DeviceBundle)
+    tick, period, ticks = tick_of(bundle, driver_of(bundle)), 1_000_000, 60
+    own, interface = tick.orientation, tick.interface
+    assert isinstance(own, DeviceOrientation)
+    assert interface is not None
+    before, rows, lost = interface.force, list[list[list[float]]](), 0
+
+    def force(f: list[float], held: list[float], at: Instant) -> tuple[list[float], Instant | None]:
+        held, until = before(f, held, at)
+        return held, Instant(at + period // 2) if cut_short and at // period % 3 == 0 else until
+
+    monkeypatch.setattr(interface, "force", force)
+    for k in range(ticks):
+        at = Instant(k * period)
+        turned = any(own.torque)
+        tick.sample(k, at)
+        lost += turned and own.spring.proxy == own.R
+        proxy = turned_by(own.R, (0.02 * math.sin(0.3 * k), 0.01, 0.0))
+        tick.exert([0.0] * 3, at, came=[*proxy, own.spring.deposited, own.life])
+        tick.book()
+        rows.append([list(part) for part in (tick.instants, *tick.row()[7:])])
+    assert (lost > 10) == cut_short
+    assert own.spring.late == 0.0
+    run = simulate(prepared, ticks)
+    names = (INSTANTS, ORIENTATION, PROXY, TORQUE, PROPOSED, ACCOUNT)
+    topics = {topic.trace: topic for topic in TOPICS[Role.DEVICE]}
+    for i, trace in enumerate(names):
+        values_of = np.array([row[i] for row in rows], dtype=np.float64)
+        columns = topics[trace].columns_of(run.recorded.ports["pen"], ())
+        run.traces["pen", topics[trace].name] = RecordedTrace(topics[trace], columns, values_of)  # type: ignore[index]
+    course = Course({0: Happening(began=True)}, {}, ticks)
+    assert {check.verdict for check in device_checks(run, "pen", bundle, course)} == {CheckVerdict.HOLDS}
+    instants = run.traces["pen", "instants"].values
+    instants[:, 2] = instants[:, 0]  # as if every torque had lasted until the next sample
+    found = {check.name: check.verdict for check in device_checks(run, "pen", bundle, course)}
+    assert found[NAME] is (CheckVerdict.BROKEN if cut_short else CheckVerdict.HOLDS)

@@ -78,7 +78,7 @@ LINKS = [{"between": [f"pen.{i}", "ground"], "stiffness": 100} for i in range(3)
 
 REFUSED = {
     "two axes": (_with(dof=2, hand={}), "3 axes that translate"),
-    "a driver": (_with(driver="a.b:c", mass=None, hand=None), "no other driver turns in space yet"),
+    "a driver": (_with(driver="a.b:c", mass=None, hand=None), "no inertia: the driver's device and its user"),
     "torques of joints": (_with(held="torque", linkage={"kappa": 10.0}), "is proved nowhere yet"),
     "axes that turn": (_with(axes={"x": "translation", "y": "translation", "w": "rotation"}), "axes that translate"),
     "no avatar": (_environment(avatars={}), "environment.avatars: {pen: JOINT}"),
@@ -100,7 +100,9 @@ REFUSED = {
     "sensed with an osp": (_sensed(osp=0.001), "no osp: no motor turns a sensed device"),
     "sensed with limits": (_sensed(limits=ORIENTATION["limits"]), "no limits: no motor turns a sensed device"),
     "sensed without a stiffness": (_sensed("stiffness"), "by which the tool's avatar follows the hand"),
-    "sensed without a damping": (_sensed("damping"), "damping, that of the simulated device in N·m·s/rad"),
+    "sensed without a damping": (_sensed("damping"), "damping, of the simulated device, in N·m·s/rad"),
+    "simulated without an inertia": (_sensed("inertia"), "inertia, of the simulated device and its hand"),
+    "a recorded motion": (_with(driver="browser", hand=None), "nothing else turns in space"),
     "sensed by a number": (_sensed(sensed=1), "true or false"),
     "an unknown key": (slot({"stifness": 1.0}), "stiffness"),
 }  # fmt: skip

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from manyhands.design.levels.contract import DeviceShare
-from manyhands.nodes.device.orientation import NO_TORQUE, DeviceOrientation, SensedOrientation
+from manyhands.nodes.device.orientation import NO_TORQUE, DeviceOrientation, SensedOrientation, TurnedBody
 from manyhands.nodes.environment.model import AskedModel
 from manyhands.nodes.environment.mujoco import MujocoEngine
 from manyhands.nodes.environment.oriented_tools import OrientedTools
@@ -167,15 +167,16 @@ def test_whatever_an_engine_proposes_and_whoever_starts_anew_nothing_is_granted_
     assert sum(by.spring.held for by in hands) > 0
 
 
-GRIP = SensedPart(K, PART.source)
-
-
 def with_a_grip(of: Any, feel: int) -> tuple[OrientedTools, list[DeviceOrientation], SensedOrientation]:
     """The tools of a sensed hand and of so many that feel a torque, in an engine ``of`` them."""
     asked = AskedModel("engine", of, ("p.x", "p.y", "p.z"))
     felt = [OrientedTool(f"p{i}", K, PART.torque, PART.power(T)) for i in range(feel)]
     tools = OrientedTools([OrientedTool("grip", K, None, None), *felt], asked)
-    return tools, [hand() for _ in range(feel)], SensedOrientation(GRIP, T)
+    return (
+        tools,
+        [hand() for _ in range(feel)],
+        SensedOrientation(TurnedBody(TurnedHand(1e-5, 1e-3, (0.01, 0.0, 0.0)), T), T),
+    )
 
 
 class Deposits(list[float]):
