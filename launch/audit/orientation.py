@@ -156,7 +156,7 @@ def _rotations(run: RecordedRun, name: str) -> Check:
 def _ended(run: RecordedRun, name: str, bundle: DeviceBundle) -> NDArray[np.bool_]:
     """In which ticks the torque before may have ended by itself before the tick's sample."""
     if bundle.time != WALL:
-        return np.zeros(run.ticks, dtype=np.bool_)
+        return np.zeros(run.ticks_of(name), dtype=np.bool_)
     timing, instants = bundle.timing, rows_of(run, name, INSTANTS)
     at_most = from_seconds(timing.latency) - from_seconds(timing.actuation_delay) - from_seconds(timing.jitter)
     found: NDArray[np.bool_] = instants[:, 2] + at_most < instants[:, 0]
