@@ -302,6 +302,7 @@ class About:
         """
         named = [(f"links[{i}].ends", name) for i, link in enumerate(self.links) for name in link.ends]
         named += [("seats", name) for seat in self.seats.items() for name in seat]
+        named += [("hands", name) for name in self.hands]
         for place, name in (*named, *((f"nodes.{own}.process", node.process) for own, node in self.nodes.items())):
             if name is not None and name not in self.nodes:
                 raise ValueError(f"{place}: found {shown(name)}; expected a node")
@@ -312,7 +313,8 @@ class About:
                 raise ValueError("scene: found other ports or bodies; expected the environment's")
         for name, frame in () if self.drawing is None else self.drawing.frames.items():
             known = f"{name}.x" in self.masses and (not frame.oriented or name in self.oriented)
-            if not ({*frame.ports} <= self.reach.keys() and (known or not frame.reported)):
+            hand = frame.pivot is None or any({*frame.ports} == {*self.nodes[hand].ports} for hand in self.hands)
+            if not ({*frame.ports} <= self.reach.keys() and (known or not frame.reported) and hand):
                 raise ValueError(f"drawing.frames.{name}: found other ports or bodies; expected the environment's")
 
 

@@ -313,7 +313,8 @@ class Recorded:
         (node,) = (name for name, role in self.roles.items() if role is Role.ENVIRONMENT)
         if self.drawing is not None:
             names = self.ports[node], self.masses, self.oriented
-            return EngineMessages(self.drawing, self.session, node, *names, self.tick_ns(node))
+            hands = {hand: self.ports.get(hand, ()) for hand in self.hands}
+            return EngineMessages(self.drawing, self.session, node, *names, self.tick_ns(node), hands)
         if self.scene is None:
             return None
         return SceneMessages(self.scene, self.session, node, self.ports[node], self.masses, self.tick_ns(node))
