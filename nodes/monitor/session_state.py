@@ -36,6 +36,7 @@ from manyhands.nodes.monitor.health_model import Terms
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.own_ticks import session_tick
 from manyhands.nodes.rows.promises import Promise
+from manyhands.nodes.rows.tick_events import Kind, events_in
 from manyhands.nodes.wave_link.felt import FeltLink, felt_link
 from manyhands.protocol.channels import Topic, hands_at, links_at, topics_of
 from manyhands.protocol.clock import Instant, from_seconds
@@ -376,6 +377,14 @@ class LiveNode:
         if self.frozen:
             return Health.FROZEN
         return Health.LATE if self.late else Health.OK
+
+    @property
+    def pressed(self) -> tuple[str, ...]:
+        """Of a device, the buttons that are held down now, or were pressed since the telemetry before."""
+        down = self.figures.tables.get(names.BUTTONS_DOWN, {})
+        events = events_in(self.figures) if down else ()
+        since = {event.peer for event in events if event.kind is Kind.PRESSED and event.value}
+        return tuple(name.removeprefix(f"{self.name}.") for name, state in down.items() if state or name in since)
 
     def take(self, observation: Observation, now: Instant) -> None:
         """Take in its latest telemetry, which came at ``now``."""
