@@ -33,7 +33,6 @@ import numpy as np
 
 from manyhands.extras import require
 from manyhands.launch.bridges.rosbag import (
-    CARTESIAN,
     LATEST,
     POSE,
     RosTopic,
@@ -50,7 +49,7 @@ from manyhands.launch.look.page.security import ViewError, is_loopback
 from manyhands.launch.recordings.recording import Array
 from manyhands.launch.run.running import Running
 from manyhands.nodes.monitor.session_state import About, LiveSession
-from manyhands.nodes.recorder.format import recorded_of
+from manyhands.nodes.recorder.format import CARTESIAN, recorded_of
 from manyhands.protocol.channels import DISPLACEMENT, FORCE
 from manyhands.protocol.clock import Clock, Instant, RealtimeClock
 from manyhands.protocol.messages import Observation, Role

@@ -42,14 +42,12 @@ from manyhands.extras import require
 from manyhands.launch.recordings.formats import Progress
 from manyhands.launch.recordings.recording import Array, RecordingError
 from manyhands.launch.recordings.run import RecordedRun, Traces, chosen
+from manyhands.nodes.recorder.format import CARTESIAN
 from manyhands.protocol.channels import DISPLACEMENT, FORCE
 from manyhands.protocol.messages import Role
 
 ROSBAG: Final = "rosbag"
 """The name of the format, and the suffix of a bag's folder."""
-
-CARTESIAN: Final = 3
-"""The number of axes of a device whose position is a point in space."""
 
 POSE: Final = "geometry_msgs/msg/PoseStamped"
 TWIST: Final = "geometry_msgs/msg/TwistStamped"
