@@ -37,6 +37,7 @@ from manyhands.launch.bridges.rosbag import (
     POSE,
     RosTopic,
     device_topics,
+    joined,
     motion_rows,
     ros_name,
     ros_types,
@@ -50,7 +51,7 @@ from manyhands.launch.recordings.recording import Array
 from manyhands.launch.run.running import Running
 from manyhands.nodes.monitor.session_state import About, LiveSession
 from manyhands.nodes.recorder.format import CARTESIAN, recorded_of
-from manyhands.protocol.channels import DISPLACEMENT, FORCE
+from manyhands.protocol.channels import AXIS_NAMES, DISPLACEMENT, FORCE, ORIENTATION, QUATERNION_NAMES, TORQUE
 from manyhands.protocol.clock import Clock, Instant, RealtimeClock
 from manyhands.protocol.messages import Observation, Role
 
@@ -76,6 +77,7 @@ MOST_SAMPLES: Final = 16
 MOST_TICKS: Final = 256
 """The ticks of a device that wait for the force of one of its couplings, at most."""
 
+_OF_TURNS: Final = ((ORIENTATION, len(QUATERNION_NAMES)), (TORQUE, len(AXIS_NAMES)))
 _ATTACHMENT: Final = struct.Struct("<qqB16s")  # sequence number, ns since 1970, length of the id, the id
 _ID_BYTES: Final = 16
 _PUBLISHED: Final = "2::,10:,:,:,,"  # quality of service: best effort, volatile, the last ten
@@ -225,7 +227,7 @@ class RosMessages:
         """
         self._recorded, self._session, self._every = recorded_of(about), LiveSession(about), every
         self._time, self.unfit = SessionTime(self._recorded), 0
-        self._devices = device_topics(about.session, self._recorded.devices, about.turning)
+        self._devices = device_topics(about.session, self._recorded.devices, about.turning, about.hands)
         parts = (part for parts in self._devices.values() for part in parts)
         live = ((one.motion, one.exerted, one.sent) for one in parts)  # a bag alone has velocities
         self.topics = [topic for topics in live for topic in topics if topic is not None]
@@ -273,11 +275,21 @@ class RosMessages:
             self.unfit += 1
             f = None
         for part in self._devices[node]:
-            if x is not None and wanted(part.motion):
-                forces = None if f is None else part.of(f[1])
-                yield from self._messages(part.motion, x[0], motion_rows(part.motion, part.of(x[1]), None, forces))
-            if f is not None and part.exerted is not None and wanted(part.exerted):
-                yield from self._messages(part.exerted, f[0], part.of(f[1]))
+            moved, exerted = (None if kept is None else part.of(kept[1]) for kept in (x, f))
+            if part.motion.oriented:
+                R, torque = (self._kept(observation, name, w) for name, w in _OF_TURNS)
+                moved, exerted = self._joined(moved, R), self._joined(exerted, torque)
+            if x is not None and moved is not None and wanted(part.motion):
+                yield from self._messages(part.motion, x[0], motion_rows(part.motion, moved, None, exerted))
+            if f is not None and exerted is not None and part.exerted is not None and wanted(part.exerted):
+                yield from self._messages(part.exerted, f[0], exerted)
+
+    def _joined(self, values: Array | None, turn: tuple[list[int], Array] | None) -> Array | None:
+        """The rows of an oriented topic; None where one of both is missing, or has other ticks."""
+        if values is not None and turn is not None and len(turn[1]) != len(values):
+            self.unfit += 1
+            return None
+        return joined(values, None if turn is None else turn[1])
 
     def _sent(self, observation: Observation, wanted: Callable[[RosTopic], bool]) -> Iterator[RosMessage]:
         """The forces of a coupling; a tick is complete when every coupling of the device has shown it."""

@@ -46,6 +46,7 @@ from manyhands.protocol.messages import Role
 
 from ...support.commands import manyhands_command
 from ...support.observed_session import ABOUT, observed
+from ...support.slot import described
 
 TYPES = ros_types()
 HASH = TYPES.hash_rihs01(POSE)
@@ -129,6 +130,49 @@ def test_messages_are_those_of_a_bag_but_for_velocities(tmp_path: Path) -> None:
     assert len(sent) == len(kept) == 8 * TICKS
     assert {(one.topic.name, one.data) for one in sent} == kept
     assert {topic.name: topic.type for topic in RosMessages(WIDE, 1, TYPES).topics} == types
+
+
+def turning(**others: Any) -> bytes:
+    """A hundred ticks of a hand that turns its tool."""
+    draw = np.random.default_rng(5)
+    R = draw.normal(size=(TICKS, 4))
+    R /= np.linalg.norm(R, axis=1)[:, None]
+    x, f, torque = (draw.normal(size=(TICKS, 3)) for _ in range(3))
+    return observed("pen", TICKS, {"x": x, "f_v": f, "R": R, "Q": R, "t_v": torque} | others)
+
+
+TURNED = described()
+BEGUN = observed("environment", TICKS, {"x_e": np.zeros((TICKS, 3))})
+
+
+def test_what_a_hand_turns_is_sent_as_a_bag_has_it(tmp_path: Path) -> None:
+    core = RecorderCore(recorded_of(TURNED))
+    for frame in (BEGUN, turning()):
+        core.take(frame, WALL)
+    (tmp_path / "run.mcap").write_bytes(core.cut() + core.end())
+    save_bag(read_run(tmp_path / "run.mcap"), tmp_path / "run.rosbag")
+    with Reader(tmp_path / "run.rosbag") as reader:
+        both = [one for one in reader.connections if not one.topic.endswith("/measured_cv")]
+        kept = {(one.topic, bytes(data)) for one, _, data in reader.messages(both)}
+    sent = made(BEGUN, turning(), about=TURNED)
+    assert len(sent) == 2 * TICKS
+    assert {(one.topic.name, one.data) for one in sent} == kept
+    last = {one.topic.name.rpartition("/")[2]: TYPES.deserialize_cdr(one.data, one.topic.type) for one in sent}
+    pose, wrench = last["measured_cp"].pose, last["measured_cf"].wrench
+    q = pose.orientation
+    assert (q.x, q.y, q.z, q.w) != (0.0, 0.0, 0.0, 1.0)
+    assert q.x**2 + q.y**2 + q.z**2 + q.w**2 == pytest.approx(1.0)
+    assert (wrench.torque.x, wrench.torque.y, wrench.torque.z) != (0.0, 0.0, 0.0)
+
+
+def test_turns_that_do_not_fit_the_ticks_are_counted_and_those_that_are_missing_not_sent() -> None:
+    for others, topic, unfit in (
+        ({"R": np.zeros((TICKS, 3))}, "measured_cf", 1),
+        ({"t_v": np.full((TICKS, 3), np.nan)}, "measured_cp", 0),
+    ):
+        messages = RosMessages(TURNED, 1, TYPES)
+        assert {one.topic.name for one in of(messages, BEGUN, turning(**others))} == {f"/slot/pen/{topic}"}
+        assert messages.unfit == unfit
 
 
 def test_every_nth_tick_is_sent_whatever_the_frames() -> None:
