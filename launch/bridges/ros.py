@@ -26,7 +26,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -49,6 +49,7 @@ from manyhands.launch.look.page.pointer import DEMANDS_PER_S, Hold, Holding, hol
 from manyhands.launch.look.page.security import ViewError, is_loopback
 from manyhands.launch.recordings.recording import Array
 from manyhands.launch.run.running import Running
+from manyhands.nodes.kernel.orientation import unit
 from manyhands.nodes.monitor.session_state import About, LiveSession
 from manyhands.nodes.recorder.format import CARTESIAN, recorded_of
 from manyhands.protocol.channels import AXIS_NAMES, DISPLACEMENT, FORCE, ORIENTATION, QUATERNION_NAMES, TORQUE
@@ -166,10 +167,11 @@ def holdable(about: About) -> tuple[str, ...]:
     return tuple(device for device, own in ports.items() if len(own) <= CARTESIAN and not {*own} & {*about.turning})
 
 
-def read_pose(data: bytes) -> tuple[str, tuple[float, float, float]] | None:
-    """The frame and the position (m) of a geometry_msgs/PoseStamped; None where these bytes are no such message.
+def read_pose(data: bytes) -> tuple[str, tuple[float, float, float], tuple[float, float, float, float]] | None:
+    """The frame, the position (m) and the orientation (w, x, y, z) of a geometry_msgs/PoseStamped.
 
-    The encapsulation is that of plain CDR, of either byte order. The orientation must be there, and is not used.
+    None where these bytes are no such message. The encapsulation is that of plain CDR, of either byte order. The four
+    numbers of the orientation must be there, whatever they are.
     """
     if len(data) > MAX_SERVO_BYTES or len(data) < 4 or data[0] != 0 or data[1] > 1:
         return None
@@ -183,7 +185,8 @@ def read_pose(data: bytes) -> tuple[str, tuple[float, float, float]] | None:
         frame = body[12 : end - 1].decode()
     except (struct.error, UnicodeDecodeError):
         return None
-    return frame, numbers[:3]
+    x, y, z, w = numbers[3:]
+    return frame, numbers[:3], (w, x, y, z)
 
 
 @dataclass(frozen=True)
@@ -381,13 +384,16 @@ class Servo:
         if pose is None or not all(map(math.isfinite, pose[1])):
             self.refused["servo_no_pose"] += 1
             return None
-        frame, position = pose
+        frame, position, orientation = pose
         if frame not in ("", device):
             self.refused["servo_other_frame"] += 1
             return None
         # the nearest point that the device can reach: it has no extent along axes that it does not have
         hold = hold_of(device, position[: len(self._about.nodes[device].ports)], self._about)
-        return hold if isinstance(hold, Hold) else None
+        if not isinstance(hold, Hold):
+            return None
+        # an orientation that is none turns nothing, as one of a device that has none
+        return replace(hold, turn=unit(orientation)) if device in self._about.hands else hold
 
 
 @dataclass(frozen=True)

@@ -271,6 +271,9 @@ _TORQUE: Final = "torque"
 _ROUNDING: Final = 1e-12  # rounding error of the eigenvalues of a difference, relative to the largest entry
 _per_axis: Final = PerAxis(OSP_LEVEL)
 _SIMULATED, _TRACE = "simulated", "trace"
+TURNING: Final = (_SIMULATED, "browser")
+"""The drivers that turn in space."""
+
 PERSONS: Final = ("browser", *MOTION_SOURCES)
 """Drivers by which a person moves a simulated device without feeling it."""
 
@@ -611,7 +614,8 @@ class Device(SessionModel):
         description="names of its buttons; {NAME: [[from, until]]}, in s, presses those of a simulated one",
     )
     orientation: Orientation | None = Field(
-        default=None, description="with driver: simulated and three axes that translate, its orientation as a port"
+        default=None,
+        description="with driver: simulated or browser, and three axes that translate, its orientation as a port",
     )
     hand: Hand | None = defaulted(None, "the simulated hand that holds it")
 
@@ -828,8 +832,11 @@ class Device(SessionModel):
         if self.orientation is None:
             return
         at = ("orientation",)
-        if self.driver != _SIMULATED:
-            yield Problem(at, f"an orientation {here}", "driver: simulated: no other driver turns in space yet")
+        if self.driver not in TURNING:
+            expected = f"driver: {' or '.join(TURNING)}: no other driver turns in space yet"
+            yield Problem(at, f"an orientation {here}", expected)
+        if self.driver in PERSONS and any(intent != 0.0 for intent in self.orientation.torque):
+            yield Problem((*at, "torque"), f"torque {here}", "no torque: the intention comes from the person")
         if self.dof != ORIENTED_DOF or self.turning("d"):
             found = f"an orientation beside {counted(self.dof, 'axis', 'axes')}" + (
                 " that turn" * bool(self.turning("d"))

@@ -12,15 +12,17 @@ The device *lets go*, by a proxy that follows it without a torque,
 - while late ticks may have given out more than the session allows to lateness.
 
 A :class:`TurnedBody` is a simulated device in a hand, the same about every axis, whose turn over a piece of time with a
-constant torque is exact up to the order of small turns.
+constant torque is exact up to the order of small turns. A person may turn it by a pointer instead
+(:mod:`manyhands.nodes.device.wrist`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
+from manyhands.nodes.device.wrist import Wrist
 from manyhands.nodes.kernel.allowance import LatenessAllowance
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import DeviceRung, OrientationPart, TurnedHand
@@ -56,9 +58,16 @@ class TurnedBody:
         R: its orientation at the instant of the last call.
     """
 
-    def __init__(self, of: TurnedHand, T: float) -> None:
-        """Begin at the instant 0; the hand's torque is constant over each period T, s."""
+    def __init__(self, of: TurnedHand, T: float, wrist: Wrist | None = None) -> None:
+        """Begin at the instant 0; the hand's torque is constant over each period T, s.
+
+        Args:
+            of: its physics, and what its hand intends.
+            T: period, s.
+            wrist: of a person who may turn it; None for nobody.
+        """
         self._rate, self._damping = of.damping / of.inertia, of.damping
+        self._of, self._wrist = of, wrist
         self._intents = tuple(intent_from(data) for data in of.torque)
         self._period = from_seconds(T)
         self._at, self._begun = Instant(0), -1
@@ -76,6 +85,11 @@ class TurnedBody:
                 t = seconds(Duration(number * self._period))
                 x, y, z = self._intents
                 self._begun, self._hand = number, (x(t), y(t), z(t))
+                if self._wrist is not None:
+                    own, damping = self._wrist.begin(self.R)
+                    self._hand = (self._hand[0] + own[0], self._hand[1] + own[1], self._hand[2] + own[2])
+                    self._damping = self._of.damping + damping
+                    self._rate = self._damping / self._of.inertia
             part = min(left, self._period - into)
             self._move(seconds(Duration(part)))
             self._at, left = Instant(self._at + part), left - part
@@ -119,6 +133,7 @@ class DeviceOrientation:
         rung: DeviceRung,
         allowance: LatenessAllowance | None = None,
         longest: Duration | None = None,
+        goal: Callable[[], Quaternion | None] | None = None,
     ) -> None:
         """Begin upright, at rest, with the proxy at the device.
 
@@ -129,11 +144,13 @@ class DeviceOrientation:
             allowance: what lateness may put in; None for anything, which is counted alone.
             longest: of a device in wall time, how long its motors hold a torque, ns; None for one in its own time,
                 where nothing is late.
+            goal: where a person wants it to be turned, or None while nobody turns it; None where nobody can.
         """
         self._T, self._period, self._longest = T, from_seconds(T), longest
         self._b, self._k, self._limit, self._speed = part.osp, part.stiffness, part.torque, part.speed
         self._allowance = allowance
-        self._body = TurnedBody(part.source, T)
+        wrist = None if goal is None else Wrist(goal, part.source.inertia, part.torque, part.speed, T)
+        self._body = TurnedBody(part.source, T, wrist)
         self.spring = OrientationSpring(part.stiffness, part.torque)
         self.life = FIRST_LIFE
         self.R, self.most = UPRIGHT, part.torque

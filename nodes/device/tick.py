@@ -42,7 +42,7 @@ from manyhands.nodes.device.interface import DeviceInterface, interface_of
 from manyhands.nodes.device.orientation import DeviceOrientation
 from manyhands.nodes.device.plugin import PluginDriver
 from manyhands.nodes.kernel.arithmetic import Floats
-from manyhands.nodes.kernel.bundle import WALL, DeviceBundle, SimulatedHand
+from manyhands.nodes.kernel.bundle import WALL, DeviceBundle, PersonHand, SimulatedHand
 from manyhands.nodes.kernel.buttons import Buttons, scripted
 from manyhands.nodes.kernel.orientation import NO_RIDER
 from manyhands.nodes.kernel.passivity import Ledger
@@ -115,7 +115,7 @@ class DeviceTick(ABC):
         self.instants: Instants = NO_INSTANTS
         self.done: tuple[float, ...] = ()
         self._until_sampled = math.nan
-        self.orientation = _orientation_of(bundle)
+        self.orientation = _orientation_of(bundle, driver)
 
     @property
     def rides(self) -> Floats:
@@ -378,12 +378,13 @@ def in_steps(x: Floats, steps: Sequence[float]) -> Floats:
     return [q * math.floor(at / q + 0.5) if q > 0.0 else at for at, q in zip(x, steps, strict=True)]
 
 
-def _orientation_of(bundle: DeviceBundle) -> DeviceOrientation | None:
+def _orientation_of(bundle: DeviceBundle, driver: Driver) -> DeviceOrientation | None:
     """The orientation of a device, upright; a torque is held until it is stale, and one period more."""
     if bundle.orientation is None:
         return None
     longest = longest_hold(bundle.common) if bundle.time == WALL else None
-    return DeviceOrientation(bundle.orientation, bundle.common.period, bundle.rungs[0], bundle.allowance, longest)
+    goal = getattr(driver, "wanted_turn", None) if isinstance(bundle.source, PersonHand) else None
+    return DeviceOrientation(bundle.orientation, bundle.common.period, bundle.rungs[0], bundle.allowance, longest, goal)
 
 
 def tick_of(bundle: DeviceBundle, driver: Driver) -> DeviceTick:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 import sys
 from collections import Counter
@@ -265,35 +266,45 @@ def test_an_attachment_has_33_bytes() -> None:
 # ---- what a sample asks of a device
 
 
-def pose(frame: str, *position: float, order: str = "<") -> bytes:
-    """A pose in CDR, by the rules of OMG: little endian or big endian."""
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+
+
+def pose(frame: str, *position: float, order: str = "<", turn: tuple[float, ...] = UPRIGHT) -> bytes:
+    """A pose in CDR, by the rules of OMG: little endian or big endian; the real part of its ``turn`` is the last."""
     text = frame.encode() + b"\0"
     head = struct.pack(f"{order}iII", -1, 2, len(text)) + text
     head += bytes(-len(head) % 8)
-    return bytes((0, order == "<", 0, 0)) + head + struct.pack(f"{order}7d", *position, 0.0, 0.0, 0.0, 1.0)
+    return bytes((0, order == "<", 0, 0)) + head + struct.pack(f"{order}7d", *position, *turn)
 
 
 def sample(data: bytes | None, publisher: bytes = b"a" * 16, type_: str = f"{dds_type(POSE)}/{HASH}") -> ServoSample:
     return ServoSample(type_, attachment(1, 2, publisher), data)
 
 
-def asked(device: str, *samples: ServoSample) -> tuple[list[Hold], dict[str, int]]:
-    servo = Servo(WIDE, HASH, Counter())
+def asked(device: str, *samples: ServoSample, about: About = WIDE) -> tuple[list[Hold], dict[str, int]]:
+    servo = Servo(about, HASH, Counter())
     return list(servo.holds(device, samples).values()), dict(servo.refused)
 
 
-@given(st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=40), st.tuples(*[st.floats()] * 3))
-def test_a_pose_is_read_as_rosbags_writes_it(frame: str, position: tuple[float, float, float]) -> None:
+@given(
+    st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=40),
+    st.tuples(*[st.floats()] * 3),
+    st.tuples(*[st.floats()] * 4),
+)
+def test_a_pose_is_read_as_rosbags_writes_it(
+    frame: str, position: tuple[float, float, float], orientation: tuple[float, float, float, float]
+) -> None:
     types = TYPES.types
     header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](-1, 2), frame)
-    point, turn = types["geometry_msgs/msg/Point"](*position), types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    point, turn = types["geometry_msgs/msg/Point"](*position), types["geometry_msgs/msg/Quaternion"](*orientation)
     written = bytes(TYPES.serialize_cdr(types[POSE](header, types["geometry_msgs/msg/Pose"](point, turn)), POSE))
-    assert written == pose(frame, *position)
-    for data in (written, pose(frame, *position, order=">")):
+    assert written == pose(frame, *position, turn=orientation)
+    for data in (written, pose(frame, *position, order=">", turn=orientation)):
         found = read_pose(data)
         assert found is not None
         assert found[0] == frame
         assert np.array_equal(found[1], position, equal_nan=True)
+        assert np.array_equal(np.roll(found[2], -1), orientation, equal_nan=True)
 
 
 WHOLE = pose("pen", 0.01, 0.02, 0.03)
@@ -334,6 +345,24 @@ def test_a_pose_is_what_a_pointers_position_is() -> None:
     assert asked("pen", sample(WHOLE)) == ([Hold("pen", (0.01, 0.02, 0.03))], {})
     assert asked("pen", sample(pose("", 7.0, -7.0, 0.03))) == ([Hold("pen", (0.1, -0.05, 0.03))], {})
     assert asked("left", sample(pose("left", -7.0, 5.0, 5.0))) == ([Hold("left", (-0.1,))], {})
+
+
+HELD = replace(TURNED, grips=("pen",))
+
+
+def test_a_pose_turns_a_device_with_an_orientation_alone() -> None:
+    for turn, about, wanted in (
+        ((0.0, 0.8, 0.0, 0.6), HELD, (0.6, 0.0, 0.8, 0.0)),
+        (UPRIGHT, HELD, (1.0, 0.0, 0.0, 0.0)),
+        ((0.0, 0.8, 0.0, 0.6), replace(HELD, hands=()), None),
+        ((0.0, 0.0, 0.0, 0.0), HELD, None),  # no orientation: it is moved, and not turned
+        ((0.0, 0.8, 0.0, 0.7), HELD, None),
+        ((0.0, math.nan, 0.0, 1.0), HELD, None),
+        ((0.0, math.inf, 0.0, 1e308), HELD, None),
+    ):
+        ((hold,), refused) = asked("pen", sample(pose("pen", 0.01, 0.02, 0.03, turn=turn)), about=about)
+        assert hold == Hold("pen", (0.01, 0.02, 0.03), wanted)  # type: ignore[arg-type]
+        assert refused == {}
 
 
 def test_samples_that_are_not_ours_are_counted() -> None:
