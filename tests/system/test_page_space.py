@@ -479,3 +479,117 @@ def test_the_arc_of_a_torque_turns_right_handed_about_its_axis(pen: ShownPage) -
             assert arms @ u == pytest.approx(0.0, abs=1e-9)
             steps = [math.atan2(float(u @ np.cross(a, b)), float(a @ b)) for a, b in pairwise(arms)]
             assert steps == pytest.approx([angle / 12] * 12)
+
+
+@pytest.fixture(scope="module")
+def turnable(browser: Browser) -> Iterator[ShownPage]:
+    """A stick that this page may turn, and that is turned already."""
+    played = Played(replace(described(), grips=("pen",)))
+    played.stand(0.0, {}, {"x": AT[:3], "x_e": AT[:3], **told(R, Q, TORQUE)})
+    yield from closing(ShownPage(browser, played.feed, 1280, "light"))
+
+
+@pytest.fixture
+def pens(turnable: ShownPage) -> Page:
+    page = turnable.page
+    until(page, SPACE, "data-camera", has=" ")
+    page.locator(SPACE).focus()
+    camera_after(page, "Home", "ArrowRight", "ArrowUp")
+    turnable.demands.clear()
+    return page
+
+
+PEN = '[data-device="pen"]'
+RING = f"{PEN} .body"
+
+
+def by(page: Page, right: float, up: float, towards: float, angle: float) -> tuple[float, ...]:
+    """The stick's orientation, turned on by an angle about a direction of the picture, in the model's axes."""
+    back, to_the_right, upwards = Camera.of(page).axes
+    x, y, z = (right * to_the_right + up * upwards + towards * back).tolist()
+    half = angle / 2
+    return hamilton((math.cos(half), *(math.sin(half) * part for part in (x, -z, y))), R)
+
+
+def turned_to(page: ShownPage) -> tuple[float, ...]:
+    """Where the page asked the stick to be turned in the end; where it asked it to be is where it was."""
+    page.await_demand({"release": "pen"})
+    last = [demand for demand in page.demands if demand.get("grasp") == "pen"][-1]
+    assert last["position"] == pytest.approx(AT[:3])
+    return tuple(last["turn"])
+
+
+@pytest.mark.parametrize("button", ["left", "right"])
+def test_a_drag_with_shift_or_the_right_button_turns_a_device(button: Any, turnable: ShownPage, pens: Page) -> None:
+    """As a ball of 100 px about its ring: 60° for half of the radius, and about the eye's line beside the ball."""
+    x, y = centre(pens, RING)
+    home = Camera.of(pens)
+    for dx, dy, expected in (
+        (50, 0, by(pens, 0, 1, 0, math.radians(60))),
+        (0, 50, by(pens, 1, 0, 0, math.radians(60))),
+        (-250, 0, by(pens, 0, 1, 0, math.radians(-180))),
+    ):
+        turnable.demands.clear()
+        if button == "left":
+            pens.keyboard.down("Shift")
+        pens.mouse.move(x, y)
+        pens.mouse.down(button=button)
+        pens.mouse.move(x + dx, y + dy, steps=3)
+        pens.mouse.up(button=button)
+        pens.keyboard.up("Shift")
+        assert abs(float(np.dot(turned_to(turnable), expected))) == pytest.approx(1.0, abs=1e-4)  # of whole px
+    assert Camera.of(pens)[:3] == home[:3]
+
+
+def test_a_drag_without_shift_moves_a_device_and_keeps_its_turn(turnable: ShownPage, pens: Page) -> None:
+    x, y = centre(pens, RING)
+    pens.mouse.move(x, y)
+    pens.mouse.down()
+    pens.mouse.move(x + 30, y, steps=2)
+    pens.mouse.up()
+    turnable.await_demand({"release": "pen"})
+    last = [demand for demand in turnable.demands if demand.get("grasp") == "pen"][-1]
+    assert np.linalg.norm(np.subtract(last["position"], AT[:3])) > 1e-3
+    assert last["turn"] == pytest.approx(R)
+
+
+def test_keys_turn_a_device_about_the_directions_of_the_picture(turnable: ShownPage, pens: Page) -> None:
+    for keys, expected in (
+        ("d", (0, 1, 0, 3)),
+        ("a", (0, 1, 0, -3)),
+        ("s", (1, 0, 0, 3)),
+        ("W", (1, 0, 0, -15)),
+        ("q", (0, 0, 1, 3)),
+        ("E", (0, 0, 1, -15)),
+        ("dd", (0, 1, 0, 6)),
+    ):
+        turnable.demands.clear()
+        pens.locator(PEN).focus()
+        for key in keys:
+            pens.keyboard.press(key if key.islower() else f"Shift+{key}")
+        pens.keyboard.press("Escape")
+        *direction, degrees = expected
+        assert turned_to(turnable) == pytest.approx(by(pens, *direction, math.radians(degrees)), abs=1e-6)
+    assert "turned by 1.85 rad" in (pens.get_attribute(PEN, "aria-valuetext") or "")
+
+
+def test_a_second_finger_beside_the_ring_turns_the_device_and_not_the_camera(turnable: ShownPage, pens: Page) -> None:
+    """Beside the ball it turns it about the eye's line, as a finger on a knob does."""
+    x, y = centre(pens, RING)
+    home = Camera.of(pens)
+    fingers = Fingers(pens)
+    fingers.put(0, x, y)
+    fingers.put(1, x + 150, y)
+    fingers.put(1, x, y - 150)  # a quarter of a turn to the left, upwards
+    until(pens, PEN, "class", has="held")
+    frames(pens)
+    fingers.lift()
+    assert abs(float(np.dot(turned_to(turnable), by(pens, 0, 0, 1, math.pi)))) == pytest.approx(1.0, abs=1e-4)
+    assert Camera.of(pens)[:3] == home[:3]
+    turnable.demands.clear()
+    fingers.put(1, x + 150, y)
+    fingers.put(1, x + 175, y)
+    fingers.lift()
+    frames(pens)
+    assert Camera.of(pens).azimuth - home.azimuth == pytest.approx(-0.2, abs=1e-5)  # nobody holds the device
+    assert turnable.demands == []

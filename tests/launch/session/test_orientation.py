@@ -58,7 +58,7 @@ REFUSED = {
     "two axes": (_with(dof=2, hand={}), "3 axes that translate"),
     "a driver": (_with(driver="a.b:c", mass=None, hand=None), "no other driver turns in space yet"),
     "a SpaceMouse": (_with(driver="spacemouse", hand={"stiffness": 100}), "driver: simulated or browser"),
-    "a person and a torque": (_with(driver="browser", hand={"stiffness": 100}), "no torque: the intention comes from the person"),
+    "a person and a torque": (_with(driver="browser", hand={"stiffness": 100}), "no torque: the intention comes from"),
     "torques of joints": (_with(held="torque", linkage={"kappa": 10.0}), "is proved nowhere yet"),
     "axes that turn": (_with(axes={"x": "translation", "y": "translation", "w": "rotation"}), "axes that translate"),
     "no avatar": (_environment(avatars={}), "environment.avatars: {pen: JOINT}"),

@@ -56,7 +56,7 @@ export class Space {
     );
     this.write();
     holder.replaceChildren(this.frame);
-    steer(this.orbit, this.frame, canvas);
+    steer(this.orbit, this.frame, canvas, (event) => grips.beside(event));
     new ResizeObserver(() => this.arrange()).observe(holder);
     this.scheme = matchMedia("(prefers-color-scheme: dark)");
     this.recolour = () => {
@@ -100,7 +100,8 @@ export class Space {
 
   /** Rings, names and scale. */
   write() {
-    const drag = (thing) => ({ start: (event, x) => this.drag(event, x, thing), most: () => this.around.radius });
+    const axes = () => [this.orbit.right, this.orbit.up, this.orbit.back].map((axis) => this.world.inModel(axis));
+    const drag = (thing) => ({ start: (event, x) => this.drag(event, x, thing), most: () => this.around.radius, axes });
     for (const thing of this.things) {
       thing.label = svg("text", { [thing.tool ? "data-tool" : "data-mass"]: thing.name }, thing.name);
       if (!thing.tool) continue;
@@ -336,6 +337,10 @@ class Scene {
   /** The place of a thing whose axes have these displacements; nothing turns. */
   pose({ at, along }, values) {
     return { place: sum(at, along, values), pointing: along };
+  }
+
+  inModel(v) {
+    return v;
   }
 
   contacts() {

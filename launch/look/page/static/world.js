@@ -15,6 +15,7 @@ const FOOT = 58; // px below the rows, for the scales
 const COIL = 7; // px, half the width of a spring
 const TURN = 26; // px of one turn of a spring where its ends are at rest
 const ARROW = 60; // px, length of the arrow for the greatest force
+const PLANE = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]; // to the right, upwards and towards the eye
 const LOOK = 500; // ms between two updates of the scale
 
 export class World {
@@ -76,7 +77,11 @@ export class World {
     const shown = body.ports.slice(0, 2);
     const axes = shown.map((port) => svg("text", { class: "dim" }, axisOf(port, this.session.turns(port))));
     const upright = svg("path", { class: "axis" });
-    const handle = this.grips.handle(body.name, { start: (event, x) => this.drag(event, x, body.ports), most: () => this.most[this.session.turns(body.ports[0])] });
+    const handle = this.grips.handle(body.name, {
+      start: (event, x) => this.drag(event, x, body.ports),
+      most: () => this.most[this.session.turns(body.ports[0])],
+      axes: () => PLANE,
+    });
     this.drawing.append(upright, ...axes, lag, tool, pressed, target, force, head, label, handle);
     return { id, body, lag, tool, pressed, target, force, head, label, axes, upright, handle };
   }
