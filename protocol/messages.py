@@ -498,7 +498,10 @@ class Condition:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grasp:
-    """From a person's pointer to a device: hold the device at ``position``, m, one entry for each axis."""
+    """From a person's pointer to a device: hold the device at ``position``, m, one entry for each axis.
+
+    Behind them may stand the unit quaternion of where a device is to be turned whose orientation is a port.
+    """
 
     position: Values
 

@@ -271,6 +271,9 @@ _TORQUE: Final = "torque"
 _ROUNDING: Final = 1e-12  # rounding error of the eigenvalues of a difference, relative to the largest entry
 _per_axis: Final = PerAxis(OSP_LEVEL)
 _SIMULATED, _TRACE = "simulated", "trace"
+TURNING: Final = (_SIMULATED, "browser")
+"""The drivers that turn in space."""
+
 PERSONS: Final = ("browser", *MOTION_SOURCES)
 """Drivers by which a person moves a simulated device without feeling it."""
 
@@ -612,8 +615,8 @@ class Device(SessionModel):
     )
     orientation: Orientation | None = Field(
         default=None,
-        description="with driver: simulated or one of another package, and three axes that translate, its orientation "
-        "as a port",
+        description="with driver: simulated, browser or one of another package, and three axes that translate, its "
+        "orientation as a port",
     )
     hand: Hand | None = defaulted(None, "the simulated hand that holds it")
 
@@ -830,12 +833,14 @@ class Device(SessionModel):
         if self.orientation is None:
             return
         at = ("orientation",)
-        if self.driver != _SIMULATED and self.factory is None:
-            expected = "driver: simulated, or a driver of another package: nothing else turns in space"
+        if self.driver not in TURNING and self.factory is None:
+            expected = f"driver: {', '.join(TURNING)}, or a driver of another package: nothing else turns in space"
             yield Problem(at, f"an orientation {here}", expected)
         else:
-            for problem in self.orientation.problems_with(self.driver == _SIMULATED, here):
+            for problem in self.orientation.problems_with(self.driver in TURNING, here):
                 yield problem._replace(at=(*at, *problem.at))
+        if self.driver in PERSONS and any(intent != 0.0 for intent in self.orientation.torque or ()):
+            yield Problem((*at, "torque"), f"torque {here}", "no torque: the intention comes from the person")
         if self.dof != ORIENTED_DOF or self.turning("d"):
             found = f"an orientation beside {counted(self.dof, 'axis', 'axes')}" + (
                 " that turn" * bool(self.turning("d"))

@@ -22,7 +22,8 @@ A device that only senses its orientation (:class:`SensedOrientation`) says it i
 it has no torque and no account.
 
 A :class:`TurnedBody` is a simulated device in a hand, the same about every axis, whose turn over a piece of time with a
-constant torque is exact up to the order of small turns.
+constant torque is exact up to the order of small turns. A person may turn it by a pointer instead
+(:mod:`manyhands.nodes.device.wrist`).
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ import math
 from collections.abc import Sequence
 from typing import Final, Protocol
 
+from manyhands.nodes.device.wrist import Wrist
 from manyhands.nodes.kernel.allowance import LatenessAllowance
 from manyhands.nodes.kernel.arithmetic import Floats
 from manyhands.nodes.kernel.bundle import DeviceRung, OrientationPart, TurnedHand
@@ -103,9 +105,16 @@ class TurnedBody:
         R: its orientation at the instant of the last call.
     """
 
-    def __init__(self, of: TurnedHand, T: float) -> None:
-        """Begin at the instant 0; the hand's torque is constant over each period T, s."""
+    def __init__(self, of: TurnedHand, T: float, wrist: Wrist | None = None) -> None:
+        """Begin at the instant 0; the hand's torque is constant over each period T, s.
+
+        Args:
+            of: its physics, and what its hand intends.
+            T: period, s.
+            wrist: of a person who may turn it; None for nobody.
+        """
         self._rate, self._damping = of.damping / of.inertia, of.damping
+        self._of, self._wrist = of, wrist
         self._intents = tuple(intent_from(data) for data in of.torque)
         self._period = from_seconds(T)
         self._at, self._begun = Instant(0), -1
@@ -123,6 +132,11 @@ class TurnedBody:
                 t = seconds(Duration(number * self._period))
                 x, y, z = self._intents
                 self._begun, self._hand = number, (x(t), y(t), z(t))
+                if self._wrist is not None:
+                    own, damping = self._wrist.begin(self.R)
+                    self._hand = (self._hand[0] + own[0], self._hand[1] + own[1], self._hand[2] + own[2])
+                    self._damping = self._of.damping + damping
+                    self._rate = self._damping / self._of.inertia
             part = min(left, self._period - into)
             self._move(seconds(Duration(part)))
             self._at, left = Instant(self._at + part), left - part

@@ -276,6 +276,7 @@ class DeviceTelemetry:
             names.TAU: {"p50": self._tau.quantile(0.5), "p99": self._tau.quantile(0.99)},
             names.PERIOD: {"p50": self._true_period.quantile(0.5), "p99": self._true_period.quantile(0.99)},
             names.LATE_CAUSE: self._lateness.table(),
+            **({names.BUTTONS_DOWN: self._device.buttons.table()} if self._common.buttons else {}),
             **of_driver.tables,
         }
         control.publish(Telemetry(self.ticks, Figures(numbers, tables), traces))

@@ -51,8 +51,9 @@ from manyhands.nodes.device.orientation import (
     TurnedBody,
 )
 from manyhands.nodes.device.plugin import PluginDriver
+from manyhands.nodes.device.wrist import Wrist
 from manyhands.nodes.kernel.arithmetic import Floats
-from manyhands.nodes.kernel.bundle import WALL, DeviceBundle, OrientationPart, SensedPart, SimulatedHand
+from manyhands.nodes.kernel.bundle import WALL, DeviceBundle, OrientationPart, PersonHand, SensedPart, SimulatedHand
 from manyhands.nodes.kernel.buttons import Buttons, scripted
 from manyhands.nodes.kernel.orientation import NO_RIDER
 from manyhands.nodes.kernel.passivity import Ledger
@@ -417,11 +418,23 @@ def _orientation_of(bundle: DeviceBundle, driver: Driver) -> Oriented | None:
     own, T = bundle.orientation, bundle.common.period
     if own is None:
         return None
-    body: Body = DriverBody(cast("Telling", driver)) if own.source is None else TurnedBody(own.source, T)
+    body = _body_of(own, bundle, driver)
     if isinstance(own, SensedPart):
         return SensedOrientation(body, T, bundle.time == WALL)
     longest = longest_hold(bundle.common) if bundle.time == WALL else None
     return DeviceOrientation(own, T, bundle.rungs[0], bundle.allowance, longest, body, bundle.timing)
+
+
+def _body_of(own: OrientationPart | SensedPart, bundle: DeviceBundle, driver: Driver) -> Body:
+    """What the hand turns: what the driver tells of, or a simulated body, which a person may turn."""
+    source, T = own.source, bundle.common.period
+    if source is None:
+        return DriverBody(cast("Telling", driver))
+    goal = getattr(driver, "wanted_turn", None) if isinstance(bundle.source, PersonHand) else None
+    if goal is None:
+        return TurnedBody(source, T)
+    most, speed = (own.torque, own.speed) if isinstance(own, OrientationPart) else (math.inf, math.inf)
+    return TurnedBody(source, T, Wrist(goal, source.inertia, most, speed, T))
 
 
 def tick_of(bundle: DeviceBundle, driver: Driver) -> DeviceTick:

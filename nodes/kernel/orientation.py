@@ -46,6 +46,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 Vector3 = tuple[float, float, float]
 """In the world's axes."""
 
@@ -141,6 +144,15 @@ def angle(R: Quaternion, Q: Quaternion) -> float:
     """Theta between two orientations, rad, 0 ... pi."""
     w, x, y, z = difference(R, Q)
     return 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w))
+
+
+def angles(R: NDArray[np.float64], Q: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Theta of each row of two traces of unit quaternions, ticks x 4: ticks, rad; NaN where a number is not finite."""
+    with np.errstate(invalid="ignore", over="ignore"):  # a trace is what a node has sent
+        near = np.where(np.einsum("ij,ij->i", R, Q) < 0.0, -Q.T, Q.T).T  # Q and -Q are one orientation
+        apart, together = np.linalg.norm(R - near, axis=1), np.linalg.norm(R + near, axis=1)
+        known = np.isfinite(apart + together)
+    return np.where(known, 4.0 * np.arctan2(apart, together), np.nan)
 
 
 def yielded(k: float, R: Quaternion, old: Quaternion, new: Quaternion) -> float:

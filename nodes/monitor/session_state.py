@@ -36,6 +36,7 @@ from manyhands.nodes.monitor.health_model import Terms
 from manyhands.nodes.rows import figures as names
 from manyhands.nodes.rows.own_ticks import session_tick
 from manyhands.nodes.rows.promises import Promise
+from manyhands.nodes.rows.tick_events import Kind, events_in
 from manyhands.nodes.wave_link.felt import FeltLink, felt_link
 from manyhands.protocol.channels import Topic, hands_at, links_at, topics_of
 from manyhands.protocol.clock import Instant, from_seconds
@@ -306,6 +307,7 @@ class About:
         """
         named = [(f"links[{i}].ends", name) for i, link in enumerate(self.links) for name in link.ends]
         named += [("seats", name) for seat in self.seats.items() for name in seat]
+        named += [("hands", name) for name in self.hands]
         for place, name in (*named, *((f"nodes.{own}.process", node.process) for own, node in self.nodes.items())):
             if name is not None and name not in self.nodes:
                 raise ValueError(f"{place}: found {shown(name)}; expected a node")
@@ -316,7 +318,8 @@ class About:
                 raise ValueError("scene: found other ports or bodies; expected the environment's")
         for name, frame in () if self.drawing is None else self.drawing.frames.items():
             known = f"{name}.x" in self.masses and (not frame.oriented or name in self.oriented)
-            if not ({*frame.ports} <= self.reach.keys() and (known or not frame.reported)):
+            hand = frame.pivot is None or any({*frame.ports} == {*self.nodes[hand].ports} for hand in self.hands)
+            if not ({*frame.ports} <= self.reach.keys() and (known or not frame.reported) and hand):
                 raise ValueError(f"drawing.frames.{name}: found other ports or bodies; expected the environment's")
 
 
@@ -378,6 +381,14 @@ class LiveNode:
         if self.frozen:
             return Health.FROZEN
         return Health.LATE if self.late else Health.OK
+
+    @property
+    def pressed(self) -> tuple[str, ...]:
+        """Of a device, the buttons that are held down now, or were pressed since the telemetry before."""
+        down = self.figures.tables.get(names.BUTTONS_DOWN, {})
+        events = events_in(self.figures) if down else ()
+        since = {event.peer for event in events if event.kind is Kind.PRESSED and event.value}
+        return tuple(name.removeprefix(f"{self.name}.") for name, state in down.items() if state or name in since)
 
     def take(self, observation: Observation, now: Instant) -> None:
         """Take in its latest telemetry, which came at ``now``."""

@@ -177,13 +177,13 @@ class Camera(NamedTuple):
 
     def moved(self, place: Any, right: float, down: float) -> np.ndarray[Any, np.dtype[np.float64]]:
         """The motion, m, parallel to the picture, that moves what is at ``place`` by so many px."""
-        back, to_the_right, up = self._axes
+        back, to_the_right, up = self.axes
         depth = float((self.target + self.distance * back - place) @ back)
         length = 2.0 * depth * math.tan(_FIELD / 2.0) / self.height  # of a px
         return length * (right * to_the_right - down * up)
 
     @property
-    def _axes(self) -> tuple[np.ndarray[Any, np.dtype[np.float64]], ...]:
+    def axes(self) -> tuple[np.ndarray[Any, np.dtype[np.float64]], ...]:
         """From what it looks at to the eye, to the right, and upwards."""
         sa, ca, se, ce = (
             math.sin(self.azimuth),
@@ -195,7 +195,7 @@ class Camera(NamedTuple):
 
     def seen(self, place: Any) -> tuple[float, float]:
         """How many px to the right of the picture's middle, and below it, a place is seen."""
-        back, right, up = self._axes
+        back, right, up = self.axes
         eye = self.target + self.distance * back
         pixels = self.height / (2.0 * float((eye - place) @ back) * math.tan(_FIELD / 2.0))
         return pixels * float((place - eye) @ right), -pixels * float((place - eye) @ up)

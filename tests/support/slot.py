@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from manyhands.launch.plan.engine import drawing_of
+from manyhands.launch.plan.prepare import unproved
 from manyhands.launch.recordings.run import RecordedRun
+from manyhands.launch.run.broadcast import describe
 from manyhands.launch.session import Session
+from manyhands.nodes.monitor.session_state import About
 
 DEVICE = ("x", "f_v", "R", "Q", "t_v", "proposed", "account")
 WORLD = ("x_e", "q", "R", "heard", "told")
@@ -119,3 +124,20 @@ def values(run: RecordedRun, node: str, trace: str) -> np.ndarray:
     """A trace of a node."""
     (found,) = (one.values for (of, _), one in run.traces.items() if of == node and one.topic.trace == trace)
     return np.array(found)
+
+
+def shown(R: tuple[float, ...], Q: tuple[float, ...], torque: tuple[float, ...]) -> dict[str, list[float]]:
+    """Columns of traces that a page is told, where the device and its tool are turned so, and the torque is this."""
+    return {"R": [*R], "Q": [*Q], "t_v": [*torque], "proposed": [*Q, 0.0], "account": [0.0] * 6,
+            "heard": [*R, 0.0, 1.0], "told": [*Q, 0.0]}  # fmt: skip
+
+
+def described(pivot: str = "0 0 0") -> About:
+    """The session as a page is told of it, without a body: its stick is turned about ``pivot``, m."""
+    given = slot(design={"coupling": "given", "stiffness": 900, "damping": 0.2})
+    ball = 'name="turn" type="ball"'
+    assert MODEL.count(ball) == 1
+    model = MODEL.replace(ball, f'{ball} pos="{pivot}"')
+    world = {key: value for key, value in given["environment"].items() if key not in ("bodies", "orientations")}
+    made = Session.from_dict({**given, "environment": {**world, "model": model}})
+    return replace(describe(unproved(made), "simulated", "ipc", 0), drawing=drawing_of(made))

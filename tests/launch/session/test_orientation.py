@@ -74,11 +74,19 @@ def _sensed(without: str = "", **keys: Any) -> dict[str, Any]:
     return data
 
 
+def test_a_person_at_a_browser_may_turn_it() -> None:
+    data = _with(driver="browser", hand={"stiffness": 100})
+    del data["devices"]["pen"]["orientation"]["torque"]
+    assert Session.from_dict(data).hands == ("pen",)
+
+
 LINKS = [{"between": [f"pen.{i}", "ground"], "stiffness": 100} for i in range(3)]
 
 REFUSED = {
     "two axes": (_with(dof=2, hand={}), "3 axes that translate"),
     "a driver": (_with(driver="a.b:c", mass=None, hand=None), "no inertia: the driver's device and its user"),
+    "a SpaceMouse": (_with(driver="spacemouse", hand={"stiffness": 100}), "driver: simulated, browser, or a driver"),
+    "a person and a torque": (_with(driver="browser", hand={"stiffness": 100}), "no torque: the intention comes from"),
     "torques of joints": (_with(held="torque", linkage={"kappa": 10.0}), "is proved nowhere yet"),
     "axes that turn": (_with(axes={"x": "translation", "y": "translation", "w": "rotation"}), "axes that translate"),
     "no avatar": (_environment(avatars={}), "environment.avatars: {pen: JOINT}"),
