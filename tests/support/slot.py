@@ -126,7 +126,7 @@ def values(run: RecordedRun, node: str, trace: str) -> np.ndarray:
     return np.array(found)
 
 
-def shown(R: tuple[float, ...], Q: tuple[float, ...], torque: tuple[float, ...]) -> dict[str, list[float]]:
+def as_told(R: tuple[float, ...], Q: tuple[float, ...], torque: tuple[float, ...]) -> dict[str, list[float]]:
     """Columns of traces that a page is told, where the device and its tool are turned so, and the torque is this."""
     return {"R": [*R], "Q": [*Q], "t_v": [*torque], "proposed": [*Q, 0.0], "account": [0.0] * 6,
             "heard": [*R, 0.0, 1.0], "told": [*Q, 0.0]}  # fmt: skip

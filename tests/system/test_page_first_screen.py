@@ -18,7 +18,7 @@ from manyhands.protocol.clock import Instant
 from manyhands.protocol.messages import Condition, Figures, Role
 
 from ..support.browser import BOXES, SPACE, ShownPage, browsing, frames, until
-from ..support.slot import described, shown
+from ..support.slot import as_told, described
 from .test_page_drawing import NOTICE, SESSIONS, Played, scene
 
 CHROMIUM = shutil.which("chromium")
@@ -247,7 +247,7 @@ DOWN = Figures({}, {"buttons_down": {"pen.grip": 1.0}})
 @pytest.mark.parametrize(("width", "height"), SCREENS)
 def test_no_name_is_on_a_rod_or_an_arc(width: int, height: int, browser: Browser) -> None:
     played = Played(described())
-    played.stand(0.0, {"device": DOWN}, shown(UP, UP, (0.001, 0.02, 0.0)))
+    played.stand(0.0, {"device": DOWN}, as_told(UP, UP, (0.001, 0.02, 0.0)))
     page = ShownPage(browser, played.feed, width, "light", height=height)
     until(page.page, SPACE, "data-camera", has=" ")
     shown = 0
@@ -255,7 +255,7 @@ def test_no_name_is_on_a_rod_or_an_arc(width: int, height: int, browser: Browser
     poses = [(UP, UP, (side * 0.0083, side * -0.0178, side * 0.0138)) for side in (1.0, -1.0)]
     poses += [(one, other, (0.001, 0.02, -0.008)) for one in (R, RISEN, UP) for other in (Q, RISEN)]
     for i, pose in enumerate(poses):
-        played.stand(0.004 * (i % 3 - 1), {"device": DOWN}, shown(*pose))
+        played.stand(0.004 * (i % 3 - 1), {"device": DOWN}, as_told(*pose))
         page.show()
         until(page.page, '[data-tool="pen"]', "data-at", has=f"{0.004 * (i % 3 - 1):g}")
         frames(page.page)

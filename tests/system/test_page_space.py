@@ -23,7 +23,7 @@ from manyhands.protocol.messages import Figures
 
 from ..support.browser import SPACE, Camera, ShownPage, browsing, camera_after, centre, frames, until
 from ..support.scenes import random_scene
-from ..support.slot import described, shown
+from ..support.slot import as_told, described
 from .test_page_drawing import Played, scene
 
 CHROMIUM = shutil.which("chromium")
@@ -409,7 +409,7 @@ DOWN = Figures({}, {"buttons_down": {"pen.grip": 1.0, "pen.menu": 0.0}})
 def pen(browser: Browser) -> Iterator[ShownPage]:
     """A stick that a hand has turned, about a point beside its middle, while a button is held down."""
     played = Played(described(" ".join(map(str, PIVOT))))
-    played.stand(0.0, {"device": DOWN}, {"x": AT[:3], "x_e": [0.01, 0.0, 0.0], **shown(R, Q, TORQUE)})
+    played.stand(0.0, {"device": DOWN}, {"x": AT[:3], "x_e": [0.01, 0.0, 0.0], **as_told(R, Q, TORQUE)})
     yield from closing(ShownPage(browser, played.feed, 1280, "light"))
 
 
@@ -485,7 +485,7 @@ def test_the_arc_of_a_torque_turns_right_handed_about_its_axis(pen: ShownPage) -
 def turnable(browser: Browser) -> Iterator[ShownPage]:
     """A stick that this page may turn, and that is turned already."""
     played = Played(replace(described(), grips=("pen",)))
-    played.stand(0.0, {}, {"x": AT[:3], "x_e": AT[:3], **shown(R, Q, TORQUE)})
+    played.stand(0.0, {}, {"x": AT[:3], "x_e": AT[:3], **as_told(R, Q, TORQUE)})
     yield from closing(ShownPage(browser, played.feed, 1280, "light"))
 
 
