@@ -16,6 +16,7 @@ from manyhands.launch.plan.reach import reach
 from manyhands.launch.recordings.run import RecordedRun, read_run, rows_of
 from manyhands.launch.run.recorder import RecorderProcess
 from manyhands.launch.run.supervisor import Supervisor
+from manyhands.launch.session.shipped import load_named
 from manyhands.protocol.channels import ACCOUNT, ORIENTATION, PROXY, TORQUE
 from tests.support.slot import session
 
@@ -58,3 +59,19 @@ def test_in_real_time_its_account_is_kept_however_late_it_is(tmp_path: Path) -> 
     assert np.linalg.norm(torque[known], axis=1).max() <= 0.2 * (1.0 + 1e-9)
     assert (account[known, 0] >= account[known, 1] - account[known, 2] - 1e-12).all()
     assert run.figures["pen"][-1][1]["orientation_margin"] >= -1e-12
+
+
+@pytest.mark.alone
+@pytest.mark.long
+def test_in_real_time_the_shipped_peg_is_inserted(tmp_path: Path) -> None:
+    """By hands that go by the clock: however late its torques are, the peg is turned, finds its hole, and goes home."""
+    path = tmp_path / "run.mcap"
+    prepared = prepare(load_named("insert", ["design.tau=0.001"]))
+    run = recorded(prepared, "realtime", 5000, path)
+    done = audit(path, run, lambda text: None, lambda tick: None)
+    assert done.verdict is not AuditVerdict.BROKEN
+    masses = rows_of(run, "environment", "q")
+    depth = masses[:, 5] + 0.025 - (masses[:, 2] - 0.035)
+    assert np.nanmax(depth[:2400]) < 0.001  # m: on the rim until it is wiggled
+    assert np.nanmedian(depth[4600:]) == pytest.approx(0.04, abs=5e-4)
+    assert run.figures["peg"][-1][1]["orientation_margin"] >= -1e-12
