@@ -18,7 +18,9 @@ import manyhands as mh
 SECONDS = 5.0
 MM = 1e3
 COLOURS = ("tab:blue", "tab:green", "tab:red")
-JAMMED = {"devices.peg.orientation.torque": ["-0.0058*pulse(t, 0.4, 0.9)", 0, "-0.013*pulse(t, 0.9, 1.4)"]}
+JAMMED: dict[str, object] = {
+    "devices.peg.orientation.torque": ["-0.0058*pulse(t, 0.4, 0.9)", 0, "-0.013*pulse(t, 0.9, 1.4)"]
+}
 """The hand turns the peg as before, and then holds still, 1.4 degrees from where it fits."""
 
 Array = NDArray[np.float64]
