@@ -60,12 +60,12 @@ def device_checks(run: RecordedRun, name: str, bundle: DeviceBundle, course: Cou
     for k in np.flatnonzero(there(R) & there(account)).tolist():
         happened = course.before.get(k)
         if happened is not None and happened.began:
-            known = np.array([*UPRIGHT, 0.0, 0.0, 0.0, 0.0, 0.0])
+            known = np.array([*UPRIGHT, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
         if known is None or (happened is not None and (happened.released or happened.unknown)):
             skipped[k] = True
         else:
             again[k] = _followed(bundle.orientation.stiffness, known, R[k], came[k], account[k], recorded[k])
-        known = np.array([*Q[k], *account[k, :5]])
+        known = np.array([*Q[k], *account[k, :5], np.any(u[k] != 0.0)])
     columns = (*AXIS_NAMES, *QUATERNION_NAMES, *_FOLLOWS)
     what = "its torque, its proxy and its account follow from its orientation and what was proposed"
     gaps = gaps_of(skipped, _FREE)
@@ -84,10 +84,10 @@ def device_checks(run: RecordedRun, name: str, bundle: DeviceBundle, course: Cou
 
 def _followed(k: float, before: Array, R: Array, came: Array, account: Array, recorded: Array) -> Sequence[float]:
     """Torque, proxy and account of a tick: by the law, or as the device lets go."""
-    late = bool(account[4] > before[8])
+    late, acted = account[4] > before[8], before[9]
     tried: list[Sequence[float]] = []
-    # motors that had let go by themselves in a late tick leave nothing stored
-    for lost in (False, True) if late else (False,):
+    # motors that had let go by themselves in a late tick leave nothing stored, nor have any in one without a torque
+    for lost in (False, True) if late or not acted else (False,):
         for lets_go in (False, True):
             spring = OrientationSpring(k, at=Quaternion(*(R if lost else before[:4]).tolist()))
             spring.account, spring.deposited, spring.granted = before[4:7].tolist()

@@ -63,6 +63,7 @@ class TurnedBody:
         self._period = from_seconds(T)
         self._at, self._begun = Instant(0), -1
         self._hand = self._u = self._omega = NO_TORQUE
+        self._ends: Instant | None = None  # when the motors let go of u by themselves
         self.R = UPRIGHT
 
     def to(self, at: Instant) -> Quaternion:
@@ -77,14 +78,19 @@ class TurnedBody:
                 x, y, z = self._intents
                 self._begun, self._hand = number, (x(t), y(t), z(t))
             part = min(left, self._period - into)
+            if self._ends is not None:
+                if self._at >= self._ends:
+                    self._u, self._ends = NO_TORQUE, None
+                else:
+                    part = min(part, self._ends - self._at)
             self._move(seconds(Duration(part)))
             self._at, left = Instant(self._at + part), left - part
         return self.R
 
-    def apply(self, u: Vector3, at: Instant) -> None:
-        """Hold the torque u, N*m, from the instant ``at`` on."""
+    def apply(self, u: Vector3, at: Instant, until: Instant | None = None) -> None:
+        """Hold the torque u, N*m, from the instant ``at`` on, and let go of it at ``until``; None for never."""
         self.to(at)
-        self._u = u
+        self._u, self._ends = u, until
 
     def _move(self, dt: float) -> None:
         decay = -math.expm1(-self._rate * dt)  # 1 - exp
@@ -170,14 +176,24 @@ class DeviceOrientation:
         spring, acted = self.spring, any(self.torque) or any(self._before)
         held = min(h, d + (self._longest or 0))
         before, self._held_for = self._held_for, seconds(Duration(held))
-        if acted and (h > self._covered or d > self._tau):
+        late = h > self._covered or d > self._tau
+        if acted and late:
             spring.charge(self._most_of(before, self._held_for, seconds(d)))
             if held < h:  # the motors have let go by themselves since
                 spring.lose(self.R)
-        elif not acted and spring.owed:
+        elif not acted and (late or self._owes):
+            # without a torque nothing was stored, and what was burnt pays for nothing else
+            spring.lose(self.R)
             spring.pay(self._b * far * far / seconds(h))
+        elif not acted:  # what the spring may have stored is paid for by what was burnt as well
+            spring.pay((self._b / seconds(h) - 0.5 * self._k) * far * far)
         if spring.owed and self._allowance is not None:
             spring.pay(self._allowance.power * seconds(h))
+
+    @property
+    def _owes(self) -> bool:
+        """Whether late ticks may have given out more than lateness may put in at once."""
+        return self._allowance is not None and self.spring.owed > self._allowance.energy
 
     def _most_of(self, before: float, h: float, d: float) -> float:
         """What a tick of h s with a delay of d s, after one of ``before`` s, may give out, J: decision 54, (4)."""
@@ -201,8 +217,7 @@ class DeviceOrientation:
         """
         self.came = tuple(came[:5]) if came[5] == self.life else NOTHING
         self.most = self._limit * ratio
-        owes = self._allowance is not None and self.spring.owed > self._allowance.energy
-        if self._fast or owes or not self.most > 0.0:
+        if self._fast or self._owes or not self.most > 0.0:
             self.let_go += 1
             self._hold(self._released(), at)
             return self.torque
@@ -231,7 +246,7 @@ class DeviceOrientation:
         self.least = min(self.least, spring.account)
         self.margin = min(self.margin, spring.account - (spring.deposited - spring.granted))
         if self._longest is not None:
-            self._body.apply(u, at)
+            self._body.apply(u, at, Instant(at + self._longest))
         else:
             self._body.apply(u, self._sampled or Instant(0))
 

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
+from manyhands.design.levels.contract import DeviceShare
 from manyhands.launch.audit.events import Course, Happening
 from manyhands.launch.audit.findings import CheckVerdict
-from manyhands.launch.audit.orientation import BOUND, NAME, device_checks, world_checks
+from manyhands.launch.audit.orientation import BOUND, NAME, _followed, device_checks, world_checks
 from manyhands.launch.audit.simulation import Silence, simulate
 from manyhands.launch.plan.bundles import RunPlan, cut
 from manyhands.launch.plan.prepare import Prepared, prepare
 from manyhands.launch.recordings.run import RecordedRun
-from manyhands.nodes.kernel.bundle import DeviceBundle, EnvironmentBundle
+from manyhands.nodes.device.orientation import DeviceOrientation
+from manyhands.nodes.kernel.bundle import DeviceBundle, DeviceRung, EnvironmentBundle, OrientationPart, TurnedHand
+from manyhands.nodes.kernel.orientation import NO_RIDER
+from manyhands.protocol.clock import Duration, Instant, from_seconds
 from tests.support.slot import session, values
 
 pytest.importorskip("mujoco")
@@ -100,3 +105,22 @@ def test_a_recording_says_whose_orientation_is_a_port(run: RecordedRun) -> None:
     }  # fmt: skip
     assert {topic.trace for topic in run.recorded.topics("environment") if topic.hands} == {"heard", "told"}
     assert not any(topic.hands for topic in run.recorded.topics("c"))
+
+
+@pytest.mark.parametrize(("acted", "follows"), [(0.0, True), (1.0, False)])
+def test_a_spring_begins_anew_after_a_late_tick_without_a_torque_alone(acted: float, follows: bool) -> None:
+    """What seemed to be stored in that tick may not be credited, so a row without that credit follows, too."""
+    k, period = 0.5, from_seconds(1e-3)
+    part = OrientationPart(1e-3, k, 0.4, 100.0, TurnedHand(1e-6, 1e-3, (0.02, 0.0, 0.0)))
+    of = DeviceOrientation(part, 1e-3, DeviceRung(0.0, 0.0, DeviceShare()), longest=Duration(6 * period))
+    of.sample(0, Instant(0))
+    of.exert(NO_RIDER, Instant(0))
+    _, Q, u, _, account = of.row()
+    assert not any(u)
+    before = np.array([*Q, *account[:5], acted])
+    of.sample(1, Instant(40 * period))
+    of.exert([1.0, 0.0, 0.0, 0.0, 0.0, of.life], Instant(40 * period))
+    R, Q, u, came, account = map(np.array, of.row())
+    assert account[0] == 0.0
+    recorded = np.array([*u, *Q, *account[:3]])
+    assert (tuple(_followed(k, before, R, came, account, recorded)) == tuple(recorded)) is follows
