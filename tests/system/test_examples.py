@@ -80,6 +80,20 @@ def test_the_inserted_peg_is_drawn_and_goes_home(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
+def test_the_stretcher_is_drawn_and_both_wrists_roll(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    said = run("stretcher.py", tmp_path)
+    assert (tmp_path / "stretcher.png").read_bytes().startswith(PNG)
+    found = re.fullmatch(
+        r"stretcher\.png: lifted by 2\d mm, rolled by (\S+) degrees, and the wrist that holds by (\S+), "
+        r"of 0\.\d\d mJ that the other gave\n",
+        said,
+    )
+    assert found, said
+    assert abs(float(found[1]) - float(found[2])) < 0.5
+
+
+@pytest.mark.long
 def test_the_order_curve_begins_as_the_page_shows_it(tmp_path: Path) -> None:
     """The first two rows; `tests/system/test_design_docs.py` designs the third, and the others take minutes."""
     said = run("order_curve.py", tmp_path, "--orders", "0", "1")

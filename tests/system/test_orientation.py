@@ -63,15 +63,21 @@ def test_in_real_time_its_account_is_kept_however_late_it_is(tmp_path: Path) -> 
 
 @pytest.mark.alone
 @pytest.mark.long
-def test_in_real_time_the_shipped_peg_is_inserted(tmp_path: Path) -> None:
-    """By hands that go by the clock: however late its torques are, the peg is turned, finds its hole, and goes home."""
+@pytest.mark.parametrize(("name", "ticks"), [("insert", 5000), ("stretcher", 4600)])
+def test_in_real_time_the_shipped_tools_turn_as_they_are_to(name: str, ticks: int, tmp_path: Path) -> None:
+    """By hands that go by the clock, however late their torques are."""
     path = tmp_path / "run.mcap"
-    prepared = prepare(load_named("insert", ["design.tau=0.001"]))
-    run = recorded(prepared, "realtime", 5000, path)
+    run = recorded(prepare(load_named(name, ["design.tau=0.001"])), "realtime", ticks, path)
     done = audit(path, run, lambda text: None, lambda tick: None)
     assert done.verdict is not AuditVerdict.BROKEN
-    masses = rows_of(run, "environment", "q")
-    depth = masses[:, 5] + 0.025 - (masses[:, 2] - 0.035)
-    assert np.nanmax(depth[:2400]) < 0.001  # m: on the rim until it is wiggled
-    assert np.nanmedian(depth[4600:]) == pytest.approx(0.04, abs=5e-4)
-    assert run.figures["peg"][-1][1]["orientation_margin"] >= -1e-12
+    masses, turned = rows_of(run, "environment", "q"), rows_of(run, "environment", "R")
+    if name == "insert":
+        depth = masses[:, 5] + 0.025 - (masses[:, 2] - 0.035)
+        assert np.nanmax(depth[:2400]) < 0.001  # m: on the rim until it is wiggled
+        assert np.nanmedian(depth[4600:]) == pytest.approx(0.04, abs=5e-4)
+    else:
+        assert np.nanmedian(masses[1500:3000, 2]) > 0.02  # m: carried,
+        assert np.nanmedian(masses[4400:, 2]) == pytest.approx(0.006, abs=5e-4)  # and put down
+        assert np.degrees(2.0 * np.nanmedian(turned[3300:3600, 3])) == pytest.approx(20.0, abs=2.0)
+    for hand in load_named(name, []).hands:
+        assert run.figures[hand][-1][1]["orientation_margin"] >= -1e-12

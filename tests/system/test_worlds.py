@@ -25,7 +25,8 @@ SESSIONS = ROOT / "launch" / "sessions"
 TICKS = 730  # no multiple of the ticks between two telemetry messages
 LIFTED = 2270  # likewise: the gripper has closed by then, and lifts the cube
 ENTERED = 2770  # likewise: the peg has been turned, and has found its hole
-ENGINES = {"mujoco": TICKS, "gripper": LIFTED, "insert": ENTERED}
+ROLLED = 1690  # likewise: one wrist has rolled the stretcher, and with it the other
+ENGINES = {"mujoco": TICKS, "gripper": LIFTED, "insert": ENTERED, "stretcher": ROLLED}
 
 DISC = """
 class Disc:
@@ -82,7 +83,8 @@ def long(name: str) -> object:
 
 
 @pytest.mark.parametrize(
-    "name", ["lift", "mujoco", "gripper", "insert", *map(long, ("carry", "rub", "peg", "tray", "puck", "plate"))]
+    "name",
+    ["lift", "mujoco", "gripper", "insert", *map(long, ("stretcher", "carry", "rub", "peg", "tray", "puck", "plate"))],
 )
 def test_processes_simulation_replay_and_audit_agree_to_the_last_bit(name: str, tmp_path: Path) -> None:
     """Scenes, engines, a model that is asked for forces, and one that is asked for positions."""
@@ -120,6 +122,9 @@ def test_processes_simulation_replay_and_audit_agree_to_the_last_bit(name: str, 
     if name == "insert":
         assert np.ptp(run.traces["peg", "orientation"].values[:, 3]) > 0.1
         assert abs(run.traces["peg", "torque"].values[2500:, 2]).max() > 0.005  # N·m: the hole holds it
+    if name == "stretcher":
+        assert run.traces["back", "account"].values[-1, 2] > 1e-4  # J: granted to the wrist that only holds
+    if name in ("insert", "stretcher"):
         assert {row.promise: row.state for row in done.promises}["orientation account"] == "kept"
     unchecked = {check.party for check in done.checks if check.verdict is not CheckVerdict.HOLDS}
     assert unchecked == ({"environment"} if foreign else set())

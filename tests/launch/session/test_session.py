@@ -64,6 +64,7 @@ def test_the_shipped_sessions() -> None:
         "peg": "peg",
         "rub": "rub",
         "steering": "steering",
+        "stretcher": "stretcher",
         "stroke": "stroke",
         "tray": "tray",
     }
