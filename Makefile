@@ -171,10 +171,13 @@ DEVICES ?= 200
 identify: $(VENV)/.installed
 	$(BIN)/python -m benchmarks.identify --devices $(DEVICES) --seed $(SEED)
 
-# hands that turn violently, and worlds that propose anything, against the law of orientations; half an hour
+# hands that turn violently, and worlds that propose anything, against the law of orientations; half an hour. Then hostile
+# hands of six axes in MuJoCo, 120,000 ticks: two minutes
 MOTIONS ?= 100000
+THROWN  ?= 120000
 orientation: $(VENV)/.installed
 	$(BIN)/python -m benchmarks.orientation --motions $(MOTIONS) --seed $(SEED)
+	$(BIN)/python -m tests.deterministic.turned --ticks $(THROWN) --seed $(SEED)
 
 # what held torques, encoder steps and dry friction do to a certified stiffness: a minute and a half
 mechanisms: $(VENV)/.installed

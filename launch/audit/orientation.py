@@ -73,6 +73,7 @@ def device_checks(run: RecordedRun, name: str, bundle: DeviceBundle, course: Cou
     again = np.full((len(R), len(AXIS_NAMES) + len(QUATERNION_NAMES) + len(_FOLLOWS)), np.nan)
     recorded = np.hstack([u, Q, account[:, : len(_FOLLOWS)]])
     known: Array | None = None
+    acted = False  # whether the tick before had a torque
     ended = _ended(run, name, bundle)
     skipped = np.zeros(len(R), dtype=np.bool_)
     spring = _Stiffness(bundle.orientation, bundle.rungs)
@@ -80,6 +81,7 @@ def device_checks(run: RecordedRun, name: str, bundle: DeviceBundle, course: Cou
         happened = course.before.get(k, _NOTHING)
         if happened.began:
             known = np.array([*R[k], 0.0, 0.0, 0.0, 0.0, 0.0])  # its proxy begins where it is
+            acted = False
             spring.begin()
         if happened.rung is not None:
             spring.change(happened.rung)
@@ -89,11 +91,12 @@ def device_checks(run: RecordedRun, name: str, bundle: DeviceBundle, course: Cou
             skipped[k] = True
             spring.doubt()
         else:
-            lost = bool(account[k, 4] > known[8] or ended[k])
+            # motors that had let go by themselves leave nothing stored, nor have any in a late tick without a torque
+            lost = bool(account[k, 4] > known[8] or ended[k] or not acted)
             tried = [_followed(one, known, R[k], came[k], account[k], recorded[k], lost) for one in spring.possible]
             again[k] = next((one for one in tried if tuple(one) == tuple(recorded[k].tolist())), tried[0])
             spring.rest(account[k, 5] == 0.0, not u[k].any())
-        known = np.array([*Q[k], *account[k, :5]])
+        known, acted = np.array([*Q[k], *account[k, :5]]), bool(u[k].any())
     columns = (*AXIS_NAMES, *QUATERNION_NAMES, *_FOLLOWS)
     what = "its torque, its proxy and its account follow from its orientation and what was proposed"
     gaps = gaps_of(skipped, _FREE)
@@ -168,7 +171,6 @@ def _followed(
 ) -> Sequence[float]:
     """Torque, proxy and account of a tick: by the law, or as the device lets go."""
     tried: list[Sequence[float]] = []
-    # motors that had let go by themselves leave nothing stored
     for lost in (False, True) if may_be_lost else (False,):
         for lets_go in (False, True):
             spring = OrientationSpring(k, at=Quaternion(*(R if lost else before[:4]).tolist()))

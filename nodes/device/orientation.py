@@ -70,8 +70,8 @@ class Body(Protocol):
         """Move on to the instant ``at``, and return the orientation then; an earlier one is the present."""
         ...
 
-    def apply(self, u: Vector3, at: Instant) -> None:
-        """Hold the torque u, N*m, from the instant ``at`` on."""
+    def apply(self, u: Vector3, at: Instant, until: Instant | None = None) -> None:
+        """Hold the torque u, N*m, from the instant ``at`` on, and let go of it at ``until``; None for never."""
         ...
 
 
@@ -94,7 +94,7 @@ class DriverBody:
         """The orientation of the driver's last sample."""
         return self._driver.orientation()
 
-    def apply(self, u: Vector3, at: Instant) -> None:
+    def apply(self, u: Vector3, at: Instant, until: Instant | None = None) -> None:
         """Nothing more is to be done."""
 
 
@@ -119,6 +119,7 @@ class TurnedBody:
         self._period = from_seconds(T)
         self._at, self._begun = Instant(0), -1
         self._hand = self._u = self._omega = NO_TORQUE
+        self._ends: Instant | None = None  # when the motors let go of u by themselves
         self.R = UPRIGHT
 
     def to(self, at: Instant) -> Quaternion:
@@ -138,14 +139,19 @@ class TurnedBody:
                     self._damping = self._of.damping + damping
                     self._rate = self._damping / self._of.inertia
             part = min(left, self._period - into)
+            if self._ends is not None:
+                if self._at >= self._ends:
+                    self._u, self._ends = NO_TORQUE, None
+                else:
+                    part = min(part, self._ends - self._at)
             self._move(seconds(Duration(part)))
             self._at, left = Instant(self._at + part), left - part
         return self.R
 
-    def apply(self, u: Vector3, at: Instant) -> None:
-        """Hold the torque u, N*m, from the instant ``at`` on."""
+    def apply(self, u: Vector3, at: Instant, until: Instant | None = None) -> None:
+        """Hold the torque u, N*m, from the instant ``at`` on, and let go of it at ``until``; None for never."""
         self.to(at)
-        self._u = u
+        self._u, self._ends = u, until
 
     def _move(self, dt: float) -> None:
         decay = -math.expm1(-self._rate * dt)  # 1 - exp
@@ -356,16 +362,27 @@ class DeviceOrientation:
         """
         spring, acted, longest = self.spring, any(self.torque) or any(self._before), h + self._jitter
         before, self._held_for = self._held_for, seconds(Duration(min(longest, ended)))
-        if acted and (longest > self._covered or d > self._tau or d > h):
-            spring.charge(self._most_of(before, self._held_for, seconds(d)))
-        elif not acted and spring.owed:
-            spring.pay(self._b * far * far / seconds(Duration(longest)))
-        if acted and ended < h + self._slack:  # the motors have let go by themselves since
-            if ended >= h:  # or do so just now
-                spring.charge(self._limit * self._speed * seconds(self._slack))
+        late = longest > self._covered or d > self._tau or d > h
+        burnt = self._b * far * far / seconds(Duration(longest))
+        if acted:
+            if late:
+                spring.charge(self._most_of(before, self._held_for, seconds(d)))
+            if ended < h + self._slack:  # the motors have let go by themselves since
+                if ended >= h:  # or do so just now
+                    spring.charge(self._limit * self._speed * seconds(self._slack))
+                spring.lose(self.R)
+        elif late or self._owes:  # without a torque nothing was stored, and what was burnt pays for nothing else
             spring.lose(self.R)
+            spring.pay(burnt)
+        else:  # what the spring may have stored is paid for by what was burnt as well
+            spring.pay(burnt - 0.5 * self._k * far * far)
         if spring.owed and self._allowance is not None:
             spring.pay(self._allowance.power * seconds(h))
+
+    @property
+    def _owes(self) -> bool:
+        """Whether late ticks may have given out more than lateness may put in at once."""
+        return self._allowance is not None and self.spring.owed > self._allowance.energy
 
     def _most_of(self, before: float, h: float, d: float) -> float:
         """What a tick of h s with a delay of d s, after one of ``before`` s, may give out, J: decision 54, (4)."""
@@ -392,8 +409,7 @@ class DeviceOrientation:
         self.came = tuple(came[:5]) if came[5] == self.life else NOTHING
         self._fade = max(0, self._fade - 1) if self._next is not None else min(RAMP, self._fade + 1)
         self.most = self._limit * ratio * (self._fade / RAMP)
-        owes = self._allowance is not None and self.spring.owed > self._allowance.energy
-        if self._fast or owes or not self.most > 0.0:
+        if self._fast or self._owes or not self.most > 0.0:
             self.let_go += 1
             self._hold(self._released(), at)
             # the tick before is judged by the rung in which its torque acted, so there must have been none
@@ -413,6 +429,7 @@ class DeviceOrientation:
     def shorten(self, until: Instant) -> None:
         """The motors let go of the torque by themselves at ``until`` already."""
         self._ends = min(self._ends, until)
+        self._body.apply(self.torque, self._sampled or until, self._ends)
 
     def row(self) -> tuple[Sequence[float], ...]:
         """R, Q, the torque, what came, and the account with all that it is made of: a part for each topic."""
@@ -433,7 +450,7 @@ class DeviceOrientation:
         self.least = min(self.least, spring.account)
         self.margin = min(self.margin, spring.account - (spring.deposited - spring.granted))
         if self._longest is not None:
-            self._body.apply(u, at)
+            self._body.apply(u, at, self._ends)
         else:
             self._body.apply(u, self._sampled or Instant(0))
 

@@ -68,6 +68,32 @@ def test_the_stroked_relief_is_drawn_and_felt(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
+def test_the_inserted_peg_is_drawn_and_goes_home(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    said = run("insert.py", tmp_path)
+    assert (tmp_path / "insert.png").read_bytes().startswith(PNG)
+    found = re.fullmatch(
+        r"insert\.png: the peg ends 40\.0 mm deep, and not wiggled 0\.\d mm; its hand felt up to (\d+) mN·m\n", said
+    )
+    assert found, said
+    assert 9 < int(found[1]) < 20  # 12 here: an engine's digits may change with its version
+
+
+@pytest.mark.long
+def test_the_stretcher_is_drawn_and_both_wrists_roll(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    said = run("stretcher.py", tmp_path)
+    assert (tmp_path / "stretcher.png").read_bytes().startswith(PNG)
+    found = re.fullmatch(
+        r"stretcher\.png: lifted by 2\d mm, rolled by (\S+) degrees, and the wrist that holds by (\S+), "
+        r"of 0\.\d\d mJ that the other gave\n",
+        said,
+    )
+    assert found, said
+    assert abs(float(found[1]) - float(found[2])) < 0.5
+
+
+@pytest.mark.long
 def test_the_order_curve_begins_as_the_page_shows_it(tmp_path: Path) -> None:
     """The first two rows; `tests/system/test_design_docs.py` designs the third, and the others take minutes."""
     said = run("order_curve.py", tmp_path, "--orders", "0", "1")
@@ -104,7 +130,16 @@ def test_the_puck_is_held_to_its_promise(tmp_path: Path) -> None:
 
 
 def test_no_example_is_left_out() -> None:
-    others = {"carry.py", "order_curve.py", "puck.py", "relief.py", "scenes.py", "stroke.py", "tightness.py"}
+    others = {
+        "carry.py",
+        "insert.py",
+        "order_curve.py",
+        "puck.py",
+        "relief.py",
+        "scenes.py",
+        "stroke.py",
+        "tightness.py",
+    }
     assert {path.name for path in EXAMPLES.glob("*.py")} == {*FIGURES, *others}
 
 

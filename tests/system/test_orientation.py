@@ -19,6 +19,7 @@ from manyhands.launch.recordings.run import RecordedRun, read_run, rows_of
 from manyhands.launch.run.recorder import RecorderProcess
 from manyhands.launch.run.supervisor import Supervisor
 from manyhands.launch.session import Session
+from manyhands.launch.session.shipped import load_named
 from manyhands.protocol.channels import ACCOUNT, ORIENTATION, PROXY, TORQUE
 from tests.support.slot import sensed, slot, slot_by, told
 
@@ -112,3 +113,25 @@ def test_in_real_time_its_account_is_kept_however_late_it_is(
     assert np.linalg.norm(torque[known], axis=1).max() <= 0.2 * (1.0 + 1e-9)
     assert (account[known, 0] >= account[known, 1] - account[known, 2] - 1e-12).all()
     assert run.figures["pen"][-1][1]["orientation_margin"] >= -1e-12
+
+
+@pytest.mark.alone
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "ticks"), [("insert", 5000), ("stretcher", 4600)])
+def test_in_real_time_the_shipped_tools_turn_as_they_are_to(name: str, ticks: int, tmp_path: Path) -> None:
+    """By hands that go by the clock, however late their torques are."""
+    path = tmp_path / "run.mcap"
+    run = recorded(prepare(load_named(name, ["design.tau=0.001"])), "realtime", ticks, path)
+    done = audit(path, run, lambda text: None, lambda tick: None)
+    assert done.verdict is not AuditVerdict.BROKEN
+    masses, turned = rows_of(run, "environment", "q"), rows_of(run, "environment", "R")
+    if name == "insert":
+        depth = masses[:, 5] + 0.025 - (masses[:, 2] - 0.035)
+        assert np.nanmax(depth[:2400]) < 0.001  # m: on the rim until it is wiggled
+        assert np.nanmedian(depth[4600:]) == pytest.approx(0.04, abs=5e-4)
+    else:
+        assert np.nanmedian(masses[1500:3000, 2]) > 0.02  # m: carried,
+        assert np.nanmedian(masses[4400:, 2]) == pytest.approx(0.006, abs=5e-4)  # and put down
+        assert np.degrees(2.0 * np.nanmedian(turned[3300:3600, 3])) == pytest.approx(20.0, abs=2.0)
+    for hand in load_named(name, []).hands:
+        assert run.figures[hand][-1][1]["orientation_margin"] >= -1e-12

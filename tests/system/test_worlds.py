@@ -24,6 +24,9 @@ ROOT = Path(__file__).parents[2]
 SESSIONS = ROOT / "launch" / "sessions"
 TICKS = 730  # no multiple of the ticks between two telemetry messages
 LIFTED = 2270  # likewise: the gripper has closed by then, and lifts the cube
+ENTERED = 2770  # likewise: the peg has been turned, and has found its hole
+ROLLED = 1690  # likewise: one wrist has rolled the stretcher, and with it the other
+ENGINES = {"mujoco": TICKS, "gripper": LIFTED, "insert": ENTERED, "stretcher": ROLLED}
 
 DISC = """
 class Disc:
@@ -80,11 +83,12 @@ def long(name: str) -> object:
 
 
 @pytest.mark.parametrize(
-    "name", ["lift", "mujoco", "gripper", *map(long, ("carry", "rub", "peg", "tray", "puck", "plate"))]
+    "name",
+    ["lift", "mujoco", "gripper", "insert", *map(long, ("stretcher", "carry", "rub", "peg", "tray", "puck", "plate"))],
 )
 def test_processes_simulation_replay_and_audit_agree_to_the_last_bit(name: str, tmp_path: Path) -> None:
     """Scenes, engines, a model that is asked for forces, and one that is asked for positions."""
-    engine, ticks = name in ("mujoco", "gripper"), LIFTED if name == "gripper" else TICKS
+    engine, ticks = name in ENGINES, ENGINES.get(name, TICKS)
     if engine and importlib.util.find_spec("mujoco") is None:
         pytest.skip("the extra mujoco is not installed")
     (tmp_path / "disc.py").write_text(DISC)
@@ -115,5 +119,12 @@ def test_processes_simulation_replay_and_audit_agree_to_the_last_bit(name: str, 
         assert [*turned.columns] == [f"{body}.q{part}" for body in ("cube", "finger") for part in "wxyz"]
         assert np.linalg.norm(turned.values.reshape(ticks, 2, 4), axis=2) == pytest.approx(1.0, abs=1e-12)
         assert np.ptp(turned.values[:, 6]) > 0.1  # the finger's
+    if name == "insert":
+        assert np.ptp(run.traces["peg", "orientation"].values[:, 3]) > 0.1
+        assert abs(run.traces["peg", "torque"].values[2500:, 2]).max() > 0.005  # N·m: the hole holds it
+    if name == "stretcher":
+        assert run.traces["back", "account"].values[-1, 2] > 1e-4  # J: granted to the wrist that only holds
+    if name in ("insert", "stretcher"):
+        assert {row.promise: row.state for row in done.promises}["orientation account"] == "kept"
     unchecked = {check.party for check in done.checks if check.verdict is not CheckVerdict.HOLDS}
     assert unchecked == ({"environment"} if foreign else set())

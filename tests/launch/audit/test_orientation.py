@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from manyhands.design.levels.contract import DeviceShare
 from manyhands.launch.audit.events import Course, Happening
 from manyhands.launch.audit.findings import CheckVerdict
-from manyhands.launch.audit.orientation import BOUND, NAME, device_checks, world_checks
+from manyhands.launch.audit.orientation import BOUND, NAME, _followed, device_checks, world_checks
 from manyhands.launch.audit.simulation import Silence, Simulation, simulate
 from manyhands.launch.look.plots import NotDrawable, picture_of_run
 from manyhands.launch.plan.bundles import RunPlan, cut
@@ -20,12 +21,19 @@ from manyhands.launch.session import Session
 from manyhands.nodes.device.drivers import driver_of
 from manyhands.nodes.device.orientation import DeviceOrientation
 from manyhands.nodes.device.tick import tick_of
-from manyhands.nodes.kernel.bundle import REALTIME, DeviceBundle, EnvironmentBundle
-from manyhands.nodes.kernel.orientation import turned_by
+from manyhands.nodes.kernel.bundle import (
+    REALTIME,
+    DeviceBundle,
+    DeviceRung,
+    EnvironmentBundle,
+    OrientationPart,
+    TurnedHand,
+)
+from manyhands.nodes.kernel.orientation import NO_RIDER, turned_by
 from manyhands.nodes.kernel.timeouts import RAMP
 from manyhands.nodes.recorder.format import Recorded
 from manyhands.protocol.channels import ACCOUNT, INSTANTS, ORIENTATION, PROPOSED, PROXY, TOPICS, TORQUE
-from manyhands.protocol.clock import Instant
+from manyhands.protocol.clock import Duration, Instant, from_seconds
 from manyhands.protocol.messages import Role
 from tests.support.slot import sensed, session, slot, slot_by, told, values
 
@@ -282,3 +290,22 @@ def test_a_torque_that_ended_before_the_next_sample_leaves_nothing_stored_there_
     instants[:, 2] = instants[:, 0]  # as if every torque had lasted until the next sample
     found = {check.name: check.verdict for check in device_checks(run, "pen", bundle, course)}
     assert found[NAME] is (CheckVerdict.BROKEN if cut_short else CheckVerdict.HOLDS)
+
+
+@pytest.mark.parametrize(("acted", "follows"), [(0.0, True), (1.0, False)])
+def test_a_spring_begins_anew_after_a_late_tick_without_a_torque_alone(acted: float, follows: bool) -> None:
+    """What seemed to be stored in that tick may not be credited, so a row without that credit follows, too."""
+    k, period = 0.5, from_seconds(1e-3)
+    part = OrientationPart(1e-3, k, 0.4, 100.0, TurnedHand(1e-6, 1e-3, (0.02, 0.0, 0.0)))
+    of = DeviceOrientation(part, 1e-3, DeviceRung(0.0, 0.0, DeviceShare()), longest=Duration(6 * period))
+    of.sample(0, Instant(0))
+    of.exert(NO_RIDER, Instant(0))
+    _, Q, u, _, account = of.row()
+    assert not any(u)
+    before = np.array([*Q, *account[:5]])
+    of.sample(1, Instant(40 * period))
+    of.exert([1.0, 0.0, 0.0, 0.0, 0.0, of.life], Instant(40 * period))
+    R, Q, u, came, account = map(np.array, of.row())
+    assert account[0] == 0.0
+    recorded = np.array([*u, *Q, *account[:3]])
+    assert (tuple(_followed(k, before, R, came, account, recorded, acted == 0.0)) == tuple(recorded)) is follows

@@ -50,6 +50,7 @@ def test_the_shipped_sessions() -> None:
         "carry": "carry",
         "gripper": "gripper",
         "handover": "handover",
+        "insert": "insert",
         "mujoco": "mujoco",
         "example1": "example-1",
         "example1-centralised": "example-1-centralised",
@@ -63,6 +64,7 @@ def test_the_shipped_sessions() -> None:
         "peg": "peg",
         "rub": "rub",
         "steering": "steering",
+        "stretcher": "stretcher",
         "stroke": "stroke",
         "tray": "tray",
     }

@@ -227,6 +227,50 @@ def test_motors_that_have_let_go_by_themselves_leave_nothing_stored() -> None:
     assert of.spring.account == account
 
 
+@pytest.mark.parametrize("late", [4.0, 20.0, 50.0])
+def test_a_late_tick_without_a_torque_adds_no_more_to_the_account_than_the_hand_has_put_in(late: float) -> None:
+    """The proxy rests meanwhile, and the spring to it would seem to have stored what nobody has paid for."""
+    times = [0.0, late * T, late * T + 1e-9, 1.0]
+    torque = {"times": times, "values": [B / (late * T)] * 2 + [0.0] * 2}  # one radian
+    hand = TurnedHand(1e-7, B, (torque, 0.0, 0.0))
+    of = DeviceOrientation(OrientationPart(B, K, K, SPEED, hand), T, RUNG, None, Duration(6 * from_seconds(T)))
+    of._body = body = Measured(hand)
+    of.sample(0, Instant(0))
+    of.exert(NO_RIDER, Instant(0))
+    now = Instant(from_seconds(late * T))
+    of.sample(1, now)
+    assert angle(of.R, UPRIGHT) == pytest.approx(1.0, rel=0.05)
+    of.release(now)
+    assert of.spring.late == 0.0
+    assert of.spring.account <= body.put_in
+
+
+def test_what_is_burnt_without_a_torque_pays_once() -> None:
+    """For what is owed, or for what the spring may have stored: the account and the debt have less than was put in."""
+    hand = TurnedHand(1e-10, B, (0.4, 0.0, 0.0))  # 0.2 rad a tick
+    of = DeviceOrientation(OrientationPart(B, K, K, SPEED, hand), T, RUNG, None, Duration(6 * from_seconds(T)))
+    of._body = body = Measured(hand)
+    of.spring.charge(100.0)
+    for k in range(100):
+        of.sample(k, Instant(k * from_seconds(T)))
+        of.exert(NO_RIDER, Instant(k * from_seconds(T)))
+        of.release(Instant(k * from_seconds(T)))
+        assert of.spring.account + 100.0 - of.spring.owed <= body.put_in + ROUNDING
+    assert of.spring.account > 1e-6
+    assert of.spring.owed < 99.99
+
+
+def test_a_torque_that_its_motors_have_let_go_of_turns_it_no_more() -> None:
+    """What a stopped process left behind would else act for as long as that stands still, and nothing counts it."""
+    rng = np.random.default_rng(2)
+    of, body = oriented(rng, force=0.0)
+    of.sample(0, Instant(0))
+    torque = of.exert([*turned_by(UPRIGHT, (0.3, 0.0, 0.0)), 1.0, of.life], Instant(0))
+    of.sample(1, Instant(from_seconds(0.02)))
+    assert angle(of.R, UPRIGHT) == pytest.approx(6 * T * math.hypot(*torque) / B, rel=1e-6)
+    assert body.put_in >= of.least - of.spring.late
+
+
 def test_a_hand_that_turns_faster_than_its_limit_is_let_go() -> None:
     part = OrientationPart(B, K, 1.0, 1.0, TurnedHand(1e-5, B, (0.5, 0.0, 0.0)))
     of = DeviceOrientation(part, T, RUNG)

@@ -218,7 +218,7 @@ class Late:
             self.body.apply(torque, Instant(instant))
         return self.body.to(Instant(max(0, seen)))
 
-    def apply(self, u: Vector3, at: Instant) -> None:
+    def apply(self, u: Vector3, at: Instant, until: Instant | None = None) -> None:
         """It is told by :meth:`exert`."""
 
     def exert(self, u: Vector3, at: int, until: int) -> None:
@@ -274,7 +274,7 @@ class Turned:
     def to(self, at: Instant) -> Quaternion:
         return UPRIGHT
 
-    def apply(self, u: Vector3, at: Instant) -> None:
+    def apply(self, u: Vector3, at: Instant, until: Instant | None = None) -> None:
         """It stays."""
 
 

@@ -11,52 +11,13 @@ from manyhands.nodes.environment.enforced import EnforcedCore
 from manyhands.nodes.environment.model import AskedModel
 from manyhands.nodes.environment.mujoco import MujocoEngine
 from manyhands.nodes.environment.proxy import ProxyLaw, Vector
+from tests.support.thrown_tools import BODIES, SHAPES, STARTS, model
 
 T = 1e-3
 K = 2000.0  # N/m, of the springs to the avatars
 D_V = T / (T * 800.0 + 0.5)  # m/N, of couplings of 800 N/m and 0.5 N·s/m
 ROUNDING = 1e-12
 """Of the work that was done: below it nothing may be given out."""
-
-ROOM = "".join(
-    f'<geom type="plane" size="1 1 1" pos="{0.1 * x} {0.1 * y} {0.1 * z}" zaxis="{-x} {-y} {-z}"/>'
-    for x, y, z in [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
-)
-"""Six walls, 100 mm from the middle."""
-
-
-def tool(name: str, x: float) -> str:
-    slides = "".join(
-        f'<joint name="{name}_{axis}" type="slide" axis="{along}" damping="0.2"/>'
-        for axis, along in zip("xyz", ("1 0 0", "0 1 0", "0 0 1"), strict=True)
-    )
-    return f'<body pos="{x} 0 0">{slides}<geom size="0.01" mass="0.05"/></body>'
-
-
-BODIES = {
-    "free": '<body name="thing"><freejoint/>{shape}</body>',
-    "ball": '<body name="thing"><joint type="ball" damping="0.0001"/>{shape}</body>',
-    "hinge on free": '<body name="thing"><freejoint/>{shape}<body pos="0 0 0.03"><joint type="hinge" axis="1 0 0"/>'
-    '<geom type="capsule" fromto="0 0 0 0 0 0.03" size="0.006" mass="0.03"/></body></body>',
-}
-SHAPES = {
-    "box": '<geom type="box" size="0.03 0.02 0.01" mass="0.1"/>',
-    "dumb-bell": '<geom size="0.015" pos="-0.03 0 0" mass="0.06"/><geom size="0.015" pos="0.03 0 0" mass="0.06"/>'
-    '<geom type="cylinder" size="0.006 0.03" euler="0 90 0" mass="0.02"/>',
-}
-
-
-CARES = {
-    "careful": ('timestep="0.0005" integrator="implicitfast" cone="elliptic" gravity="0 0 0"', 'solref="0.004 1"'),
-    "careless": ('timestep="0.001" integrator="Euler" iterations="3" gravity="0 0 -9.81"', 'solref="-2e5 0"'),
-}
-"""Options of an engine, and of its contacts: a careless one loads its tools, and its contacts give out energy."""
-
-
-def model(body: str, shape: str, care: str) -> str:
-    option, contact = CARES[care]
-    return f"""<mujoco><option {option}/><default><geom {contact} friction="0.6 0.005 0.0001"/></default>
-<worldbody>{ROOM}{tool("a", -0.06)}{tool("b", 0.06)}{BODIES[body].format(shape=SHAPES[shape])}</worldbody></mujoco>"""
 
 
 @dataclass
@@ -98,7 +59,7 @@ def violent(body: str, shape: str, care: str, ticks: int, seed: int, kind: type[
     )
     core = EnforcedCore(law, D_V * np.eye(6), np.zeros((6, 6)), T, False, ([0, 1, 2], [3, 4, 5]))
     told = Told()
-    start = np.array([[-0.06, 0.0, 0.0], [0.06, 0.0, 0.0]])
+    start = np.array([[x, 0.0, 0.0] for x in STARTS.values()])
     p, aim, speed, shake = np.zeros((2, 3)), np.zeros((2, 3)), np.ones(2), np.zeros(2)
     for _ in range(ticks):
         thing = np.array(engine.positions())
