@@ -1,4 +1,4 @@
-"""A session with the fake's Inverse3 and VerseGrip: the grip turns a tool in MuJoCo, in real time, and feels nothing."""
+"""A session with the fake's Inverse3 and VerseGrip: the grip turns a tool in MuJoCo in real time, and feels nothing."""
 
 from __future__ import annotations
 
