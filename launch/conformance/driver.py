@@ -210,17 +210,23 @@ class Stretch:
         return np.array(self.x)
 
     def turns(self, ticks: slice = slice(None)) -> Stretch:
-        """The same ticks with the turns from the first of them in place of displacements, as rotation vectors, rad."""
-        R = self.R[ticks]
-        return Stretch(self.at[ticks], [_turn(one, R[0]) for one in R])
+        """The same ticks with the turns since the first of them in place of displacements, rad."""
+        R, x = self.R[ticks], [[0.0] * 3]
+        for before, now in pairwise(R):
+            x.append([a + b for a, b in zip(x[-1], _turn(now, before), strict=True)])
+        return Stretch(self.at[ticks], x[: len(R)])
 
     def __len__(self) -> int:
         return len(self.at)
 
 
-def _turn(R: Quaternion, origin: Quaternion) -> list[float]:
-    """The rotation vector from an orientation to another, rad; its length is at most pi."""
-    w, *v = difference(R, origin)
+def _turn(R: Quaternion, before: Quaternion) -> list[float]:
+    """The rotation vector from the orientation of a tick to that of the next, rad; its length is at most pi.
+
+    Their sum is the integral of the angular velocity, which a torque changes as a force does a velocity. It has no end
+    at half a turn, as the rotation vector from an origin has.
+    """
+    w, *v = difference(R, before)
     size = math.hypot(*v)
     scale = 2.0 if size < 1e-12 else 2.0 * math.atan2(size, abs(w)) / size
     return [math.copysign(scale, w) * part for part in v]
@@ -282,11 +288,11 @@ class Bench:
         self._held: list[float] | None = None
         self._oriented = driver if isinstance(driver, PluginDriver) and driver.oriented is not None else None
         self._felt = driver if isinstance(driver, PluginDriver) and driver.oriented and driver.oriented.felt else None
-        self._origin: Quaternion | None = None
+        self._turned: list[float] | None = None  # rad, since torques are exerted
 
     def turns(self) -> None:
         """From now on push by torques (N*m), and take the turns from here for displacements, rad."""
-        self._origin = self.samples.R[-1]
+        self._turned = [0.0] * 3
 
     def rest(self, ticks: int) -> Stretch:
         """Read the device for some ticks, with no force."""
@@ -339,7 +345,11 @@ class Bench:
         self.samples.at.append(at * 1e-9)
         self.samples.x.append(list(x))
         if self._oriented is not None:
-            self.samples.R.append(self._call("orientation", self._oriented.orientation))
+            R = self._call("orientation", self._oriented.orientation)
+            if self._turned is not None:
+                more = _turn(R, self.samples.R[-1])
+                self._turned = [a + b for a, b in zip(self._turned, more, strict=True)]
+            self.samples.R.append(R)
         if isinstance(driver, PluginDriver) and driver.tells_work:
             self._book(driver)
         self._held = f
@@ -350,9 +360,9 @@ class Bench:
         self._slot = max(self._slot + 1, -((self._epoch - self._clock.now()) // self._period))
         self._turn += 1
         if isinstance(driver, PluginDriver):
-            force = [0.0] * driver.axes if f is None or self._origin is not None else f
+            force = [0.0] * driver.axes if f is None or self._turned is not None else f
             measured = self._call("exerted", lambda: driver.exerted(force))
-            if driver.measures and f is not None and self._origin is None:
+            if driver.measures and f is not None and self._turned is None:
                 self.exerted.append(list(measured))
         due = Instant(self._slot * self._period)
         self._call("idle", lambda: driver.idle(due))
@@ -374,7 +384,7 @@ class Bench:
         """Add the last tick: its displacement, or its turn while torques are exerted."""
         samples = self.samples
         record.at.append(samples.at[-1])
-        record.x.append(samples.x[-1] if self._origin is None else _turn(samples.R[-1], self._origin))
+        record.x.append(samples.x[-1] if self._turned is None else self._turned)
         record.R += samples.R[-1:]
 
     def _exert(self, f: list[float], at: Instant, until: Instant) -> None:
@@ -384,7 +394,7 @@ class Bench:
             self._call("apply", lambda: driver.apply(f, at, until))
             return
         none = [0.0] * len(f)
-        force, torque = (f, none) if self._origin is None else (none, f)
+        force, torque = (f, none) if self._turned is None else (none, f)
         self._call("apply_wrench", lambda: felt.apply_wrench(force, torque, at, until))
 
     def _call(self, method: str, call: Callable[[], _R]) -> _R:
@@ -681,6 +691,7 @@ def _judged(pushed: _Pushed, T: float, stated: DeviceSpecification) -> Iterator[
     low, high = bounds if stated.mass is None else (stated.mass[axis] / 3.0, 3.0 * stated.mass[axis])
     N, m_, kg = unit("N"), unit("m"), unit("kg")
     expected = f"expected {low:.3g} to {high:.3g} {kg}: displacements are in {m_}, and forces in {N}"
+    axes_turn = stated.axes == TURNS
     short = min(pushed.there, pushed.back, key=len)
     ticks = len(short)
     if ticks < LEAST_TICKS:
@@ -692,9 +703,8 @@ def _judged(pushed: _Pushed, T: float, stated: DeviceSpecification) -> Iterator[
         if mass < low:
             yield Judgement(UNIT, Conformance.BROKEN, f"found that {text}; {expected}")
         else:
-            yield Judgement(
-                UNIT, Conformance.OPEN, f"{text}; push with less force, or let it travel further (--travel)"
-            )
+            less = "less torque (--torque)" if axes_turn else "less force, or let it travel further (--travel)"
+            yield Judgement(UNIT, Conformance.OPEN, f"{text}; push with {less}")
         return
     times, places, force = pushed.whole(m)
     a = pushed.answer()
@@ -898,9 +908,10 @@ def _silence(
         if lasted - error > asked + GRACE * T:
             return Judgement(SILENCE, Conformance.BROKEN, _kept_on(of, lasted, ticks, T, lasted > 0.9 * window))
         if error > asked:
+            more = "torque (--torque)" if stated.axes == TURNS else "force (--force)"
             text = (
                 f"a step of {step:g} {unit('m')} is too coarse to see whether a force {of} ends after "
-                f"{1e3 * asked:.3g} ms, for it tells the time to {1e3 * error:.2g} ms: push with more force (--force)"
+                f"{1e3 * asked:.3g} ms, for it tells the time to {1e3 * error:.2g} ms: push with more {more}"
             )
             return Judgement(SILENCE, Conformance.OPEN, text)
         told.append(f"{1e3 * lasted:.2g} of {1e3 * asked:.3g} ms")

@@ -35,7 +35,7 @@ from manyhands.nodes.recorder.format import Recorded
 from manyhands.protocol.channels import ACCOUNT, INSTANTS, ORIENTATION, PROPOSED, PROXY, TOPICS, TORQUE
 from manyhands.protocol.clock import Duration, Instant, from_seconds
 from manyhands.protocol.messages import Role
-from tests.support.slot import sensed, session, slot, slot_by, told, values
+from tests.support.slot import MODEL, SENSED, sensed, session, slot, slot_by, told, values
 
 pytest.importorskip("mujoco")
 TICKS = 450
@@ -245,6 +245,55 @@ def test_a_recording_says_whose_orientation_is_a_port(run: RecordedRun) -> None:
     }  # fmt: skip
     assert {topic.trace for topic in run.recorded.topics("environment") if topic.hands} == {"heard", "told"}
     assert not any(topic.hands for topic in run.recorded.topics("c"))
+
+
+FELT = slot()["devices"]["pen"]["orientation"]
+
+
+def _both() -> Session:
+    """A sensed stick beside one that is felt, across its end, so that it turns it."""
+    data = sensed()
+    grip = data["devices"]["pen"] | {"hand": {}}
+    grip["orientation"] = SENSED | {"torque": [0, 0, "0.01*sin(2*pi*2*t)"]}
+    pen = slot()["devices"]["pen"] | {"hand": {}, "orientation": {**FELT, "torque": [0, 0, 0.001]}}
+    stick = MODEL[MODEL.index("<body name") : MODEL.index("</worldbody>")]
+    other = stick.replace('"stick"', '"bar" pos="0.031 0.0115 0"').replace("-0.03 0 0 0.03 0 0", "0 -0.02 0 0 0.02 0")
+    for name in ("x", "y", "z", "turn"):
+        other = other.replace(f'joint name="{name}"', f'joint name="g{name}"')
+    head = MODEL[: MODEL.index("<geom type=")]
+    data["devices"] = {"grip": grip, "pen": pen}
+    data["couplings"] = {"g": {"devices": ["grip"]}, "c": {"devices": ["pen"]}}
+    data["environment"] |= {
+        "tools": {"grip": ["gx", "gy", "gz"], "pen": ["x", "y", "z"]},
+        "avatars": {"grip": "gturn", "pen": "turn"},
+        "model": f"{head}{stick}{other}</worldbody></mujoco>",
+    }
+    return Session.from_dict(data)
+
+
+def test_beside_a_hand_that_feels_nothing_the_accounts_of_others_are_their_own() -> None:
+    """The bar of the sensed hand swings against the other's stick, whose hand is turned only as far as it has given."""
+    prepared = prepare(_both(), None)
+    run = simulate(prepared, 300)
+    account, heard = values(run, "pen", "account"), values(run, "environment", "heard")
+    assert abs(values(run, "pen", "t_v")[:, 2]).max() > 1e-3
+    assert not heard[:, 4].any()
+    assert heard[-1, 10] > 0.0
+    assert (account[:, 0] >= account[:, 1] - account[:, 2] - 1e-15).all()
+    assert account[:, 0].min() >= -1e-15  # there is no other hand that could have granted it anything
+    bundles = cut(prepared, RunPlan("simulated", None, ""))
+    world = bundles["environment"]
+    assert isinstance(world, EnvironmentBundle)
+    found = world_checks(run, "environment", world)
+    assert [(check.name, check.party) for check in found] == [
+        ("agreement", "grip"),
+        ("agreement", "pen"),
+        (BOUND, "environment"),
+    ]
+    assert {check.verdict for check in found} == {CheckVerdict.HOLDS}
+    run.traces["environment", "told"].values[200, 9] += 1.0  # to the hand that feels
+    broken = {check.name for check in world_checks(run, "environment", world) if check.verdict is CheckVerdict.BROKEN}
+    assert broken == {"agreement", BOUND}
 
 
 @pytest.mark.parametrize("cut_short", [False, True])

@@ -45,6 +45,7 @@ def findings(kind: type[DeviceDriver], push: Push | None = Push(), **parameters:
     [
         {},
         {"burn": 1e-4},
+        {"inertia": 3e-6, "burn": 1e-5},  # which turns on and on, by several turns
         {"burn": 0.003, "inertia": 1e-4},
         {"at": (0.5, -2.0, 1.0)},
         {"age": 2e-4, "delay": 3e-4, "timing": {"sample_age": 2e-4, "actuation_delay": 3e-4}},
