@@ -1,4 +1,4 @@
-"""A session in which a hand turns a stick in a slot: freely about the stick's own axis, and not about z."""
+"""Sessions in which a hand turns a tool: a stick in a slot, freely about its own axis and not about z; and a bar."""
 
 from __future__ import annotations
 
@@ -141,3 +141,58 @@ def described(pivot: str = "0 0 0") -> About:
     world = {key: value for key, value in given["environment"].items() if key not in ("bodies", "orientations")}
     made = Session.from_dict({**given, "environment": {**world, "model": model}})
     return replace(describe(unproved(made), "simulated", "ipc", 0), drawing=drawing_of(made))
+
+
+BAR = """<mujoco>
+  <option timestep="0.0005" integrator="implicitfast" gravity="0 0 0"/>
+  <worldbody>
+    <geom type="box" pos="0 0.018 0" size="0.045 0.003 0.02"/>
+    <geom type="box" pos="0 -0.018 0" size="0.045 0.003 0.02"/>
+    <body name="bar">
+      <joint name="x" type="slide" axis="1 0 0" damping="0.5"/>
+      <joint name="y" type="slide" axis="0 1 0" damping="0.5"/>
+      <joint name="z" type="slide" axis="0 0 1" damping="0.5"/>
+      <joint name="turn" type="ball" damping="0.001"/>
+      <geom type="box" size="0.03 0.01 0.01" mass="0.3"/>
+    </body>
+  </worldbody>
+</mujoco>"""
+
+
+def rail() -> dict[str, Any]:
+    """A bar between two rails, which a person at a page moves and turns: about z by some ten degrees alone.
+
+    Its numbers are those of a period of 10 ms, which a machine keeps whose processor draws the page. In its own time no
+    late tick makes the device let go.
+    """
+    pen = {
+        "dof": 3,
+        "osp": 1.37,
+        "driver": "browser",
+        "time": "own",
+        "mass": 0.2,
+        "hand": {"stiffness": 100, "damping": 5},
+        "limits": {"displacement": 0.05},
+        "orientation": {
+            "osp": 0.001,
+            "stiffness": 0.04,
+            "limits": {"torque": 0.05, "speed": 6},
+            "inertia": 1e-4,
+        },
+    }
+    environment = {
+        "type": "engine",
+        "engine": "mujoco",
+        "stiffness": 50,
+        "tools": {"hand": ["x", "y", "z"]},
+        "avatars": {"hand": "turn"},
+        "model": BAR,
+    }
+    return {
+        "session": "rail",
+        "period": 0.01,
+        "devices": {"hand": pen},
+        "couplings": {"c": {"devices": ["hand"]}},
+        "environment": environment,
+        "design": {"coupling": "spring-damper", "tau": 0.004},
+    }

@@ -120,7 +120,7 @@ export class Engine {
     const of = (names, text) => (names.length ? `${names.join(", ")}: ${text}. ` : "");
     return (
       (hands ? "Rods at a tool: how it is turned, along its own x (the longest), y and z; faint: how its device is. Arc: the torque on the hand. " : "") +
-      (this.session.about.grips.some((device) => this.session.turnsInSpace(device)) ? "Drag a ring with Shift, with the right button, or with a second finger beside it, to turn its tool; or press W, A, S, D, Q and E on it. " : "") +
+      (this.session.about.grips.some((device) => this.session.turnsInSpace(device)) ? "Drag a ring with Shift, or with the right button, to turn its tool; or move a second finger around it, or press W, A, S, D, Q and E on it. " : "") +
       of(turns, "how it is turned is not reported, and it is drawn as it was at the start (environment.orientations)") +
       of(hidden, "not drawn, since where it is is not reported (environment.bodies)") +
       of(large, "not drawn, since it has too many triangles")

@@ -158,11 +158,24 @@ export class Grips {
 
   /** A pointer turns a device, as if its ring were in the middle of a ball: a function of later events, whose values are orientations. */
   ball(event, device, handle, drag) {
+    const axes = drag.axes();
+    return this.turning(event, device, handle, (from, to) => along(dragged(from, to), axes));
+  }
+
+  /** The same by the way that a pointer makes around the ring, as a knob is turned. */
+  knob(event, device, handle, drag) {
+    const angle = ([x, y]) => Math.atan2(y, x);
+    const [, , towards] = drag.axes();
+    return this.turning(event, device, handle, (from, to) => about(towards, angle(to) - angle(from)));
+  }
+
+  /** The same by what `by` makes of two places of the pointer, in parts of the ball's radius from the ring's middle. */
+  turning(event, device, handle, by) {
     const box = handle.querySelector(".body").getBoundingClientRect();
     const middle = [(box.left + box.right) / 2, (box.top + box.bottom) / 2];
     const at = ({ clientX, clientY }) => [(clientX - middle[0]) / BALL, (middle[1] - clientY) / BALL];
-    const [from, axes, start] = [at(event), drag.axes(), this.turned.get(device) ?? this.orientation(device)];
-    return (later) => times(along(dragged(from, at(later)), axes), start);
+    const [from, start] = [at(event), this.turned.get(device) ?? this.orientation(device)];
+    return (later) => times(by(from, at(later)), start);
   }
 
   /** A finger beside those that hold devices turns one that can be turned: what it does later; null where there is none. */
@@ -170,7 +183,7 @@ export class Grips {
     const [held] = event.pointerType === "touch" ? this.fingers : [];
     if (!held) return null;
     const [device, { handle, drag }] = held;
-    const turn = this.ball(event, device, handle, drag);
+    const turn = this.knob(event, device, handle, drag);
     return (later) => this.fingers.has(device) && this.hold(device, this.held.get(device), turn(later));
   }
 

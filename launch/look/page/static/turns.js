@@ -27,7 +27,7 @@ function onBall([x, y]) {
   return far < 1 ? [x, y, Math.sqrt(1 - far * far)] : [x / far, y / far, 0];
 }
 
-/** The rotation of a ball of radius 1 that is dragged from one place of the picture to another: by twice the arc, so that a drag over the whole ball is a whole turn. */
+/** The rotation of a ball of radius 1 that is dragged from one place of the picture to another: by twice the arc, so that a drag from its middle to its rim is half a turn. */
 export function dragged(from, to) {
   const [[a, b, c], [d, e, f]] = [onBall(from), onBall(to)];
   return [a * d + b * e + c * f, b * f - c * e, c * d - a * f, a * e - b * d];
