@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from manyhands.nodes.environment.core import respond
 from manyhands.nodes.environment.enforced import EnforcedCore
 
 WARM = 200
@@ -21,14 +22,14 @@ def step_times(
     Args:
         core: the environment's, with its controller and ledger.
         ticks: of the measurement; :data:`WARM` come before it.
-        place: p of a tick, from 0 on, m.
-        touching: how many things touch, from the forces of a tick, N.
+        place: p of a tick, from 0 on, m, and what rides with it.
+        touching: how many things touch, from the forces of a tick, N, and what rides with them.
     """
     touched, react, settle, wall = [], [], [], []
     for k in range(WARM + ticks):
         p = [*place(k)]
         clock, begin = time.perf_counter(), time.thread_time()
-        f = core.react(p)
+        f = respond(core, p, k)
         sent = time.thread_time()
         core.settle()
         end, passed = time.thread_time(), time.perf_counter() - clock

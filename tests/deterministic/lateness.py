@@ -30,7 +30,7 @@ import multiprocessing
 import sys
 import tempfile
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -47,7 +47,7 @@ from manyhands.nodes.coupling.core import CouplingCore
 from manyhands.nodes.device.drivers import Driver, driver_of
 from manyhands.nodes.device.simulated import HeldDeviceDriver, IntentHand, Intention, Plant, device_of
 from manyhands.nodes.device.tick import WallTimeTick
-from manyhands.nodes.environment.core import environment_core
+from manyhands.nodes.environment.core import environment_core, respond
 from manyhands.nodes.environment.enforced import EnforcedCore
 from manyhands.nodes.kernel.allowance import LatenessAllowance
 from manyhands.nodes.kernel.arithmetic import plus
@@ -62,6 +62,7 @@ from manyhands.nodes.kernel.bundle import (
 from manyhands.nodes.kernel.driver_statement import DeviceTiming
 from manyhands.nodes.kernel.factory import FactoryName
 from manyhands.nodes.kernel.intent import intent_from
+from manyhands.nodes.kernel.orientation import NO_RIDER, RIDER
 from manyhands.nodes.kernel.passivity import Ledger
 from manyhands.nodes.kernel.timeouts import STALE_TICKS
 from manyhands.protocol.clock import Duration, Instant, from_seconds
@@ -380,11 +381,16 @@ class Late:
         self.fastest = max(self.fastest, self.tick.wall_interface.speed)
         return sent
 
-    def answer(self, f: list[float], at: int) -> None:
+    @property
+    def rides(self) -> Sequence[float]:
+        """What rides with its sample."""
+        return self.tick.rides
+
+    def answer(self, f: list[float], at: int, came: Sequence[float] = NO_RIDER) -> None:
         if at - self.sampled > self.stale:
             self.tick.release(Instant(self.sampled + self.stale))
         self.now = at
-        self.tick.exert(f, Instant(at))
+        self.tick.exert(f, Instant(at), came=came)
         self.tick.book()
         self.tick.driver.idle(Instant((at // self.period + 1) * self.period))
 
@@ -398,6 +404,7 @@ def run(
     hostile: Sequence[str] = (),
     clutched: bool = False,
     weaker: float = 1.0,
+    make: Callable[[DeviceBundle, LatenessAllowance | None, int, bool], Late] = Late,
 ) -> Course:
     """Run a session at drawn instants; it ends early once a device has diverged.
 
@@ -410,6 +417,7 @@ def run(
         hostile: the devices that are in hostile hands.
         clutched: whether blocks freeze, leave and join at random.
         weaker: where it is above 1, the greatest force of every hand is stated as its push over this, and no more.
+        make: makes each device in wall time.
     """
     session = prepared.session
     bundles = cut(prepared, RunPlan(REALTIME, None, ""))
@@ -417,6 +425,7 @@ def run(
     m = len(index)
     ledgers: dict[str, Ledger] = {}
     devices: list[tuple[Late, list[int]]] = []
+    by_name: dict[str, Late] = {}
     couplings: list[tuple[CouplingCore, list[int]]] = []
     D_V = np.zeros((m, m))
     world: EnvironmentBundle | None = None
@@ -427,8 +436,9 @@ def run(
                 if weaker > 1.0 and bundle.inertia is not None:
                     pushes = tuple(abs(push) / weaker for push in _pushes(session.devices[name]))
                     bundle = replace(bundle, inertia=replace(bundle.inertia, hand=pushes))
-                devices.append((Late(bundle, allowance, latency, name in hostile), ports))
-                ledgers[name] = devices[-1][0].tick.core.ledger
+                by_name[name] = late = make(bundle, allowance, latency, name in hostile)
+                devices.append((late, ports))
+                ledgers[name] = late.tick.core.ledger
             case CouplingBundle():
                 core = CouplingCore(bundle.block, bundle.K, bundle.level, session.period, bundle.limits.force)
                 couplings.append((core, ports))
@@ -442,9 +452,10 @@ def run(
     if environment.ledger is not None:
         ledgers["environment"] = environment.ledger
     clutches, chance = environment.clutches, np.random.default_rng(plan.seed)
+    turned = [by_name[tool.device] for tool in world.oriented_tools]
     x, p, f = [0.0] * m, [0.0] * m, [0.0] * m
     ran = felt = 0
-    for _ in range(ticks):
+    for k in range(ticks):
         ran += 1
         if clutched and chance.random() < 0.02:
             change = (clutches.freeze, clutches.disengage, clutches.engage, clutches.engage)[chance.integers(4)]
@@ -456,7 +467,8 @@ def run(
         for coupling, ports in couplings:
             for port, at in zip(ports, coupling.free_position([x[port] for port in ports]), strict=True):
                 p[port] = at
-        forces = list(environment.react(p))
+        forces = list(respond(environment, p + [number for device in turned for number in device.rides], k))
+        came = {id(device): forces[m + RIDER * i : m + RIDER * (i + 1)] for i, device in enumerate(turned)}
         environment.settle()
         for coupling, ports in couplings:
             applied = coupling.limited([float(forces[port]) for port in ports])
@@ -466,7 +478,7 @@ def run(
         felt += max(map(abs, f)) >= FELT
         for device, ports in devices:
             at = closed + plan.delay()
-            device.answer([f[port] for port in ports], at)
+            device.answer([f[port] for port in ports], at, came.get(id(device), NO_RIDER))
             device.slot = plan.following(device.slot, at)
         if any(device.fastest > SPEED for device, _ in devices):
             break
